@@ -18,7 +18,6 @@ from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_opti
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.compare import Difference, Side
-    from swarmd.sim.experiments.manifest import Manifest
     from swarmd.sim.experiments.results import Results
 
 FAILED, PARTIAL = 1, 3  # exit codes if all runs failed, or some
@@ -105,9 +104,12 @@ def run(
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
     """
     need("mujoco")
+    from swarmd.sim.cli.progress import ends_on_sigterm, progress
     from swarmd.sim.experiments.arguments import parse_seeds, parse_sets, parse_sweeps
     from swarmd.sim.experiments.manifest import manifest_of
-    from swarmd.sim.experiments.simulate import plan_of
+    from swarmd.sim.experiments.pool import STEP_TIMEOUT
+    from swarmd.sim.experiments.results import load_results
+    from swarmd.sim.experiments.simulate import plan_of, run_experiment
 
     names = chosen_metrics(metrics)
     plan = plan_of(scenario, parse_seeds(seeds), parse_sets(sets), parse_sweeps(sweeps))
@@ -119,7 +121,15 @@ def run(
     command += ["--jobs", str(jobs), "--out", str(folder), *(["--no-traces"] * no_traces)]
     command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
     manifest = manifest_of(plan, traces=not no_traces, command=command)
-    results = _do_runs(manifest, folder, jobs, timeout)
+    limit = STEP_TIMEOUT if timeout is None else timeout
+    try:
+        with ends_on_sigterm(), progress() as on_progress:
+            results = run_experiment(manifest, folder, jobs, timeout=limit, on_progress=on_progress)
+    except (KeyboardInterrupt, SystemExit):
+        with suppress(SwarmError):  # it had not even begun
+            done = f"{len(load_results(folder).rows)} of {len(plan.runs)} runs are kept"
+            warn(f"{done}; to go on: {shlex.join(command)}")
+        raise
     _print_results(results, names, is_json)
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
     ctx.exit(0 if not results.failures else PARTIAL if results.runs else FAILED)
@@ -280,31 +290,6 @@ def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None
     print_table(("METRIC", "UNIT", *heads), rows)
 
 
-def _do_runs(manifest: Manifest, folder: Path, processes: int, timeout: float | None) -> Results:
-    """Do all runs; on Ctrl-C and SIGTERM print the command that resumes them."""
-    from swarmd.sim.cli.progress import ends_on_sigterm, progress
-    from swarmd.sim.experiments.pool import STEP_TIMEOUT
-    from swarmd.sim.experiments.simulate import run_experiment
-
-    total = len(manifest.plan.runs)
-    try:
-        with ends_on_sigterm(), progress() as on_progress:
-            return run_experiment(
-                manifest,
-                folder,
-                processes,
-                timeout=timeout or STEP_TIMEOUT,
-                on_progress=on_progress,
-            )
-    except (KeyboardInterrupt, SystemExit):
-        from swarmd.sim.experiments.results import load_results
-
-        with suppress(SwarmError):  # it had not even begun
-            done = len(load_results(folder).rows)
-            warn(f"{done} of {total} runs are kept; to go on: {shlex.join(manifest.command)}")
-        raise
-
-
 def _print_results(results: Results, names: Sequence[str] | None, is_json: bool) -> None:
     """Print statistics on stdout, failures on stderr."""
     if is_json:
@@ -318,13 +303,11 @@ def _print_results(results: Results, names: Sequence[str] | None, is_json: bool)
             warn(f"patterns failed in {count} runs: see failed_patterns, and reason in the traces")
     for name, reason in list(results.failures.items())[:_FAILURES_SHOWN]:
         warn(f"failed: {name}: {reason}")
-    more = len(results.failures) - _FAILURES_SHOWN
-    if more > 0:
-        warn(f"and {more} more; see {results.folder}/failures.json")
+    if len(results.failures) > _FAILURES_SHOWN:
+        warn(f"and others; see {results.folder}/failures.json")
 
 
 def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:
-    from swarmd.sim.experiments.compare import expected_by_chance
     from swarmd.sim.experiments.report import interval, number
 
     is_paired = any(one.is_paired for one in differences)
@@ -338,7 +321,8 @@ def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> N
     print_table(("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "RUNS", "RESULT"), rows)
     differing = sum(one.differs for one in differences)
     click.echo(f"\n{differing} of {len(differences)} metrics differ", nl=False)
-    click.echo(f"; {expected_by_chance(differences):.2g} would by chance if nothing did\n")
+    by_chance = 0.05 * sum(one.interval is not None for one in differences)
+    click.echo(f"; {by_chance:.2g} would by chance if nothing did\n")
     _warn_of_few(max(counts) for counts in zip(*((d.n_a, d.n_b) for d in differences), strict=True))
 
 

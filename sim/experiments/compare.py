@@ -103,18 +103,13 @@ def compare(a: Side, b: Side, names: Sequence[str] | None = None) -> list[Differ
     return [_difference(a, b, name) for name in (known if names is None else names)]
 
 
-def expected_by_chance(differences: Sequence[Difference]) -> float:
-    """The expected number of false differences: 5 % of the metrics with an interval."""
-    return 0.05 * sum(one.interval is not None for one in differences)
-
-
 def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, Any]:
     """A comparison as plain values."""
     return {
         "a": a.label,
         "b": b.label,
         "level": LEVEL,
-        "differ_by_chance": expected_by_chance(differences),
+        "differ_by_chance": 0.05 * sum(one.interval is not None for one in differences),
         "metrics": {
             one.metric: {
                 **asdict(one),
@@ -143,6 +138,10 @@ def _difference(a: Side, b: Side, name: str) -> Difference:
     else:
         left, right = left[~np.isnan(left)], right[~np.isnan(right)]
         found = difference_interval(left, right)
+    better: Literal["a", "b"] | None = None
+    wanted = METRICS[name].better if name in METRICS else None
+    if found is not None and wanted is not None and 0.0 not in found:
+        better = "b" if (found.low > 0.0) == (wanted == "more") else "a"
     mean_a, mean_b = (float(some.mean()) if some.size else None for some in (left, right))
     return Difference(
         metric=name,
@@ -154,16 +153,8 @@ def _difference(a: Side, b: Side, name: str) -> Difference:
         difference=None if mean_a is None or mean_b is None else mean_b - mean_a,
         interval=found,
         is_paired=is_paired,
-        better=_better(found, METRICS[name].better if name in METRICS else None),
+        better=better,
     )
-
-
-def _better(
-    interval: Interval | None, wanted: Literal["less", "more"] | None
-) -> Literal["a", "b"] | None:
-    if interval is None or wanted is None or 0.0 in interval:
-        return None
-    return "b" if (interval.low > 0.0) == (wanted == "more") else "a"
 
 
 def _sides_of(text: str) -> list[Side]:

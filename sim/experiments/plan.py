@@ -5,7 +5,9 @@ from __future__ import annotations
 import hashlib
 import itertools
 import json
+import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral
@@ -94,12 +96,13 @@ def make_plan(
     found = check_seeds(seeds)
     for key, values in sweep.items():
         _check_sweep(key, values, sets, sweep)
-    count = len(found)
-    for values in sweep.values():
-        count *= len(values)
+    count = len(found) * math.prod(map(len, sweep.values()))
     if count > MAX_RUNS:
         raise ConfigError(f"these are {count} runs; at most {MAX_RUNS} are made, so sweep less")
-    short = _short_keys(tuple(sweep))
+    last = [key.rpartition(".")[2] for key in sweep]  # whole keys where these are equal
+    short = {
+        key: end if last.count(end) == 1 else key for key, end in zip(sweep, last, strict=True)
+    }
     variants = []
     for point in itertools.product(*sweep.values()):
         values_of = dict(zip(sweep, point, strict=True))
@@ -130,16 +133,9 @@ def _check_sweep(
             raise ConfigError(
                 f"sweep {key}: {other} is part of it and would be lost; keep one of them"
             )
-    names = [shown(value) for value in values]
-    for i, name in enumerate(names):
-        if name in names[:i]:
-            raise ConfigError(f"sweep {key}: {name} is given twice; keep one")
-
-
-def _short_keys(keys: Sequence[str]) -> dict[str, str]:
-    """Each key's last part, or the whole key where last parts are equal."""
-    last = [key.rpartition(".")[2] for key in keys]
-    return {k: s if last.count(s) == 1 else k for k, s in zip(keys, last, strict=True)}
+    name, count = Counter(map(shown, values)).most_common(1)[0]
+    if count > 1:
+        raise ConfigError(f"sweep {key}: {name} is given twice; keep one")
 
 
 def _stems(names: Sequence[str]) -> list[str]:

@@ -90,10 +90,11 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
     return JobResult(job.run, metrics, time.perf_counter() - begin)
 
 
-def remove_partial(trace: Path) -> None:
-    """Remove a partly written trace, if that is possible."""
+def remove_partial(trace: Path | None) -> None:
+    """Remove a partly written trace, if there is one."""
     with suppress(OSError):
-        trace.with_name(f".{trace.name}.partial").unlink(missing_ok=True)
+        if trace is not None:
+            trace.with_name(f".{trace.name}.partial").unlink(missing_ok=True)
 
 
 def one_line(text: str) -> str:
@@ -141,7 +142,6 @@ def run_jobs(
     finally:
         for worker in workers.values():
             worker.kill()
-            worker.clean()
 
 
 class _Worker:
@@ -211,13 +211,9 @@ class _Worker:
     def kill(self) -> None:
         """End it immediately."""
         self._end_group()
+        remove_partial(self._job.trace)
         self.pipe.close()
         self._log.close()
-
-    def clean(self) -> None:
-        """Remove the partly written trace of its job; the worker must have ended."""
-        if self._job.trace is not None:
-            remove_partial(self._job.trace)
 
     def _end_group(self) -> None:
         """End the worker and every process that it or a pattern has started."""
@@ -227,7 +223,6 @@ class _Worker:
 
     def _failed(self, reason: str) -> JobResult:
         self.is_alive = False
-        self.clean()
         return JobResult(self._job.run, reason=f"{reason}{self._last_line()}")
 
     def _last_line(self) -> str:

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from swarmd.core.errors import ConfigError, PluginError, unknown
 from swarmd.settings.layered import Keys, Layered, dotted
-from swarmd.sim.scenarios.schema import ArenaSection, BoxSection
+from swarmd.sim.scenarios.schema import ArenaSection
 from swarmd.sim.world.arena import Arena, Box, Pole, Segment
 from swarmd.sim.world.scalar_fields import Field
 
@@ -40,7 +40,17 @@ def arena_of(layers: Layered, section: ArenaSection) -> Arena:
     with blamed(layers, "arena", "boxes", prefix="arena.boxes: "):
         return Arena(
             *section.size,
-            boxes=tuple(_box(box) for box in section.boxes),
+            boxes=tuple(
+                Box(
+                    *(box.at or (0.0, 0.0)),
+                    *box.size,
+                    math.radians(box.yaw_deg),
+                    box.name,
+                    box.mass,
+                    box.at is not None,
+                )
+                for box in section.boxes
+            ),
             poles=tuple(Pole(*pole.at, pole.radius) for pole in section.poles),
             segments=tuple(Segment(*wall.start, *wall.end) for wall in section.segments),
         )
@@ -58,19 +68,12 @@ def check_inside(
 
 def fields_of(layers: Layered, sections: Sequence[Mapping[str, Any]]) -> tuple[Field, ...]:
     """The fields; ConfigError for the first invalid one."""
-    return tuple(_field(layers, index, dict(data)) for index, data in enumerate(sections))
-
-
-def _box(box: BoxSection) -> Box:
-    yaw, is_placed = math.radians(box.yaw_deg), box.at is not None
-    return Box(*(box.at or (0.0, 0.0)), *box.size, yaw, box.name, box.mass, is_placed)
-
-
-def _field(layers: Layered, index: int, data: dict[str, Any]) -> Field:
     kinds = {kind.__struct_config__.tag: kind for kind in get_args(Field)}
-    where = str(layers.error(("fields", index), f"fields[{index}]"))
-    kind = str(data.pop("kind", ""))
-    if kind not in kinds:
-        raise ConfigError(f"{where}.kind: {unknown('kind of field', kind, kinds)}")
-    field: Field = Layered((where, data)).build(kinds[kind])
-    return field
+    fields: list[Field] = []
+    for index, section in enumerate(sections):
+        where, data = str(layers.error(("fields", index), f"fields[{index}]")), dict(section)
+        kind = str(data.pop("kind", ""))
+        if kind not in kinds:
+            raise ConfigError(f"{where}.kind: {unknown('kind of field', kind, kinds)}")
+        fields.append(Layered((where, data)).build(kinds[kind]))
+    return tuple(fields)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -49,7 +49,14 @@ def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> G
     group_of: dict[str, str] = {}
     for name, ids in groups.items():
         for robot in ids:
-            _check_robot(layers, name, robot, groups, group_of)
+            keys, where = ("groups", name), f"groups.{name}: robot {robot!r}"
+            with blamed(layers, *keys):
+                check_id(robot, f"groups.{name}: a robot's id")
+            if robot in groups or robot == ALL:
+                raise layers.error(keys, f"{where} has the name of a group; rename one")
+            if robot in group_of:
+                text = f"{where} is in group {group_of[robot]!r} already"
+                raise layers.error(keys, f"{text}; name it once, or give another prefix")
             group_of[robot] = name
     if not groups:
         raise layers.error(("groups",), "groups is empty; wanted one group of robots at least")
@@ -57,7 +64,11 @@ def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> G
         text = "groups.all does not hold all robots, which events call `all`; name it otherwise"
         raise layers.error(("groups", ALL), text)
     platforms = _platforms(layers, file)
-    sensing = {name: _sensing(item, file, fields) for name, (item, _) in platforms.items()}
+    sensing = {}
+    for name, (platform, _) in platforms.items():
+        heard = replace(platform, provides=platform.provides | {"neighbors"})
+        placed = with_bearings(heard) if file.radio.range_and_bearing else heard
+        sensing[name] = with_readings(placed, fields)
     robots = {
         robot: sensing[platform_name(file.groups[group].platform)]
         for robot, group in group_of.items()
@@ -85,28 +96,6 @@ def _ids(layers: Layered, name: str, group: GroupSection) -> tuple[str, ...]:
     digits = max(2, len(str(count)))
     numbered = (f"{prefix}-{number:0{digits}}" for number in range(1, count + 1))
     return tuple(group.robots or numbered)
-
-
-def _check_robot(
-    layers: Layered, group: str, robot: str, groups: Iterable[str], group_of: Mapping[str, str]
-) -> None:
-    where, fault = f"groups.{group}: robot {robot!r}", ""
-    if robot in group_of:
-        fault = f"is in group {group_of[robot]!r} already; name it once, or give another prefix"
-    if robot in groups or robot == ALL:
-        fault = "has the name of a group; rename one"
-    with blamed(layers, "groups", group):
-        check_id(robot, f"groups.{group}: a robot's id")
-        if fault:
-            raise ConfigError(f"{where} {fault}")
-
-
-def _sensing(platform: Platform, file: ScenarioFile, fields: Sequence[Field]) -> Platform:
-    """The platform with the sensors that the scenario adds."""
-    sensing = replace(platform, provides=platform.provides | {"neighbors"})
-    if file.radio.range_and_bearing:
-        sensing = with_bearings(sensing)
-    return with_readings(sensing, fields)
 
 
 def _platforms(layers: Layered, file: ScenarioFile) -> dict[str, tuple[Platform, Data]]:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 from swarmd.core.errors import unknown
@@ -21,40 +20,41 @@ from swarmd.sim.scenarios.schema import ScenarioFile
 _WORD = 64  # the longest source that a status can name
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ConfiguredParameters:
-    """The configured parameters of a robot and pattern, in layers by source."""
+def configured_parameters(file: ScenarioFile, groups: Groups) -> Callable[[str, str], Layers]:
+    """The configured parameters of a robot and pattern, in layers by source, weakest first.
 
-    file: ScenarioFile
-    groups: Groups
+    Layers are "platform", "scenario" and "group <name>"; empty ones are left out.
+    """
 
-    def __call__(self, robot: str, pattern: str) -> Layers:
-        """The non-empty layers "platform", "scenario" and "group <name>", weakest first."""
-        name = self.groups.group_of[robot]
-        group = self.file.groups[name]
+    def layers_of(robot: str, pattern: str) -> Layers:
+        name = groups.group_of[robot]
+        group = file.groups[name]
         layers: list[tuple[str, Mapping[str, Value]]] = [
-            ("platform", self.groups.robots[robot].patterns.get(pattern, {})),
-            ("scenario", {**self.file.parameters.get(pattern, {})}),
+            ("platform", groups.robots[robot].patterns.get(pattern, {})),
+            ("scenario", {**file.parameters.get(pattern, {})}),
             (f"group {name}"[:_WORD], {**group.parameters} if group.pattern == pattern else {}),
         ]
         return tuple((source, values) for source, values in layers if values)
 
+    return layers_of
+
 
 def check_patterns(
     layers: Layered,
+    file: ScenarioFile,
     schedule: Schedule,
     groups: Groups,
-    configured: ConfiguredParameters,
+    configured: Callable[[str, str], Layers],
     plugin_dir: Path | None,
 ) -> None:
     """Raise ConfigError for the first pattern that is unknown or that a robot would refuse."""
     with blamed(layers, "plugin_dir"):
         origins = pattern_names(plugin_dir)
-    for pattern in configured.file.parameters:
+    for pattern in file.parameters:
         if pattern not in origins:
             text = f"parameters: {unknown('pattern', pattern, origins)}"
             raise layers.error(("parameters", pattern), text)
-    for group, section in configured.file.groups.items():
+    for group, section in file.groups.items():
         for pattern in section.touch:
             _check_name(layers, ("groups", group, "touch", pattern), pattern, origins)
     executor = PatternExecutor(

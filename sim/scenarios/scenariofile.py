@@ -6,7 +6,7 @@ in plain values, platforms included, and gives the same scenario without files.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from copy import deepcopy
 from pathlib import Path
 from typing import Any
@@ -21,7 +21,7 @@ from swarmd.settings.yamlfile import Data, read_extended, shown
 from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
 from swarmd.sim.scenarios.groups import Groups, groups_of, platform_name
 from swarmd.sim.scenarios.overrides import SOURCE, nested
-from swarmd.sim.scenarios.preflight import ConfiguredParameters, check_patterns
+from swarmd.sim.scenarios.preflight import check_patterns, configured_parameters
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.schedule import schedule_of
 from swarmd.sim.scenarios.schema import ScenarioFile
@@ -29,7 +29,6 @@ from swarmd.sim.scenarios.start_poses import StartPoses, start_group_of, without
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.radio import check_radio
 from swarmd.sim.world.realism import realism_of
-from swarmd.sim.world.scalar_fields import Field
 
 
 def scenario_names() -> tuple[str, ...]:
@@ -119,10 +118,20 @@ def _overridden(
     groups = groups_of(layers, file, fields)
     starts = _starts(layers, file, groups, arena)
     schedule = schedule_of(layers, file, groups)
-    configured = ConfiguredParameters(file, groups)
+    configured = configured_parameters(file, groups)
     plugin_dir = None if file.plugin_dir is None else Path(file.plugin_dir).expanduser().absolute()
-    check_patterns(layers, schedule, groups, configured, plugin_dir)
+    check_patterns(layers, file, schedule, groups, configured, plugin_dir)
     where = str(layers.error(("realism",), "realism"))
+    plain: Data = json.decode(json.encode(file))
+    for group in plain["groups"].values():
+        group["platform"] = platform_name(group["platform"])
+    effective = {
+        **plain,
+        "name": file.name or name,
+        "platforms": deepcopy(dict(groups.platform_files)),
+        "fields": json.decode(json.encode(fields)),
+        "plugin_dir": None if plugin_dir is None else str(plugin_dir),
+    }
     return Scenario(
         name=file.name or name,
         description=file.description,
@@ -138,26 +147,11 @@ def _overridden(
         layers=configured,
         events=schedule.events,
         absent=schedule.absent,
-        touch={r: granted_zones(file.groups[group].touch) for r, group in groups.group_of.items()},
+        touch={r: granted_zones(file.groups[g].touch) for r, g in groups.group_of.items()},
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
-        effective=_effective(file, name, groups, fields, plugin_dir),
+        effective=effective,
     )
-
-
-def _effective(
-    file: ScenarioFile, name: str, groups: Groups, fields: Sequence[Field], plugin_dir: Path | None
-) -> Mapping[str, Any]:
-    data: Data = json.decode(json.encode(file))
-    for group in data["groups"].values():
-        group["platform"] = platform_name(group["platform"])
-    return {
-        **data,
-        "name": file.name or name,
-        "platforms": deepcopy(dict(groups.platform_files)),
-        "fields": json.decode(json.encode(fields)),
-        "plugin_dir": None if plugin_dir is None else str(plugin_dir),
-    }
 
 
 def _starts(layers: Layered, file: ScenarioFile, groups: Groups, arena: Arena) -> StartPoses:

@@ -141,7 +141,11 @@ def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule
     """
     read = [read_event(layers, file, groups, index) for index in range(len(file.events))]
     order = sorted(range(len(read)), key=lambda index: read[index].at)
-    absent = _absent([read[index] for index in order])
+    first: dict[str, str] = {}
+    for event in (read[index] for index in order):
+        if event.action in _MEMBERSHIP:
+            first = {**dict.fromkeys(event.robots, event.action), **first}
+    absent = frozenset(robot for robot, action in first.items() if action == "join")
     checker = _ScheduleChecker(layers, file, groups, absent)
     events = []
     for name, group in file.groups.items():
@@ -154,16 +158,6 @@ def schedule_of(layers: Layered, file: ScenarioFile, groups: Groups) -> Schedule
         checker.apply(("events", index, read[index].action), read[index])
         events.append(read[index])
     return Schedule(tuple(events), absent, tuple(checker.preflights))
-
-
-def _absent(events: Sequence[ScheduledEvent]) -> frozenset[str]:
-    """The robots that join before they leave."""
-    first: dict[str, str] = {}
-    for event in events:
-        if event.action in _MEMBERSHIP:
-            for robot in event.robots:
-                first.setdefault(robot, event.action)
-    return frozenset(robot for robot, action in first.items() if action == "join")
 
 
 @dataclass(slots=True)

@@ -12,7 +12,6 @@ import sys
 from collections.abc import Sequence
 
 from studies.outcomes.catalog import MODULES
-from studies.outcomes.outcome import Outcome
 from swarmd.core.errors import SwarmError, unknown
 
 
@@ -25,23 +24,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     for name in options.patterns:
         if name not in MODULES:
             raise SwarmError(unknown("pattern with outcomes", name, MODULES))
-    if options.seeds < 1:
-        raise SwarmError(f"--seeds is {options.seeds}; wanted is 1 or more")
     print("| pattern | what | wanted | least / median / most | runs | reached | from |")
     print("|---|---|---|---|---|---|---|")
     missed = 0
     for name in options.patterns or MODULES:
         for outcome in MODULES[name].outcomes(range(options.seeds), options.jobs):
-            print(row(outcome), flush=True)
+            reached = "yes" if outcome.is_reached else "**no**"
+            cells = (outcome.pattern, outcome.what, outcome.wanted, outcome.shown)
+            count = len(outcome.values)
+            print(f"| {' | '.join(cells)} | {count} | {reached} | {outcome.source} |", flush=True)
             missed += not outcome.is_reached
     return 1 if missed else 0
-
-
-def row(outcome: Outcome) -> str:
-    """A line of the table."""
-    reached = "yes" if outcome.is_reached else "**no**"
-    cells = (outcome.pattern, outcome.what, outcome.wanted, outcome.shown)
-    return f"| {' | '.join(cells)} | {len(outcome.values)} | {reached} | {outcome.source} |"
 
 
 if __name__ == "__main__":

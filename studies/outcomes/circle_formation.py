@@ -17,5 +17,4 @@ _ALL = (*SETTINGS, BY_LIDAR)
 def outcomes(
     seeds: Sequence[int], jobs: int = 1, settings: Sequence[Setting] = _ALL
 ) -> list[Outcome]:
-    """All outcomes of 5 to 8 robots, by the seed, in each setting."""
     return formed("circle_formation", circle_errors, seeds, jobs, settings)

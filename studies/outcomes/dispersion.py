@@ -21,7 +21,6 @@ _PAPER = "Kaiser et al. 2022, experiment 2"
 
 
 def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
-    """All outcomes, of one run for each seed."""
     found = simulate(NAME, seeds, jobs=jobs, set=SETTING)
     ranges = [late_ranges(trace) for trace in found.traces]
     nearest, loosest = [least for least, _ in ranges], [median for _, median in ranges]

@@ -49,7 +49,6 @@ Errors = Callable[[Trace, float], Array]
 def outcomes(
     seeds: Sequence[int], jobs: int = 1, settings: Sequence[Setting] = SETTINGS
 ) -> list[Outcome]:
-    """All outcomes of 5 to 8 robots, by the seed, in each setting."""
     return formed("line_formation", line_errors, seeds, jobs, settings)
 
 
@@ -59,34 +58,23 @@ def formed(
     """The outcomes of a formation with that error, a share of the spacing."""
     found = []
     for setting in settings:
-        runs = [
-            trace
-            for count in sorted({_count(seed) for seed in seeds})
-            for trace in _traces(pattern, setting, count, seeds, jobs)
-        ]
+        runs: list[Trace] = []
+        for count in range(5, 9):
+            if own := [seed for seed in seeds if seed % 4 == count - 5]:
+                some = {**setting.changes, "groups.tb3.count": count}
+                runs += simulate(pattern, own, set=some, jobs=jobs).traces
         found += _judged(pattern, setting.name, errors, runs)
     return found
 
 
-def _count(seed: int) -> int:
-    return 5 + seed % 4
-
-
-def _traces(
-    pattern: str, setting: Setting, count: int, seeds: Sequence[int], jobs: int
-) -> list[Trace]:
-    own = [seed for seed in seeds if _count(seed) == count]
-    changes = {**setting.changes, "groups.tb3.count": count}
-    results = simulate(pattern, own, set=changes, jobs=jobs)
-    return list(results.traces)
-
-
 def _judged(pattern: str, name: str, errors: Errors, runs: Sequence[Trace]) -> list[Outcome]:
-    before = [_largest(errors, _span(run, REMOVED - _HELD, REMOVED - 0.1)) for run in runs]
-    broken = [_largest(errors, _span(run, REMOVED, REMOVED + 1.0)) for run in runs]
-    after = [_largest(errors, _span(run, END - _HELD, END)) for run in runs]
+    def largest(since: float, until: float) -> list[float]:
+        parts = [_span(run, since, until) for run in runs]
+        return [float(errors(part, SPACING).max(initial=0.0)) for part in parts]
+
+    before, after = largest(REMOVED - _HELD, REMOVED - 0.1), largest(END - _HELD, END)
     moved = [_moving(_span(run, END - _HELD, END)) for run in runs]
-    share = sum(error > _BOUND for error in broken) / len(broken)
+    share = float(np.mean(np.array(largest(REMOVED, REMOVED + 1.0)) > _BOUND))
     again, moving = (
         "largest error, 20 to 30 s after a removal",
         "share that moves 5 cm in these 10 s",
@@ -102,10 +90,6 @@ def _judged(pattern: str, name: str, errors: Errors, runs: Sequence[Trace]) -> l
 def _span(run: Trace, since: float, until: float) -> Trace:
     start, stop = np.searchsorted(run.t, (since - 1e-6, until + 1e-6)).tolist()
     return cut(run, start, stop)
-
-
-def _largest(errors: Errors, part: Trace) -> float:
-    return float(errors(part, SPACING).max(initial=0.0))
 
 
 def _moving(part: Trace) -> float:

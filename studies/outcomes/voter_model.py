@@ -43,12 +43,12 @@ def outcomes(seeds: Sequence[int], jobs: int = 1, *, has_times: bool = True) -> 
 
 def exits(seeds: Sequence[int], jobs: int = 1) -> Outcome:
     """Tumbling windows and a radio that loses: who wins, by the share at first."""
-    won = {first: shares(debates(seeds, jobs, first, SHORT, LOSSY)) for first in FIRST}
     off = 0.0
-    for first, wins in won.items():
+    for first in FIRST:
+        winners = [result.winner for result in debates(seeds, jobs, first, SHORT, LOSSY)]
+        won = math.nan if None in winners else float(np.mean([one == 1 for one in winners]))
         expected = first / ROBOTS
-        spread = expected * (1.0 - expected) / len(wins)
-        off += (float(np.mean(wins)) - expected) ** 2 / spread
+        off += (won - expected) ** 2 / (expected * (1.0 - expected) / len(winners))
     what = "chi-squared of the share won by opinion 1, at first held by 2, 5 and 8 of 10"
     return at_most(NAME, what, CHI2_MAX, [off], _LINEAR)
 
@@ -84,11 +84,6 @@ def debates(
             opinions = tuple(int(opinion) for opinion in held)
             motions.append(Motion(NAME, ROBOTS, number, WITHIN, params, opinions, air, 3.0))
     return hold_all(motions, jobs)
-
-
-def shares(results: Sequence[Result]) -> list[float]:
-    """1 where opinion 1 won, 0 where 0 did, NaN where they did not agree."""
-    return [math.nan if result.winner is None else float(result.winner) for result in results]
 
 
 def expected_rounds(count: int, first: int) -> tuple[float, float]:

@@ -16,8 +16,6 @@ import time
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 import numpy as np
 import yaml
@@ -38,7 +36,6 @@ from swarmd.network.session import open_with
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.link import WorldView, client_options
-from swarmd.sim.live.state import WorldState
 from swarmd.sim.trace import Trace, load_trace
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.geometry import gaps, radius, transform
@@ -58,6 +55,7 @@ class CourseResult:
     """The result of a course: obstacles that appeared, the trace, stamps, and its span in ns."""
 
     robots: tuple[str, ...]
+    others_speed: float
     appeared: int
     trace: Trace
     stamps: Stamps
@@ -105,92 +103,62 @@ def is_ram(touch: Collision) -> bool:
     return RAMMER in (touch.a, touch.b)
 
 
-class Course:
-    """Robots that walk at random on a course; a context manager. `run` it once."""
+def run_course(
+    platform: str,
+    mode: str,
+    seconds: float,
+    *,
+    visibility: str = "body",
+    seed: int = 1,
+    appeared: float = math.inf,
+    touches: int = 0,
+) -> CourseResult:
+    """Let robots walk at random among the hazards for at most `seconds` of simulated time.
 
-    def __init__(
-        self,
-        platform: str,
-        mode: str,
-        *,
-        robots: int = ROBOTS,
-        visibility: str = "body",
-        seed: int = 1,
-    ) -> None:
-        """`platform` by name, `mode` of its protection."""
-        self._left = contextlib.ExitStack()
-        folder = Path(self._left.enter_context(tempfile.TemporaryDirectory()))
+    `mode` of protection. The course ends earlier after `appeared` obstacles and `touches` contacts.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
         protected = _variant(folder / f"{platform}.yaml", platform, protection={"mode": mode})
         body = load_platform(protected)
-        self.others_speed = float(body.protection["barrier"]["others_speed"])
-        self._rammer = Rammer(self.others_speed, radius(body.footprint))
-        self._obstacles = Obstacles(body, robots, seed)
-        self._trace = folder / "trace.npz"
-        options = ["--seed", str(seed), "--realism", "realistic", "--trace", str(self._trace)]
-        options += ["--lidar-visibility", visibility, *_space(body, robots + 1)]
-        fast = {"linear": self.others_speed}
-        bodies = {RAMMER: _variant(folder / f"{RAMMER}.yaml", platform, limits=fast)}
-        self.swarm = Swarm(robots, protected, others=bodies, world=options)
-
-    def __enter__(self) -> Self:
-        try:
-            self._left.enter_context(self.swarm)
-            endpoint = self.swarm.endpoint
-            self._world = self._left.enter_context(WorldView(self.swarm.name, endpoint))
-            self._watch = WorldWatcher(self._world)
-            self._steering = self._left.enter_context(_steering(endpoint))
-        except BaseException:
-            self._left.close()
-            raise
-        return self
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trace: TracebackType | None,
-    ) -> None:
-        self._left.close()
-
-    def run(self, seconds: float, *, appeared: float = math.inf, touches: int = 0) -> CourseResult:
-        """Let the robots walk among the hazards for at most `seconds` of simulated time.
-
-        The course ends earlier after `appeared` obstacles and `touches` contacts.
-        """
-        self.swarm.run("random_walk", **_WALK)
-        state = self._world.ask("start").state
-        began, end = time.monotonic_ns(), state.time + seconds
-        count = 0
-        while state.time < end and (count < appeared or state.contacts < touches):
-            state = self._watch.wait(since=state.time)
-            self._ram(state)
-            count += self._block(state)
-        span = began, time.monotonic_ns() - 100_000_000
-        self._world.ask("finish")
-        self.swarm.close()
-        return CourseResult(
-            robots=self.swarm.robots,
-            appeared=count,
-            trace=load_trace(self._trace),
-            stamps=_of(self.swarm.robots, read_stamps(self.swarm)),
-            span=span,
-        )
-
-    def _ram(self, state: WorldState) -> None:
-        twist = self._rammer.command(state, state.ids.index(RAMMER))
-        key = keys.build(self.swarm.name, RAMMER, "hw", "cmd_vel")
-        self._steering.put(key, encode_command(twist, _NEWEST, _NEWEST))
-
-    def _block(self, state: WorldState) -> bool:
-        """Whether a thing has appeared."""
-        chosen = self._obstacles.next(state)
-        if chosen is None:
-            return False
-        try:
-            self._world.place(*chosen)
-        except SwarmError:  # a wall or another thing stands there
-            return False
-        return True
+        speed = float(body.protection["barrier"]["others_speed"])
+        rammer = Rammer(speed, radius(body.footprint))
+        obstacles = Obstacles(body, ROBOTS, seed)
+        trace = folder / "trace.npz"
+        options = ["--seed", str(seed), "--realism", "realistic", "--trace", str(trace)]
+        options += ["--lidar-visibility", visibility, *_space(body, ROBOTS + 1)]
+        fast = _variant(folder / f"{RAMMER}.yaml", platform, limits={"linear": speed})
+        with (
+            Swarm(ROBOTS, protected, others={RAMMER: fast}, world=options) as swarm,
+            WorldView(swarm.name, swarm.endpoint) as world,
+            _steering(swarm.endpoint) as steering,
+        ):
+            watch = WorldWatcher(world)
+            key = keys.build(swarm.name, RAMMER, "hw", "cmd_vel")
+            swarm.run("random_walk", **_WALK)
+            state = world.ask("start").state
+            began, end = time.monotonic_ns(), state.time + seconds
+            count = 0
+            while state.time < end and (count < appeared or state.contacts < touches):
+                state = watch.wait(since=state.time)
+                twist = rammer.command(state, state.ids.index(RAMMER))
+                steering.put(key, encode_command(twist, _NEWEST, _NEWEST))
+                chosen = obstacles.next(state)
+                with contextlib.suppress(SwarmError):  # a wall or another thing is there
+                    if chosen is not None:
+                        world.place(*chosen)
+                        count += 1
+            span = began, time.monotonic_ns() - 100_000_000
+            world.ask("finish")
+            swarm.close()
+            return CourseResult(
+                robots=swarm.robots,
+                others_speed=speed,
+                appeared=count,
+                trace=load_trace(trace),
+                stamps=_of(swarm.robots, read_stamps(swarm)),
+                span=span,
+            )
 
 
 @contextlib.contextmanager
@@ -226,9 +194,8 @@ def _of(robots: Sequence[str], stamps: Stamps) -> Stamps:
 
 def rows(platform: str, options: argparse.Namespace) -> Iterator[Row]:
     """One platform's course: how fast robots drove into something, and latency meanwhile."""
-    course = Course(platform, options.mode, visibility=options.visibility, seed=options.seed)
-    with course:
-        result = course.run(options.seconds)
+    kind = {"visibility": options.visibility, "seed": options.seed}
+    result = run_course(platform, options.mode, options.seconds, **kind)
     if options.traces is not None:
         result.trace.save(options.traces / f"{platform}-{options.visibility}-{options.seed}.npz")
     for fault in result.faults():
@@ -237,7 +204,7 @@ def rows(platform: str, options: argparse.Namespace) -> Iterator[Row]:
     yield _speeds(f"{platform}: own speed when rammed", result, True, note)
     note = f"of {result.appeared} things none nearer than {result.nearest():.2f} m"
     yield _speeds(f"{platform}: own speed at other contacts", result, False, note)
-    most = f"{course.others_speed:g} m/s"
+    most = f"{result.others_speed:g} m/s"
     yield Row(f"{platform}: ramming robot's fastest corner", result.ram_speeds(), most, unit="m/s")
     stamps, span = result.stamps, result.span
     reflex = between(stamps.put, stamps.safe_back, span)
