@@ -14,7 +14,10 @@ import click
 from swarmd.core.keys import is_id
 from swarmd.plugins import installed_patterns
 
-_TEST_CLASS = '''\
+_TEST = '''\
+"""The contract of all patterns, and tests of $name."""
+
+{}
 
 from $name import $kind
 
@@ -23,6 +26,7 @@ class Test$kind(PatternContract):
     """The contract on every platform, and tests of its own."""
 
     pattern = $kind
+
 '''
 _MOVEMENT = '''\
 """What $name does, in one line."""
@@ -49,15 +53,7 @@ class $kind(MovementPattern[${kind}Params]):
             return Twist(angular=1.0)
         return Twist(linear=self.params.speed)
 '''
-_TEST_MOVEMENT = (
-    '''\
-"""The contract of all patterns, and tests of $name."""
-
-from swarmd.testing import PatternContract
-from swarmd.testing.scans import Disc, scan_of
-'''
-    + _TEST_CLASS
-    + '''
+_TESTS_MOVEMENT = '''\
     def test_drives_ahead_without_obstacles(self) -> None:
         """An empty scan."""
         subject = self.subject("burger")
@@ -74,7 +70,6 @@ from swarmd.testing.scans import Disc, scan_of
         assert command.linear == 0.0
         assert command.angular > 0.0
 '''
-)
 _VOTING = '''\
 """What $name does, in one line."""
 
@@ -90,21 +85,13 @@ class $kind(VotingPattern[VotingParams]):
         """The new opinion; `votes` has the latest one of each neighbour."""
         return majority(votes.values(), self.opinion, ties="keep", rng=self.context.rng)
 '''
-_TEST_VOTING = (
-    '''\
-"""The contract of all patterns, and tests of $name."""
-
-from swarmd.testing import PatternContract
-'''
-    + _TEST_CLASS
-    + '''
+_TESTS_VOTING = '''\
     def test_adopts_the_opinion_of_the_majority(self) -> None:
         """Two against one."""
         pattern = self.subject("burger").make()
         assert isinstance(pattern, $kind)
         assert pattern.decide({"robot-2": 2, "robot-3": 2, "robot-4": 1}) == 2
 '''
-)
 _PATTERN = '''\
 """What $name does, in one line."""
 
@@ -147,15 +134,7 @@ class $kind(Pattern[${kind}Params]):
             Twist(angular=turn), messages={"count": count}, report={"heard": count}
         )
 '''
-_TEST_PATTERN = (
-    '''\
-"""The contract of all patterns, and tests of $name."""
-
-from swarmd.api import Inputs, Message
-from swarmd.testing import PatternContract
-'''
-    + _TEST_CLASS
-    + '''
+_TESTS_PATTERN = '''\
     def test_turns_while_alone(self) -> None:
         """No message was heard yet."""
         outputs = self.subject("burger").make().step(Inputs(now=1.0, dt=0.0))
@@ -171,11 +150,18 @@ from swarmd.testing import PatternContract
         assert outputs.twist.is_zero
         assert outputs.report == {"heard": 1}
 '''
-)
+_CONTRACT = "from swarmd.testing import PatternContract"
 _TEXTS: Mapping[str, tuple[str, str]] = {
-    "movement": (_MOVEMENT, _TEST_MOVEMENT),
-    "voting": (_VOTING, _TEST_VOTING),
-    "pattern": (_PATTERN, _TEST_PATTERN),
+    "movement": (
+        _MOVEMENT,
+        _TEST.format(f"{_CONTRACT}\nfrom swarmd.testing.scans import Disc, scan_of")
+        + _TESTS_MOVEMENT,
+    ),
+    "voting": (_VOTING, _TEST.format(_CONTRACT) + _TESTS_VOTING),
+    "pattern": (
+        _PATTERN,
+        _TEST.format(f"from swarmd.api import Inputs, Message\n{_CONTRACT}") + _TESTS_PATTERN,
+    ),
 }
 
 

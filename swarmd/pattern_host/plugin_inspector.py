@@ -61,13 +61,6 @@ MAX_GROWTH = 1024 * 1024 * 1024
 TEST_TIMEOUT = 10.0
 """Seconds of processor time that a contract test may take on one platform."""
 
-# Audit events (PEP 578) that the code of a pattern must not cause.
-_SIDE_EFFECTS = (
-    *("open", "socket.connect", "socket.bind", "subprocess.Popen", "os.system", "os.fork"),
-    *("os.exec", "os.posix_spawn", "os.remove", "os.rename", "os.mkdir", "os.rmdir", "os.listdir"),
-    *("os.scandir", "shutil.copyfile", "shutil.rmtree", "tempfile.mkstemp", "urllib.Request"),
-)
-
 
 class Answer:
     """The stream to the tool; what plugin code prints goes to standard error instead."""
@@ -313,10 +306,12 @@ def _lines_of_step(kind: type[Pattern[Any]], path: Path) -> list[int | None]:
 
 def _report_side_effects(path: Path, answer: Answer) -> None:
     """Send `{"side_effect": text}` when code of the file causes one, each text once."""
+    from swarmd.testing.no_side_effects import AUDIT_EVENTS
+
     sent: set[str] = set()
 
     def hook(event: str, args: tuple[Any, ...]) -> None:
-        if event not in _SIDE_EFFECTS:
+        if event not in AUDIT_EVENTS:
             return
         line = _line_in(str(path), sys._getframe(1))
         if line is None:

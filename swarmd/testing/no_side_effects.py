@@ -28,6 +28,12 @@ _FORBIDDEN: tuple[tuple[Any, tuple[str, ...], str], ...] = (
     (time, ("sleep",), "; a step never waits"),
     (time, _CLOCKS, "; the time is inputs.now"),
 )
+AUDIT_EVENTS = (
+    *("open", "socket.connect", "socket.bind", "subprocess.Popen", "os.system", "os.fork"),
+    *("os.exec", "os.posix_spawn", "os.remove", "os.rename", "os.mkdir", "os.rmdir", "os.listdir"),
+    *("os.scandir", "shutil.copyfile", "shutil.rmtree", "tempfile.mkstemp", "urllib.Request"),
+)
+"""Audit events (PEP 578) that no code of a pattern may cause; `plugin check` reports them."""
 _CHANCE = "; chance comes from self.context.rng"
 
 

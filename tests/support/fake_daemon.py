@@ -29,9 +29,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.messages import (
     AnyRequest,
     Code,
-    DecisionSummary,
     Epoch,
-    Health,
     Reason,
     Refusal,
     Reply,
@@ -43,6 +41,7 @@ from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.claim import Claim, claim_id
 from swarmd.network.session import open_session
 from swarmd.network.settings import NetworkSettings
+from tests.support.statuses import status
 
 VERBS = ("run", "stop", "reset", "param", "forget")
 
@@ -52,32 +51,10 @@ Answer = Callable[[AnyRequest], Code | None]
 
 
 def light_status(robot: str, instance: str, *, has_left: bool = False) -> Status:
-    """The status of an idle robot that has nothing."""
-    return Status(
-        robot=robot,
-        instance=instance,
-        platform="none",
-        driver="none",
-        host="here",
-        profile="dev",
-        is_secured=False,
-        state=State.IDLE,
-        reason=Reason.NEVER_ASKED,
-        detail="",
-        pattern=None,
-        generation=0,
-        since=0.0,
-        epoch=Epoch(instance=instance, revision=0),
-        changed_by="",
-        latches={},
-        labels=(),
-        params={},
-        report={},
-        decision=DecisionSummary(),
-        health=Health(),
-        uptime=0.0,
-        has_left=has_left,
-    )
+    """The status of an idle robot."""
+    epoch = Epoch(instance=instance, revision=0)
+    idle = {"state": State.IDLE, "reason": Reason.NEVER_ASKED, "pattern": None}
+    return status(robot, instance=instance, epoch=epoch, has_left=has_left, **idle)
 
 
 class FakeDaemon:

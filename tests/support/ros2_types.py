@@ -18,13 +18,15 @@ from cyclonedds.idl.types import array, sequence, uint8
 from rosbags.interfaces import Nodetype
 from rosbags.typesys import Stores, get_typestore
 
+_store = cache(get_typestore)
+
 
 @cache
 def _message(name: str, distro: Stores = Stores.ROS2_JAZZY) -> Any:
     """The class of a message; a field is zero or empty by default, the w of a quaternion 1."""
     hints: dict[str, Any] = {}
     members: dict[str, Any] = {"__annotations__": hints, "__doc__": name}
-    for key, node in get_typestore(distro).get_msgdef(name).fields:
+    for key, node in _store(distro).get_msgdef(name).fields:
         hints[key], make = _field(node)
         members[key] = field(default_factory=make)
     if name.endswith("/Quaternion"):
