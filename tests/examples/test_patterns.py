@@ -15,9 +15,10 @@ from swarmd.kit.touch import effective_zone
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import find_pattern
 from swarmd.settings.settings import load_platform
+from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
-from tests.support.flatland import Flatland
 
 EXAMPLES = Path(__file__).resolve().parents[2] / "examples"
 BURGER = load_platform("burger")
@@ -58,9 +59,9 @@ def test_shy_turns_while_something_is_near_ahead(disc: Disc, twist: Twist) -> No
 
 
 def test_five_shy_robots_never_get_stuck() -> None:
-    subject = Subject(TestShy.pattern, BURGER, {})
-    poses = np.array([[x, 0.0, x] for x in (-2.0, -1.0, 0.0, 1.0, 2.0)])
-    world = Flatland(BURGER, [subject.make(i) for i in range(5)], poses, room=6.0)
-    course = world.run(90.0)
-    in_ten_seconds = np.abs(course.speeds).reshape(9, 100, 5).mean(axis=1)
-    assert in_ten_seconds.min() > 0.02
+    start = {"layout": "random", "clearance": 0.3}
+    group = {"platform": "burger", "count": 5, "pattern": "shy", "start": start}
+    data = {"duration": 60, "arena": {"size": [6.0, 6.0]}, "groups": {"shy": group}}
+    trace = simulate_run(scenario_of({**data, "plugin_dir": str(EXAMPLES)}), 0)
+    steps = np.hypot(*np.diff(trace.pose[..., :2], axis=0).T).T
+    assert steps.reshape(6, -1, 5).sum(axis=1).min() > 0.2  # m within ten seconds

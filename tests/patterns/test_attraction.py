@@ -1,4 +1,4 @@
-"""Attraction: one step at a time, and seven robots in the plane."""
+"""Attraction: one step at a time, and robots in lockstep."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from types import MappingProxyType
 
 import numpy as np
 import pytest
-from scipy.sparse.csgraph import connected_components
 
-from swarmd.core.values import Array, Inputs, Neighbor, Scalar, Scan, Twist, Value
+from swarmd.core.values import Inputs, Neighbor, Scalar, Scan, Twist, Value
 from swarmd.patterns.attraction import Attraction
 from swarmd.settings.settings import load_platform
+from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.metrics.catalog import measure
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.trace import Trace
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
-from tests.support.flatland import Course, Flatland
 
 WAFFLE = load_platform("waffle_pi")
 BESIDE = Disc(0.72, 0.0)
 """A robot at the distance at which the pull ends."""
-PLATFORMS = ("burger", "waffle_pi")
 
 
 class TestAttraction(PatternContract):
@@ -60,36 +61,6 @@ def states_on(scan: Scan, seconds: float, *, heard: int = 0) -> list[Scalar]:
     """The states that follow each other on one scan."""
     states = [state for _, state in steps(*[scan] * round(10 * seconds), heard=heard)]
     return [state for state, _ in groupby(states)]
-
-
-def gather(platform: str, poses: Array, *, room: float, seconds: float, seed: int) -> Course:
-    kind = load_platform(platform)
-    subject = Subject(Attraction, kind, {})
-    patterns = [subject.make(1000 * seed + i) for i in range(len(poses))]
-    return Flatland(kind, patterns, poses, room=room, seed=seed).run(seconds)
-
-
-def scattered(count: int, room: float, seed: int) -> Array:
-    """Random poses 0.45 m from the walls and 0.7 m from each other."""
-    rng = np.random.default_rng(seed)
-    half = 0.5 * room - 0.45
-    poses: list[list[float]] = []
-    while len(poses) < count:
-        pose = [*rng.uniform(-half, half, 2).tolist(), float(rng.uniform(-math.pi, math.pi))]
-        if all(math.dist(pose[:2], other[:2]) > 0.7 for other in poses):
-            poses.append(pose)
-    return np.array(poses)
-
-
-def cluster_count(poses: Array, link: float = 1.0) -> int:
-    """Single linkage over the distances between centres."""
-    apart = np.hypot(*(poses[:, None, :2] - poses[:, :2]).T)
-    return int(connected_components(apart <= link, directed=False)[0])
-
-
-def spread(poses: Array) -> float:
-    """Mean distance to the centroid."""
-    return float(np.hypot(*(poses[:, :2] - poses[:, :2].mean(axis=0)).T).mean())
 
 
 def test_drives_towards_a_robot_ahead() -> None:
@@ -230,30 +201,26 @@ def test_changed_parameters_apply_to_the_present_scan() -> None:
     assert [first, pattern.step(Inputs(0.1, 0.1, scan)).report["state"]] == ["gather", "search"]
 
 
-@pytest.mark.parametrize("platform", PLATFORMS)
-@pytest.mark.parametrize("seed", range(3))
-def test_seven_scattered_robots_gather_and_come_to_rest(platform: str, seed: int) -> None:
-    course = gather(platform, scattered(7, 6.0, seed), room=6.0, seconds=60.0, seed=seed)
-    assert cluster_count(course.poses[-1]) == 1
-    assert spread(course.poses[-1]) < 0.5 * spread(course.poses[0])
-    kind = load_platform(platform)
-    assert np.abs(course.speeds[-200:]).mean() <= 0.2 * kind.limits.linear
-    # The spacing leaves protection inactive: it needs six rays, not one shortened by noise.
-    threshold = float(kind.protection["threshold"])
-    assert (course.nearest[-200:] < threshold).mean() < 0.1
-    assert (course.nearest < threshold).mean() < 0.1
+def run(count: int, size: float, *, seed: int) -> Trace:
+    """A minute of Waffle Pis that start anywhere in a square room."""
+    group = {"platform": "waffle_pi", "count": count, "pattern": "attraction"}
+    start = {"layout": "random", "clearance": 0.3}
+    data = {"duration": 60, "arena": {"size": [size, size]}, "groups": {"all": group}}
+    return simulate_run(scenario_of({**data, "start": start}), seed)
 
 
-@pytest.mark.parametrize("platform", PLATFORMS)
-def test_a_row_folds_up_into_a_cluster(platform: str) -> None:
-    row = np.array([[0.0, i, 0.0] for i in range(7)])
-    course = gather(platform, row, room=18.0, seconds=60.0, seed=0)
-    assert cluster_count(course.poses[-1]) == 1
-    # 1.71 m in the row; at best some 0.5 m at this spacing.
-    assert spread(course.poses[-1]) < 0.9
+def test_seven_scattered_robots_gather_and_come_to_rest() -> None:
+    found = measure(run(7, 6.0, seed=0))
+    assert found["one_cluster_at_end"] == 1.0
+    start, end = (found[f"mean_distance_to_centroid_{when}"] for when in ("start", "end"))
+    assert start is not None
+    assert end is not None
+    assert end < 0.6 * start
+    assert (found["mean_speed_late_share"] or 0.0) <= 0.2
+    assert found["robot_contacts"] == 0.0
 
 
 def test_a_single_robot_keeps_clear_of_the_walls() -> None:
-    course = gather("waffle_pi", scattered(1, 4.0, 1), room=4.0, seconds=120.0, seed=1)
-    assert course.nearest.min() > 0.5
-    assert np.abs(course.speeds).mean() > 0.1
+    trace = run(1, 4.0, seed=1)
+    assert np.abs(trace.pose[..., :2]).max() < 1.5
+    assert (measure(trace)["mean_speed"] or 0.0) > 0.1

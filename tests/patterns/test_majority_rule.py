@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Inputs, Message, Value
-from swarmd.kit.factory import assemble
 from swarmd.patterns.majority_rule import MajorityRule
 from swarmd.settings.settings import load_platform
-from swarmd.testing.pattern_contract import PatternContract
+from swarmd.testing.pattern_contract import PatternContract, Subject
 
-PERIOD = 0.1
+BURGER = load_platform("burger")
 
 
 class TestMajorityRule(PatternContract):
@@ -27,16 +26,9 @@ class TestMajorityRuleByRounds(PatternContract):
     platforms = ("burger",)
 
 
-def make(robot: str, seed: int = 0, **params: Value) -> MajorityRule:
+def make(seed: int = 0, **params: Value) -> MajorityRule:
     """Its windows end in step by default."""
-    pattern = assemble(
-        "majority_rule",
-        (("test", {"staggered": False, **params}),),
-        find=lambda name: MajorityRule,
-        robot=robot,
-        platform=load_platform("burger"),
-        rng=np.random.default_rng(seed),
-    ).pattern
+    pattern = Subject(MajorityRule, BURGER, {"staggered": False, **params}).make(seed)
     assert isinstance(pattern, MajorityRule)
     return pattern
 
@@ -54,11 +46,11 @@ def opinion_after(pattern: MajorityRule, votes: Mapping[str, Value]) -> int:
 
 
 def test_adopts_the_majority_of_its_neighbours() -> None:
-    assert opinion_after(make("a", initial=0), {"b": 2, "c": 2, "d": 1}) == 2
+    assert opinion_after(make(initial=0), {"b": 2, "c": 2, "d": 1}) == 2
 
 
 def test_other_channels_are_ignored() -> None:
-    pattern = make("a", initial=0)
+    pattern = make(initial=0)
     pattern.step(Inputs(now=0.0, dt=0.0))
     elsewhere = (Message("b", "weather", 2, 0.0),)
     pattern.step(Inputs(now=4.0, dt=4.0, messages=elsewhere))
@@ -68,12 +60,12 @@ def test_other_channels_are_ignored() -> None:
 
 @pytest.mark.parametrize(("ties", "opinion"), [("lowest", 1), ("keep", 3)])
 def test_ties_follow_the_parameter(ties: str, opinion: int) -> None:
-    pattern = make("a", opinions=4, initial=3, ties=ties)
+    pattern = make(opinions=4, initial=3, ties=ties)
     assert opinion_after(pattern, {"b": 2, "c": 1}) == opinion
 
 
 def test_ties_are_random_by_default() -> None:
-    seen = {opinion_after(make("a", seed, initial=0), {"b": 2, "c": 1}) for seed in range(20)}
+    seen = {opinion_after(make(seed, initial=0), {"b": 2, "c": 1}) for seed in range(20)}
     assert seen == {1, 2}
 
 
@@ -84,7 +76,7 @@ def test_ties_are_random_by_default() -> None:
 def test_shares_at_once_then_regularly_and_after_each_window(
     window: float, period: float, times: list[float]
 ) -> None:
-    pattern = make("a", initial=1, window=window, share_period=period)
+    pattern = make(initial=1, window=window, share_period=period)
     shared = [
         now
         for now in np.arange(0.0, 11.0, 0.5).tolist()
@@ -94,9 +86,9 @@ def test_shares_at_once_then_regularly_and_after_each_window(
 
 
 def test_a_changed_window_applies_from_the_next_one() -> None:
-    pattern = make("a", initial=0)
+    pattern = make(initial=0)
     pattern.step(Inputs(now=0.0, dt=0.0))
-    pattern.update(make("a", initial=0, window=2.0).params)
+    pattern.update(make(initial=0, window=2.0).params)
     pattern.step(Inputs(now=5.0, dt=5.0))
     pattern.step(Inputs(now=6.0, dt=1.0, messages=hear({"b": 2})))
     assert pattern.step(Inputs(now=6.9, dt=0.9)).report["opinion"] == 0
@@ -104,6 +96,6 @@ def test_a_changed_window_applies_from_the_next_one() -> None:
 
 
 def test_a_removed_opinion_is_drawn_again() -> None:
-    pattern = make("a", initial=2)
-    pattern.update(make("b", opinions=2, initial=0).params)
+    pattern = make(initial=2)
+    pattern.update(make(opinions=2, initial=0).params)
     assert pattern.opinion in {0, 1}

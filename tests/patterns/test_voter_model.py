@@ -4,13 +4,10 @@ from __future__ import annotations
 
 from collections import Counter
 
-import numpy as np
-
 from swarmd.core.values import Inputs, Message, Value
-from swarmd.kit.factory import assemble
 from swarmd.patterns.voter_model import VoterModel
 from swarmd.settings.settings import load_platform
-from swarmd.testing.pattern_contract import PatternContract
+from swarmd.testing.pattern_contract import PatternContract, Subject
 
 
 class TestVoterModel(PatternContract):
@@ -19,14 +16,8 @@ class TestVoterModel(PatternContract):
 
 def make(seed: int = 0, **params: Value) -> VoterModel:
     """Its windows end in step."""
-    pattern = assemble(
-        "voter_model",
-        (("test", {"initial": 0, "staggered": False, **params}),),
-        find=lambda name: VoterModel,
-        robot="a",
-        platform=load_platform("burger"),
-        rng=np.random.default_rng(seed),
-    ).pattern
+    given = {"initial": 0, "staggered": False, **params}
+    pattern = Subject(VoterModel, load_platform("burger"), given).make(seed)
     assert isinstance(pattern, VoterModel)
     return pattern
 

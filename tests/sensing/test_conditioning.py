@@ -10,6 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from numpy.typing import NDArray
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
@@ -24,7 +25,7 @@ STANDING = Odometry(0.0, Pose(), Twist())
 
 LDS = replace(SPEC, zero="lds")
 LOST, NARROW = slice(5, 40), slice(100, 110)  # wider than may be bridged, and narrower
-Rays = int | slice | list[int] | Array
+Rays = int | slice | list[int] | NDArray[np.int_]
 
 
 def raw(fill: float, *changes: tuple[Rays, float]) -> Array:
