@@ -91,7 +91,7 @@ def test_a_trace_without_its_optional_parts_gives_what_it_can(run: Run) -> None:
         assert METRICS[name].series is None or catalog.series(bare, name) is None
 
 
-def test_without_robots_no_metric_has_a_value_but_their_number(full_run: Run) -> None:
+def test_without_present_robots_only_counts_and_contacts_have_values(full_run: Run) -> None:
     trace = full_run(1)
     numbers = measure(replace(trace, present=np.zeros_like(trace.present)))
     known = {name for name, value in numbers.items() if value is not None}
