@@ -15,7 +15,7 @@ from typing import Any
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
-from swarmd.core.messages import Code, Condition, RunRequest, State, Status
+from swarmd.core.messages import Code, Presence, RunRequest, State, Status
 from swarmd.network.discovery import MembersView
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
@@ -140,7 +140,7 @@ def statuses_of(view: MembersView) -> dict[str, Status]:
     return {
         name: member.status
         for name, member in view.members.items()
-        if member.condition is Condition.ALIVE and member.status is not None
+        if member.presence is Presence.ALIVE and member.status is not None
     }
 
 

@@ -10,7 +10,7 @@ from swarmd.cli.explain import activity, obstacles, why
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
 from swarmd.cli.send import known_members
-from swarmd.core.messages import Condition, Member, Status
+from swarmd.core.messages import Member, Presence, Status
 
 
 @click.command()
@@ -33,7 +33,7 @@ def describe(options: CommonOptions, robot: str) -> None:
 
 def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, str]]]]:
     """The whole status in titled groups of (name, value) lines; a group may be empty."""
-    seen = "now" if member.condition is Condition.ALIVE else f"{seconds(member.age)} ago"
+    seen = "now" if member.presence is Presence.ALIVE else f"{seconds(member.age)} ago"
     return [
         ("Robot", _robot(status, seen)),
         ("State", _state(status)),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator
 
 from swarmd.cli.output import seconds
-from swarmd.core.messages import Condition, DecisionSummary, LimitingObstacle, Member, Reason, State
+from swarmd.core.messages import DecisionSummary, LimitingObstacle, Member, Presence, Reason, State
 
 _SAME_OBSTACLE = math.radians(10.0)
 _START = "start it with `swarmctl run PATTERN {robot}`"
@@ -51,10 +51,10 @@ _LASTING_HOLDS = {
 def why(member: Member) -> str:
     """One sentence: the state, and if the robot does not move, the reason and what to do."""
     status = member.status
-    if member.condition is not Condition.ALIVE:
+    if member.presence is not Presence.ALIVE:
         last = f"; last known: {status.state}" if status is not None else ""
         forget = f"`swarmctl members forget {member.robot}` removes it from the list"
-        return f"{member.condition} {seconds(member.age)} ago{last}; {forget}"
+        return f"{member.presence} {seconds(member.age)} ago{last}; {forget}"
     if status is None:
         return "alive, but it has sent no status yet; try again"
     reason = status.reason

@@ -13,7 +13,7 @@ from swarmd.cli.explain import activity
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
 from swarmd.cli.send import known_members, report
-from swarmd.core.messages import Condition, ForgetRequest, Member
+from swarmd.core.messages import ForgetRequest, Member, Presence
 from swarmd.network.outcome import REFUSED
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def forget(options: CommonOptions, name: str) -> None:
     with options.operator() as operator:
         view = known_members(operator, options.timeout)
         check_known(name, view.members)
-        if view.members[name].condition is Condition.ALIVE:
+        if view.members[name].presence is Presence.ALIVE:
             text = f"{name} is alive; only robots that failed or left can be forgotten"
             raise Failure(text, REFUSED)
         outcome = operator.request(ForgetRequest, view.epochs(view.alive), name=name)
@@ -67,10 +67,10 @@ def forget(options: CommonOptions, name: str) -> None:
 def row(member: Member) -> tuple[str, ...]:
     """The line of a member; if it is not alive, its last pattern is marked `?`."""
     status = member.status
-    if member.condition is not Condition.ALIVE:
+    if member.presence is not Presence.ALIVE:
         pattern = f"{status.pattern}?" if status is not None and status.pattern else NOTHING
         dashes = (NOTHING,) * 4
-        return (member.robot, member.condition, NOTHING, pattern, *dashes, _seen(member), NOTHING)
+        return (member.robot, member.presence, NOTHING, pattern, *dashes, _seen(member), NOTHING)
     if status is None:
         return (member.robot, "no answer", *(NOTHING,) * 6, _seen(member), NOTHING)
     return (
@@ -91,10 +91,10 @@ def health(view: MembersView) -> Iterator[str]:
     """The count of living robots, then a line for each problem."""
     members, alive = view.members, [view.members[name] for name in view.alive]
     yield f"{len(alive)}/{len(members.keys() | view.roster)} alive"
-    for condition in (Condition.FAILED, Condition.LEFT):
-        gone = [m for m in members.values() if m.condition is condition]
+    for presence in (Presence.FAILED, Presence.LEFT):
+        gone = [m for m in members.values() if m.presence is presence]
         if gone:
-            yield f"{condition}: " + ", ".join(f"{m.robot} ({seconds(m.age)} ago)" for m in gone)
+            yield f"{presence}: " + ", ".join(f"{m.robot} ({seconds(m.age)} ago)" for m in gone)
     if view.silent:
         yield f"alive, but no answer: {', '.join(view.silent)}"
     if view.absent:
@@ -119,4 +119,4 @@ def _report(report: Mapping[str, Scalar]) -> str:
 
 
 def _seen(member: Member) -> str:
-    return "now" if member.condition is Condition.ALIVE else f"{seconds(member.age)} ago"
+    return "now" if member.presence is Presence.ALIVE else f"{seconds(member.age)} ago"

@@ -308,7 +308,7 @@ class Status(Struct, frozen=True, kw_only=True):
     has_left: bool = False
 
 
-class Condition(StrEnum):
+class Presence(StrEnum):
     """Whether a member is there: alive, left in order, or vanished (failed)."""
 
     ALIVE = "alive"
@@ -317,11 +317,11 @@ class Condition(StrEnum):
 
 
 class Member(Struct, frozen=True, kw_only=True):
-    """A robot as another peer sees it. `age`: seconds since its condition changed."""
+    """A robot as another peer sees it. `age`: seconds since its presence changed."""
 
     robot: Name
     instance: Name
-    condition: Condition
+    presence: Presence
     age: Seconds
     status: Status | None = None
 

@@ -23,7 +23,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, decode_value, encode, encode_value
 from swarmd.core.errors import CodecError, SwarmError
 from swarmd.core.keys import Key
-from swarmd.core.messages import Condition, Request, Status
+from swarmd.core.messages import Presence, Request, Status
 from swarmd.core.values import ZERO, Neighbor, Twist
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.daemon.driver_sink import DriverSink
@@ -247,7 +247,7 @@ class Daemon:
         alive = tuple(
             Neighbor(member.robot, 0.0)
             for member in self._bus.members.values()
-            if member.condition is Condition.ALIVE
+            if member.presence is Presence.ALIVE
         )
         self._robot.on_neighbors(alive, boottime())
 

@@ -28,7 +28,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import ANY, Key, build, parse
-from swarmd.core.messages import Condition, Member, MembersQuery, PeerView, Status
+from swarmd.core.messages import Member, MembersQuery, PeerView, Presence, Status
 from swarmd.network.inbound_queue import DropCounter, InboundQueue
 from swarmd.network.membership import Membership
 from swarmd.network.session import undeclare
@@ -59,10 +59,10 @@ def members_for_view(membership: Membership, now: float) -> tuple[Member, ...]:
     for robot, instances in membership.duplicates.items():
         for instance in instances:
             found[robot, instance] = Member(
-                robot=robot, instance=instance, condition=Condition.ALIVE, age=0.0
+                robot=robot, instance=instance, presence=Presence.ALIVE, age=0.0
             )
     for member in membership.members(now).values():
-        is_alive = member.condition is Condition.ALIVE
+        is_alive = member.presence is Presence.ALIVE
         found[member.robot, member.instance] = replace(member, status=None) if is_alive else member
     return tuple(found[key] for key in sorted(found))
 
@@ -190,7 +190,7 @@ class ZenohBus:
         self.serve("control", "members", on_members)
 
     def on_member(self, callback: Callable[[Member], None]) -> None:
-        """Call back for each member whose instance or condition changed."""
+        """Call back for each member whose instance or presence changed."""
         self._member_callbacks.append(callback)
 
     def on_status(self, callback: Callable[[Status], None]) -> None:

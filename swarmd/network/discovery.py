@@ -12,13 +12,13 @@ from dataclasses import dataclass, field
 
 from msgspec.structs import replace
 
-from swarmd.core.messages import Condition, Epoch, Member, PeerView
+from swarmd.core.messages import Epoch, Member, PeerView, Presence
 
 # With one view, or views that do not agree yet, this long must pass without news, in s.
 QUIET_TIME = 0.1
 MAX_ROBOTS = 1024
 
-_RANK = {Condition.ALIVE: 0, Condition.LEFT: 1, Condition.FAILED: 2}
+_RANK = {Presence.ALIVE: 0, Presence.LEFT: 1, Presence.FAILED: 2}
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,7 +39,7 @@ class MembersView:
     def alive(self) -> tuple[str, ...]:
         """The names of the robots that are alive."""
         members = self.members.items()
-        return tuple(name for name, one in members if one.condition is Condition.ALIVE)
+        return tuple(name for name, one in members if one.presence is Presence.ALIVE)
 
     @property
     def silent(self) -> tuple[str, ...]:
@@ -132,8 +132,8 @@ class Discovery:
                 members[member.robot] = member if known is None else _more_certain(known, member)
         alive = self._alive()
         for robot, member in members.items():
-            if member.condition is Condition.ALIVE and robot not in alive:
-                members[robot] = replace(member, condition=Condition.FAILED, age=0.0)
+            if member.presence is Presence.ALIVE and robot not in alive:
+                members[robot] = replace(member, presence=Presence.FAILED, age=0.0)
         for robot in alive:
             members[robot] = self._alive_member(robot, members.get(robot))
         return MembersView(
@@ -155,7 +155,7 @@ class Discovery:
             found.setdefault(view.robot, set()).add(view.status.instance)
             for member in view.members:
                 is_gone = (member.robot, member.instance) in self._gone
-                if member.condition is Condition.ALIVE and not is_gone:
+                if member.presence is Presence.ALIVE and not is_gone:
                     found.setdefault(member.robot, set()).add(member.instance)
         return found
 
@@ -169,25 +169,25 @@ class Discovery:
 
     def _alive_member(self, robot: str, known: Member | None) -> Member:
         views = self._views.get(robot)
-        if not views and known is not None and known.condition is Condition.ALIVE:
+        if not views and known is not None and known.presence is Presence.ALIVE:
             return known
         status = next(reversed(views.values())).status if views else None
         instances = [status.instance] if status else sorted(self._tokens.get(robot, ()))
         return Member(
             robot=robot,
             instance=instances[0] if instances else "unknown",
-            condition=Condition.ALIVE,
+            presence=Presence.ALIVE,
             age=known.age if views and known else 0.0,
             status=status,
         )
 
 
 def _seen_alive(view: PeerView) -> frozenset[str]:
-    return frozenset(member.robot for member in view.members if member.condition is Condition.ALIVE)
+    return frozenset(member.robot for member in view.members if member.presence is Presence.ALIVE)
 
 
 def _more_certain(one: Member, other: Member) -> Member:
     """Of two views of a robot: alive first, then `left` of the same instance, then the newer."""
-    if Condition.ALIVE in (one.condition, other.condition) or one.instance == other.instance:
-        return min(one, other, key=lambda member: (_RANK[member.condition], member.age))
+    if Presence.ALIVE in (one.presence, other.presence) or one.instance == other.instance:
+        return min(one, other, key=lambda member: (_RANK[member.presence], member.age))
     return min(one, other, key=lambda member: member.age)

@@ -15,7 +15,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from swarmd.core.messages import Condition, Member, Status
+from swarmd.core.messages import Member, Presence, Status
 
 # Each may hold a status of 64 kB.
 MAX_MEMBERS = 256
@@ -30,18 +30,18 @@ class _Record:
     alive: set[str] = field(default_factory=set)
     left: set[str] = field(default_factory=set)
     statuses: dict[str, Status] = field(default_factory=dict)
-    shown: tuple[str, Condition] | None = None
+    shown: tuple[str, Presence] | None = None
     since: float = 0.0
 
     @property
     def is_gone(self) -> bool:
-        return self.shown is not None and self.shown[1] is not Condition.ALIVE
+        return self.shown is not None and self.shown[1] is not Presence.ALIVE
 
 
 class Membership:
     """The other robots of a swarm; `own` is never among them.
 
-    Each event method returns True if a member's instance or condition changed. Bounded: beyond
+    Each event method returns True if a member's instance or presence changed. Bounded: beyond
     `MAX_MEMBERS` robots a new one replaces the one that vanished the longest ago, and is ignored
     if all are alive. Of one robot's many instances the oldest are dropped.
     """
@@ -92,11 +92,11 @@ class Membership:
         record = self._records.get(robot)
         if record is None or record.shown is None:
             return None
-        instance, condition = record.shown
+        instance, presence = record.shown
         return Member(
             robot=robot,
             instance=instance,
-            condition=condition,
+            presence=presence,
             age=max(0.0, now - record.since),
             status=record.statuses.get(instance),
         )
@@ -147,14 +147,14 @@ class Membership:
         return True
 
 
-def _shown(record: _Record) -> tuple[str, Condition] | None:
+def _shown(record: _Record) -> tuple[str, Presence] | None:
     for instance in reversed(record.seen):
         if instance in record.alive and instance not in record.left:
-            return instance, Condition.ALIVE
+            return instance, Presence.ALIVE
     if not record.seen:
         return None
     last = record.seen[-1]
-    return last, Condition.LEFT if last in record.left else Condition.FAILED
+    return last, Presence.LEFT if last in record.left else Presence.FAILED
 
 
 def _prune(record: _Record) -> None:

@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
-from swarmd.core.messages import Code, Condition, Member, Refusal, Reply
+from swarmd.core.messages import Code, Member, Presence, Refusal, Reply
 
 # Refusals that the operator corrects by writing another command line.
 MISTAKES = frozenset(
@@ -187,9 +187,9 @@ def expected_to_run(
     asked, absent, warnings = [], [], []
     for name in sorted(set(selected)):
         member = members.get(name)
-        condition = member.condition if member is not None else None
-        has_failed = condition is Condition.FAILED
-        if condition is Condition.ALIVE:
+        presence = member.presence if member is not None else None
+        has_failed = presence is Presence.FAILED
+        if presence is Presence.ALIVE:
             asked.append(name)
         elif name in roster or (member and has_failed and member.age <= RECENT_FAILURE):
             absent.append(name)
@@ -211,5 +211,5 @@ def expected_to_stop(
     return frozenset(
         name
         for name in selected
-        if name in roster or (name in members and members[name].condition is not Condition.LEFT)
+        if name in roster or (name in members and members[name].presence is not Presence.LEFT)
     )

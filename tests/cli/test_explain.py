@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from swarmd.cli.explain import obstacles, why
-from swarmd.core.messages import Condition, DecisionSummary, Health, LimitingObstacle, Reason, State
+from swarmd.core.messages import DecisionSummary, Health, LimitingObstacle, Presence, Reason, State
 from tests.support.statuses import ESTOPPED, make_member
 
 
@@ -71,7 +71,7 @@ def test_each_obstacle_is_given_once_and_never_at_minus_zero() -> None:
 
 
 def test_a_failed_robot_has_its_age_and_last_state() -> None:
-    text = why(make_member(condition=Condition.FAILED, age=38.0))
+    text = why(make_member(presence=Presence.FAILED, age=38.0))
     assert text.startswith("failed 38.0 s ago; last known: running; ")
     assert "`swarmctl members forget r1`" in text
 

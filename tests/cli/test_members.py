@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from swarmd.cli.members import HEADER, health, row
-from swarmd.core.messages import Condition, DecisionSummary, Health, Member, Reason, State
+from swarmd.core.messages import DecisionSummary, Health, Member, Presence, Reason, State
 from swarmd.network.discovery import MembersView
 from tests.support.statuses import make_member
 
@@ -47,18 +47,18 @@ def test_shows_the_report_of_the_pattern_cut_to_its_column() -> None:
         ),
         ({"decision": DecisionSummary()}, {"PROTECTION": "clear"}),
         (
-            {"condition": Condition.FAILED, "age": 38.0},
+            {"presence": Presence.FAILED, "age": 38.0},
             {"STATE": "failed", "PATTERN": "drive?", "SCAN": "-", "SEEN": "38.0 s ago"},
         ),
-        ({"condition": Condition.LEFT, "pattern": None}, {"STATE": "left", "PATTERN": "-"}),
+        ({"presence": Presence.LEFT, "pattern": None}, {"STATE": "left", "PATTERN": "-"}),
     ],
 )
-def test_shows_a_robot_in_each_condition(changes: dict[str, Any], cells: dict[str, str]) -> None:
+def test_shows_a_robot_in_each_presence(changes: dict[str, Any], cells: dict[str, str]) -> None:
     assert cells.items() <= line(make_member(**changes)).items()
 
 
 def test_lists_a_robot_without_a_status() -> None:
-    member = Member(robot="r1", instance="x", condition=Condition.ALIVE, age=0.0)
+    member = Member(robot="r1", instance="x", presence=Presence.ALIVE, age=0.0)
     assert line(member)["STATE"] == "no answer"
 
 
@@ -71,8 +71,8 @@ def test_names_robots_with_problems() -> None:
     lost = Health(driver="no odometry for 2 s", driver_up=False)
     members = {
         "r1": make_member("r1"),
-        "r2": make_member("r2", condition=Condition.FAILED, age=5.0),
-        "r3": make_member("r3", condition=Condition.LEFT, age=600.0),
+        "r2": make_member("r2", presence=Presence.FAILED, age=5.0),
+        "r3": make_member("r3", presence=Presence.LEFT, age=600.0),
         "r5": make_member("r5", health=lost),
     }
     view = MembersView(

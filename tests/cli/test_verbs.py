@@ -67,7 +67,7 @@ class Swarm:
         return self.json("describe", robot)["member"]["status"]
 
     def is_alive(self, *robots: str) -> bool:
-        conditions = {m["robot"]: m["condition"] for m in self.json("members").get("members", [])}
+        conditions = {m["robot"]: m["presence"] for m in self.json("members").get("members", [])}
         return all(conditions.get(robot) == "alive" for robot in robots)
 
 

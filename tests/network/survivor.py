@@ -1,7 +1,7 @@
 """A fake daemon that prints its events, one JSON line each; run in a network namespace.
 
 Publishes 3 kB at 20 Hz, so that links to vanished peers hold unacknowledged data. Lines:
-{"ready": name}, {"member": name, "condition": ..., "at": s}, and on each line of standard input
+{"ready": name}, {"member": name, "presence": ..., "at": s}, and on each line of standard input
 {"gaps": {name: longest silence in s since the last such line}}.
 """
 
@@ -49,7 +49,7 @@ class Survivor:
             await asyncio.sleep(PERIOD)
 
     def _on_member(self, member: Member) -> None:
-        _say({"member": member.robot, "condition": member.condition, "at": time.monotonic()})
+        _say({"member": member.robot, "presence": member.presence, "at": time.monotonic()})
 
     def _on_noise(self, key: Key, payload: bytes) -> None:
         now = time.monotonic()

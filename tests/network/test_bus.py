@@ -12,7 +12,7 @@ import zenoh
 
 from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, Decoder, encode
 from swarmd.core.keys import Key
-from swarmd.core.messages import Condition, Member, PeerView, Status
+from swarmd.core.messages import Member, PeerView, Presence, Status
 from swarmd.network.bus import Query, ZenohBus, members_for_view
 from swarmd.network.membership import Membership
 from swarmd.network.session import open_session
@@ -237,9 +237,9 @@ async def test_tokens_and_statuses_make_members(rig: BusRig, until: Until) -> No
     rig.bus.on_member(news.append)
     token = rig.foreign.liveliness().declare_token(rig.key("a/alive/1"))
     odd = rig.foreign.liveliness().declare_token(rig.key("Not-An-Id/alive/1"))
-    await until(lambda: [m.condition for m in news] == [Condition.ALIVE])
+    await until(lambda: [m.presence for m in news] == [Presence.ALIVE])
     rig.put("a/state/status", encode(light_status("a", "1", has_left=True)))
-    await until(lambda: news[-1].condition is Condition.LEFT)
+    await until(lambda: news[-1].presence is Presence.LEFT)
     token.undeclare()
     assert rig.bus.dropped == {"alive:key": 1}
     odd.undeclare()
@@ -257,7 +257,7 @@ async def test_daemons_discover_and_query_each_other(
         [(robot, payload)] = await one.bus.ask("control", "members")
         view = view_of(payload)
         assert (robot, view.robot, view.roster) == ("b", "b", ("c",))
-        assert [(m.robot, m.condition) for m in view.members] == [("a", Condition.ALIVE)]
+        assert [(m.robot, m.presence) for m in view.members] == [("a", Presence.ALIVE)]
         assert await one.bus.ask("control", "nothing") == []
 
 
@@ -278,10 +278,10 @@ def test_a_view_has_living_members_without_status_and_duplicates() -> None:
         membership.on_alive(robot, instance, 0.0)
     membership.on_gone("gone", "1", 1.0)
     members = members_for_view(membership, 3.0)
-    assert [(m.robot, m.instance, m.condition, m.age) for m in members] == [
-        ("a", "1", Condition.ALIVE, 3.0),
-        ("a", "2", Condition.ALIVE, 0.0),
-        ("b", "1", Condition.ALIVE, 3.0),
-        ("gone", "1", Condition.FAILED, 2.0),
+    assert [(m.robot, m.instance, m.presence, m.age) for m in members] == [
+        ("a", "1", Presence.ALIVE, 3.0),
+        ("a", "2", Presence.ALIVE, 0.0),
+        ("b", "1", Presence.ALIVE, 3.0),
+        ("gone", "1", Presence.FAILED, 2.0),
     ]
     assert [member.status is None for member in members] == [True, True, True, False]

@@ -32,7 +32,7 @@ STALLED = 5.0
 
 
 class Peer:
-    """One survivor.py in its namespace; its events, and the condition it last saw of each."""
+    """One survivor.py in its namespace; its events, and the presence it last saw of each."""
 
     def __init__(self, name: str, namespace: str, swarm: str) -> None:
         side, port = PEERS[name]
@@ -50,7 +50,7 @@ class Peer:
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT,
         )  # fmt: skip
         self.events: list[dict[str, Any]] = []
-        self.conditions: dict[str, str] = {}
+        self.presences: dict[str, str] = {}
         self.gaps: list[dict[str, float]] = []
         self.is_ready = False
         self._reader = threading.Thread(target=self._read, daemon=True)
@@ -83,7 +83,7 @@ class Peer:
             with self._changed:
                 self.events.append(event)
                 if "member" in event:
-                    self.conditions[event["member"]] = event["condition"]
+                    self.presences[event["member"]] = event["presence"]
                 elif "gaps" in event:
                     self.gaps.append(event["gaps"])
                 else:
@@ -105,7 +105,7 @@ def peers(namespaces: Any, settings: NetworkSettings) -> Iterator[dict[str, Peer
 
 
 def alive(names: set[str]) -> Any:
-    return lambda peer: {n for n, c in peer.conditions.items() if c == "alive"} == names
+    return lambda peer: {n for n, c in peer.presences.items() if c == "alive"} == names
 
 
 def test_vanished_peers_fail_and_do_not_stall_the_others(
@@ -125,7 +125,7 @@ def test_vanished_peers_fail_and_do_not_stall_the_others(
     for name in VANISHING:
         peers[name].until(alive(set(VANISHING) - {name}))
     gap = max(peers["a"].silences()["b"], peers["b"].silences()["a"])
-    assert {peers["a"].conditions[name] for name in VANISHING} == {"failed"}
+    assert {peers["a"].presences[name] for name in VANISHING} == {"failed"}
     assert gap < STALLED
 
     heal_at = time.monotonic()

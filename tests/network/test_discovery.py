@@ -6,15 +6,15 @@ from collections.abc import Callable
 
 import pytest
 
-from swarmd.core.messages import Condition, Member, PeerView
+from swarmd.core.messages import Member, PeerView, Presence
 from swarmd.network.discovery import QUIET_TIME, Discovery
 from tests.support.fake_daemon import light_status
 
-ALIVE, LEFT, FAILED = Condition.ALIVE, Condition.LEFT, Condition.FAILED
+ALIVE, LEFT, FAILED = Presence.ALIVE, Presence.LEFT, Presence.FAILED
 
 
-def member(robot: str, condition: Condition = ALIVE, *, instance: str = "1", age: float = 5.0):  # type: ignore[no-untyped-def]
-    return Member(robot=robot, instance=instance, condition=condition, age=age)
+def member(robot: str, presence: Presence = ALIVE, *, instance: str = "1", age: float = 5.0):  # type: ignore[no-untyped-def]
+    return Member(robot=robot, instance=instance, presence=presence, age=age)
 
 
 def view(
@@ -76,7 +76,7 @@ def test_a_robot_whose_token_vanished_need_not_answer(discovery: Discovery) -> N
     discovery.on_token("b", "1", True, 0.02)
     discovery.on_token("b", "1", False, 0.03)
     assert discovery.is_complete(0.031 + QUIET_TIME)
-    assert discovery.result().members["b"].condition is FAILED
+    assert discovery.result().members["b"].presence is FAILED
 
 
 def test_a_robots_own_status_wins_over_views_of_others(discovery: Discovery) -> None:
@@ -85,7 +85,7 @@ def test_a_robots_own_status_wins_over_views_of_others(discovery: Discovery) -> 
     result = discovery.result()
     assert result.members["b"].status == light_status("b", "9")
     assert result.members["b"].age == 7.0
-    assert result.members["a"].condition is ALIVE
+    assert result.members["a"].presence is ALIVE
     assert result.epochs(["b", "zz"]) == {"b": light_status("b", "9").epoch, "zz": None}
 
 
@@ -99,11 +99,11 @@ def test_a_robots_own_status_wins_over_views_of_others(discovery: Discovery) -> 
     ],
 )
 def test_the_more_certain_of_two_views_of_a_robot_counts(
-    discovery: Discovery, words: tuple[Member, Member], truth: Condition
+    discovery: Discovery, words: tuple[Member, Member], truth: Presence
 ) -> None:
     discovery.on_view(view("a", words[0]), 0.01)
     discovery.on_view(view("b", words[1]), 0.02)
-    assert discovery.result().members["x"].condition is truth
+    assert discovery.result().members["x"].presence is truth
 
 
 def test_the_rosters_of_all_views_are_merged(discovery: Discovery) -> None:

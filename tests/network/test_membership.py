@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.core.messages import Condition, Status
+from swarmd.core.messages import Presence, Status
 from swarmd.network.membership import MAX_INSTANCES, MAX_MEMBERS, Membership
 from tests.support.fake_daemon import light_status
 
-ALIVE, LEFT, FAILED = Condition.ALIVE, Condition.LEFT, Condition.FAILED
+ALIVE, LEFT, FAILED = Presence.ALIVE, Presence.LEFT, Presence.FAILED
 
 
 @pytest.fixture
@@ -22,9 +22,9 @@ def left(instance: str) -> Status:
     return light_status("a", instance, has_left=True)
 
 
-def condition(membership: Membership, robot: str = "a") -> Condition | None:
+def presence(membership: Membership, robot: str = "a") -> Presence | None:
     member = membership.member(robot, 0.0)
-    return None if member is None else member.condition
+    return None if member is None else member.presence
 
 
 def test_a_robot_that_vanishes_is_failed_and_stays_listed(membership: Membership) -> None:
@@ -32,7 +32,7 @@ def test_a_robot_that_vanishes_is_failed_and_stays_listed(membership: Membership
     assert not membership.on_alive("a", "1", 1.0)
     assert membership.on_gone("a", "1", 5.0)
     member = membership.members(65.0)["a"]
-    assert (member.condition, member.age) == (FAILED, 60.0)
+    assert (member.presence, member.age) == (FAILED, 60.0)
 
 
 def test_a_restarted_robot_replaces_the_failed_one(membership: Membership) -> None:
@@ -40,7 +40,7 @@ def test_a_restarted_robot_replaces_the_failed_one(membership: Membership) -> No
     membership.on_gone("a", "2", 1.0)
     assert membership.on_alive("a", "1", 2.0)
     member = membership.members(2.0)["a"]
-    assert (member.instance, member.condition) == ("1", ALIVE)
+    assert (member.instance, member.presence) == ("1", ALIVE)
 
 
 def test_the_late_end_of_an_old_instance_does_not_fail_the_new(membership: Membership) -> None:
@@ -48,7 +48,7 @@ def test_the_late_end_of_an_old_instance_does_not_fail_the_new(membership: Membe
     membership.on_alive("a", "2", 1.0)
     membership.on_gone("a", "1", 2.0)
     member = membership.members(2.0)["a"]
-    assert (member.instance, member.condition) == ("2", ALIVE)
+    assert (member.instance, member.presence) == ("2", ALIVE)
 
 
 def test_the_status_of_the_shown_instance_is_kept_after_failure(membership: Membership) -> None:
@@ -82,7 +82,7 @@ def test_a_flood_of_names_is_bounded_and_leaves_room_for_tokens(membership: Memb
     for number in range(2 * MAX_MEMBERS):
         membership.on_alive(f"ghost-{number}", "1", 1.0)
     assert len(membership.members(1.0)) == MAX_MEMBERS
-    assert condition(membership) is ALIVE
+    assert presence(membership) is ALIVE
 
 
 def test_a_newcomer_replaces_the_robot_that_vanished_first(membership: Membership) -> None:
@@ -95,10 +95,10 @@ def test_a_newcomer_replaces_the_robot_that_vanished_first(membership: Membershi
     assert len(membership.members(4.0)) == MAX_MEMBERS
     assert membership.on_alive("a", "1", 4.0)
     assert membership.member("ghost-1", 4.0) is None  # it went before the other
-    assert condition(membership, "ghost-0") is FAILED
+    assert presence(membership, "ghost-0") is FAILED
     assert membership.on_alive("b", "1", 4.0)
     assert not membership.on_alive("c", "1", 4.0)  # all others are alive
-    assert condition(membership, "old") is ALIVE
+    assert presence(membership, "old") is ALIVE
 
 
 def test_a_flood_of_instances_is_bounded(membership: Membership) -> None:
@@ -133,7 +133,7 @@ def test_the_order_of_tokens_and_statuses_does_not_matter(
 
     assert state_of(mixed) == state_of(plain)
     expected_alive = there - leaving
-    assert (condition(mixed) is ALIVE) == bool(expected_alive)
+    assert (presence(mixed) is ALIVE) == bool(expected_alive)
     assert mixed.duplicates == (
         {"a": tuple(sorted(expected_alive))} if len(expected_alive) > 1 else {}
     )
@@ -148,8 +148,8 @@ def apply(membership: Membership, event: str, instance: str) -> None:
         membership.on_status(left(instance), 0.0)
 
 
-def state_of(membership: Membership) -> tuple[str, Condition, bool] | None:
+def state_of(membership: Membership) -> tuple[str, Presence, bool] | None:
     member = membership.member("a", 0.0)
     if member is None:
         return None
-    return member.instance, member.condition, member.status is not None
+    return member.instance, member.presence, member.status is not None

@@ -11,7 +11,7 @@ import zenoh
 from msgspec.structs import replace
 
 from swarmd.core.codec import Decoder
-from swarmd.core.messages import Code, Condition, Epoch, EstopRequest, ResetRequest, RunRequest
+from swarmd.core.messages import Code, Epoch, EstopRequest, Presence, ResetRequest, RunRequest
 from swarmd.network.operator import Operator, StopVerb, operator_name
 from swarmd.network.outcome import NO_TARGET, PARTIAL
 from swarmd.network.session import open_session
@@ -58,13 +58,13 @@ def test_those_that_left_or_failed_are_listed(settings: NetworkSettings, robots:
     swarm = robots("a", "polite", "rude")
     swarm.call(swarm["polite"].leave)
     swarm.call(swarm["rude"].vanish)
-    swarm.until(lambda: swarm["a"].bus.members["rude"].condition is Condition.FAILED)
+    swarm.until(lambda: swarm["a"].bus.members["rude"].presence is Presence.FAILED)
     with Operator(settings) as operator:
         members = operator.members().members
-    assert {name: member.condition for name, member in members.items()} == {
-        "a": Condition.ALIVE,
-        "polite": Condition.LEFT,
-        "rude": Condition.FAILED,
+    assert {name: member.presence for name, member in members.items()} == {
+        "a": Presence.ALIVE,
+        "polite": Presence.LEFT,
+        "rude": Presence.FAILED,
     }
 
 
@@ -165,7 +165,7 @@ def test_deaf_and_failed_robots_are_named_by_a_stop(
     swarm = robots("a", "lost")
     robots("deaf", answer=lambda request: None)
     swarm.call(swarm["lost"].vanish)
-    swarm.until(lambda: swarm["a"].bus.members["lost"].condition is Condition.FAILED)
+    swarm.until(lambda: swarm["a"].bus.members["lost"].presence is Presence.FAILED)
     with Operator(settings) as operator:
         outcome = operator.halt("estop", timeout=0.5)
     assert outcome.line == "3 targeted, 1 applied, 2 no answer (deaf, lost)"

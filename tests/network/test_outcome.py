@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.core.messages import Code, Condition, Epoch, Member, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, Member, Presence, Refusal, Reply
 from swarmd.network.outcome import (
     FAILED,
     NO_TARGET,
@@ -22,8 +22,8 @@ def reply(robot: str, code: Code = Code.APPLIED, *, instance: str = "b", id: str
     return Reply(id=id, robot=robot, code=code, epoch=Epoch(instance=instance, revision=1))
 
 
-def member(robot: str, condition: Condition, age: float = 0.0) -> Member:
-    return Member(robot=robot, instance="i", condition=condition, age=age)
+def member(robot: str, presence: Presence, age: float = 0.0) -> Member:
+    return Member(robot=robot, instance="i", presence=presence, age=age)
 
 
 def acks(**codes: Code) -> Acks:
@@ -111,10 +111,10 @@ def test_the_worse_reply_of_a_duplicate_id_counts() -> None:
 
 
 MEMBERS = {
-    "alive": member("alive", Condition.ALIVE),
-    "just-failed": member("just-failed", Condition.FAILED, 60.0),
-    "long-failed": member("long-failed", Condition.FAILED, 60.1),
-    "left": member("left", Condition.LEFT),
+    "alive": member("alive", Presence.ALIVE),
+    "just-failed": member("just-failed", Presence.FAILED, 60.0),
+    "long-failed": member("long-failed", Presence.FAILED, 60.1),
+    "left": member("left", Presence.LEFT),
 }
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.codec import Decoder
-from swarmd.core.messages import Code, Condition, Epoch, EstopRequest, Member, PeerView, Reply
+from swarmd.core.messages import Code, Epoch, EstopRequest, Member, PeerView, Presence, Reply
 from swarmd.network.discovery import Discovery
 from swarmd.network.outcome import PARTIAL, TIMEOUT
 from swarmd.network.stop_request import DISCOVERY_TIMEOUT, PendingStop
@@ -15,9 +15,9 @@ decode = Decoder(EstopRequest)
 REQUEST = EstopRequest(id="q", operator="anna@laptop")
 
 
-def view(robot: str, *others: tuple[str, Condition]) -> PeerView:
+def view(robot: str, *others: tuple[str, Presence]) -> PeerView:
     members = tuple(
-        Member(robot=name, instance="1", condition=condition, age=1.0) for name, condition in others
+        Member(robot=name, instance="1", presence=presence, age=1.0) for name, presence in others
     )
     return PeerView(robot=robot, status=light_status(robot, "1"), members=members)
 
@@ -30,8 +30,8 @@ def ack(pending_stop: PendingStop, robot: str, instance: str = "1") -> None:
 @pytest.fixture
 def discovery() -> Discovery:
     found = Discovery(0.0)
-    found.on_view(view("a", ("b", Condition.ALIVE)), 0.01)
-    found.on_view(view("b", ("a", Condition.ALIVE)), 0.01)
+    found.on_view(view("a", ("b", Presence.ALIVE)), 0.01)
+    found.on_view(view("b", ("a", Presence.ALIVE)), 0.01)
     return found
 
 
@@ -69,13 +69,11 @@ def test_without_members_it_is_never_done() -> None:
     assert pending_stop.outcome(3.0).targeted == 0
 
 
-@pytest.mark.parametrize(
-    ("condition", "missing"), [(Condition.FAILED, ("c",)), (Condition.LEFT, ())]
-)
+@pytest.mark.parametrize(("presence", "missing"), [(Presence.FAILED, ("c",)), (Presence.LEFT, ())])
 def test_a_failed_robot_must_ack_too_and_one_that_left_need_not(
-    pending_stop: PendingStop, discovery: Discovery, condition: Condition, missing: tuple[str, ...]
+    pending_stop: PendingStop, discovery: Discovery, presence: Presence, missing: tuple[str, ...]
 ) -> None:
-    discovery.on_view(view("a", ("b", Condition.ALIVE), ("c", condition)), 0.02)
+    discovery.on_view(view("a", ("b", Presence.ALIVE), ("c", presence)), 0.02)
     ack(pending_stop, "a")
     ack(pending_stop, "b")
     assert pending_stop.is_done(2.0) is (not missing)

@@ -1,4 +1,4 @@
-"""The status of a running robot, and its members in each condition."""
+"""The status of a running robot, and its members in each presence."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ from typing import Any
 from msgspec.structs import replace
 
 from swarmd.core.messages import (
-    Condition,
     DecisionSummary,
     Epoch,
     Health,
@@ -15,6 +14,7 @@ from swarmd.core.messages import (
     LoggedEvent,
     Member,
     Param,
+    Presence,
     Reason,
     State,
     Status,
@@ -53,11 +53,11 @@ def status(robot: str = "r1", **changes: Any) -> Status:
 
 
 def make_member(
-    robot: str = "r1", condition: Condition = Condition.ALIVE, age: float = 0.0, **changes: Any
+    robot: str = "r1", presence: Presence = Presence.ALIVE, age: float = 0.0, **changes: Any
 ) -> Member:
     """A member with the status of a running robot, with changes."""
     seen = status(robot, **changes)
-    return Member(robot=robot, instance=seen.instance, condition=condition, age=age, status=seen)
+    return Member(robot=robot, instance=seen.instance, presence=presence, age=age, status=seen)
 
 
 ESTOPPED = make_member(

@@ -19,7 +19,7 @@ import zenoh
 
 from swarmd.core.codec import Decoder
 from swarmd.core.keys import build
-from swarmd.core.messages import Condition, PeerView, State, Status
+from swarmd.core.messages import PeerView, Presence, State, Status
 from swarmd.core.values import Value
 from swarmd.network.operator import Operator
 from swarmd.network.session import MAX_WIRE, open_session
@@ -173,17 +173,17 @@ class Swarm:
         """The robot's status; waits until it answers."""
         return self.await_status(robot, "there", lambda status: True)
 
-    def conditions(self, peer: str) -> dict[str, Condition]:
-        """The conditions of the others in the view of `peer`."""
+    def presences(self, peer: str) -> dict[str, Presence]:
+        """The presence of the others in the view of `peer`."""
         views = self.look(peer, "control", "members", PeerView)
-        return {member.robot: member.condition for view in views for member in view.members}
+        return {member.robot: member.presence for view in views for member in view.members}
 
-    def await_condition(self, peer: str, robot: str, condition: Condition) -> float:
+    def await_presence(self, peer: str, robot: str, presence: Presence) -> float:
         """Wait until `peer` lists the robot so; the seconds it took."""
         began = time.monotonic()
         wait_until(
-            lambda: self.conditions(peer).get(robot) is condition,
-            f"{peer} lists {robot} as {condition}",
+            lambda: self.presences(peer).get(robot) is presence,
+            f"{peer} lists {robot} as {presence}",
         )
         return time.monotonic() - began
 

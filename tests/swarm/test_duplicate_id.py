@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Condition, Reason, State, Status
+from swarmd.core.messages import Presence, Reason, State, Status
 from tests.support.processes import CAP, DaemonProcess, wait_until
 
 if TYPE_CHECKING:
@@ -65,7 +65,7 @@ def test_a_daemon_thawed_beside_its_replacement_faults_both(swarm: Swarm) -> Non
     swarm.run_drive("r1")
     bodies[0].wait_moving()
     frozen.freeze()
-    print(f"failed after {swarm.await_condition('r2', 'r1', Condition.FAILED):.1f} s")
+    print(f"failed after {swarm.await_presence('r2', 'r1', Presence.FAILED):.1f} s")
     replacement = swarm.start("r1", bodies[1])
     swarm.run_drive("r1")
     bodies[1].wait_moving()

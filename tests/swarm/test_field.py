@@ -96,9 +96,9 @@ class Side:
     def conditions(self) -> dict[str, str]:
         """The conditions of the members as seen from here."""
         done = self.swarm.ctl("members", "-o", "json")
-        return {member["robot"]: member["condition"] for member in done.json["members"]}
+        return {member["robot"]: member["presence"] for member in done.json["members"]}
 
-    def await_conditions(self, **wanted: str) -> None:
+    def await_presences(self, **wanted: str) -> None:
         """Wait until the members have these conditions."""
         began = time.monotonic()
         wait_until(lambda: self.conditions() == wanted, f"{self.robots} see {wanted}")
@@ -157,7 +157,7 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
     a, b = field["a"], field["b"]
     start(field)
     for side in (a, b):
-        side.await_conditions(**ALL_ALIVE)
+        side.await_presences(**ALL_ALIVE)
     assert a.swarm.ctl("run", "drive", "--all").outcome == (0, "4 targeted, 4 applied")
     for side in (a, b):
         side.bodies.ask("moving")
@@ -183,8 +183,8 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
         seen_by_a = {"r1": "alive", "r2": "alive", "r3": "failed", "r4": "failed"}
         seen_by_b = {"r1": "failed", "r2": "failed", "r3": "alive", "r4": "alive"}
         looks = [
-            pool.submit(a.await_conditions, **seen_by_a),
-            pool.submit(b.await_conditions, **seen_by_b),
+            pool.submit(a.await_presences, **seen_by_a),
+            pool.submit(b.await_presences, **seen_by_b),
         ]
         for look in looks:
             look.result()
@@ -192,7 +192,7 @@ def test_no_late_run_moves_a_swarm_that_was_cut_in_two(
 
     namespaces.heal("b")
     for side in (a, b):
-        side.await_conditions(**ALL_ALIVE)
+        side.await_presences(**ALL_ALIVE)
     answers = late.ask("run 20")
     assert {name: answer[0] for name, answer in answers.items()} == dict.fromkeys(
         ALL_ALIVE, "refused"
@@ -210,7 +210,7 @@ def test_a_run_delayed_by_a_short_cut_is_refused(field: Field, namespaces: Names
     """The links outlive the cut, and deliver afterwards what was asked during it."""
     a, b = field["a"], field["b"]
     start(field)
-    a.await_conditions(**ALL_ALIVE)
+    a.await_presences(**ALL_ALIVE)
     late = a.talk([sys.executable, "-m", "tests.swarm.late_operator", str(a.swarm.config)])
     assert late.ask("look") == {"seen": ["r1", "r2", "r3", "r4"]}
     local = b.swarm.begin("run", "drive", "r3", "r4", user="ben")

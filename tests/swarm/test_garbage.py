@@ -14,7 +14,7 @@ import zenoh
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_MESSAGE, MAX_SENSOR_PAYLOAD, encode, encode_value
 from swarmd.core.keys import build
-from swarmd.core.messages import REQUEST_TYPES, AnyRequest, Condition, Epoch, MembersQuery, State
+from swarmd.core.messages import REQUEST_TYPES, AnyRequest, Epoch, MembersQuery, Presence, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Twist
 from swarmd.driver_api.hw_codec import (
     encode_neighbors,
@@ -229,7 +229,7 @@ def test_false_robots_do_not_hide_real_ones(swarm: Swarm, vandal: Vandal) -> Non
     tokens = [
         liveliness.declare_token(build(swarm.name, name, "alive", "0123456789ab")) for name in names
     ]
-    wait_until(lambda: len(swarm.conditions("r1")) == MAX_MEMBERS, "the crowd is listed")
+    wait_until(lambda: len(swarm.presences("r1")) == MAX_MEMBERS, "the crowd is listed")
     assert swarm.ctl("members").code == 0
     done = swarm.ctl("stop", "r1")
     assert done.outcome == (0, "1 targeted, 1 applied")
@@ -237,10 +237,10 @@ def test_false_robots_do_not_hide_real_ones(swarm: Swarm, vandal: Vandal) -> Non
     for token in tokens:
         token.undeclare()
     wait_until(
-        lambda: set(swarm.conditions("r1").values()) == {Condition.FAILED}, "the crowd has gone"
+        lambda: set(swarm.presences("r1").values()) == {Presence.FAILED}, "the crowd has gone"
     )
     swarm.start("r2")
-    swarm.await_condition("r1", "r2", Condition.ALIVE)
+    swarm.await_presence("r1", "r2", Presence.ALIVE)
     after = swarm.status("r1")
     assert (after.state, after.epoch.instance) == (State.RUNNING, before.epoch.instance)
     assert after.health.loop_stalls == 0

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Condition, Reason, State
+from swarmd.core.messages import Presence, Reason, State
 from tests.support.processes import CAP
 
 if TYPE_CHECKING:
@@ -27,12 +27,12 @@ def test_a_killed_daemon_is_listed_as_failed_and_returns_idle(swarm: Swarm) -> N
     assert before.state is State.RUNNING
 
     first.kill()
-    print(f"failed after {swarm.await_condition('r2', 'r1', Condition.FAILED):.3f} s")
+    print(f"failed after {swarm.await_presence('r2', 'r1', Presence.FAILED):.3f} s")
     assert not swarm.statuses("r1")
 
     returned = boottime()
     swarm.start("r1", body)
-    print(f"alive again {swarm.await_condition('r2', 'r1', Condition.ALIVE):.3f} s after ready")
+    print(f"alive again {swarm.await_presence('r2', 'r1', Presence.ALIVE):.3f} s after ready")
     body.wait_zero(returned)  # it has the body again
     after = swarm.status("r1")
     assert (after.state, after.reason) == (State.IDLE, Reason.NEVER_ASKED)
@@ -48,16 +48,16 @@ def test_a_frozen_daemon_fails_after_its_lease_and_is_alive_once_thawed(swarm: S
     body.wait_moving()
 
     daemon.freeze()
-    print(f"failed after {swarm.await_condition('r2', 'r1', Condition.FAILED):.3f} s")
+    print(f"failed after {swarm.await_presence('r2', 'r1', Presence.FAILED):.3f} s")
     listed = swarm.ctl("members", "-o", "json").json
-    assert {m["robot"]: m["condition"] for m in listed["members"]} == {
+    assert {m["robot"]: m["presence"] for m in listed["members"]} == {
         "r1": "failed",
         "r2": "alive",
     }
 
     thawed = boottime()
     daemon.thaw()
-    print(f"alive again after {swarm.await_condition('r2', 'r1', Condition.ALIVE):.3f} s")
+    print(f"alive again after {swarm.await_presence('r2', 'r1', Presence.ALIVE):.3f} s")
     status = swarm.status("r1")
     assert (status.state, status.reason) == (State.STOPPED, Reason.LOOP_STALLED)
     body.wait_zero(thawed)
@@ -76,7 +76,7 @@ def test_a_daemon_that_is_ended_commands_zero_and_is_listed_as_left(
 
     daemon.send(number)
     assert daemon.process.wait(CAP) == 0
-    swarm.await_condition("r2", "r1", Condition.LEFT)
+    swarm.await_presence("r2", "r1", Presence.LEFT)
     assert body.commands[-1].twist.is_zero
     done = swarm.ctl("stop")  # does not wait for a robot that left
     assert done.outcome == (0, "1 targeted, 1 applied")
@@ -87,17 +87,17 @@ def test_a_failed_robot_stays_listed_until_it_is_forgotten_everywhere(swarm: Swa
     swarm.start("r3")
     daemon = swarm.start("r1")
     for peer in ("r2", "r3"):
-        swarm.await_condition(peer, "r1", Condition.ALIVE)
+        swarm.await_presence(peer, "r1", Presence.ALIVE)
     done = swarm.ctl("members", "forget", "r1")
     assert done.code == 7
     assert done.err == "error: r1 is alive; only robots that failed or left can be forgotten\n"
 
     daemon.kill()
     for peer in ("r2", "r3"):
-        swarm.await_condition(peer, "r1", Condition.FAILED)
+        swarm.await_presence(peer, "r1", Presence.FAILED)
     done = swarm.ctl("run", "drive", "--all")
     assert (done.code, "no answer (r1)" in done.out) == (3, True)
     assert swarm.ctl("members", "forget", "r1").code == 0
-    assert swarm.conditions("r2") == {"r3": Condition.ALIVE}
-    assert swarm.conditions("r3") == {"r2": Condition.ALIVE}
+    assert swarm.presences("r2") == {"r3": Presence.ALIVE}
+    assert swarm.presences("r3") == {"r2": Presence.ALIVE}
     assert swarm.ctl("run", "drive", "--all").code == 0
