@@ -162,16 +162,16 @@ def rerun(
     for line in again.warnings(folder):
         warn(f"warning: {line}; results may differ")
     with ends_on_sigterm(), progress() as on_progress:
-        matches = again.rerun(folder, out, jobs, on_progress, timeout or STEP_TIMEOUT)
+        found = again.rerun(folder, out, jobs, on_progress, timeout or STEP_TIMEOUT)
     if is_json:
-        listed = [{"run": m.run, "identical": m.is_identical, "why": m.why} for m in matches]
+        listed = [{"run": run, "identical": not why, "why": why} for run, why in found.items()]
         print_json("Rerun", {"folder": str(folder), "runs": listed})
     else:
-        rows = [(m.run, "identical" if m.is_identical else f"differs: {m.why}") for m in matches]
+        rows = [(run, f"differs: {why}" if why else "identical") for run, why in found.items()]
         print_table(("RUN", "RESULT"), rows)
-    same = sum(m.is_identical for m in matches)
-    warn(f"{same} of {len(matches)} runs are identical")
-    ctx.exit(0 if same == len(matches) else PARTIAL if same else FAILED)
+    same = list(found.values()).count("")
+    warn(f"{same} of {len(found)} runs are identical")
+    ctx.exit(0 if same == len(found) else PARTIAL if same else FAILED)
 
 
 @exp.command()

@@ -15,7 +15,6 @@ from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.keys import is_id
 
 if TYPE_CHECKING:
-    from swarmd.core.values import Platform
     from swarmd.sim.live.fleet import FleetSpec
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -113,11 +112,16 @@ def fleet_for(
     emulator: str | None,
     **others: Any,
 ) -> FleetSpec:
-    """The fleet of the values of `fleet_options`; ConfigError if one is wrong.
+    """The fleet of the values of `fleet_options`; ConfigError if one is wrong or there is no room.
 
-    PluginError if the emulator is unknown or lacks a library.
+    PluginError if the emulator is unknown or lacks a library. The default arena is 1.8 times as
+    wide as the range of the lidar, so that a robot detects some of the others but not all, and has
+    at least (3 protection thresholds)^2 of room for each robot.
     """
-    from swarmd.sim.live.fleet import FleetSpec
+    from swarmd.settings.platforms import load_platform
+    from swarmd.sim.live.fleet import FleetSpec, robot_ids
+    from swarmd.sim.world.arena import parse_arena
+    from swarmd.sim.world.layouts import parse_layout
 
     if emulator is not None:
         from swarmd.plugins import load_emulator
@@ -128,11 +132,23 @@ def fleet_for(
                 f"--radio-range and --emulate {emulator}: emulated robots do not report which"
                 " robots they receive; leave one of the two out"
             )
-    kind, robots = robots_for(platform, count)
-    arena, layout = place_for(kind, count, arena, layout, others["seed"])
+    if any(mark in platform for mark in ",:"):
+        raise ConfigError(f"--platform {platform!r}: a comma or colon; rename the file or folder")
+    kind = load_platform(platform)
+    ids = robot_ids(kind.name, count)
+    if not all(map(is_id, ids)):
+        raise ConfigError(
+            f"--platform {platform!r}: {ids[0]!r} would be no valid robot id;"
+            " name the file with a-z, 0-9, _ and - only, such as my_bot.yaml"
+        )
+    threshold = float(kind.protection.get("threshold", 0.5))
+    side = round(max(1.8 * kind.scan.range_max, 3.0 * threshold * count**0.5), 1)
+    arena = arena or f"{side:g}x{side:g}"
+    layout = layout or f"random:{0.6 * threshold:.2f}"
+    parse_layout(layout, [kind.footprint] * count, parse_arena(arena), seed=others["seed"])
     return FleetSpec(
         swarm=swarm,
-        robots=robots,
+        robots=dict.fromkeys(ids, platform),
         folder=folder,
         arena=arena,
         layout=layout,
@@ -174,39 +190,3 @@ def new_folder(base: Path, names: Iterable[str]) -> Path:
                 text = f"{base / name}/ cannot be made ({error.strerror})"
                 raise ConfigError(f"{text}; work in another folder, or name one") from error
     raise ConfigError(f"{base}/ has no free name left; remove some folders of it")
-
-
-def robots_for(platform: str, count: int) -> tuple[Platform, dict[str, str]]:
-    """The platform, and its name or file by robot id; ConfigError if that gives no valid ids."""
-    from swarmd.settings.platforms import load_platform
-    from swarmd.sim.live.fleet import robot_ids
-
-    if any(mark in platform for mark in ",:"):
-        raise ConfigError(f"--platform {platform!r}: a comma or colon; rename the file or folder")
-    kind = load_platform(platform)
-    ids = robot_ids(kind.name, count)
-    if not all(map(is_id, ids)):
-        raise ConfigError(
-            f"--platform {platform!r}: {ids[0]!r} would be no valid robot id;"
-            " name the file with a-z, 0-9, _ and - only, such as my_bot.yaml"
-        )
-    return kind, dict.fromkeys(ids, platform)
-
-
-def place_for(
-    platform: Platform, count: int, arena: str | None, layout: str | None, seed: int
-) -> tuple[str, str]:
-    """Arena and layout as given, else suited to the platform; ConfigError if the robots do not fit.
-
-    The default arena is 1.8 times as wide as the range of the lidar, so that a robot detects some
-    of the others but not all, and has at least (3 protection thresholds)^2 of room for each robot.
-    """
-    from swarmd.sim.world.arena import parse_arena
-    from swarmd.sim.world.layouts import parse_layout
-
-    threshold = float(platform.protection.get("threshold", 0.5))
-    side = round(max(1.8 * platform.scan.range_max, 3.0 * threshold * count**0.5), 1)
-    arena = arena or f"{side:g}x{side:g}"
-    layout = layout or f"random:{0.6 * threshold:.2f}"
-    parse_layout(layout, [platform.footprint] * count, parse_arena(arena), seed=seed)
-    return arena, layout

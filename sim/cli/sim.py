@@ -19,9 +19,6 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
-    from swarmd.network.operator import Operator
     from swarmd.sim.live.fleet import Fleet, FleetSpec
 
 CHECK_PERIOD = 1.0  # s between two checks of the processes
@@ -71,7 +68,12 @@ def serve(spec: FleetSpec) -> None:
 
     end_on_signals()
     with Operator(NetworkSettings(swarm=spec.swarm)) as operator:
-        _refuse_taken_names(operator, spec.robots)
+        taken = sorted(set(operator.members().alive) & set(spec.robots))
+        if taken:
+            raise ConfigError(
+                f"swarm {spec.swarm!r} already has {', '.join(taken)};"
+                " end those, or use another swarm: swarmctl sim up --swarm NAME"
+            )
         with Fleet(spec) as fleet:
             up = statuses_of(await_robots(operator, fleet))
             for robot in spec.robots:
@@ -81,16 +83,6 @@ def serve(spec: FleetSpec) -> None:
             with suppress(KeyboardInterrupt):
                 _report_ends(fleet)
             click.echo("ending all")
-
-
-def _refuse_taken_names(operator: Operator, robots: Collection[str]) -> None:
-    """ConfigError if robots of these names are alive in the swarm."""
-    taken = sorted(set(operator.members().alive) & set(robots))
-    if taken:
-        raise ConfigError(
-            f"swarm {operator.settings.swarm!r} already has {', '.join(taken)};"
-            " end those, or use another swarm: swarmctl sim up --swarm NAME"
-        )
 
 
 def _report_ends(fleet: Fleet) -> NoReturn:

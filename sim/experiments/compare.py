@@ -110,14 +110,7 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
         "b": b.label,
         "level": LEVEL,
         "differ_by_chance": 0.05 * sum(one.interval is not None for one in differences),
-        "metrics": {
-            one.metric: {
-                **asdict(one),
-                "interval": one.interval and [one.interval.low, one.interval.high],
-                "differs": one.differs,
-            }
-            for one in differences
-        },
+        "metrics": {one.metric: {**asdict(one), "differs": one.differs} for one in differences},
     }
 
 

@@ -94,11 +94,6 @@ def plain(values: Mapping[str, Any]) -> dict[str, Any]:
     return found
 
 
-def write_manifest(manifest: Manifest, folder: Path) -> None:
-    """Write manifest.json; the file appears whole or not at all."""
-    write_json(folder / NAME, msgspec.to_builtins(manifest))
-
-
 def read_manifest(folder: Path) -> Manifest:
     """The manifest of an experiment's folder; ConfigError in one line without one."""
     path = folder / NAME

@@ -258,9 +258,8 @@ def _run_in_fork(job: Job, connection: Connection) -> None:
     child = os.fork()
     if child == 0:
         die_with_parent(worker)
-        os.register_at_fork(
-            after_in_child=connection.close
-        )  # so that a pattern's fork cannot write into it
+        # A process that a pattern forks must not write into it.
+        os.register_at_fork(after_in_child=connection.close)
         _do(job, connection)
         os.write(theirs, b"1")
         os._exit(0)  # without waiting for threads of a pattern
@@ -271,7 +270,12 @@ def _run_in_fork(job: Job, connection: Connection) -> None:
         if os.read(ours, 1):
             os.close(ours)
             return
-    _end_with(os.waitstatus_to_exitcode(status))
+    code = os.waitstatus_to_exitcode(status)
+    if code < 0:
+        with suppress(OSError, ValueError):  # SIGKILL has no handler
+            signal.signal(-code, signal.SIG_DFL)
+        os.kill(os.getpid(), -code)
+    os._exit(code)
 
 
 def _do(job: Job, connection: Connection) -> None:
@@ -287,14 +291,6 @@ def _do(job: Job, connection: Connection) -> None:
             connection.send(share)
 
     connection.send(run_job(job, report))
-
-
-def _end_with(code: int) -> None:
-    if code < 0:
-        with suppress(OSError, ValueError):  # SIGKILL has no handler
-            signal.signal(-code, signal.SIG_DFL)
-        os.kill(os.getpid(), -code)
-    os._exit(code)
 
 
 if __name__ == "__main__":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,19 +19,6 @@ from swarmd.sim.experiments.simulate import OnProgress, run_experiment
 from swarmd.sim.trace import Trace
 
 
-@dataclass(frozen=True, slots=True)
-class RunComparison:
-    """The comparison of a run with its repetition; `why` names what differs, empty if nothing."""
-
-    run: str
-    why: str
-
-    @property
-    def is_identical(self) -> bool:
-        """Every array of the trace has the same bits, or every metric if there is no trace."""
-        return not self.why
-
-
 def warnings(folder: Path) -> list[str]:
     """A text for each difference of the software since; ConfigError if it is no experiment."""
     old = read_manifest(folder)
@@ -44,8 +31,10 @@ def rerun(
     processes: int,
     on_progress: OnProgress | None = None,
     timeout: float = STEP_TIMEOUT,
-) -> list[RunComparison]:
-    """Repeat the experiment of `folder` in `out`, and compare each finished run.
+) -> dict[str, str]:
+    """Repeat the experiment of `folder` in `out`: what differs by finished run, "" if nothing.
+
+    Every array of a trace is compared bit by bit, or every metric if there is no trace.
 
     Without `out` only finished runs are repeated, in a temporary folder. They are made from the
     manifest alone, and nothing in `folder` changes. ConfigError if `folder` is no experiment, has
@@ -74,14 +63,9 @@ def trace_differences(a: Trace, b: Trace) -> list[str]:
     return [name for name in names if _bits(getattr(a, name)) != _bits(getattr(b, name))]
 
 
-def _comparisons(before: Results, after: Results) -> list[RunComparison]:
-    rows = [{row["run"]: row for row in results.rows} for results in (before, after)]
-    return [
-        RunComparison(
-            run.id, _difference(before, after, run.id, *(of.get(run.id, {}) for of in rows))
-        )
-        for run in before.runs
-    ]
+def _comparisons(before: Results, after: Results) -> dict[str, str]:
+    old, new = ({row["run"]: row for row in results.rows} for results in (before, after))
+    return {run: _difference(before, after, run, old[run], new.get(run, {})) for run in old}
 
 
 def _difference(

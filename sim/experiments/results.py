@@ -139,7 +139,7 @@ class Results:
                     "values": dict(variant.values),
                     "finished": len(self.seeds(variant.name)),
                     "metrics": {
-                        name: {"unit": unit_of(name), **_plain(summary)}
+                        name: {"unit": unit_of(name), **asdict(summary)}
                         for name, summary in self.summary(variant.name, names).items()
                     },
                 }
@@ -180,11 +180,3 @@ def load_results(folder: str | Path) -> Results:
 def unit_of(metric: str) -> str:
     """The unit of a metric; empty for an unknown one, such as that of another version."""
     return METRICS[metric].unit if metric in METRICS else ""
-
-
-def _plain(summary: Summary) -> dict[str, Any]:
-    """A summary for JSON: intervals as [low, high]."""
-    return {
-        key: list(value.values()) if isinstance(value, dict) else value
-        for key, value in asdict(summary).items()
-    }

@@ -26,13 +26,14 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments import manifest as manifests
 from swarmd.sim.experiments.manifest import (
     Manifest,
     read_manifest,
     write_json,
-    write_manifest,
     write_whole,
 )
 from swarmd.sim.experiments.plan import Plan, Run, shown
@@ -225,7 +226,8 @@ def _opened(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> Store
             raise ConfigError(f"{text}; name another folder with --out, or remove this one")
     else:
         _refuse_other_files(folder)
-        write_manifest(manifest, folder)  # first: it makes the folder that of an experiment
+        # First: it makes the folder that of an experiment.
+        write_json(folder / manifests.NAME, msgspec.to_builtins(manifest))
     if not table.exists():  # new, interrupted between the two, or deleted
         write_whole(table, lines([header(manifest.plan, metrics)]))
     known, rows = read_table(folder, manifest.plan)

@@ -18,7 +18,7 @@ from swarmd.core.clock import TICK
 from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Latch, Status
-from swarmd.core.values import Array, Platform, Scan, Twist, Value
+from swarmd.core.values import Array, Scan, Twist, Value
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.robot.latches import LatchRecord
@@ -34,7 +34,6 @@ from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.radio import NEIGHBORS_RATE, Radio
-from swarmd.sim.world.realism import Realism
 from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.world import World
@@ -74,7 +73,12 @@ class Lockstep:
             fields=scenario.fields,
             seed=seed,
         )
-        self._platforms = [_with_scan_noise(p, scenario.realism) for p in self.world.platforms]
+        # Without scan noise, repeated scans do not mean a frozen sensor.
+        is_noisy = scenario.realism.lidar.differs_each_time
+        self._platforms = [
+            replace(p, scan=replace(p.scan, is_noisy=p.scan.is_noisy and is_noisy))
+            for p in self.world.platforms
+        ]
         ids, n = self.world.ids, len(self.world.ids)
         origins = pattern_names(scenario.plugin_dir)
         self._find = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
@@ -284,12 +288,6 @@ class Lockstep:
                 for e in scenario.events
             ],
         }
-
-
-def _with_scan_noise(platform: Platform, realism: Realism) -> Platform:
-    """The platform; without scan noise, repeated scans do not mean a frozen sensor."""
-    is_noisy = platform.scan.is_noisy and realism.lidar.differs_each_time
-    return replace(platform, scan=replace(platform.scan, is_noisy=is_noisy))
 
 
 @contextmanager

@@ -37,9 +37,8 @@ class Timeline:
     def apply(self, now: float) -> None:
         """Carry out the events due by `now` s. Raises SwarmError if a robot refuses one."""
         while self._next < len(self._events) and self._events[self._next].at <= now + _ROUNDING:
-            event = self._events[self._next]
             self._next += 1
-            self._carry_out(event, now)
+            self._carry_out(self._events[self._next - 1], now)
 
     def _carry_out(self, event: ScheduledEvent, now: float) -> None:
         swarm = self._swarm

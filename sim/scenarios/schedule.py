@@ -222,12 +222,13 @@ class _ScheduleChecker:
     def _come_or_go(self, keys: Keys, event: ScheduledEvent) -> None:
         is_joining, is_removed = event.action == "join", event.action == "remove"
         for robot in event.robots:
-            state = self._robots[robot]
+            state, fault = self._robots[robot], ""
             if state.is_out:
-                raise self._error(keys, f"{robot} is not in the arena at {event.at:g} s")
-            if state.is_there == is_joining and not is_removed:
-                there = "there already" if is_joining else "not there"
-                raise self._error(keys, f"{robot} is {there} at {event.at:g} s")
+                fault = "not in the arena"
+            elif state.is_there == is_joining and not is_removed:
+                fault = "there already" if is_joining else "not there"
+            if fault:
+                raise self._error(keys, f"{robot} is {fault} at {event.at:g} s")
             state.is_there, state.is_out, state.pattern = is_joining, is_removed, ""
 
     def _present(self, event: ScheduledEvent) -> list[tuple[str, _Robot]]:

@@ -55,19 +55,19 @@ class StartPoses:
 
     def __call__(self, seed: int) -> Array:
         """Poses (n, 3) x, y in m and yaw in rad; seeded layouts are placed last."""
-        return self._placed((False, True), seed)
-
-    def check(self) -> None:
-        """Raise ConfigError if the layouts without randomness do not fit."""
-        self._placed((False,), 0)
-
-    def _placed(self, order: Iterable[bool], seed: int) -> Array:
-        placement = Placement(self.names, self.footprints, self.arena)
-        for is_seeded in order:
-            for part in self.parts:
-                if (layout_of(part.start) in _SEEDED) is is_seeded:
-                    _place(placement, part, seed)
+        placement = self.check()
+        for part in self.parts:
+            if layout_of(part.start) in _SEEDED:
+                _place(placement, part, seed)
         return placement.poses
+
+    def check(self) -> Placement:
+        """The robots of layouts without randomness; ConfigError if they do not fit."""
+        placement = Placement(self.names, self.footprints, self.arena)
+        for part in self.parts:
+            if layout_of(part.start) not in _SEEDED:
+                _place(placement, part, 0)
+        return placement
 
 
 def layout_of(start: StartSection) -> str:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from itertools import cycle
 
 import numpy as np
 
-from swarmd.core.values import Array, Platform, Twist
+from swarmd.core.values import Platform, Twist
 from swarmd.sim.live.state import Triple, WorldState
 from swarmd.sim.world.arena import Box
 from swarmd.sim.world.geometry import gaps, transform
@@ -61,7 +61,9 @@ class Rammer:
             self._touches = state.contacts
             self._retreats_until = state.time + _RETREAT
             self._chases_until = self._retreats_until + _CHASE
-            self._target = _nearest(state.poses, row, but=self._target)
+            own, poses = state.poses[row], state.poses
+            others = [index for index in range(len(poses)) if index not in (row, self._target)]
+            self._target = min(others, key=lambda index: math.dist(poses[index][:2], own[:2]))
         spin = state.twists[row][1]
         if state.time < self._retreats_until:
             return self._twist(0.0, spin, -1.0)
@@ -100,7 +102,8 @@ class Obstacles:
             return None
         name = next(self._names)
         pose = self._ahead(state.poses[int(self._rng.choice(moving))])
-        if self._gap(name, pose, state.poses) < self._room:
+        outlines = transform(self._platform.footprint, np.array(state.poses))
+        if gaps(transform(THINGS[name].shape, np.array(pose)), outlines).min() < self._room:
             return None
         self._next = state.time + _PAUSE
         return name, pose
@@ -114,11 +117,6 @@ class Obstacles:
         across = yaw + math.pi / 2.0 + float(self._rng.uniform(-0.8, 0.8))
         return x + distance * math.cos(aside), y + distance * math.sin(aside), across
 
-    def _gap(self, name: str, pose: Triple, others: Sequence[Triple]) -> float:
-        """The least distance in m of an obstacle from any robot's outline."""
-        outlines: Array = transform(self._platform.footprint, np.array(others))
-        return float(gaps(transform(THINGS[name].shape, np.array(pose)), outlines).min())
-
 
 def room(platform: Platform) -> float:
     """How far in m from every robot a thing may appear so that none is asked for the impossible.
@@ -130,8 +128,3 @@ def room(platform: Platform) -> float:
     wait = 1.0 / platform.scan.rate + 2.0 * platform.scan.latency + _REACTION
     stop = speed * wait + speed * speed / (2.0 * _BRAKING)
     return float(platform.scan.range_min + stop + barrier["margin"] + barrier["unseen_extent"])
-
-
-def _nearest(poses: Sequence[Triple], row: int, *, but: int) -> int:
-    others = [index for index in range(len(poses)) if index not in (row, but)]
-    return min(others, key=lambda index: math.dist(poses[index][:2], poses[row][:2]))

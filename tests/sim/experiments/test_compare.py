@@ -119,7 +119,7 @@ def test_what_chance_would_find_is_reported() -> None:
     found = compare(side(of(np.arange(8.0))), side(of(np.arange(8.0) + 1.0)))
     plain = document(side({0: 1.0}), side({0: 1.0}), found)
     assert plain["differ_by_chance"] == 0.05
-    assert plain["metrics"]["minimum_gap"]["interval"] == [1.0, 1.0]
+    assert plain["metrics"]["minimum_gap"]["interval"] == (1.0, 1.0)
     assert plain["metrics"]["minimum_gap"]["differs"] is True
 
 

@@ -17,7 +17,7 @@ from swarmd.sim.experiments.manifest import (
     manifest_of,
     plain,
     read_manifest,
-    write_manifest,
+    write_json,
 )
 from swarmd.sim.experiments.simulate import plan_of
 
@@ -31,7 +31,7 @@ def manifest(duo: Path) -> Manifest:
 
 
 def test_comes_back_as_it_was_and_gives_the_same_runs(manifest: Manifest, tmp_path: Path) -> None:
-    write_manifest(manifest, tmp_path)
+    write_json(tmp_path / NAME, msgspec.to_builtins(manifest))
     again = read_manifest(tmp_path)
     assert again == manifest
     assert again.plan == manifest.plan

@@ -53,12 +53,6 @@ def test_what_was_done_is_not_done_again(tmp_path: Path, jobs: int) -> None:
     assert len(file.read_text().splitlines()) == 2
 
 
-def test_a_run_is_the_same_in_any_process(tmp_path: Path) -> None:
-    tasks = [Task(Scene("goals", "burger", mode="potential_field", duration=5.0), 3)] * 1
-    here, elsewhere = (carry_out(tasks, tmp_path / f"{n}.jsonl", n) for n in (1, 2))
-    assert here[0].found == elsewhere[0].found
-
-
 def test_what_other_sources_did_counts_for_nothing(tmp_path: Path) -> None:
     file = tmp_path / "some.jsonl"
     file.write_bytes(msgspec.json.encode(record(SHORT)) + b"\n")

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 
@@ -35,6 +33,7 @@ def run(scene: Scene, seed: int = 1) -> Trace:
 def test_every_scene_can_start(family: str, platform: str) -> None:
     scene = Scene(family, platform)
     made = scenario(scene)
+    assert made.visibility == scene.visibility
     assert len(made.robots) == scene.room.robots
     for seed in (0, 1, 1000):
         made.starts(seed)
@@ -56,11 +55,6 @@ def test_robots_have_the_protection_mode_of_the_scene(mode: str) -> None:
     assert protection["mode"] == words.get(mode, mode)
     shares = {"reciprocal": "reciprocal"}.get(mode, "passive")
     assert protection["barrier"]["responsibility"] == shares
-
-
-@pytest.mark.parametrize("visibility", VISIBILITIES)
-def test_lidars_have_the_visibility_of_the_scene(visibility: str) -> None:
-    assert scenario(Scene("goals", "burger", visibility)).visibility == visibility
 
 
 def test_a_third_rams_and_is_not_protected() -> None:
@@ -173,11 +167,3 @@ def test_rammers_run_into_those_that_do_not_look(platform: str) -> None:
         if robot in ram and pair[1] >= 0 and not ram >= set(pair)
     ]
     assert max(hits) > 0.1
-
-
-def test_patterns_are_in_one_folder_that_a_daemon_can_be_given() -> None:
-    folder = scenario(Scene("goals", "burger")).plugin_dir
-    assert folder is not None
-    names = {path.stem for path in Path(folder).glob("*.py")}
-    assert names == {"goals", "ram", "random_twists"}
-    assert all("benchmarks" not in path.read_text() for path in folder.glob("*.py"))
