@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
@@ -24,6 +24,7 @@ TICK = 0.05
 PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]
 BURGER, WAFFLE, JACKAL = PLATFORMS
 SIDEWAYS = replace(BURGER, limits=Limits(0.22, 2.84, 0.2))
+WEAK = under_barrier(WAFFLE, braking_linear=0.3)
 PLATFORM = st.sampled_from(PLATFORMS)
 AGE = st.floats(0.0, 0.3)
 SHARE = st.floats(-1, 1)
@@ -105,7 +106,8 @@ def test_any_input_gives_a_finite_command_within_limits(
         assert platform.limits.clip(safe) == safe
 
 
-@given(st.sampled_from([*PLATFORMS, SIDEWAYS]), RETURNS, SHARE, SHARE, SHARE, AGE)
+@given(st.sampled_from([*PLATFORMS, SIDEWAYS, WEAK]), RETURNS, SHARE, SHARE, SHARE, AGE)
+@example(WEAK, [(304, 0.35)], 1.0, 0.0, 0.0, 0.0)
 def test_robot_can_stop_before_every_return(
     platform: Platform, returns: Returns, v: float, w: float, aside: float, age: float
 ) -> None:

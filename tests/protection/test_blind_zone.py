@@ -13,7 +13,7 @@ from swarmd.core.values import Pose
 from swarmd.protection.blind_zone import BlindZoneMemory
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.settings import load_platform
-from swarmd.testing.scans import scan_from
+from swarmd.testing.scans import reordered, scan_from
 
 JACKAL = load_platform("jackal")
 GEOMETRY = ScanGeometry(JACKAL.scan)
@@ -59,6 +59,16 @@ def test_near_obstacle_that_vanishes_is_hidden() -> None:
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     assert look(memory, WIDE) == []
     assert look(memory, empty=WIDE) == list(WIDE)
+
+
+def test_order_of_the_rays_does_not_matter() -> None:
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    for distance in (0.85, math.inf):
+        ranges = np.full(360, 3.0)
+        ranges[20:29] = distance
+        scan = reordered(scan_from(JACKAL, ranges, JACKAL.scan.bearings), np.random.default_rng(1))
+        memory.update(scan, GEOMETRY, Pose(), PERIOD)
+    assert sorted(round(degrees) for degrees in np.degrees(memory.bearings)) == [*range(20, 29)]
 
 
 def test_return_too_close_to_measure_is_hidden_once_it_vanishes() -> None:
@@ -140,6 +150,12 @@ def test_the_blind_zone_is_around_the_lidar_not_the_axle(
     look(memory, rays, distance=distance, geometry=geometry)
     hidden = look(memory, empty=rays, geometry=geometry)
     assert [degrees % 360 for degrees in hidden] == (list(rays) if is_hidden else [])
+
+
+def test_pause_of_the_scans_hides_nothing_beyond_five_periods() -> None:
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    look(memory, WIDE, distance=1.6, seconds=2.0)
+    assert look(memory, empty=WIDE, seconds=2.0) == []
 
 
 def test_nothing_is_hidden_without_an_earlier_obstacle() -> None:

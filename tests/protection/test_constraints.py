@@ -209,11 +209,23 @@ def test_foremost_corner_decides_the_touch_speed(
     assert touch_speed(BURGER_OUTLINE, zone, *twist) == pytest.approx(speed, abs=2e-3)
 
 
-def test_touch_directions_hold_both_ends_of_a_face() -> None:
+TRIANGLE = np.array([[0.2, -0.1], [0.2, 0.1], [-0.2, 0.0]])
+
+
+@pytest.mark.parametrize(
+    ("outline", "ends"),
+    [
+        (BURGER_OUTLINE, {(0.038, -0.089), (0.038, 0.089)}),
+        (TRIANGLE, {(0.2, -0.1), (0.2, 0.1)}),
+    ],
+    ids=["rectangle", "triangle"],
+)
+def test_touch_directions_hold_both_ends_of_a_face(
+    outline: Array, ends: set[tuple[float, float]]
+) -> None:
     zone = TouchZone(0.0, math.radians(1.0), 0.1)
-    found = zip(*touch_directions(BURGER_OUTLINE, zone), strict=True)
-    ahead = {(x, y) for nx, _, x, y in found if nx > 0.9999999}
-    assert ahead == {(0.038, -0.089), (0.038, 0.089)}
+    found = zip(*touch_directions(outline, zone), strict=True)
+    assert {(x, y) for nx, _, x, y in found if nx > 0.9999999} == ends
 
 
 @given(st.floats(-3.0, 3.0), st.floats(0.05, 1.04), TWIST_SPEED, TWIST_SPEED)

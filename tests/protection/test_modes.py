@@ -94,10 +94,10 @@ def test_stop_zone_only_slows_down(v: float, w: float, gap: float) -> None:
     assert abs(safe.angular) <= abs(w)
 
 
-def test_stop_zone_reports_the_nearest_return() -> None:
-    (row,) = decided(ZONE, before(0.2), REQUESTED).rows
-    assert (row.bearing, row.gap) == pytest.approx((0.0, 0.2), abs=1e-9)
-    assert row.cap == pytest.approx(0.3 * 0.22)
+@pytest.mark.parametrize(("gap", "cap"), [(0.2, 0.3 * 0.22), (0.05, 0.0)])
+def test_stop_zone_reports_the_nearest_return(gap: float, cap: float) -> None:
+    (row,) = decided(ZONE, before(gap), REQUESTED).rows
+    assert (row.bearing, row.gap, row.cap) == pytest.approx((0.0, gap, cap), abs=1e-9)
 
 
 def test_stop_zone_is_inactive_for_a_zero_request() -> None:

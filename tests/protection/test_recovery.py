@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from swarmd.core.clock import TICK
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Limits, Platform, Pose, Twist
 from swarmd.protection.decision import DecisionContext, Permit
@@ -24,11 +26,21 @@ def test_recovery_first_moves_to_the_side_with_more_room(x: float, way: float) -
     recovery = Recovery(Clearance(0.5, 0.2), Limits(0.22, 2.84), "seed")
     twist = AHEAD
     for now in (0.0, 0.1, 0.2):
-        twist = recovery.replacement(
-            AHEAD, ZERO, DecisionContext(now, 0.0), lambda: np.array([[x, 0.0]])
-        )
+        context = DecisionContext(now, 0.0)
+        twist = recovery.replacement(AHEAD, ZERO, context, lambda: np.array([[x, 0.0]]))
     assert recovery.is_active
     assert math.copysign(1.0, twist.linear) == way
+
+
+def test_recovery_turns_again_where_the_corridor_is_blocked_too() -> None:
+    recovery = Recovery(Clearance(0.5, 0.2), Limits(0.22, 2.84), "seed")
+    twist, is_turn = AHEAD, []
+    for tick in range(60):
+        safe = ZERO if twist.linear > 0.0 else twist
+        context = DecisionContext(tick * TICK, 0.0)
+        twist = recovery.replacement(AHEAD, safe, context, lambda: np.array([[0.3, 0.0]]))
+        is_turn.append(twist.linear == 0.0)
+    assert sum(not before and after for before, after in pairwise(is_turn)) >= 2
 
 
 def still(platform: Platform) -> Platform:

@@ -6,7 +6,7 @@ import pytest
 
 from swarmd.api import Twist
 from swarmd.core.host_messages import KillHost, Load, Loaded
-from swarmd.core.messages import Code, Reason, State
+from swarmd.core.messages import Code, Reason, Refusal, State
 from tests.support.stub_patterns import standing_state, started
 
 BACK = {"speed": -0.1}
@@ -88,7 +88,8 @@ def test_param_request_that_the_pattern_does_not_answer_fails_after_3_s() -> Non
     harness.advance(2.9)
     assert not harness.is_answered(change)
     harness.advance(0.2)
-    assert harness.reply_to(change).code is Code.FAILED
+    reply = harness.reply_to(change)
+    assert (reply.code, reply.refusal) == (Code.FAILED, Refusal.PATTERN_FAILED)
 
 
 @pytest.mark.parametrize(

@@ -97,6 +97,7 @@ def test_reset_that_crosses_a_second_estop_leaves_it_latched() -> None:
     harness.refused("reset", ids=["e1"])
     assert standing_state(harness)[0] is State.ESTOPPED
     harness.ask("reset", ids=["e2"])
+    assert not harness.written[-1].held
     assert standing_state(harness) == (State.IDLE, Reason.RESET)
 
 

@@ -85,6 +85,16 @@ def test_zeros_beside_near_rays_count_as_near_unless_in_barrier(mode: Mode) -> N
     assert np.isneginf(senses.scan.ranges[97:104]).all() == (mode != "barrier")
 
 
+def test_step_gets_the_last_scan_and_odometry(senses: Sensors) -> None:
+    odometry = Odometry(1.0, Pose(1.0, 2.0, 0.5), Twist(0.1))
+    senses.on_odometry(odometry, 10.0)
+    senses.on_scan(empty_scan(load_platform("waffle_pi"), 7, 10.0), 10.0)
+    first, second = senses.inputs(10.1, 0.1), senses.inputs(10.2, 0.1)
+    assert first.odometry is second.odometry is odometry
+    assert first.scan is second.scan is senses.scan
+    assert (first.is_new_scan, second.is_new_scan) == (True, False)
+
+
 def test_lost_rays_keep_their_obstacle_while_the_robot_turns(senses: Sensors) -> None:
     platform, ranges = load_platform("waffle_pi"), np.full(360, 2.0)
     ranges[95:106] = 1.0
