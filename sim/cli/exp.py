@@ -209,7 +209,7 @@ def show(folder: Path, metrics: str | None, is_json: bool) -> None:
 
 @exp.command()
 @_folder
-@_out("Folder of the pictures [DIR/plots].")
+@_out("Folder of the pictures [DIR/plots; with --seeds DIR/plots/seeds-SEEDS].")
 @click.option("--metrics", metavar="A,B,..", help="Draw these metrics over time.")
 @click.option(
     "--seeds", metavar="SEEDS", help="Draw only the runs of these seeds: 7, 500-519, or 3,5,9."
@@ -220,6 +220,8 @@ def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None)
     from swarmd.sim.experiments.arguments import parse_seeds
     from swarmd.sim.plots.figures import draw_experiment
 
+    if seeds and out is None:  # the pictures of all runs stay
+        out = folder / "plots" / f"seeds-{seeds}"
     one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
     chosen = None if one_or_more is None else parse_seeds(one_or_more)
     for path in draw_experiment(folder, out, metrics=chosen_metrics(metrics), seeds=chosen):

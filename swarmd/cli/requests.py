@@ -86,7 +86,12 @@ def estop(options: CommonOptions, targets: Targets, reason: str) -> None:
 @click.command()
 @takes_targets(is_required=True)
 @click.option("--reason", default="", help="Why it is safe again; shown by `describe`.")
-@click.option("-y", "--yes", is_flag=True, help="Do not ask for confirmation.")
+@click.option(
+    "-y",
+    "--yes",
+    is_flag=True,
+    help="Do not ask for confirmation, which happens only on a terminal.",
+)
 @common_options
 def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> None:
     """Clear emergency stops and faults of TARGETS, which become idle; moves nothing.

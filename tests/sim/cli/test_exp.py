@@ -281,6 +281,7 @@ def test_plot_draws_the_runs_asked_for(tmp_path: Path, duo: Path, swarmctl: Swar
     assert done.returncode == 0, done.stderr
     made = [tmp_path / line for line in done.stdout.splitlines()]
     assert made
+    assert all(path.parent == tmp_path / "x" / "plots" / "seeds-5" for path in made)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in made)
     other = swarmctl("exp", "plot", "x", "--seeds", "6", "--out", "y")
     assert (other.returncode, other.stderr.count("\n")) == (2, 1)
