@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 from collections.abc import Mapping
+from functools import partial
 
 import zenoh
 from msgspec import Struct
@@ -59,7 +60,7 @@ class SimulatedDriver:
         """Feed the sink until cancelled; the session reconnects by itself."""
         loop = asyncio.get_running_loop()
         sink.state(False, f"no simulated robot yet at {self._endpoint}")
-        session = await open_in_thread(self._open)
+        session = await open_in_thread(partial(_session, self._endpoint, self._robot))
         inbox = LatestSamples(
             loop,
             lambda name, payload: self._take(sink, name, payload),
@@ -121,9 +122,6 @@ class SimulatedDriver:
             Finding("odometry", has_odometry, "arrives" if has_odometry else missing),
             Finding("cmd_vel", is_taken, taken),
         )
-
-    def _open(self) -> zenoh.Session:
-        return _session(self._endpoint, self._robot)
 
     def _key(self, name: str) -> str:
         return keys.build(self._swarm, self._robot, "hw", name)

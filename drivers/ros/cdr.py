@@ -53,7 +53,8 @@ def warm(*kinds: type) -> None:
 
 def name_of(kind: type) -> str:
     """Such as `sensor_msgs/msg/LaserScan`."""
-    return str(vars(kind)["__msgtype__"])
+    name: str = kind.__msgtype__  # type: ignore[attr-defined]  # a field of rosbags' dataclasses
+    return name
 
 
 def type_hash(kind: type) -> str:

@@ -17,7 +17,7 @@ from swarmd.drivers.ros.options import RosOptions, read_options
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.drivers.ros2.emulator import EmulatedRobots, EmulatorSpec
 from swarmd.drivers.ros2.key_scheme import Ros2Middleware, TopicEnd
-from swarmd.drivers.ros2.zero_sender import RosZeroSender, zero_sender_of
+from swarmd.drivers.ros2.zero_sender import RosZeroSender
 
 NAME = "ros2dds"
 
@@ -33,7 +33,7 @@ def make_driver(
 
 def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender:
     """The zero sender of the watchdog's process."""
-    return zero_sender_of(Ros2Dds(), read_options(RosOptions, given, NAME, robot))
+    return RosZeroSender(Ros2Dds(), read_options(RosOptions, given, NAME, robot))
 
 
 def make_robots(

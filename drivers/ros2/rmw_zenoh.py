@@ -24,7 +24,7 @@ from swarmd.drivers.ros.options import RmwOptions, RosOptions, read_options
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.drivers.ros2.emulator import EmulatedRobots, EmulatorSpec
 from swarmd.drivers.ros2.key_scheme import Ros2Middleware, TopicEnd
-from swarmd.drivers.ros2.zero_sender import RosZeroSender, zero_sender_of
+from swarmd.drivers.ros2.zero_sender import RosZeroSender
 
 NAME = "rmw_zenoh"
 NO_HASH = "TypeHashNotSupported"
@@ -46,7 +46,7 @@ def make_driver(
 def make_zero_sender(*, robot: str, given: Mapping[str, Value]) -> RosZeroSender:
     """The zero sender of the watchdog's process."""
     read = read_options(RmwOptions, given, NAME, robot)
-    return zero_sender_of(_scheme(read), read)
+    return RosZeroSender(_scheme(read), read)
 
 
 def make_robots(

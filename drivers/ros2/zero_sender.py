@@ -25,10 +25,13 @@ class RosZeroSender:
     A thread connects, however long that takes: the hub may start after the daemon, or be far away.
     """
 
-    def __init__(self, scheme: KeyScheme, endpoint: str, keys: tuple[str, ...], payload: bytes):
-        """Not connected yet; `payload` is a zero of the robot's command type."""
-        self._scheme, self._endpoint = scheme, endpoint
-        self._keys, self._payload = keys, payload
+    def __init__(self, scheme: KeyScheme, options: RosOptions) -> None:
+        """Not connected yet."""
+        self._scheme, self._endpoint = scheme, options.endpoint
+        self._keys = scheme.command_keys(options.topic(options.cmd_vel), options.command_type)
+        # A base that reads this as a Twist takes the frame's name for a speed: an empty name is 0,
+        # `base_link` would be 1e180 m/s to the side. The type that it wants is not known here.
+        self._payload = encode(command_message(ZERO, options.command_type, ""))
         self._session: zenoh.Session | None = None
         self._publishers: tuple[zenoh.Publisher, ...] = ()
         self._closing = threading.Event()
@@ -66,12 +69,3 @@ class RosZeroSender:
                 continue
             self._session = session
             self._publishers = tuple(command_publisher(session, key) for key in self._keys)
-
-
-def zero_sender_of(scheme: KeyScheme, options: RosOptions) -> RosZeroSender:
-    """The sender for a robot with these options."""
-    # A base that reads this as a Twist takes the frame's name for a speed: an empty name is 0,
-    # `base_link` would be 1e180 m/s to the side. The type that it wants is not known here.
-    message = command_message(ZERO, options.command_type, "")
-    keys = scheme.command_keys(options.topic(options.cmd_vel), options.command_type)
-    return RosZeroSender(scheme, options.endpoint, keys, encode(message))

@@ -16,6 +16,7 @@ import itertools
 import os
 import threading
 import time
+import types
 import uuid
 from collections.abc import AsyncIterator, Awaitable, Callable, Mapping, Sequence
 from contextlib import AbstractAsyncContextManager, asynccontextmanager
@@ -182,13 +183,33 @@ class DriverHarness:
 
 
 @asynccontextmanager
-async def running_driver(rig: Rig) -> AsyncIterator[DriverHarness]:
+async def running_driver(
+    rig: Rig, options: Mapping[str, Value] = types.MappingProxyType({})
+) -> AsyncIterator[DriverHarness]:
     """A driver that runs with the rig's base; both end with the context."""
     try:
-        async with _running(rig, rig.make({}), CollectingSink()) as harness:
+        async with _running(rig, rig.make(options), CollectingSink()) as harness:
             yield harness
     finally:
         rig.close()
+
+
+def play(
+    rig: Rig,
+    story: Callable[[DriverHarness], Awaitable[None]],
+    *,
+    connected: bool = True,
+    **options: Value,
+) -> None:
+    """Run a story with a driver that has found its base, or not yet."""
+
+    async def run() -> None:
+        async with running_driver(rig, options) as harness:
+            if connected:
+                await harness.connect()
+            await story(harness)
+
+    asyncio.run(run())
 
 
 @asynccontextmanager
@@ -220,15 +241,8 @@ class DriverContract:
     def play(
         self, story: Callable[[DriverHarness], Awaitable[None]], *, connected: bool = True
     ) -> None:
-        """Run a story with a driver that has found its base, or not yet."""
-
-        async def run() -> None:
-            async with running_driver(self.rig()) as harness:
-                if connected:
-                    await harness.connect()
-                await story(harness)
-
-        asyncio.run(run())
+        """Run a story with a driver of a fresh base."""
+        play(self.rig(), story, connected=connected)
 
     def test_reports_the_base_up_before_it_passes_data(self) -> None:
         """The core drops data of a base that is not up."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
-import threading
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 import numpy as np
@@ -22,12 +20,10 @@ from swarmd.driver_api.hw_codec import (
 from swarmd.drivers.simulated import SENSOR_TIMEOUT, SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
+from swarmd.testing import driver_contract
 from swarmd.testing.driver_contract import (
-    TIMEOUT,
-    CollectingSink,
     DriverContract,
     DriverHarness,
-    running_driver,
 )
 
 PLATFORM = load_platform("burger")
@@ -112,14 +108,8 @@ def make(**options: Value) -> SimulatedDriver:
 def play(
     story: Callable[[DriverHarness, Body], Awaitable[None]], *, connected: bool = True
 ) -> None:
-    async def run() -> None:
-        body = Body()
-        async with running_driver(body) as harness:
-            if connected:
-                await harness.connect()
-            await story(harness, body)
-
-    asyncio.run(run())
+    body = Body()
+    driver_contract.play(body, lambda harness: story(harness, body), connected=connected)
 
 
 def test_all_senses_arrive_as_they_were_sent() -> None:
@@ -159,35 +149,6 @@ def test_a_command_carries_the_scans_it_rests_on() -> None:
         assert (command.scan_seq, command.requested_scan_seq) == (5, 4)
 
     play(story)
-
-
-def test_a_run_cancelled_while_it_opens_leaves_no_session_behind() -> None:
-    go_on = threading.Event()
-    sessions: list[zenoh.Session] = []
-
-    class Slow(SimulatedDriver):
-        def _open(self) -> zenoh.Session:
-            go_on.wait(TIMEOUT)
-            sessions.append(super()._open())
-            return sessions[-1]
-
-    async def run() -> None:
-        link = WorldLink("s", ("r",), "tcp/127.0.0.1:0")
-        driver = Slow(swarm="s", robot="r", platform=PLATFORM, options={"endpoint": link.endpoint})
-        heard = CollectingSink()
-        task = asyncio.create_task(driver.run(heard))
-        while not heard.states:
-            await asyncio.sleep(0)
-        task.cancel()
-        await asyncio.gather(task, return_exceptions=True)
-        go_on.set()
-        async with asyncio.timeout(TIMEOUT):
-            while not sessions or not sessions[0].is_closed():
-                await asyncio.sleep(0.005)
-        link.close()
-
-    asyncio.run(run())
-    assert [session.is_closed() for session in sessions] == [True]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import asyncio
 import math
 from collections.abc import Awaitable, Callable
 
@@ -10,7 +9,8 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Twist, Value
-from swarmd.testing.driver_contract import DriverContract, DriverHarness, running_driver
+from swarmd.testing import driver_contract
+from swarmd.testing.driver_contract import DriverContract, DriverHarness
 from tests.drivers.ros1.rig import RosRobot
 from tests.support.roscore import RosCore
 
@@ -26,26 +26,8 @@ class TestContract(DriverContract):
         return RosRobot(self.core)
 
 
-class Wanting(RosRobot):
-    """A robot whose driver is made with further options."""
-
-    def __init__(self, core: RosCore, more: dict[str, Value], *words: str) -> None:
-        super().__init__(core, *words)
-        self._more = more
-
-    @property
-    def options(self) -> dict[str, Value]:
-        return {**super().options, **self._more}
-
-
-def play(rig: RosRobot, story: RobotHarness, *, connected: bool = True) -> None:
-    async def run() -> None:
-        async with running_driver(rig) as harness:
-            if connected:
-                await harness.connect()
-            await story(harness, rig)
-
-    asyncio.run(run())
+def play(rig: RosRobot, story: RobotHarness, *, connected: bool = True, **options: Value) -> None:
+    driver_contract.play(rig, lambda harness: story(harness, rig), connected=connected, **options)
 
 
 async def says(harness: DriverHarness, *words: str, speaking: bool = True) -> str:
@@ -85,9 +67,14 @@ def test_all_senses_arrive_as_they_were_sent(roscore: RosCore, hangs: bool) -> N
         assert heard.values[-1] == pytest.approx(wanted)
         assert heard.lost.count("ros1/scan") == 0
 
-    more: dict[str, Value] = {"imu": "imu", "battery": "battery", "scan_yaw_deg": 90.0}
-    more["scan_upside_down"] = hangs
-    play(Wanting(roscore, more), story)
+    play(
+        RosRobot(roscore),
+        story,
+        imu="imu",
+        battery="battery",
+        scan_yaw_deg=90.0,
+        scan_upside_down=hangs,
+    )
 
 
 def test_commands_are_stamped_where_the_base_wants_it(roscore: RosCore) -> None:
@@ -105,8 +92,7 @@ def test_commands_are_stamped_where_the_base_wants_it(roscore: RosCore) -> None:
         assert taken[0] == Twist(0.1, 0.2, 0.3)
         assert taken[1].is_zero, "the adapter's own, after a silence"
 
-    more: dict[str, Value] = {"cmd_vel_type": "twist_stamped"}
-    play(Wanting(roscore, more, "--command-type", "TwistStamped"), story)
+    play(RosRobot(roscore, "--command-type", "TwistStamped"), story, cmd_vel_type="twist_stamped")
 
 
 def test_a_base_that_wants_another_type_of_command_is_named(roscore: RosCore) -> None:

@@ -24,20 +24,19 @@ from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros1.adapter_process import COMMAND_TIMEOUT
 from swarmd.drivers.ros1.driver import Ros1Driver
 from swarmd.drivers.ros1.serialization import definition, type_name
-from swarmd.testing.driver_contract import CollectingSink, DriverHarness, is_running, running_driver
+from swarmd.testing import driver_contract
+from swarmd.testing.driver_contract import CollectingSink, DriverHarness, is_running
 from tests.drivers.ros1.rig import RosRobot
 from tests.support.processes import CAP
 from tests.support.roscore import RosCore
 
 
 def play(rig: RosRobot, story: Callable[[DriverHarness, RosRobot], Awaitable[None]]) -> None:
-    async def run() -> None:
-        async with running_driver(rig) as harness:
-            rig.do("rate", hz=10)
-            await harness.until(lambda: harness.sink.is_up)
-            await story(harness, rig)
+    async def run(harness: DriverHarness) -> None:
+        rig.do("rate", hz=10)
+        await story(harness, rig)
 
-    asyncio.run(run())
+    driver_contract.play(rig, run)
 
 
 async def drive(harness: DriverHarness, body: RosRobot) -> None:
@@ -272,8 +271,8 @@ def test_a_node_that_connects_and_sends_nothing_blocks_no_base(roscore: RosCore)
     play(RosRobot(roscore), story)
 
 
-class Liar(threading.Thread):
-    """Who publishes one message without an end on a topic, until he is hung up on."""
+class EndlessPublisher(threading.Thread):
+    """Publishes one message without an end on a topic, until its subscriber disconnects."""
 
     def __init__(self, core: RosCore, topic: str) -> None:
         super().__init__(daemon=True)
@@ -287,7 +286,7 @@ class Liar(threading.Thread):
         self.start()
         uri = f"http://127.0.0.1:{self._api.server_address[1]}"
         with xmlrpc.client.ServerProxy(core.uri) as master:
-            master.registerPublisher("/liar", topic, type_name(LaserScan), uri)
+            master.registerPublisher("/endless", topic, type_name(LaserScan), uri)
 
     def run(self) -> None:
         with self._server, self._server.accept()[0] as reader:
@@ -344,8 +343,8 @@ def test_a_master_that_hangs_stops_the_robot_until_it_answers(
 def test_a_message_without_an_end_fills_no_memory(roscore: RosCore) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
         await drive(harness, body)
-        with closing(Liar(roscore, f"{body.namespace}/scan")) as liar:
-            await harness.until(lambda: not liar.is_alive())
+        with closing(EndlessPublisher(roscore, f"{body.namespace}/scan")) as publisher:
+            await harness.until(lambda: not publisher.is_alive())
         status = Path(f"/proc/{adapter(harness.driver)}/status").read_text()
         peak = int(status.partition("VmHWM:")[2].split()[0])  # kB
         assert peak < 1 << 20

@@ -91,8 +91,8 @@ class DdsRobot(BridgedRobot):
 
     def options(self, given: Mapping[str, Value]) -> Mapping[str, Value]:
         whole = f"{self.at}{self.namespace}"
-        told: dict[str, Value] = {"namespace": whole} if whole else {}
-        return super().options({**told, **given})
+        names: dict[str, Value] = {"namespace": whole} if whole else {}
+        return super().options({**names, **given})
 
     def close(self) -> None:
         self.bridge.kill()

@@ -3,38 +3,15 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 
 from swarmd.core.values import Twist, Value
 from swarmd.driver_api.driver import Finding
 from swarmd.drivers.ros.messages import dds_name
-from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness
+from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
 from tests.drivers.ros2.robots import BridgedRobot, Robot
 
 PACE = 0.01
-
-
-def play(
-    robot: Robot,
-    story: Callable[[DriverHarness], Awaitable[None]],
-    *,
-    connected: bool = True,
-    **options: Value,
-) -> None:
-    """Run a story with a driver that has found its robot (or not yet)."""
-
-    async def run() -> None:
-        driver, heard = robot.make(options), CollectingSink()
-        harness = DriverHarness(robot, driver, heard, asyncio.create_task(driver.run(heard)))
-        try:
-            if connected:
-                await harness.connect()
-            await story(harness)
-        finally:
-            await harness.end()
-            robot.close()
-
-    asyncio.run(run())
 
 
 async def drive(harness: DriverHarness) -> None:
@@ -77,7 +54,7 @@ def check(
         robot.close()
 
 
-def told(harness: DriverHarness, words: str, *, is_up: bool | None = None) -> bool:
+def reported(harness: DriverHarness, words: str, *, is_up: bool | None = None) -> bool:
     """Whether the driver has said that of its base."""
     return any(words in text and is_up in (None, up) for up, text in harness.sink.states)
 

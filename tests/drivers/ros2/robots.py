@@ -74,8 +74,8 @@ class Robot:
     def publish_scan(self, given: Scan) -> None:
         n = len(given.ranges)
         first, step = float(given.bearings[0]), 2.0 * math.pi / n
-        told = {"angle_min": first, "angle_increment": step, "angle_max": first + (n - 1) * step}
-        self.put("scan", scan(given.stamp + 1000.0, given.ranges.tolist(), **told))
+        fields = {"angle_min": first, "angle_increment": step, "angle_max": first + (n - 1) * step}
+        self.put("scan", scan(given.stamp + 1000.0, given.ranges.tolist(), **fields))
 
     def publish_odometry(self) -> None:
         self.put("odom", odometry(self._stamp()))
@@ -175,9 +175,9 @@ class ZenohRobot(Robot):
 def scan(stamp: float, ranges: Sequence[float] | None = None, **angles: float) -> dds.LaserScan:
     values = [2.0] * RAYS if ranges is None else list(ranges)
     step = 2.0 * math.pi / max(len(values), 1)
-    told = {"angle_min": 0.0, "angle_max": 2.0 * math.pi, "angle_increment": step, **angles}
+    fields = {"angle_min": 0.0, "angle_max": 2.0 * math.pi, "angle_increment": step, **angles}
     return dds.LaserScan(
-        header=dds.stamped(stamp, "base_scan"), range_max=100.0, ranges=values, **told
+        header=dds.stamped(stamp, "base_scan"), range_max=100.0, ranges=values, **fields
     )
 
 

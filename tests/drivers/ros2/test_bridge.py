@@ -19,9 +19,9 @@ from swarmd.core.values import Twist
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.key_scheme import TopicEnd
-from swarmd.testing.driver_contract import TIMEOUT, DriverContract, DriverHarness
+from swarmd.testing.driver_contract import TIMEOUT, DriverContract, DriverHarness, play
 from tests.drivers.ros2.dds_rig import DdsRobot
-from tests.drivers.ros2.harness import check, play, told
+from tests.drivers.ros2.harness import check, reported
 from tests.drivers.ros2.robots import open_session
 from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
@@ -40,7 +40,7 @@ class TestContract(DriverContract):
 
 
 async def moves(harness: DriverHarness) -> None:
-    """Until the base is told to move."""
+    """Wait until the base gets a command to move."""
     taken: list[Twist] = []
 
     def is_moving() -> bool:
@@ -54,7 +54,7 @@ async def moves(harness: DriverHarness) -> None:
 
 async def tells(harness: DriverHarness, words: str) -> None:
     """Until the driver says that of a base that is lost."""
-    await harness.until(lambda: told(harness, words, is_up=False), publishing=True)
+    await harness.until(lambda: reported(harness, words, is_up=False), publishing=True)
 
 
 @pytest.mark.parametrize(
@@ -83,19 +83,6 @@ def test_a_robot_that_leaves_and_returns_gets_zero_first() -> None:
     play(robot, story)
 
 
-def test_the_first_command_after_a_restart_of_the_bridge_is_zero() -> None:
-    robot = DdsRobot()
-
-    async def story(harness: DriverHarness) -> None:
-        for _ in range(3):
-            await moves(harness)
-            robot.disconnect()
-            robot.commands()
-            robot.reconnect()
-
-    play(robot, story)
-
-
 def test_a_frozen_bridge_is_reported_and_no_late_command_moves_the_robot() -> None:
     robot = DdsRobot()
 
@@ -120,26 +107,26 @@ def test_a_frozen_bridge_is_reported_and_no_late_command_moves_the_robot() -> No
 def test_a_base_that_crashed_and_is_back_is_stopped_before_it_is_forgotten() -> None:
     robot = DdsRobot()
     robot.stop()
-    told_to: list[str] = []
+    speeds: list[str] = []
 
     async def story(harness: DriverHarness) -> None:
-        def is_told(speed: str) -> bool:
+        def has_speed(speed: str) -> bool:
             harness.driver.send(Twist(0.1), 1, 1)
-            return told_to[-1:] == [speed]
+            return speeds[-1:] == [speed]
 
-        with base_process(robot.domain, told_to):
-            await harness.until(lambda: is_told("0.1"))
-        told_to.clear()
-        with base_process(robot.domain, told_to):
-            await harness.until(lambda: is_told("0.1") or not harness.sink.is_up)
-            await harness.until(lambda: told(harness, "/base crashed and is back", is_up=False))
-            await harness.until(lambda: told_to[-1:] == ["0.0"])
+        with base_process(robot.domain, speeds):
+            await harness.until(lambda: has_speed("0.1"))
+        speeds.clear()
+        with base_process(robot.domain, speeds):
+            await harness.until(lambda: has_speed("0.1") or not harness.sink.is_up)
+            await harness.until(lambda: reported(harness, "/base crashed and is back", is_up=False))
+            await harness.until(lambda: speeds[-1:] == ["0.0"])
 
     play(robot, story, connected=False)
 
 
 @contextmanager
-def base_process(domain: int, told_to: list[str]) -> Iterator[None]:
+def base_process(domain: int, speeds: list[str]) -> Iterator[None]:
     """A base in a process of its own, which is killed in the end."""
     command = [sys.executable, str(Path(__file__).with_name("dds_base.py")), str(domain)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as base:
@@ -148,7 +135,7 @@ def base_process(domain: int, told_to: list[str]) -> Iterator[None]:
 
         def read() -> None:
             for line in lines:
-                told_to.append(line.strip())
+                speeds.append(line.strip())
 
         reading = threading.Thread(target=read)
         reading.start()
@@ -220,7 +207,7 @@ def test_another_nodes_command_is_reported() -> None:
             return not harness.sink.is_up
 
         await harness.until(is_lost, publishing=True)
-        assert told(harness, "another node drives this robot", is_up=False)
+        assert reported(harness, "another node drives this robot", is_up=False)
         await harness.until(lambda: harness.sink.is_up, publishing=True)
 
     play(robot, story)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Twist
-from swarmd.testing.driver_contract import DriverContract, DriverHarness
+from swarmd.testing.driver_contract import DriverContract, DriverHarness, play
 from tests.drivers.ros2 import robots
-from tests.drivers.ros2.harness import announce, check, drive, play, told
+from tests.drivers.ros2.harness import announce, check, drive, reported
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.support import ros2_types as dds
 
@@ -95,14 +95,14 @@ def test_a_missing_topic_is_reported_while_the_driver_runs() -> None:
     announce(robot, "MP", "bot1/scan", "sensor_msgs/msg/LaserScan")
 
     async def story(harness: DriverHarness) -> None:
-        await harness.until(lambda: told(harness, "no /scan, but /bot1/scan", is_up=False))
+        await harness.until(lambda: reported(harness, "no /scan, but /bot1/scan", is_up=False))
         robot.publish_odometry()
         await harness.until(lambda: harness.sink.is_up)
 
-        def is_told() -> bool:
+        def is_reported() -> bool:
             robot.publish_odometry()
-            return told(harness, "no /scan, but /bot1/scan", is_up=True)
+            return reported(harness, "no /scan, but /bot1/scan", is_up=True)
 
-        await harness.until(is_told)
+        await harness.until(is_reported)
 
     play(robot, story, connected=False)

@@ -1,4 +1,4 @@
-"""A base that crashed and is back, told by the bridge before that forgets it."""
+"""A base that crashed and restarted, listed by the bridge before it removes the routes."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import zenoh
 
 from swarmd.core.values import Twist
 from swarmd.drivers.ros2.duplicate_nodes import duplicate_of
-from swarmd.testing.driver_contract import DriverHarness
-from tests.drivers.ros2.harness import play, told
+from swarmd.testing.driver_contract import DriverHarness, play
+from tests.drivers.ros2.harness import reported
 from tests.drivers.ros2.robots import BridgedRobot
 
 BASE = json.dumps(
@@ -57,17 +57,17 @@ def test_a_base_that_crashed_and_is_back_is_stopped_while_it_can_be() -> None:
     async def story(harness: DriverHarness) -> None:
         taken: list[Twist] = []
 
-        def is_told_to_stand(*, wanted: bool) -> bool:
+        def is_stopped(*, wanted: bool) -> bool:
             taken.extend(robot.commands())
             return bool(taken) and taken[-1].is_zero == wanted
 
         for _ in range(2):
             harness.driver.send(Twist(0.1), 1, 1)
-        await harness.until(lambda: is_told_to_stand(wanted=False))
+        await harness.until(lambda: is_stopped(wanted=False))
         known[f"{where}/02/base"] = BASE
         await harness.until(lambda: not harness.sink.is_up, publishing=True)
-        assert told(harness, "/base crashed and is back", is_up=False)
-        await harness.until(lambda: is_told_to_stand(wanted=True))
+        assert reported(harness, "/base crashed and is back", is_up=False)
+        await harness.until(lambda: is_stopped(wanted=True))
         del known[f"{where}/01/base"]
         await harness.until(lambda: harness.sink.is_up, publishing=True)
 

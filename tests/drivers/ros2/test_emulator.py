@@ -59,11 +59,11 @@ class Stage:
 
     def __init__(self, scheme: str, platform: Platform) -> None:
         self.scheme, self.platform = scheme, platform
-        self.told: list[tuple[str, Twist]] = []
+        self.commands: list[tuple[str, Twist]] = []
         self.side: Emulator = load_emulator(scheme)(
             robots=dict.fromkeys(("r-1", "r-2"), platform),
             endpoint=ANY_PORT,
-            on_command=lambda robot, twist: self.told.append((robot, twist)),
+            on_command=lambda robot, twist: self.commands.append((robot, twist)),
         )
 
     def driver(self, robot: str) -> Driver:
@@ -162,7 +162,9 @@ def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: St
         seq = 0
         try:
             async with asyncio.timeout(60.0):
-                while len([t for _, t in stage.told if not t.is_zero]) < 3 or len(heard.scans) < 3:
+                while (
+                    len([t for _, t in stage.commands if not t.is_zero]) < 3 or len(heard.scans) < 3
+                ):
                     seq += 1
                     stage.side.scan("r-2", varied_scan(stage.platform, seq))
                     stage.side.odometry("r-2", odometry(seq))
@@ -177,9 +179,9 @@ def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: St
         assert np.abs(apart).max() < 1e-5
 
     asyncio.run(story())
-    assert {robot for robot, _ in stage.told} == {"r-2"}
-    assert stage.told[0][1].is_zero
-    assert (Twist(0.1, 0.3)) in [twist for _, twist in stage.told]
+    assert {robot for robot, _ in stage.commands} == {"r-2"}
+    assert stage.commands[0][1].is_zero
+    assert (Twist(0.1, 0.3)) in [twist for _, twist in stage.commands]
 
 
 def test_what_no_base_could_follow_is_counted_and_left() -> None:
@@ -202,7 +204,7 @@ def test_what_no_base_could_follow_is_counted_and_left() -> None:
     finally:
         session.close()
         stage.side.close()
-    assert stage.told == []
+    assert stage.commands == []
 
 
 def given(platform: Platform, **options: Any) -> Platform:

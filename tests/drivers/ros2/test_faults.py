@@ -13,9 +13,9 @@ import zenoh
 from swarmd.core.values import Twist
 from swarmd.drivers.ros2 import driver as ros_driver
 from swarmd.drivers.ros2.session import open_session
-from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness
+from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness, play
 from tests.drivers.ros2 import robots
-from tests.drivers.ros2.harness import announce, check, play, told
+from tests.drivers.ros2.harness import announce, check, reported
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 
 LASER, TWIST = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
@@ -39,11 +39,11 @@ class Deaf(BridgedRobot):
 async def stays_lost(harness: DriverHarness, words: str) -> None:
     """It says so, and whatever is commanded meanwhile does not reach the base."""
 
-    def is_told() -> bool:
+    def is_reported() -> bool:
         harness.driver.send(Twist(0.1), 1, 1)
-        return told(harness, words, is_up=False)
+        return reported(harness, words, is_up=False)
 
-    await harness.until(is_told, publishing=True)
+    await harness.until(is_reported, publishing=True)
     await asyncio.sleep(0.1)
     harness.rig.commands()
     for _ in range(10):
@@ -95,11 +95,11 @@ def test_the_last_zero_is_zero_also_to_a_base_that_takes_it_for_a_twist() -> Non
         await harness.end()
         said: list[bytes] = []
 
-        def is_told() -> bool:
+        def is_reported() -> bool:
             said.extend(sample.payload.to_bytes() for sample in robot.samples())
             return len(said) >= 2
 
-        await harness.until(is_told)
+        await harness.until(is_reported)
         for payload in said[-2:]:
             taken = robots.twist(payload[:52], is_stamped=False)
             assert max(abs(taken.linear), abs(taken.angular), abs(taken.lateral)) < 1e-9
@@ -137,7 +137,7 @@ def test_the_first_command_after_an_instant_restart_of_the_hub_is_zero(
         robot.disconnect()
         robot.reconnect()
         await harness.until(
-            lambda: told(harness, "was started again", is_up=False), publishing=True
+            lambda: reported(harness, "was started again", is_up=False), publishing=True
         )
         await harness.until(lambda: harness.sink.is_up, publishing=True)
         robot.commands()
@@ -156,7 +156,9 @@ def test_one_cause_is_one_line_in_the_log(
     announce(robot, "MP", "bot1/odom", "nav_msgs/msg/Odometry")
 
     async def story(harness: DriverHarness) -> None:
-        await harness.until(lambda: told(harness, "no /scan, but /bot1/scan of that type; correct"))
+        await harness.until(
+            lambda: reported(harness, "no /scan, but /bot1/scan of that type; correct")
+        )
         await asyncio.sleep(1.0)  # it is examined again
 
     play(robot, story, connected=False)
@@ -182,12 +184,12 @@ def test_scans_that_cannot_be_relied_on_are_reported_while_the_driver_runs(
     robot = BridgedRobot()
 
     async def story(harness: DriverHarness) -> None:
-        def is_told() -> bool:
+        def is_reported() -> bool:
             robot.publish_odometry()
             robot.put("scan", scan(robot))
-            return told(harness, words, is_up=True)
+            return reported(harness, words, is_up=True)
 
-        await harness.until(is_told)
+        await harness.until(is_reported)
 
     play(robot, story)
 

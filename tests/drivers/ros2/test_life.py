@@ -84,7 +84,7 @@ class Session:
 
 
 class Scene:
-    """A driver that runs, the session that it has opened, and what it has told."""
+    """A driver that runs, the session that it has opened, and its sink."""
 
     def __init__(self, driver: RosDriver, session: Session) -> None:
         self.driver, self.session, self.heard = driver, session, CollectingSink()
@@ -183,10 +183,10 @@ def test_a_hub_that_restarts_instantly_gets_zeros_for_2_s(
         scene.command()
         scene.session.hub = "another"  # which may know the base only in a while
         await scene.pass_time(1.9)
-        told = scene.session.taken()
+        taken = scene.session.taken()
         assert not scene.is_up
-        assert len(told) > 15
-        assert all(twist.is_zero for twist in told)
+        assert len(taken) > 15
+        assert all(twist.is_zero for twist in taken)
 
     play(monkeypatch, story)
 

@@ -11,9 +11,9 @@ import zenoh
 from swarmd.core.values import Twist
 from swarmd.drivers.ros.messages import dds_name
 from swarmd.drivers.ros2 import rmw_zenoh
-from swarmd.testing.driver_contract import DriverContract, DriverHarness
+from swarmd.testing.driver_contract import DriverContract, DriverHarness, play
 from tests.drivers.ros2 import robots
-from tests.drivers.ros2.harness import announce, check, play, told
+from tests.drivers.ros2.harness import announce, check, reported
 from tests.drivers.ros2.robots import ZenohRobot
 
 LASER = "sensor_msgs/msg/LaserScan"
@@ -151,11 +151,11 @@ def test_another_type_or_hash_is_dropped_and_reported(key: str, wanted: str) -> 
     robot = ZenohRobot()
 
     async def story(harness: DriverHarness) -> None:
-        def is_told() -> bool:
+        def is_reported() -> bool:
             robot.put_on(key, robots.scan(1.0).serialize())
-            return told(harness, wanted)
+            return reported(harness, wanted)
 
-        await harness.until(is_told)
+        await harness.until(is_reported)
         assert not harness.sink.is_up
         assert not harness.sink.scans
         assert set(harness.sink.lost) <= {"scan:type", "scan:type:overtaken"}

@@ -11,9 +11,9 @@ import zenoh
 
 from swarmd.core.values import Twist
 from swarmd.drivers.ros2.session import open_session
-from swarmd.testing.driver_contract import DriverHarness
+from swarmd.testing.driver_contract import DriverHarness, play
 from tests.drivers.ros2 import robots
-from tests.drivers.ros2.harness import drive, play, told
+from tests.drivers.ros2.harness import drive, reported
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 
 
@@ -56,11 +56,11 @@ def test_zeros_of_another_node_that_do_not_end_are_reported() -> None:
     async def story(harness: DriverHarness) -> None:
         began = asyncio.get_running_loop().time()
 
-        def is_told() -> bool:
+        def is_reported() -> bool:
             robot.put("cmd_vel", robots.command(0.0))
-            return told(harness, "another node stops this robot", is_up=True)
+            return reported(harness, "another node stops this robot", is_up=True)
 
-        await harness.until(is_told, publishing=True)
+        await harness.until(is_reported, publishing=True)
         assert asyncio.get_running_loop().time() - began > 2.5, "a watchdog of ours ends before"
 
     play(robot, story)
