@@ -1,4 +1,4 @@
-"""One 360-ray scan by the number of robots, beside MuJoCo's ray caster: `benchmarks.lidar`.
+"""One 360-ray scan by the number of robots: `benchmarks.lidar`.
 
 One Waffle Pi a square metre. Lockstep casts several at once (1000 robots at 5 Hz: 50 a
 step), the live server one.
@@ -9,12 +9,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 
-import mujoco
 import numpy as np
 
 from benchmarks.table import Row, print_table
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.layouts import parse_layout
 from swarmd.sim.world.realism import IDEAL, Realism
@@ -45,24 +43,6 @@ def samples(work: Callable[[], object], per: int) -> list[float]:
     return taken
 
 
-def mujoco_sweep(world: World) -> Callable[[], None]:
-    rays = len(world.platforms[0].scan.bearings)
-    headings = world.platforms[0].scan.bearings
-    vectors = np.stack((np.cos(headings), np.sin(headings), np.zeros(rays)), axis=-1).ravel()
-    groups = np.zeros(6, dtype=np.uint8)
-    groups[[bodies.COLLISION, bodies.FIXED]] = 1
-    place = [*world.poses()[0, :2], 0.25]
-    found, distance = np.zeros(rays, dtype=np.int32), np.zeros(rays)
-
-    def cast_scan() -> None:
-        mujoco.mj_multiRay(
-            world.model, world.data, place, vectors, groups, True, 1,
-            found, distance, None, rays, 3.5,
-        )  # fmt: skip
-
-    return cast_scan
-
-
 def rows() -> Iterator[Row]:
     for n in SIZES:
         yield from rows_of(make_world(n))
@@ -74,7 +54,6 @@ def rows_of(world: World) -> Iterator[Row]:
     together = samples(lambda: world.scans(batch), len(batch))
     yield Row(f"scan, {n} robots, {len(batch)} at once", together)
     yield Row(f"scan, {n} robots, one", samples(lambda: world.scans(batch[:1]), 1))
-    yield Row(f"scan, {n} robots, mj_multiRay", samples(mujoco_sweep(world), 1))
 
 
 def main() -> None:

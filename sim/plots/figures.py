@@ -175,7 +175,7 @@ class _Gallery:
                 name = word.replace(" ", "_")
                 paths = self._path(f"{name}_trajectories", run.variant.name)
                 ends = self._path(f"{name}_start_and_end", run.variant.name)
-                save(trajectories_figure(trace, title, has_links=True), paths)
+                save(trajectories_figure(trace, title), paths)
                 save(start_and_end_figure(trace, title), ends)
                 return [paths, ends], run
         return [], None

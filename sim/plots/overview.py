@@ -43,7 +43,7 @@ def overview_figure(runs: Sequence[tuple[str, Load]], title: str = "", *, note: 
     grid = figure.subplots(rows, columns, squeeze=False)
     for axes, (name, load) in zip(grid.flat, shown, strict=False):
         axes.set_title(name, fontsize=8, pad=3.0)
-        _paint_small(axes, load(), extent, width)
+        _paint_small(axes, load(), extent)
     for axes in grid.flat[len(shown) :]:
         axes.remove()
     cut = "" if len(shown) == len(runs) else f"the first {len(shown)} of {len(runs)} runs"
@@ -72,7 +72,7 @@ def _common_extent(runs: Sequence[tuple[str, Load]]) -> Extent | None:
     )
 
 
-def _paint_small(axes: Axes, trace: Trace | None, extent: Extent | None, width: float) -> None:
+def _paint_small(axes: Axes, trace: Trace | None, extent: Extent | None) -> None:
     axes.set_xticks([])
     axes.set_yticks([])
     for spine in axes.spines.values():
@@ -83,4 +83,4 @@ def _paint_small(axes: Axes, trace: Trace | None, extent: Extent | None, width: 
         axes.text(0.5, 0.5, "no trace", transform=axes.transAxes, ha="center", va="center",
                   fontsize=9, color=GUIDE_COLOUR)  # fmt: skip
         return
-    paint_run(axes, trace, scale=72.0 * width / extent.width, is_small=True)
+    paint_run(axes, trace, is_small=True)

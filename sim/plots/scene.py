@@ -7,7 +7,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -28,10 +27,9 @@ WALL_COLOUR = "0.3"
 FIXED_COLOUR = "0.65"
 THING_COLOUR = "#C49C6B"
 LINK_COLOUR = "0.6"
-_NARROWEST = 0.55  # of the longer side
 _SMALL_PART = 0.5  # of the arena's longer side
-_MAX_POSITIONS = 400_000  # drawn of all paths together
-_SPECK, _SMALL = 1.5, 4.0  # points: a footprint's radius below which it is a dot, has no nose
+_MAX_STEPS = 100_000  # drawn of all paths together
+_MAX_LARGE = 100  # robots with thick outlines
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +78,6 @@ def extent_of(trace: Trace) -> Extent:
         is_small = float(np.max(high - low)) + 2.0 * around < _SMALL_PART * float(half.max()) * 2.0
         if is_small:
             low, high = np.maximum(low - around, -half), np.minimum(high + around, half)
-            low, high = _widened(low, high)
         else:
             low, high = np.minimum(low, -half), np.maximum(high, half)
     margin = 0.02 * float(np.max(high - low))
@@ -107,13 +104,6 @@ def _used(trace: Trace) -> tuple[Array, Array]:
         low = np.minimum(low, np.nanmin(boxes, axis=0) - reach)
         high = np.maximum(high, np.nanmax(boxes, axis=0) + reach)
     return low, high
-
-
-def _widened(low: Array, high: Array) -> tuple[Array, Array]:
-    """The same part, widened if it is too narrow for a title."""
-    size = high - low
-    lacking = np.maximum(_NARROWEST * float(size.max()) - size, 0.0) / 2.0
-    return low - lacking, high + lacking
 
 
 def prepare(axes: Axes, extent: Extent) -> None:
@@ -191,86 +181,58 @@ def paint_paths(axes: Axes, trace: Trace, *, linewidth: float = 1.0) -> None:
 def paint_paths_by_time(axes: Axes, trace: Trace, *, linewidth: float = 0.5) -> LineCollection:
     """Paint the paths of many robots, from pale to dark over time; for a colour bar.
 
-    Each path consists of pieces of one colour. With many robots, positions are thinned.
+    With many robots, positions are thinned.
     """
     from matplotlib import colormaps
     from matplotlib.collections import LineCollection
     from matplotlib.colors import ListedColormap
 
     t, n = trace.t, len(trace.ids)
-    kept = np.unique(
-        np.linspace(0, len(t) - 1, min(len(t), max(41, _MAX_POSITIONS // n))).astype(int)
-    )
-    bounds = np.unique(np.linspace(0, len(kept) - 1, 41).astype(int))
-    pieces: list[Array] = []
-    times: list[float] = []
-    for first, last in pairwise(bounds.tolist()):
-        span = kept[first : last + 1]
-        pieces.extend(trace.pose[span, :, :2].swapaxes(0, 1))
-        times.extend([float(t[span].mean())] * n)
+    kept = np.linspace(0, len(t) - 1, min(len(t), max(41, _MAX_STEPS // n))).astype(int)
+    place = trace.pose[kept, :, :2]
+    steps = np.stack((place[:-1], place[1:]), axis=2).reshape(-1, 2, 2)
     shades = ListedColormap(colormaps["viridis_r"](np.linspace(0.12, 1.0, 256)))
-    paths = LineCollection(pieces, cmap=shades, linewidth=linewidth, zorder=2.0)
-    paths.set_array(np.array(times))
+    paths = LineCollection(list(steps), cmap=shades, linewidth=linewidth, zorder=2.0)
+    paths.set_array(np.repeat(t[kept[1:]], n))
     paths.set_clim(float(t[0]), max(float(t[-1]), float(t[0]) + 1e-9))
     axes.add_collection(paths, autolim=False)
     return paths
 
 
 def paint_bodies(
-    axes: Axes, trace: Trace, instant: int, colours: Sequence[str], *, is_filled: bool, scale: float
+    axes: Axes, trace: Trace, instant: int, colours: Sequence[str], *, is_filled: bool
 ) -> None:
-    """Paint the footprints at an instant, with a line from the axle to the front.
+    """Paint the footprints at an instant, up to 100 with a line from the axle to the front.
 
-    An absent robot is dotted and pale. `scale` in points a metre: footprints that would be too
-    small become dots.
+    An absent robot is dotted and pale.
     """
-    is_there = presence(trace)[instant]
-    for is_present in (True, False):
-        rows = np.flatnonzero(is_there == is_present)
-        if len(rows):
-            paint = _Paint([colours[row] for row in rows.tolist()], is_filled, is_present)
-            _paint_rows(axes, trace, instant, rows, paint, scale)
-
-
-@dataclass(frozen=True, slots=True)
-class _Paint:
-    colours: list[str]
-    is_filled: bool
-    is_present: bool
-
-
-def _paint_rows(
-    axes: Axes, trace: Trace, instant: int, rows: NDArray[np.int64], paint: _Paint, scale: float
-) -> None:
     from matplotlib.collections import LineCollection, PolyCollection
 
-    poses, footprints = trace.pose[instant, rows], [trace.footprint(int(row)) for row in rows]
-    size = scale * max(radius(shape) for shape in footprints)
-    alpha = 1.0 if paint.is_present else 0.45
-    zorder = 4.0 if paint.is_filled else 3.0
-    face: Any = paint.colours if paint.is_filled else "none"
-    edge: Any = "0.1"
-    if not paint.is_filled or size < _SMALL:  # white ones would not be visible on white
-        edge = ["0.4" if colour == "white" else colour for colour in paint.colours]
-    width = 0.9 if size >= _SMALL else 0.4
-    if size < _SPECK:
-        dot = (2.0 * _SPECK) ** 2 * 0.6
-        axes.scatter(poses[:, 0], poses[:, 1], s=dot, facecolors=face, edgecolors=edge,
-                     alpha=alpha, linewidths=width, zorder=zorder)  # fmt: skip
-        return
-    outlines = [transform(shape, pose) for shape, pose in zip(footprints, poses, strict=True)]
-    axes.add_collection(
-        PolyCollection(outlines, facecolors=face, edgecolors=edge, linewidths=width, alpha=alpha,
-                       linestyles="-" if paint.is_present else ":", zorder=zorder),
-        autolim=False,
-    )  # fmt: skip
-    if size >= _SMALL:
-        noses = [_nose(shape, pose) for shape, pose in zip(footprints, poses, strict=True)]
-        inks = [_ink(colour) for colour in paint.colours] if paint.is_filled else edge
-        axes.add_collection(
-            LineCollection(noses, colors=inks, linewidths=width, alpha=alpha, zorder=zorder),
-            autolim=False,
+    is_there = presence(trace)[instant]
+    is_small = len(trace.ids) > _MAX_LARGE
+    for rows, linestyle, alpha in (
+        (np.flatnonzero(is_there), "-", 1.0),
+        (np.flatnonzero(~is_there), ":", 0.45),
+    ):
+        bodies = [(trace.footprint(row), trace.pose[instant, row]) for row in rows.tolist()]
+        own = [colours[row] for row in rows.tolist()]
+        style: dict[str, Any] = {
+            "linewidths": 0.3 if is_small else 0.9,
+            "alpha": alpha,
+            "zorder": 4.0 if is_filled else 3.0,
+        }
+        outlines = PolyCollection(
+            [transform(shape, pose) for shape, pose in bodies],
+            facecolors=own if is_filled else "none",
+            edgecolors="0.1" if is_filled else own,
+            linestyles=linestyle,
+            **style,
         )
+        axes.add_collection(outlines, autolim=False)
+        if not is_small:
+            noses = [_nose(shape, pose) for shape, pose in bodies]
+            inks = [_ink(colour) for colour in own] if is_filled else own
+            axes.add_collection(LineCollection(noses, colors=inks, **style), autolim=False)
 
 
 def _ink(colour: str) -> str:

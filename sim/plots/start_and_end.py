@@ -53,7 +53,7 @@ def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = 
     rows, columns = (2, 1) if width > 1.6 * height else (1, 2)
     size = columns * (width + 0.2) + 0.7, rows * (height + 0.4) + 1.1
     figure = new_figure(*size, is_map=True)
-    opinions, scale = opinions_of(trace), 72.0 * width / extent.width
+    opinions = opinions_of(trace)
     both = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes, part, word in zip(
         both.flat,
@@ -64,7 +64,7 @@ def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = 
         grouping = by_opinion(part, opinions) if opinions else by_cluster(part, reach)
         prepare(axes, extent)
         _paint_instant(axes, part, None if opinions else reach)
-        paint_bodies(axes, part, 0, grouping.colours, is_filled=True, scale=scale)
+        paint_bodies(axes, part, 0, grouping.colours, is_filled=True)
         axes.set_title(f"{word}: {grouping.label}", fontsize=10, pad=4.0)
     for axes in both[-1]:
         axes.set_xlabel("x [m]")

@@ -6,20 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from swarmd.core.values import Array
-from swarmd.sim.metrics import pairs
-from swarmd.sim.metrics.radio_graph import radio_range
-from swarmd.sim.metrics.window import last, presence
-from swarmd.sim.plots.contacts import BOTH, MARKERS, NONE, ONE, marks_of, paint_contacts
+from swarmd.sim.metrics.window import presence
+from swarmd.sim.plots.contacts import MARKS, marks_of, paint_contacts
 from swarmd.sim.plots.scene import (
-    LINK_COLOUR,
     THING_COLOUR,
     check_drawable,
     cut_note,
     extent_of,
     paint_arena,
     paint_bodies,
-    paint_links,
     paint_paths,
     paint_paths_by_time,
     paint_things,
@@ -40,31 +35,27 @@ MAX_NAMED = 20
 _COLUMNS = 4  # of a legend below
 
 
-def trajectories_figure(trace: Trace, title: str = "", *, has_links: bool = False) -> Figure:
+def trajectories_figure(trace: Trace, title: str = "") -> Figure:
     """A picture of a run seen from above.
 
     Up to 20 robots have a colour and a line in the legend each; the paths of more are coloured by
     time. Footprints are hollow at the start and filled at the end, with a line from the axle to
     the front. Walls, boxes and poles are grey, movable boxes brown. Red-edged marks show contacts
-    and which robots were moving. `has_links`: thin lines join robots that hear each other at the
-    end, if the radio has a range. SwarmError if matplotlib is not installed or there is nothing to
-    draw.
+    and how many robots were moving. SwarmError if matplotlib is not installed or there is nothing
+    to draw.
     """
     check_drawable(trace)
     is_named = len(trace.ids) <= MAX_NAMED
     extent = extent_of(trace)
     width, height = extent.panel(6.3 if is_named else 8.0)
-    links = _links(trace) if has_links else None
-    entries = (_names(trace) if is_named else []) + _key(trace, links)
+    entries = (_names(trace) if is_named else []) + _key(trace)
     handles, labels = zip(*entries, strict=True)
     aside = 0.8 + 0.07 * max(map(len, labels)) if is_named else 1.0
     above = 0.25 * (1 + title.count("\n"))
     figure = new_figure(width + 0.7 + aside, height + 0.5 + above, is_map=True)
     axes = figure.add_subplot()
     prepare(axes, extent)
-    paths = paint_run(axes, trace, scale=72.0 * width / extent.width)
-    if links is not None:
-        paint_links(axes, *links)
+    paths = paint_run(axes, trace)
     axes.set_title(title or f"{len(trace.ids)} robots, {trace.duration:.0f} s", fontsize=11)
     axes.set_xlabel(", ".join(word for word in ("x [m]", cut_note(trace)) if word))
     axes.set_ylabel("y [m]")
@@ -78,8 +69,8 @@ def trajectories_figure(trace: Trace, title: str = "", *, has_links: bool = Fals
     return figure
 
 
-def paint_run(axes: Axes, trace: Trace, *, scale: float, is_small: bool = False) -> Any:
-    """Paint a run onto axes of `scale` points a metre; return the paths if they need a colour bar.
+def paint_run(axes: Axes, trace: Trace, *, is_small: bool = False) -> Any:
+    """Paint a run onto axes; return the paths if they need a colour bar.
 
     `is_small`: thinner lines and smaller marks, for one of many pictures.
     """
@@ -94,11 +85,11 @@ def paint_run(axes: Axes, trace: Trace, *, scale: float, is_small: bool = False)
         paint_paths(axes, trace, linewidth=0.6 if is_small else 1.1)
     else:
         paths = paint_paths_by_time(axes, trace, linewidth=0.3 if is_small else 0.5)
-    paint_bodies(axes, trace, 0, starts, is_filled=False, scale=scale)
-    paint_bodies(axes, trace, -1, colours, is_filled=True, scale=scale)
+    paint_bodies(axes, trace, 0, starts, is_filled=False)
+    paint_bodies(axes, trace, -1, colours, is_filled=True)
     _paint_changes(axes, trace, colours, size=3.5 if is_small else 6.5)
     size = 4.5 if is_small or not is_named else 8.0
-    paint_contacts(axes, marks_of(trace), is_by_robot=is_named, size=size)
+    paint_contacts(axes, marks_of(trace), size=size)
     return paths
 
 
@@ -114,15 +105,6 @@ def _paint_changes(axes: Axes, trace: Trace, colours: list[str], *, size: float)
                          edgecolors="white", linewidths=0.8, zorder=5.0)  # fmt: skip
 
 
-def _links(trace: Trace) -> tuple[Array, Array] | None:
-    """The ends of the radio links at the end; None if every robot hears every other."""
-    reach, end = radio_range(trace), last(trace)
-    if np.isinf(reach):
-        return None
-    near = pairs.near(end.pose[..., :2], presence(end), reach)
-    return end.pose[0, near.a, :2], end.pose[0, near.b, :2]
-
-
 def _names(trace: Trace) -> list[tuple[Any, str]]:
     """Handle and label for each robot."""
     from matplotlib.lines import Line2D
@@ -130,25 +112,11 @@ def _names(trace: Trace) -> list[tuple[Any, str]]:
     entries: list[tuple[Any, str]] = []
     for robot, name in enumerate(trace.ids):
         line = Line2D([], [], color=robot_colour(robot), linestyle=robot_style(robot), linewidth=2)
-        entries.append((line, name + _stay(trace, robot)))
+        entries.append((line, name))
     return entries
 
 
-def _stay(trace: Trace, robot: int) -> str:
-    """When the daemon of a robot was present, if not always."""
-    is_there = presence(trace)[:, robot]
-    if is_there.all():
-        return ""
-    if not is_there.any():
-        return " (never present)"
-    step = np.diff(is_there.astype(np.int64))
-    changes = [
-        f"{'from' if step[k] > 0 else 'to'} {trace.t[k + 1]:g} s" for k in np.flatnonzero(step)
-    ]
-    return f" ({', '.join(changes)})"
-
-
-def _key(trace: Trace, links: tuple[Array, Array] | None) -> list[tuple[Any, str]]:
+def _key(trace: Trace) -> list[tuple[Any, str]]:
     """Handle and label of each kind of mark in the picture."""
     from matplotlib.lines import Line2D
 
@@ -165,14 +133,9 @@ def _key(trace: Trace, links: tuple[Array, Array] | None) -> list[tuple[Any, str
         entries.append(mark("v", "0.35", "white", "leaves"))
     if trace.movable_boxes:
         entries.append(mark("s", THING_COLOUR, "0.3", "movable box"))
-    if links is not None:
-        entries.append((Line2D([], [], color=LINK_COLOUR), f"radio, {radio_range(trace):g} m"))
     found = [mark.kind for mark in marks_of(trace)]
-    is_named = len(trace.ids) <= MAX_NAMED
-    faces = {BOTH: CONTACT_COLOUR, ONE: "0.6" if is_named else CONTACT_COLOUR, NONE: "white"}
-    for kind, marker in MARKERS.items():
+    for kind, (marker, face) in MARKS.items():
         if kind in found:
-            whose = " (its colour)" if kind == ONE and is_named else ""
-            label = f"{kind}{whose}: {found.count(kind)}"
-            entries.append(mark(marker, faces.get(kind, "0.6"), CONTACT_COLOUR, label))
+            label = f"{kind}: {found.count(kind)}"
+            entries.append(mark(marker, face, CONTACT_COLOUR, label))
     return entries

@@ -20,9 +20,9 @@ from swarmd.sim.world.arena import Arena, Box
 
 COLLISION, BODY, HOUSING, FIXED = range(4)
 """Geom groups: collision shapes; visible bodies and lidar housings at true height; the arena."""
-SOLID, GHOST = 1, 2
-"""Collision types: ghosts collide with geoms that include GHOST, solid bodies with all others."""
-SOLID_TO_ALL = SOLID | GHOST
+SOLID_BIT, GHOST_BIT = 1, 2
+"""Bits of collision types: ghosts collide with geoms that have GHOST_BIT, solid bodies with all."""
+ARENA_TYPE = SOLID_BIT | GHOST_BIT
 """The type of walls and boxes, which collide with all bodies."""
 
 _BOX, _CYLINDER = mujoco.mjtGeom.mjGEOM_BOX, mujoco.mjtGeom.mjGEOM_CYLINDER
@@ -88,8 +88,8 @@ def _add_solid(
         size=size,
         group=FIXED,
         condim=1,
-        contype=SOLID_TO_ALL,
-        conaffinity=SOLID,
+        contype=ARENA_TYPE,
+        conaffinity=SOLID_BIT,
     )
 
 
@@ -120,7 +120,7 @@ def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
     low, high = _rectangle(platform)
     x, y = (low + high) / 2.0
     half_x, half_y = (high - low) / 2.0
-    contype, conaffinity = (SOLID, SOLID) if is_solid(platform) else (0, GHOST)
+    contype, conaffinity = (SOLID_BIT, SOLID_BIT) if is_solid(platform) else (0, GHOST_BIT)
     bottom, top = value(platform, "height"), value(platform, "target_top")
     for name, height, types in (("", _HEIGHT, (contype, conaffinity)), ("/body", bottom, (0, 0))):
         body.add_geom(

@@ -10,7 +10,7 @@ import numpy as np
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.values import Array
 from swarmd.sim.world.arena import Arena, Box
-from swarmd.sim.world.bodies import SOLID, SOLID_TO_ALL, moment
+from swarmd.sim.world.bodies import ARENA_TYPE, SOLID_BIT, moment
 from swarmd.sim.world.geometry import overlaps, transform
 
 _GRAVITY = 9.81
@@ -127,8 +127,8 @@ class MovableBoxes:
         self.is_there[row] = is_there
         self._data.qpos[self._dofs][3 * row : 3 * row + 3] = pose
         self._data.qvel[self._dofs][3 * row : 3 * row + 3] = 0.0
-        self._model.geom_contype[self._geoms[row]] = SOLID_TO_ALL if is_there else 0
-        self._model.geom_conaffinity[self._geoms[row]] = SOLID if is_there else 0
+        self._model.geom_contype[self._geoms[row]] = ARENA_TYPE if is_there else 0
+        self._model.geom_conaffinity[self._geoms[row]] = SOLID_BIT if is_there else 0
 
     def _row(self, name: str) -> int:
         if name not in self.names:

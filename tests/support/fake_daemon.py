@@ -3,19 +3,12 @@
 In one process::
 
     async with FakeDaemon(settings, "tb3-01") as daemon: ...
-
-or as a process of its own, one session each, ready when it has printed `ready`::
-
-    python -m tests.support.fake_daemon --swarm lab tb3-01 tb3-02
 """
 
 from __future__ import annotations
 
-import argparse
 import asyncio
-import contextlib
 import secrets
-import sys
 import threading
 from collections.abc import Callable, Sequence
 from functools import partial
@@ -178,25 +171,3 @@ class FakeSwarm:
 
     async def _start(self) -> None:
         await asyncio.gather(*(daemon.start() for daemon in self._daemons.values()))
-
-
-async def serve(settings: NetworkSettings, robots: list[str]) -> None:
-    """Run these robots until standard input ends; prints `ready` once all have their ids."""
-    reader = asyncio.StreamReader()
-    await asyncio.get_running_loop().connect_read_pipe(
-        lambda: asyncio.StreamReaderProtocol(reader), sys.stdin
-    )
-    async with contextlib.AsyncExitStack() as daemons:
-        await asyncio.gather(
-            *(daemons.enter_async_context(FakeDaemon(settings, robot)) for robot in robots)
-        )
-        print("ready", flush=True)
-        await reader.read()
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="robots without bodies")
-    parser.add_argument("--swarm", required=True)
-    parser.add_argument("robots", nargs="+")
-    args = parser.parse_args()
-    asyncio.run(serve(NetworkSettings(swarm=args.swarm), args.robots))

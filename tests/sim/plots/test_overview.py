@@ -52,7 +52,7 @@ def test_more_than_fit_are_counted(walk: Walk) -> None:
 
 
 @pytest.mark.parametrize(("runs", "n"), [(1, 7), (2, 2), (20, 7), (4, 200)])
-def test_no_word_is_overlaps(walk: Walk, overlaps: Overlaps, runs: int, n: int) -> None:
+def test_no_texts_overlap(walk: Walk, overlaps: Overlaps, runs: int, n: int) -> None:
     trace = walk(n)
     loads = [(f"seed {k}: 0.123 m", lambda: trace) for k in range(runs)]
     figure = overview_figure(loads, "paper_exp1_hardware", note="mean distance to centroid late")

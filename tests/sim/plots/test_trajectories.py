@@ -7,7 +7,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pytest
 
 from swarmd.core.errors import SwarmError
@@ -46,15 +45,12 @@ def test_each_robot_has_its_line_in_the_legend(walk: Walk) -> None:
     figure = trajectories_figure(walk(3))
     assert labels(figure) == ["tb3-00", "tb3-01", "tb3-02", "start", "end"]
     assert figure.axes[0].get_aspect() == 1.0
-    without_range = trajectories_figure(walk(3, present=np.zeros((20, 3), bool)), has_links=True)
-    assert labels(without_range)[2:] == ["tb3-02 (never present)", "start", "end"]
 
 
-def test_the_legend_names_robots_that_joined_or_left_and_explains_marks(full: Full) -> None:
-    assert labels(trajectories_figure(full(3), has_links=True)) == [
-        *("tb3-00 (from 1 s)", "tb3-01 (to 1.5 s)", "tb3-02", "start", "end", "joins", "leaves"),
-        *("movable box", "radio, 1.5 m", "contact, both moving: 1"),
-        *("contact, one moving (its colour): 1", "contact with wall or box: 1"),
+def test_the_legend_names_each_kind_of_mark(full: Full) -> None:
+    assert labels(trajectories_figure(full(3))) == [
+        *("tb3-00", "tb3-01", "tb3-02", "start", "end", "joins", "leaves", "movable box"),
+        *("contact, both moving: 1", "contact, one moving: 1", "contact with wall or box: 1"),
     ]
 
 
@@ -73,11 +69,11 @@ def test_a_title_may_be_given(walk: Walk) -> None:
 
 
 @pytest.mark.parametrize("n", [2, 7, 20, 21, 200])
-def test_no_word_is_overlaps(full: Full, overlaps: Overlaps, n: int) -> None:
+def test_no_texts_overlap(full: Full, overlaps: Overlaps, n: int) -> None:
     trace = full(n)
     trace = replace(trace, ids=tuple(f"{robot}-waffle_pi-WWW" for robot in trace.ids))
     title = "paper_exp1_hardware, law=paper,lidar_visibility=real, seed 519\nleast typical run"
-    assert overlaps(trajectories_figure(trace, title, has_links=True)) == []
+    assert overlaps(trajectories_figure(trace, title)) == []
 
 
 @pytest.mark.parametrize("n", [1, 7, 30])
