@@ -1,4 +1,4 @@
-"""What protection did, in runs whose verdicts are known."""
+"""Metrics of protection, of runs whose decisions are known."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def test_duty_falls_back_to_instants(run: Run) -> None:
     np.testing.assert_array_equal(duties, [1.0, 0.0, np.nan, np.nan])
 
 
-def test_duty_is_of_those_present(run: Run) -> None:
+def test_duty_counts_only_robots_that_are_present(run: Run) -> None:
     present = np.ones((4, 2), dtype=bool)
     present[:, 1] = False
     trace = run(
@@ -105,7 +105,7 @@ def test_robots_whose_pattern_failed_are_counted_once_each(run: Run) -> None:
     assert protection.failed_patterns(run(STILL)) is None
 
 
-def test_getting_unstuck_is_counted_while_running(run: Run) -> None:
+def test_recovery_is_counted_while_running(run: Run) -> None:
     recovering = np.array([[True, True], [True, False], [True, False], [False, False]])
     state = np.array([["running"] * 2, ["running"] * 2, ["stopped", "running"], ["running"] * 2])
     trace = run(STILL, recovering=recovering, state=state)

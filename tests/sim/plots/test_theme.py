@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.plots.theme import ROBOT_COLOURS, VARIANT_COLOURS, new_figure, save
+from swarmd.sim.plots.theme import new_figure, save
 
 pytest.importorskip("matplotlib")
 
@@ -56,11 +56,6 @@ def test_without_matplotlib_the_error_names_what_to_install(
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(SwarmError, match=r"pip install 'swarmd\[plot\]'"):
         new_figure(3.0, 2.0)
-
-
-@pytest.mark.parametrize("colours", [ROBOT_COLOURS, VARIANT_COLOURS])
-def test_colours_differ(colours: tuple[str, ...]) -> None:
-    assert len(set(colours)) == len(colours)
 
 
 @pytest.mark.parametrize("in_the_way", ["taken", "taken/x.png/folder"])

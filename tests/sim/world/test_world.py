@@ -257,17 +257,6 @@ def test_realistic_sensor_errors_are_random_and_repeat_with_the_seed() -> None:
     assert (measured != ranges_of(other)).any()
 
 
-def test_a_sensor_does_not_depend_on_the_other_observers() -> None:
-    together, alone_each = swarm(realism=REALISTIC, seed=1), swarm(realism=REALISTIC, seed=1)
-    for _ in range(3):
-        together.step(20)
-        alone_each.step(20)
-        all_at_once = [scan.ranges for scan in together.scans(np.arange(5))]
-        for row in (3, 1, 4, 0, 2):
-            (scan,) = alone_each.scans(np.array([row]))
-            np.testing.assert_array_equal(scan.ranges, all_at_once[row])
-
-
 def test_realistic_bases_follow_late_and_slowly() -> None:
     world = swarm(realism=REALISTIC)
     world.set_commands(np.tile((0.2, 0.0, 0.0), (5, 1)))
