@@ -8,7 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.core.clock import TICK
 from swarmd.core.values import Platform, Pose, Twist
+from swarmd.protection.constraints import reciprocal_caps
+from swarmd.protection.dead_reckoning import REACTION_TIME
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.filter_sim import FilterSim, Shape, box, decided, pole, under_barrier
@@ -83,6 +86,16 @@ def test_keep_out_keeps_standing_obstacles_out_of_the_blind_zone() -> None:
     run = sim.run(AHEAD, 8.0)
     assert run.poses[-1].x > 0.9
     assert 1.95 - run.poses[-1].x >= BLIND
+
+
+def test_keep_out_leaves_half_of_the_room_to_the_other() -> None:
+    platform = calm(JACKAL, keep_out=0.85)
+    ranges = np.full(360, math.inf)
+    ranges[0] = 1.2
+    safe = decided(platform, scan_from(platform, ranges, platform.scan.bearings), AHEAD).safe
+    age = platform.scan.latency + REACTION_TIME
+    (cap,) = reciprocal_caps(np.array([1.2 - 0.85]), np.array([1.0]), age, TICK)
+    assert 0.0 < safe.linear == pytest.approx(cap)
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])

@@ -154,8 +154,8 @@ def test_the_blind_zone_is_around_the_lidar_not_the_axle(
 
 def test_pause_of_the_scans_hides_nothing_beyond_five_periods() -> None:
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
-    look(memory, WIDE, distance=1.6, seconds=2.0)
-    assert look(memory, empty=WIDE, seconds=2.0) == []
+    look(memory, WIDE, distance=1.6, seconds=2.0, beyond=math.inf)
+    assert look(memory, seconds=2.0, beyond=math.inf) == []
 
 
 def test_nothing_is_hidden_without_an_earlier_obstacle() -> None:

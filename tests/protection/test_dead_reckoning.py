@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from swarmd.core.values import ZERO, Odometry, Pose, Twist
@@ -47,6 +47,7 @@ def near(pose: Pose, other: Pose, tolerance: float) -> bool:
 
 
 @given(SPEED, SPEED, st.floats(0.0, 0.9), st.floats(0.0, 0.1))
+@example(1.0, 1.0, 0.0, 0.1)
 def test_pose_is_interpolated_and_extrapolated(v: float, w: float, ago: float, age: float) -> None:
     motion, last = driven(Twist(v, w))
     at = motion.pose(DecisionContext(1.0 + age, 0.0, last, age), ago)

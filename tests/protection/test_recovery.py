@@ -41,6 +41,7 @@ def test_recovery_turns_again_where_the_corridor_is_blocked_too() -> None:
         twist = recovery.replacement(AHEAD, safe, context, lambda: np.array([[0.3, 0.0]]))
         is_turn.append(twist.linear == 0.0)
     assert sum(not before and after for before, after in pairwise(is_turn)) >= 2
+    assert sum(is_turn) * TICK >= 1.0
 
 
 def still(platform: Platform) -> Platform:

@@ -74,6 +74,7 @@ def test_estop_latches_and_is_written_before_the_ack() -> None:
     assert reply.code is Code.APPLIED
     assert reply.text.startswith("commanded zero")
     assert set(harness.written[-1].held) == {"e1"}
+    assert harness.written[-1].held["e1"].scope == "swarm"
     assert harness.twist.is_zero
     assert standing_state(harness) == (State.ESTOPPED, Reason.ESTOP)
     harness.refused("run", pattern="forward")

@@ -20,6 +20,7 @@ from swarmd.drivers.ros1.adapter import MasterState, PublisherLink
 from swarmd.drivers.ros1.master_graph import MasterGraph, Ros1
 from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
+from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh
 from swarmd.settings.platforms import load_platform
 
 BURGER = load_platform("burger")
@@ -69,6 +70,15 @@ def test_all_is_well_where_everything_arrives(middleware: Middleware) -> None:
     well = found(middleware, received())
     assert all(finding.is_well for finding in well.values())
     assert "5.0 Hz, 360 rays, stamps advanced by 1.0 s in 1.0 s" in well["scan"].text
+
+
+def test_silent_topic_names_the_domain_that_has_it() -> None:
+    middleware = RmwZenoh(0, "cmd_vel")
+    elsewhere = replace(end(middleware, messages.LaserScan, "/scan", is_publisher=True), domain=7)
+    graph = Graph(middleware=middleware, endpoints=[elsewhere])
+    text = graph.silence(received([]).topics["scan"])
+    assert "in 7;" in text
+    assert "driver_options.domain" in text
 
 
 def test_an_unreachable_hub_is_the_only_finding() -> None:
