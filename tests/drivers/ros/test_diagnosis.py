@@ -73,8 +73,8 @@ def test_all_is_well_where_everything_arrives(middleware: Middleware) -> None:
 
 
 def test_silent_topic_names_the_domain_that_has_it() -> None:
-    middleware = RmwZenoh(0, "cmd_vel")
-    elsewhere = replace(end(middleware, messages.LaserScan, "/scan", is_publisher=True), domain=7)
+    middleware = RmwZenoh(0, "/cmd_vel")
+    elsewhere = Endpoint(True, "/scan", middleware.type_name(messages.LaserScan), domain=7)
     graph = Graph(middleware=middleware, endpoints=[elsewhere])
     text = graph.silence(received([]).topics["scan"])
     assert "in 7;" in text
