@@ -62,10 +62,9 @@ class MasterState(Struct, frozen=True, tag_field="event", tag="state"):
     wants: dict[str, str] = {}
 
 
-class PublisherLink(Struct, frozen=True, tag_field="event", tag="link"):
-    """Messages with this `link` come from `node`, which publishes `topic` with this type."""
+class ForeignMessage(Struct, frozen=True, tag_field="event", tag="foreign"):
+    """A message of another type than the driver's came from `node`, and was left out."""
 
-    link: int
     topic: str
     node: str
     type: str
@@ -83,7 +82,7 @@ class AdapterEnd(Struct, frozen=True, tag_field="event", tag="end"):
     text: str
 
 
-Event = MasterState | PublisherLink | AdapterEnd
+Event = MasterState | ForeignMessage | AdapterEnd
 
 _events: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)
 
@@ -94,8 +93,8 @@ class AdapterListener(Protocol):
     def on_event(self, event: Event) -> None:
         """One event."""
 
-    def on_message(self, link: int, data: bytes) -> None:
-        """The newest message of one publisher on one topic."""
+    def on_message(self, topic: int, data: bytes) -> None:
+        """The newest message of one topic, by its index in the configuration."""
 
     def on_dropped(self, what: str) -> None:
         """Count one packet that was left out."""
@@ -206,7 +205,7 @@ class AdapterProcess:
             await asyncio.sleep(0.01)
 
     def _on_readable(self) -> None:
-        """Read all that waits; of the messages of one link only the newest is handed on."""
+        """Read all that waits; of the messages of one topic only the newest is handed on."""
         newest: dict[int, bytes] = {}
         while not self._ended.is_set():
             try:
@@ -219,18 +218,18 @@ class AdapterProcess:
                 self._hang_up()
                 break
             self._take(bytes(self._buffer[:size]), newest)
-        for link, data in newest.items():
-            self._listener.on_message(link, data)
+        for topic, data in newest.items():
+            self._listener.on_message(topic, data)
 
     def _take(self, frame: bytes, newest: dict[int, bytes]) -> None:
         kind = frame[:1]
         if kind == DATA and len(frame) >= DATA_HEAD.size:
-            _, link, arrival = DATA_HEAD.unpack_from(frame)
+            _, topic, arrival = DATA_HEAD.unpack_from(frame)
             is_old = not abs(time.monotonic() - arrival) < MAX_MESSAGE_AGE
-            if is_old or link in newest:
+            if is_old or topic in newest:
                 self._listener.on_dropped("overtaken")
             if not is_old:
-                newest[link] = frame[DATA_HEAD.size :]
+                newest[topic] = frame[DATA_HEAD.size :]
         elif kind == EVENT:
             try:
                 event = _events.decode(frame[1:])

@@ -5,8 +5,9 @@ and reports what the master knows. Needs Python 3.8, rospy and the standard libr
 it imports `master.py` alone, which lies beside it. The driver imports it for the frames, which
 are single packets:
 
-    to the driver   D link arrival bytes   a message; arrival in s on CLOCK_MONOTONIC
-                    J {...}                an event as JSON: state, link, end
+    to the driver   D topic arrival bytes  a message of that index in `topics`; arrival in s on
+                                           CLOCK_MONOTONIC
+                    J {...}                an event as JSON: state, foreign, end
                     H                      a sign of life
     to the adapter  C time bytes           a command, made at `time` on CLOCK_MONOTONIC
                     B                      farewell: send zero and leave
@@ -31,7 +32,7 @@ import sys
 import threading
 import time
 from glob import glob
-from typing import Any, Dict, List, Optional, Tuple  # noqa: UP035  (Python 3.8)
+from typing import Any, List, Optional  # noqa: UP035  (Python 3.8)
 
 DATA, EVENT, ALIVE = b"D", b"J", b"H"
 COMMAND, FAREWELL = b"C", b"B"
@@ -65,8 +66,6 @@ class Adapter:
         self._publisher: Any = None
         self._is_joined = False
         self._misses = 0
-        self._links: Dict[Tuple[str, ...], int] = {}  # noqa: UP006
-        self._lock = threading.Lock()
         self._wake = threading.Event()
         self._ends_at: Optional[float] = None  # noqa: UP045
         # A robot that an earlier adapter drove is stopped as soon as it is reachable; unless the
@@ -125,9 +124,9 @@ class Adapter:
                 tcp_nodelay=True, queue_size=1,
             )  # fmt: skip
             self._publisher.impl.set_queue_size(None)  # written at once, by the publishing thread
-        for topic in config["topics"]:
+        for index, topic in enumerate(config["topics"]):
             rospy.Subscriber(
-                topic, rospy.AnyMsg, self._on_message, topic, queue_size=1, tcp_nodelay=True
+                topic, rospy.AnyMsg, self._on_message, index, queue_size=1, tcp_nodelay=True
             )
         self._is_joined = True
 
@@ -195,23 +194,16 @@ class Adapter:
 
     # From ROS
 
-    def _on_message(self, message: Any, topic: str) -> None:
-        """Pass one message on; on rospy's thread of that connection."""
+    def _on_message(self, message: Any, index: int) -> None:
+        """Pass one message on, on rospy's thread; of one of another type only its publisher."""
         arrival = time.monotonic()
         header = message._connection_header
-        key = topic, header.get("callerid", ""), header.get("type", ""), header.get("md5sum", "")
-        with self._lock:
-            if key not in self._links and not self._report_link(key):
-                return
-        self._send(DATA_HEAD.pack(DATA, self._links[key], arrival), message._buff)
-
-    def _report_link(self, key: Tuple[str, ...]) -> bool:  # noqa: UP006
-        """Report a publisher; False if the driver does not read, so that it is reported later."""
-        link, names = len(self._links), ("topic", "node", "type", "md5sum")
-        if not self._event({"event": "link", "link": link, **dict(zip(names, key))}):  # noqa: B905
-            return False
-        self._links[key] = link
-        return True
+        if header.get("md5sum") == self._config["md5sums"][index]:
+            self._send(DATA_HEAD.pack(DATA, index, arrival), message._buff)
+        else:
+            names = {"node": "callerid", "type": "type", "md5sum": "md5sum"}
+            fields = {name: header.get(key, "") for name, key in names.items()}
+            self._event({"event": "foreign", "topic": self._config["topics"][index], **fields})
 
     def _state(self) -> Any:
         """What the master knows of our topics."""

@@ -33,8 +33,8 @@ from swarmd.drivers.ros1 import adapter_process, serialization
 from swarmd.drivers.ros1.adapter import (
     AdapterProcess,
     Event,
+    ForeignMessage,
     MasterState,
-    PublisherLink,
 )
 from swarmd.drivers.ros1.master_graph import MasterGraph, Ros1
 
@@ -205,6 +205,7 @@ class Ros1Driver:
             "name": self._node,
             "topics": [stats.topic for stats in topics],
             "types": [serialization.type_name(stats.message_type) for stats in topics],
+            "md5sums": [serialization.definition(stats.message_type)[1] for stats in topics],
             "command_topic": self._master.cmd_vel,
             "command": None if is_check else command,
             "holds": not is_check and self._gate.has_sent,
@@ -213,24 +214,25 @@ class Ros1Driver:
     # Called by the adapter
 
     def on_event(self, event: Event) -> None:
-        """The master's state, a publisher's type, or why the adapter ends."""
+        """The master's state, a message of another type, or why the adapter ends."""
         if isinstance(event, MasterState):
-            self._master.state = event
-        elif isinstance(event, PublisherLink):
-            self._master.on_link(event)
+            self._master.on_state(event)
+        elif isinstance(event, ForeignMessage):
+            self._master.on_foreign(event)
+            self.on_dropped("type")
         elif event.kind == "fatal":
             self._end = no_rospy(self._options.python, event.text)
         else:
             self._end, self._is_planned_end = event.text, event.kind == "restart"
         self._update_state()
 
-    def on_message(self, link: int, data: bytes) -> None:
+    def on_message(self, topic: int, data: bytes) -> None:
         """A serialised message."""
-        stats = self._master.stats_of(link)
-        if stats is None:
-            is_known = self._master.is_of_another_type(link)
-            self.on_dropped("type" if is_known else "garbage")
+        topics = [*self._subscriptions.topics.values()]
+        if topic >= len(topics):
+            self.on_dropped("garbage")
             return
+        stats = topics[topic]
         now = asyncio.get_running_loop().time()
         try:
             deliver = self._subscriptions.read(stats.name, data, now)

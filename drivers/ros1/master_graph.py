@@ -8,7 +8,7 @@ from swarmd.drivers.ros.diagnosis import Endpoint, Graph
 from swarmd.drivers.ros.options import Ros1Options
 from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.drivers.ros1 import serialization
-from swarmd.drivers.ros1.adapter import MasterState, PublisherLink
+from swarmd.drivers.ros1.adapter import ForeignMessage, MasterState
 
 
 class Ros1:
@@ -41,29 +41,20 @@ class MasterGraph:
         self.state: MasterState | None = None
         self._options = options
         self._topics = {stats.topic: stats for stats in topics.values()}
-        self._links: dict[int, TopicStats | None] = {}
         self._foreign_types: dict[tuple[str, str], str] = {}
 
-    def on_link(self, link: PublisherLink) -> None:
-        """A publisher names its type; messages of another type than the driver's are dropped."""
-        stats = self._topics.get(link.topic)
-        if stats is not None:
-            wanted = serialization.type_name(stats.message_type)
-            md5sum = serialization.definition(stats.message_type)[1]
-            self._foreign_types.pop((link.topic, link.node), None)
-            if link.md5sum != md5sum:
-                note = f" (md5 {link.md5sum}, not {md5sum})" if link.type == wanted else ""
-                self._foreign_types[link.topic, link.node] = link.type + note
-                stats = None
-        self._links[link.link] = stats
+    def on_state(self, state: MasterState) -> None:
+        """The graph has changed: foreign types are named again by the next messages."""
+        self.state = state
+        self._foreign_types.clear()
 
-    def stats_of(self, link: int) -> TopicStats | None:
-        """The topic whose messages have this link; None if they cannot be used."""
-        return self._links.get(link)
-
-    def is_of_another_type(self, link: int) -> bool:
-        """True if the publisher of this link has another type than the driver's."""
-        return link in self._links and self._links[link] is None
+    def on_foreign(self, message: ForeignMessage) -> None:
+        """A publisher has another type than the driver's, or another definition of it."""
+        stats, kind = self._topics.get(message.topic), message.type
+        if stats is not None and kind == serialization.type_name(stats.message_type):
+            wanted = serialization.definition(stats.message_type)[1]
+            kind = f"{kind} (md5 {message.md5sum}, not {wanted})"
+        self._foreign_types[message.topic, message.node] = kind
 
     @property
     def blocks(self) -> bool:

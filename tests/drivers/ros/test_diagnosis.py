@@ -16,9 +16,9 @@ from swarmd.drivers.ros.diagnosis import Endpoint, Graph, Middleware, Report, ha
 from swarmd.drivers.ros.options import Ros1Options, TopicOptions, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.topic_stats import TopicStats
-from swarmd.drivers.ros1.adapter import MasterState, PublisherLink
+from swarmd.drivers.ros1.adapter import ForeignMessage, MasterState
 from swarmd.drivers.ros1.master_graph import MasterGraph, Ros1
-from swarmd.drivers.ros1.serialization import definition, type_name
+from swarmd.drivers.ros1.serialization import type_name
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh
 from swarmd.settings.platforms import load_platform
@@ -247,15 +247,9 @@ def test_a_topic_without_messages_is_explained_by_the_master(
 
 def test_another_md5_sum_of_the_same_name_is_another_type() -> None:
     made, kind = master_graph(), type_name(messages.LaserScan)
-    made.on_link(PublisherLink(0, "/scan", "/lidar", kind, "0" * 32))
-    assert made.stats_of(0) is None
-    assert made.is_of_another_type(0)
-    assert not made.is_of_another_type(1)
+    made.on_foreign(ForeignMessage("/scan", "/lidar", kind, "0" * 32))
     assert "0" * 32 in silence(made)
-    made.on_link(PublisherLink(1, "/scan", "/lidar", kind, definition(messages.LaserScan)[1]))
-    found_stats = made.stats_of(1)
-    assert found_stats is not None
-    assert found_stats.topic == "/scan"
+    made.on_state(MASTER)
     assert "0" * 32 not in silence(made)
 
 

@@ -31,9 +31,9 @@ def main() -> None:
             b"J[]",
             b'J{"event": "state"}',
             b'J{"event": "state", "master": 7}',
-            b'J{"event": "link", "link": 3}',
+            b'J{"event": "foreign", "node": 3}',
             b"J" + b"[" * 5000,
-            struct.pack("<cBd", b"D", 9, time.monotonic()) + b"of no link",
+            struct.pack("<cBd", b"D", 9, time.monotonic()) + b"of no topic",
             struct.pack("<cBd", b"D", 0, float("nan")),
             b"H and more",
         ):

@@ -22,7 +22,6 @@ from swarmd.drivers.ros1.adapter_process import (
     COMMAND,
     COMMAND_HEAD,
     DATA,
-    DATA_HEAD,
     EVENT,
     Adapter,
 )
@@ -34,6 +33,7 @@ CONFIG = {
     "name": "r",
     "topics": ["/scan"],
     "types": ["sensor_msgs/LaserScan"],
+    "md5sums": ["1"],
     "command_topic": "/cmd_vel",
     "command": {**COMMANDS, "frame_id": ""},
     "holds": False,
@@ -78,8 +78,8 @@ def ends() -> Iterator[tuple[Adapter, socket.socket]]:
         yield Adapter(CONFIG, theirs, SimpleNamespace(), SimpleNamespace()), mine
 
 
-def message(node: str) -> Any:
-    header = {"callerid": node, "type": "sensor_msgs/LaserScan", "md5sum": "1"}
+def message(md5sum: str = "1") -> Any:
+    header = {"callerid": "/lidar", "type": "sensor_msgs/LaserScan", "md5sum": md5sum}
     return SimpleNamespace(_connection_header=header, _buff=b"\x00" * 1000)
 
 
@@ -98,29 +98,31 @@ def test_a_frozen_daemon_gets_the_state_when_it_reads_again(
 ) -> None:
     adapter, mine = ends
     for _ in range(100):
-        adapter._on_message(message("/lidar"), "/scan")
+        adapter._on_message(message(), 0)
     state = {"event": "state", "master": True, "others": ["/teleop" * 200]}
     adapter._report(state)
-    adapter._on_message(message("/second" * 200), "/scan")
     assert len(taken(mine)) < 100
     adapter._report(state)
-    adapter._on_message(message("/second" * 200), "/scan")
+    adapter._on_message(message(), 0)
     frames = taken(mine)
     events = [json.loads(frame[1:])["event"] for frame in frames if frame[:1] == EVENT]
-    assert events == ["state", "link"]
+    assert events == ["state"]
     assert frames[-1][:1] == DATA
 
 
-def test_each_of_many_publishers_keeps_a_link_of_its_own(
+def test_of_a_message_of_another_type_only_its_publisher_is_passed_on(
     ends: tuple[Adapter, socket.socket],
 ) -> None:
     adapter, mine = ends
-    links = []
-    for number in (*range(600), 0):
-        adapter._on_message(message(f"/node_{number}"), "/scan")
-        links.append(DATA_HEAD.unpack_from(taken(mine)[-1])[1])
-    assert len(set(links[:-1])) == 600
-    assert links[-1] == links[0]
+    adapter._on_message(message("2"), 0)
+    (frame,) = taken(mine)
+    assert json.loads(frame[1:]) == {
+        "event": "foreign",
+        "topic": "/scan",
+        "node": "/lidar",
+        "type": "sensor_msgs/LaserScan",
+        "md5sum": "2",
+    }
 
 
 @pytest.mark.parametrize(("linear", "arms"), [(0.0, False), (-0.0, False), (0.1, True)])

@@ -17,14 +17,13 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.values import Twist, Value
-from swarmd.drivers.ros.messages import LaserScan, Odometry
 from swarmd.drivers.ros.options import Ros1Options, read_options
 from swarmd.drivers.ros1 import adapter as ros1_child
 from swarmd.drivers.ros1 import adapter_process as ros1_adapter
 from swarmd.drivers.ros1 import driver as ros1
-from swarmd.drivers.ros1.adapter import AdapterEnd, MasterState, PublisherLink
+from swarmd.drivers.ros1.adapter import AdapterEnd, ForeignMessage, MasterState
 from swarmd.drivers.ros1.driver import Ros1Driver
-from swarmd.drivers.ros1.serialization import definition, encode_twist, type_name
+from swarmd.drivers.ros1.serialization import encode_twist
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink
 from tests.support import hand_clock as handclock
@@ -49,10 +48,6 @@ def scan(*ranges: float) -> bytes:
 def odometry(x: float = 0.5) -> bytes:
     pose = struct.pack("<7d", x, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0)
     return HEADER + bytes(4) + pose + bytes(288) + struct.pack("<6d", *[0.1] * 6) + bytes(288)
-
-
-def link_of(link: int, topic: str, kind: type) -> PublisherLink:
-    return PublisherLink(link, topic, "/node", type_name(kind), definition(kind)[1])
 
 
 class Adapter:
@@ -94,11 +89,8 @@ class Scene:
     def rise(self) -> None:
         """All that is needed is there."""
         self.tell()
-        for link, (topic, kind, data) in enumerate(
-            (("/scan", LaserScan, scan(1.0)), ("/odom", Odometry, odometry()))
-        ):
-            self.adapter.listener.on_event(link_of(link, topic, kind))
-            self.adapter.listener.on_message(link, data)
+        for topic, data in enumerate((scan(1.0), odometry())):
+            self.adapter.listener.on_message(topic, data)
 
     def is_moved(self) -> bool:
         """Whether two commands to move make it move."""
@@ -238,12 +230,10 @@ def test_unreadable_messages_and_other_types_are_counted_and_no_sign_of_life(
     async def story(scene: Scene) -> None:
         scene.tell()
         listener = scene.adapter.listener
-        listener.on_event(link_of(0, "/scan", LaserScan))
-        listener.on_event(PublisherLink(1, "/odom", "/base", type_name(Odometry), "0" * 32))
+        listener.on_event(ForeignMessage("/odom", "/base", "nav_msgs/Odometry", "0" * 32))
         listener.on_message(0, scan(1.0)[:-1])
-        listener.on_message(1, odometry())
         listener.on_message(2, odometry())
-        assert scene.heard.lost == ["ros1/scan", "ros1/type", "ros1/garbage"]
+        assert scene.heard.lost == ["ros1/type", "ros1/scan", "ros1/garbage"]
         assert not scene.heard.is_up
 
     play(monkeypatch, story)
@@ -261,14 +251,14 @@ def test_stamped_commands_are_numbered_and_in_the_frame_asked_for(
     play(monkeypatch, story, cmd_vel_type="twist_stamped", cmd_vel_frame="base")
 
 
-def test_of_waiting_messages_only_the_newest_of_each_link_is_delivered(
+def test_of_waiting_messages_only_the_newest_of_each_topic_is_delivered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = 1000.0
     heard: list[tuple[int, bytes]] = []
     dropped: list[str] = []
     listener = SimpleNamespace(
-        on_message=lambda link, data: heard.append((link, data)),
+        on_message=lambda topic, data: heard.append((topic, data)),
         on_dropped=dropped.append,
         on_event=lambda event: None,
     )
@@ -278,11 +268,11 @@ def test_of_waiting_messages_only_the_newest_of_each_link_is_delivered(
         monkeypatch.setattr(ros1_child, "time", SimpleNamespace(monotonic=lambda: now))
         near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         near.setblocking(False)
-        for link, age, data in (
+        for topic, age, data in (
             (1, 0.3, b"first"), (1, 0.1, b"newest"), (2, 0.49, b"late"), (3, 0.5, b"history"),
             (4, -0.5, b"of a clock to come"),
         ):  # fmt: skip
-            far.send(ros1_adapter.DATA_HEAD.pack(ros1_adapter.DATA, link, now - age) + data)
+            far.send(ros1_adapter.DATA_HEAD.pack(ros1_adapter.DATA, topic, now - age) + data)
         with near, far:
             child._socket, own = near, child._socket
             child._on_readable()

@@ -57,7 +57,7 @@ class Scene:
         kinds = {"topic": "/cmd_vel", "type": "geometry_msgs/Twist", "md5sum": "", "full_text": ""}
         command = {**kinds, "frame_id": "", **config.pop("command", {})}
         given = {"master": "http://127.0.0.1:9", "name": "swarmd_r", "topics": [], "types": [],
-                 "command_topic": "/cmd_vel", "holds": False, **config}  # fmt: skip
+                 "md5sums": [], "command_topic": "/cmd_vel", "holds": False, **config}  # fmt: skip
         sock: Any = self
         offered = {
             "config": {**given, "command": command},
