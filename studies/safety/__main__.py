@@ -1,7 +1,7 @@
-"""`python -m studies.safety hours | progress`: see docs/safety.md.
+"""`python -m studies.safety hours | progress | one`: see docs/safety.md.
 
-hours: robot-hours over all scenes. progress: goals reached in each mode. Runs that build/safety has
-from the same sources are not repeated.
+hours: robot-hours over all scenes. progress: goals reached in each mode. one: a single run with
+every collision. Runs that build/safety has from the same sources are not repeated.
 """
 
 from __future__ import annotations
@@ -13,7 +13,9 @@ from pathlib import Path
 
 from benchmarks.table import machine
 from studies.safety import hours, progress
-from studies.safety.runs import Task, carry_out
+from studies.safety.judge import collisions
+from studies.safety.judgement import judge
+from studies.safety.runs import Task, carry_out, rammers
 from studies.safety.scenes import (
     ACCEPTANCE_SEEDS,
     DEV_SEEDS,
@@ -22,8 +24,11 @@ from studies.safety.scenes import (
     PLATFORMS,
     RAM,
     VISIBILITIES,
+    Scene,
+    scenario,
 )
 from swarmd.core.errors import SwarmError
+from swarmd.sim.lockstep.lockstep import simulate_run
 
 Options = argparse.Namespace
 
@@ -78,11 +83,27 @@ def _parser() -> argparse.ArgumentParser:
         else:
             verb.add_argument("--modes", nargs="+", choices=MODES, default=progress.MODES)
             verb.add_argument("--seeds", type=int, default=5, help="how many")
+    one = verbs.add_parser("one", help="a single run with every collision")
+    for name, choices in (
+        ("family", FAMILIES),
+        ("platform", PLATFORMS),
+        ("visibility", VISIBILITIES),
+        ("mode", MODES),
+    ):
+        one.add_argument(name, choices=choices)
+    one.add_argument("seed", type=int)
+    one.add_argument("--duration", type=float, default=600.0, help="in s")
     return parser
 
 
 def main() -> None:
     options = _parser().parse_args()
+    if options.verb == "one":
+        words = (options.family, options.platform, options.visibility, options.mode)
+        trace = simulate_run(scenario(Scene(*words, duration=options.duration)), options.seed)
+        among = rammers(trace)
+        print(*collisions(trace, among), judge(trace, among), sep="\n")
+        return
     tasks = options.plan(options, DEV_SEEDS if options.dev else ACCEPTANCE_SEEDS)
     records = carry_out(tasks, options.out / f"{options.verb}.jsonl", options.jobs)
     print(f"Sources {records[0].code}, {machine()}\n\n{options.tables(records)}")

@@ -66,17 +66,13 @@ def test_a_wrong_parameter_that_was_set_is_not_looked_for_in_the_file(load: Load
 def test_a_robot_must_sense_what_the_pattern_needs(load: Load, tmp_path: Path) -> None:
     (tmp_path / "mine").mkdir()
     (tmp_path / "mine" / "needy.py").write_text(_NEEDY)
+    (tmp_path / "mine" / "leaving.py").write_text(f"{_NEEDY}\nraise SystemExit\n")
     changes = {"plugin_dir": "mine", "groups.blue.pattern": "needy"}
-    with pytest.raises(ConfigError, match=r"blue.*neighbors\.distance"):
+    with pytest.raises(ConfigError, match=r"groups.blue.pattern: .*neighbors.distance"):
         load(changes)
     assert load({**changes, "radio": {"range_and_bearing": True}}).plugin_dir == tmp_path / "mine"
-
-
-def test_a_pattern_that_exits_is_named(load: Load, tmp_path: Path) -> None:
-    (tmp_path / "mine").mkdir()
-    (tmp_path / "mine" / "leaving.py").write_text(f"{_NEEDY}\nraise SystemExit\n")
     with pytest.raises(ConfigError, match=r"groups\.blue\.pattern: leaving"):
-        load({"plugin_dir": "mine", "groups.blue.pattern": "leaving"})
+        load({**changes, "groups.blue.pattern": "leaving"})
 
 
 def test_layers_are_the_platforms_the_scenarios_and_the_groups(load: Load) -> None:
