@@ -104,24 +104,19 @@ def report(summary: Summary, folder: Path, *, is_json: bool) -> None:
         warn(f"problem: {line}")
     try:
         (folder / "summary.json").write_text(json.dumps(summary.as_json(), indent=2) + "\n")
-        _draw(summary, folder)
+        if find_spec("matplotlib") is None:
+            warn("no trajectories.png: matplotlib is missing; run: pip install 'swarmd[sim,plot]'")
+            return
+        from swarmd.sim.plots.theme import save
+        from swarmd.sim.plots.trajectories import trajectories_figure
+        from swarmd.sim.trace import load_trace
+
+        title = f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
+        figure = trajectories_figure(load_trace(folder / "trace.npz"), title)
+        save(figure, folder / "trajectories.png")
     except OSError as error:
         text = f"not all results could be kept in {folder}/: {error.strerror or error}"
         raise SwarmError(f"{text}; make room there, or run the demo in another folder") from error
-
-
-def _draw(summary: Summary, folder: Path) -> None:
-    """Write trajectories.png, if matplotlib is installed."""
-    if find_spec("matplotlib") is None:
-        warn("no trajectories.png: matplotlib is missing; run: pip install 'swarmd[sim,plot]'")
-        return
-    from swarmd.sim.plots.theme import save
-    from swarmd.sim.plots.trajectories import trajectories_figure
-    from swarmd.sim.trace import load_trace
-
-    title = f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
-    figure = trajectories_figure(load_trace(folder / "trace.npz"), title)
-    save(figure, folder / "trajectories.png")
 
 
 @contextmanager

@@ -293,7 +293,6 @@ def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None
 
 
 def _print_results(results: Results, names: Sequence[str] | None, is_json: bool) -> None:
-    """Print statistics on stdout, failures on stderr."""
     if is_json:
         print_json("ExperimentSummary", {**results.document(names), "folder": str(results.folder)})
     else:

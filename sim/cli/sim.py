@@ -103,7 +103,6 @@ def _report_ends(fleet: Fleet) -> NoReturn:
 
 
 def _print_usage(spec: FleetSpec) -> None:
-    """Print the robots, and commands for a second terminal."""
     swarmctl = "swarmctl" if spec.swarm == DEFAULT_SWARM else f"SWARM={spec.swarm} swarmctl"
     names = list(spec.robots)
     click.echo(f"{len(names)} robots are up in swarm {spec.swarm}: {names[0]} to {names[-1]}")

@@ -222,7 +222,6 @@ class Lockstep:
             self._update_neighbors(int(row))
 
     def _update_neighbors(self, row: int) -> None:
-        """Give robot `row` its neighbors."""
         shell = self.shells[row]
         if shell is None:
             return
