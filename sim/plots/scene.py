@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 WALL_COLOUR = "0.3"
 FIXED_COLOUR = "0.65"
-THING_COLOUR = "#C49C6B"
+MOVABLE_BOX_COLOUR = "#C49C6B"
 LINK_COLOUR = "0.6"
 _SMALL_PART = 0.5  # of the arena's longer side
 _MAX_STEPS = 100_000  # drawn of all paths together
@@ -132,7 +132,7 @@ def paint_arena(axes: Axes, trace: Trace) -> None:
         axes.add_patch(Circle((pole.x, pole.y), pole.radius, facecolor=FIXED_COLOUR, zorder=1.0))
 
 
-def paint_things(axes: Axes, trace: Trace) -> None:
+def paint_movable_boxes(axes: Axes, trace: Trace) -> None:
     """Paint movable boxes: hollow at the start, filled at the end, with their path.
 
     A box that is not in the arena at the end has only its hollow outline.
@@ -142,16 +142,16 @@ def paint_things(axes: Axes, trace: Trace) -> None:
     for poses, shape in zip(trace.box_pose.swapaxes(0, 1), trace.box_shapes, strict=True):
         there = np.flatnonzero(np.isfinite(poses).all(axis=1))
         if len(there):
-            _paint_thing(axes, poses, shape, there)
+            _paint_movable_box(axes, poses, shape, there)
 
 
-def _paint_thing(axes: Axes, poses: Array, shape: Array, there: NDArray[np.int64]) -> None:
+def _paint_movable_box(axes: Axes, poses: Array, shape: Array, there: NDArray[np.int64]) -> None:
     first = transform(shape, poses[there[0]])
-    axes.fill(*first.T, facecolor="none", edgecolor=THING_COLOUR, linewidth=1.2, zorder=1.4)
+    axes.fill(*first.T, facecolor="none", edgecolor=MOVABLE_BOX_COLOUR, linewidth=1.2, zorder=1.4)
     if there[-1] == len(poses) - 1:
-        axes.plot(poses[:, 0], poses[:, 1], color=THING_COLOUR, linewidth=1.0, zorder=1.4)
+        axes.plot(poses[:, 0], poses[:, 1], color=MOVABLE_BOX_COLOUR, linewidth=1.0, zorder=1.4)
         last = transform(shape, poses[-1])
-        axes.fill(*last.T, facecolor=THING_COLOUR, edgecolor="0.3", linewidth=0.6, zorder=1.5)
+        axes.fill(*last.T, facecolor=MOVABLE_BOX_COLOUR, edgecolor="0.3", linewidth=0.6, zorder=1.5)
 
 
 def robot_colour(robot: int) -> str:

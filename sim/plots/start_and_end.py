@@ -20,7 +20,7 @@ from swarmd.sim.plots.scene import (
     paint_arena,
     paint_bodies,
     paint_links,
-    paint_things,
+    paint_movable_boxes,
     prepare,
 )
 from swarmd.sim.plots.theme import GUIDE_COLOUR, ROBOT_COLOURS, new_figure
@@ -146,7 +146,7 @@ def _note(trace: Trace, link: float | None) -> str:
 
 def _paint_instant(axes: Axes, part: Trace, link: float | None) -> None:
     paint_arena(axes, part)
-    paint_things(axes, part)
+    paint_movable_boxes(axes, part)
     if link is not None:
         near = pairs.near(part.pose[..., :2], presence(part), link)
         paint_links(axes, part.pose[0, near.a, :2], part.pose[0, near.b, :2])

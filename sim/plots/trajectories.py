@@ -9,15 +9,15 @@ import numpy as np
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.plots.contacts import MARKS, marks_of, paint_contacts
 from swarmd.sim.plots.scene import (
-    THING_COLOUR,
+    MOVABLE_BOX_COLOUR,
     check_drawable,
     cut_note,
     extent_of,
     paint_arena,
     paint_bodies,
+    paint_movable_boxes,
     paint_paths,
     paint_paths_by_time,
-    paint_things,
     prepare,
     robot_colour,
     robot_style,
@@ -77,7 +77,7 @@ def paint_run(axes: Axes, trace: Trace, *, is_small: bool = False) -> Any:
     n = len(trace.ids)
     is_named = n <= MAX_NAMED
     paint_arena(axes, trace)
-    paint_things(axes, trace)
+    paint_movable_boxes(axes, trace)
     colours = [robot_colour(robot) if is_named else MANY_COLOUR for robot in range(n)]
     starts = colours if is_named else ["0.45"] * n
     paths = None
@@ -132,7 +132,7 @@ def _key(trace: Trace) -> list[tuple[Any, str]]:
     if (step < 0).any():
         entries.append(mark("v", "0.35", "white", "leaves"))
     if trace.movable_boxes:
-        entries.append(mark("s", THING_COLOUR, "0.3", "movable box"))
+        entries.append(mark("s", MOVABLE_BOX_COLOUR, "0.3", "movable box"))
     found = [mark.kind for mark in marks_of(trace)]
     for kind, (marker, face) in MARKS.items():
         if kind in found:

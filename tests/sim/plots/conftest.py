@@ -82,7 +82,6 @@ def full(walk: Walk) -> Callable[[int], Trace]:
             movable_boxes=("crate", "door"),
             box_pose=movable_boxes,
             box_shapes=np.stack((square, square)),
-            meta={**trace.meta, "radio": {"neighborhood": "range", "range": 1.5}},
         )
 
     return make

@@ -17,9 +17,9 @@ from swarmd.sim.plots.scene import (
     extent_of,
     paint_arena,
     paint_bodies,
+    paint_movable_boxes,
     paint_paths,
     paint_paths_by_time,
-    paint_things,
     robot_colour,
     robot_style,
 )
@@ -95,7 +95,7 @@ def test_every_part_of_the_arena_is_painted_and_movable_boxes_are_not(
 def test_a_box_that_is_pushed_is_hollow_at_first_and_filled_at_last(axes: Axes, full: Full) -> None:
     from matplotlib.colors import to_rgba
 
-    paint_things(axes, full(2))
+    paint_movable_boxes(axes, full(2))
     faces = [to_rgba(patch.get_facecolor())[3] for patch in axes.patches]
     assert faces == [0.0, 1.0, 0.0]  # the crate twice; the door, gone at the end, once
     assert len(axes.lines) == 1
@@ -103,9 +103,7 @@ def test_a_box_that_is_pushed_is_hollow_at_first_and_filled_at_last(axes: Axes, 
     assert outline.mean(axis=0) == pytest.approx([2.4, 0.3])
 
 
-def test_each_robots_way_has_its_line_and_is_dotted_while_it_is_away(
-    axes: Axes, full: Full
-) -> None:
+def test_the_path_of_a_robot_is_dotted_while_it_is_absent(axes: Axes, full: Full) -> None:
     paint_paths(axes, full(3))
     styles = [line.get_linestyle() for line in axes.lines]
     assert styles == ["-", ":", "-", ":", "-"]
@@ -118,7 +116,7 @@ def test_twenty_robots_look_different() -> None:
     assert len({(robot_colour(robot), robot_style(robot)) for robot in range(20)}) == 20
 
 
-def test_the_ways_of_many_are_in_pieces_from_the_start_to_the_end(axes: Axes, walk: Walk) -> None:
+def test_paths_of_many_robots_are_coloured_by_time(axes: Axes, walk: Walk) -> None:
     trace = walk(30, 101)
     ways = paint_paths_by_time(axes, trace)
     assert len(ways.get_paths()) == 100 * 30
@@ -128,20 +126,18 @@ def test_the_ways_of_many_are_in_pieces_from_the_start_to_the_end(axes: Axes, wa
     assert np.asarray(last)[-1] == pytest.approx(trace.pose[-1, -1, :2])
 
 
-def test_of_a_thousand_robots_no_more_places_are_drawn_than_can_be_seen(
-    axes: Axes, walk: Walk
-) -> None:
+def test_paths_of_a_thousand_robots_are_thinned(axes: Axes, walk: Walk) -> None:
     ways = paint_paths_by_time(axes, walk(1000, 3000))
     assert sum(len(np.asarray(path.vertices)) for path in ways.get_paths()) < 250_000
 
 
 @pytest.mark.parametrize("instants", [1, 2])
-def test_few_instants_have_ways_too(axes: Axes, walk: Walk, instants: int) -> None:
+def test_few_instants_have_paths_too(axes: Axes, walk: Walk, instants: int) -> None:
     trace = walk(30, instants)
     assert len(paint_paths_by_time(axes, trace).get_paths()) == 30 * (instants - 1)
 
 
-def test_robots_that_are_away_are_dotted_and_pale(axes: Axes, full: Full) -> None:
+def test_absent_robots_are_dotted_and_pale(axes: Axes, full: Full) -> None:
     paint_bodies(axes, full(3), 0, ["red", "green", "blue"], is_filled=True)
     there, noses, away, _ = axes.collections
     assert len(there.get_paths()) == len(noses.get_paths()) == 2
