@@ -92,14 +92,17 @@ def judged(trace: Trace, base: float = 0.6, step: float = 0.4) -> Course:
     places = trace.pose[..., :2]
     least = ranges(trace).min(axis=1)
     wanted = base + step * float(agreed if agreed >= 0 else np.max(opinion[-1]))
+    kept = np.append(time[until], np.inf)  # the times after the last that is too near
+    broken = np.flatnonzero(least[until] < wanted - TOLERANCE)
+    speeds = np.hypot(*np.moveaxis(np.diff(places, axis=0), -1, 0)) / np.diff(trace.t)[:, None]
     return Course(
         opinion=agreed,
         moved=float(away(places[~since]).max()),
         wanted=wanted,
-        kept_since=_since(time[until], least[until] >= wanted - TOLERANCE),
+        kept_since=float(kept[broken[-1] + 1 if len(broken) else 0]),
         least=float(least[late].min()),
         strayed=float(away(places[late]).max()),
-        moving=float((speeds(trace)[late[1:]] > STILL).mean()),
+        moving=float((speeds[late[1:]] > STILL).mean()),
         contacts=len(trace.contact_t),
     )
 
@@ -108,13 +111,6 @@ def away(places: Array) -> Array:
     """(T, n) the distance in m of positions (T, n, 2) from the first."""
     distance: Array = np.hypot(*np.moveaxis(places - places[0], -1, 0))
     return distance
-
-
-def speeds(trace: Trace) -> Array:
-    """(T - 1, n) the true speeds in m/s."""
-    way = np.hypot(*np.moveaxis(np.diff(trace.pose[..., :2], axis=0), -1, 0))
-    speed: Array = way / np.diff(trace.t)[:, None]
-    return speed
 
 
 def ranges(trace: Trace) -> Array:
@@ -133,13 +129,6 @@ def ranges(trace: Trace) -> Array:
                 away = apart(lidars[i][:, None], start, end).min(axis=1)
                 nearest[:, i] = np.minimum(nearest[:, i], away)
     return nearest
-
-
-def _since(time: Array, is_kept: Any) -> float:
-    """The time from which `is_kept` holds until the last; inf: never."""
-    broken = np.flatnonzero(~is_kept)
-    index = int(broken[-1]) + 1 if len(broken) else 0
-    return float(time[index]) if index < len(time) else float("inf")
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,17 +162,9 @@ def joined(trace: Trace, at: float = JOINED) -> Joining:
     )
 
 
-HEAD = (
-    *(
-        "",
-        "runs",
-        "all agree from 20 s on",
-        "moved before 20 s [m]",
-        "every range kept from 40 s on",
-    ),
-    *("kept since [s]", "least range 40 to 70 s [m]", "standing 40 to 70 s", "strayed [m]"),
-    "contacts",
-)
+HEAD = ("", "runs", "all agree from 20 s on", "moved before 20 s [m]",
+        "every range kept from 40 s on", "kept since [s]", "least range 40 to 70 s [m]",
+        "standing 40 to 70 s", "strayed [m]", "contacts")  # fmt: skip
 
 
 def row(courses: Sequence[Course]) -> list[str]:
