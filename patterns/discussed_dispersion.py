@@ -160,7 +160,7 @@ def _check(params: DiscussedDispersionParams, platform: Platform) -> None:
         distance = params.distance(opinion)
         if not least < distance <= 100.0:
             raise ConfigError(
-                f"parameters base and step: opinion {opinion} means {distance:g} m; wanted more"
+                f"parameters base and step: opinion {opinion} means {distance:g} m; expected more"
                 f" than {least:g} m, which the protection of {platform.name} keeps, and at most"
                 " 100 m"
             )

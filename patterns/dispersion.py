@@ -139,6 +139,6 @@ def _check(params: DispersionParams, platform: Platform) -> None:
     if params.distance <= threshold(platform):
         least = f"{threshold(platform):g} m"
         raise ConfigError(
-            f"parameter distance is {params.distance:g} m; wanted more than {least}, "
+            f"parameter distance is {params.distance:g} m; expected more than {least}, "
             f"the distance that the protection of {platform.name} keeps"
         )

@@ -144,7 +144,7 @@ def load_trace(path: Path) -> Trace:
     except ConfigError:
         raise
     except Exception as error:  # numpy lets through whatever zlib, zipfile and tokenize raise
-        raise ConfigError(f"{path}: not a trace, or damaged; wanted a run's .npz file") from error
+        raise ConfigError(f"{path}: not a trace, or damaged; expected a run's .npz file") from error
 
 
 def _check_parts(arrays: Mapping[str, NDArray[Any]], sizes: Mapping[str, int]) -> None:

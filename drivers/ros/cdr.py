@@ -30,7 +30,7 @@ def decode(kind: type[M], payload: bytes) -> M:
     A Range of Humble or Iron has no variance.
     """
     if len(payload) > MAX_PAYLOAD:
-        raise CodecError(f"{len(payload)} bytes; wanted are at most {MAX_PAYLOAD}")
+        raise CodecError(f"{len(payload)} bytes; expected at most {MAX_PAYLOAD}")
     try:
         return cast(M, store().deserialize_cdr(payload, name_of(kind)))
     except SerdeError as error:

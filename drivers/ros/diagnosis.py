@@ -89,7 +89,7 @@ class Graph:
         if wanted in types:
             return f"{topic} is announced but silent; {middleware.silent_topic} {topic}"
         if types:
-            return f"{topic} carries {', '.join(types)}; wanted is {wanted}: correct {option}"
+            return f"{topic} carries {', '.join(types)}; expected {wanted}: correct {option}"
         domains = _domains(end for end in announced if (end.topic, end.type) == (topic, wanted))
         if here and not domains:
             alike = {end.topic for end in here if end.type == wanted}

@@ -43,9 +43,9 @@ def scan_of(
     count, first, step = len(message.ranges), message.angle_min, message.angle_increment
     span = step * max(count - 1, 0)
     if count > MAX_RAYS:
-        raise CodecError(f"{count} rays; wanted are at most {MAX_RAYS}")
+        raise CodecError(f"{count} rays; expected at most {MAX_RAYS}")
     if not (abs(first) <= _MAX_FIRST_ANGLE and abs(span) <= _MAX_SPAN):  # false for NaN too
-        raise CodecError(f"rays from {first:g} rad over {span:g} rad; wanted is one turn at most")
+        raise CodecError(f"rays from {first:g} rad over {span:g} rad; expected one turn at most")
     side = -1.0 if is_upside_down else 1.0
     return Scan(
         seq,

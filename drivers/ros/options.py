@@ -130,14 +130,14 @@ def read_options(kind: type[O], options: Mapping[str, Value], driver: str, robot
 def _faults(options: TopicOptions) -> Iterator[str]:
     if isinstance(options, Ros1Options) and _MASTER.fullmatch(options.master_uri) is None:
         yield (
-            f"master is {options.master_uri!r}; wanted is such as {DEFAULT_MASTER}"
+            f"master is {options.master_uri!r}; expected a value such as {DEFAULT_MASTER}"
             " (without it, $ROS_MASTER_URI counts)"
         )
     for sensor, place in options.ranges.items():
         degrees, distance = _place(place)
         if not (abs(degrees) <= MAX_BEARING and 0.0 <= distance <= MAX_OFFSET):
             yield (
-                f"ranges.{sensor} is {place}; wanted is a bearing in degrees, or"
+                f"ranges.{sensor} is {place}; expected a bearing in degrees, or"
                 f" [bearing, distance] with 0 to {MAX_OFFSET:g} m"
             )
     names = {
@@ -155,7 +155,7 @@ def _faults(options: TopicOptions) -> Iterator[str]:
             continue
         if _NAME.fullmatch(name) is None:
             yield (
-                f"{option} is {name!r}; wanted is a ROS name such as tb3_01 or front/scan"
+                f"{option} is {name!r}; expected a ROS name such as tb3_01 or front/scan"
                 " (letters, digits, _ and /, a letter first)"
             )
         if option == "namespace" or (option == "scan" and options.ranges):
@@ -163,7 +163,7 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         topic = options.topic(name)
         owner = owners.setdefault(topic, option)  # a topic carries one type
         if owner != option:
-            yield f"{owner} and {option} are both {topic}; wanted is a topic each"
+            yield f"{owner} and {option} are both {topic}; expected a topic each"
 
 
 def _place(place: float | tuple[float, float]) -> tuple[float, float]:

@@ -124,7 +124,7 @@ def _evenly(platform: Platform) -> tuple[float, float]:
     if off.max() > _MAX_UNEVENNESS:
         raise ConfigError(
             f"platform {platform.name}: the rays of its scan are not evenly spread, as those of a"
-            " LaserScan are; wanted is `ranges` among the driver's options, a topic for each ray"
+            " LaserScan are; expected `ranges` among the driver's options, a topic for each ray"
         )
     return first, step
 
@@ -136,6 +136,6 @@ def _ray_at(platform: Platform, name: str, bearing: float) -> int:
     if apart[ray] > _MAX_MISMATCH:
         raise ConfigError(
             f"platform {platform.name}: ranges.{name} points to {math.degrees(bearing):g} degrees,"
-            " where its scan has no ray; wanted is one of scan.bearings_deg"
+            " where its scan has no ray; expected one of scan.bearings_deg"
         )
     return ray

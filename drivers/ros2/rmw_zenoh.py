@@ -107,7 +107,7 @@ class RmwZenoh(Ros2Middleware):
             return f"sent on key {key[:80]!a}"
         wanted = name_of(message_type)
         if type_name != dds_name(wanted):
-            return f"it carries {ros_name(type_name)}; wanted is {wanted}"
+            return f"it carries {ros_name(type_name)}; expected {wanted}"
         if hashed != NO_HASH and hashed not in known_hashes(message_type):
             return f"its {wanted} has the type hash {hashed[:19]}, which no distribution has"
         if topic != self._cmd_vel:  # others publish there: a watchdog sends zero on every key

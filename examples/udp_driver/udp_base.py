@@ -186,7 +186,7 @@ def address_of(base: str) -> tuple[str, int]:
     """Host and port of `host:port`; ConfigError if it has another form."""
     host, _, port = base.rpartition(":")
     if not host or not port.isdecimal():
-        raise ConfigError(f"driver udp: base is {base}; wanted is such as 10.0.0.7:9000")
+        raise ConfigError(f"driver udp: base is {base}; expected a value such as 10.0.0.7:9000")
     return host, int(port)
 
 

@@ -22,7 +22,7 @@ def parse_seeds(text: str) -> tuple[int, ...]:
         if last < first:
             raise ConfigError(
                 f"--seeds {text!r}: {part!r} is not a seed or range;"
-                " wanted 20 (0 to 19), 500-519 or 3,5,9"
+                " expected 20 (0 to 19), 500-519 or 3,5,9"
             )
         _bounded(len(seeds) + last - first + 1, text)
         seeds += range(first, last + 1)
@@ -40,7 +40,9 @@ def parse_sweeps(words: Iterable[str]) -> dict[str, list[Any]]:
     found = _by_key(words, SWEEP_SOURCE, "[{}]")
     for (key, values), word in zip(found.items(), words, strict=True):
         if not values or word.rstrip().endswith(","):  # which YAML allows
-            raise ConfigError(f"{SWEEP_SOURCE} {key}: a value is empty; wanted such as 0.1,0.2")
+            raise ConfigError(
+                f"{SWEEP_SOURCE} {key}: a value is empty; expected a value such as 0.1,0.2"
+            )
     return found
 
 

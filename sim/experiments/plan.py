@@ -70,11 +70,11 @@ def check_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
     """The seeds; ConfigError if they are empty, repeated or invalid."""
     found = tuple(seeds)
     if not found:
-        raise ConfigError("seeds: empty; wanted at least one, such as --seeds 20")
+        raise ConfigError("seeds: empty; expected at least one, such as --seeds 20")
     seen: set[int] = set()
     for seed in found:
         if isinstance(seed, bool) or not isinstance(seed, Integral) or not 0 <= seed <= MAX_SEED:
-            raise ConfigError(f"seeds: {seed!r} is no seed; wanted whole numbers 0 to {MAX_SEED}")
+            raise ConfigError(f"seeds: {seed!r} is no seed; expected whole numbers 0 to {MAX_SEED}")
         if seed in seen:
             raise ConfigError(f"seeds: {seed} is given twice; keep one")
         seen.add(seed)
@@ -123,9 +123,11 @@ def _check_sweep(
     key: str, values: Sequence[Any], sets: Mapping[str, Any], sweep: Mapping[str, Any]
 ) -> None:
     if isinstance(values, str) or not isinstance(values, Sequence):
-        raise ConfigError(f"sweep {key}: {values!r} is no list; wanted such as [0.1, 0.2]")
+        raise ConfigError(
+            f"sweep {key}: {values!r} is no list; expected a value such as [0.1, 0.2]"
+        )
     if not values:
-        raise ConfigError(f"sweep {key}: there is no value; wanted such as {key}=0.1,0.2")
+        raise ConfigError(f"sweep {key}: there is no value; expected a value such as {key}=0.1,0.2")
     if key in sets:
         raise ConfigError(f"{key} is both set and swept; keep one of them")
     for other in (*sets, *sweep):

@@ -59,9 +59,9 @@ def simulate(
     in `failures` of the results; SwarmError if all runs failed.
     """
     if jobs < 1:
-        raise ConfigError(f"jobs is {jobs}; wanted 1 or more")
+        raise ConfigError(f"jobs is {jobs}; expected 1 or more")
     if not timeout >= 1.0:
-        raise ConfigError(f"timeout is {timeout:g}; wanted 1 s or more")
+        raise ConfigError(f"timeout is {timeout:g}; expected 1 s or more")
     listed = range(int(seeds)) if isinstance(seeds, Integral) else cast("Iterable[int]", seeds)
     plan = plan_of(scenario, listed, set, sweep)
     manifest = manifest_of(plan, traces=traces, command=[])

@@ -66,7 +66,7 @@ def parse_robots(text: str) -> dict[str, Platform]:
     for item in text.split(","):
         robot, colon, name = item.partition(":")
         if not colon:
-            raise ConfigError(f"robots has {item!r}; wanted is such as tb3-01:waffle_pi")
+            raise ConfigError(f"robots has {item!r}; expected a value such as tb3-01:waffle_pi")
         if robot in robots:
             raise ConfigError(f"robots has {robot!r} twice; every robot needs an id of its own")
         if name not in loaded:

@@ -35,7 +35,7 @@ def arena_of(layers: Layered, section: ArenaSection) -> Arena:
         check_inside(layers, section, (*keys, "from"), wall.start)
         check_inside(layers, section, (*keys, "to"), wall.end)
         if wall.start == wall.end:
-            text = f"{dotted(keys)} begins and ends at {list(wall.start)}; wanted two points"
+            text = f"{dotted(keys)} begins and ends at {list(wall.start)}; expected two points"
             raise layers.error(keys, text)
     with blamed(layers, "arena", "boxes", prefix="arena.boxes: "):
         return Arena(
@@ -62,7 +62,7 @@ def check_inside(
     """Raise ConfigError if the place, x and y in m, is outside the walls."""
     x, y = section.size[0] / 2.0, section.size[1] / 2.0
     if abs(place[0]) > x or abs(place[1]) > y:
-        text = f"{dotted(keys)} is {list(place)}; wanted within the walls"
+        text = f"{dotted(keys)} is {list(place)}; expected within the walls"
         raise layers.error(keys, f"{text}, x up to {x:g} and y up to {y:g} either way")
 
 

@@ -59,7 +59,7 @@ def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> G
                 raise layers.error(keys, f"{text}; name it once, or give another prefix")
             group_of[robot] = name
     if not groups:
-        raise layers.error(("groups",), "groups is empty; wanted one group of robots at least")
+        raise layers.error(("groups",), "groups is empty; expected one group of robots at least")
     if ALL in groups and len(groups) > 1:
         text = "groups.all does not hold all robots, which events call `all`; name it otherwise"
         raise layers.error(("groups", ALL), text)

@@ -20,7 +20,7 @@ def parse_override(text: str, source: str = SOURCE, form: str = "{}") -> tuple[s
     """
     key, equals, value = text.partition("=")
     if not equals or not all(key.strip().split(".")):
-        raise ConfigError(f"{source} {text!r}: wanted is key=value")
+        raise ConfigError(f"{source} {text!r}: expected key=value")
     try:
         return key.strip(), read_value(form.format(value))
     except ConfigError as error:

@@ -42,7 +42,7 @@ def load_scenario(
     """The scenario of that name, or of that file if it ends in .yaml.
 
     `overrides` by dotted keys of the file: {"groups.all.count": 5, "duration": 30}. ConfigError
-    names the file, or `source` for an override, the key, the value, what was wanted and the
+    names the file, or `source` for an override, the key, the value, what was expected and the
     nearest valid key.
     """
     path = _find(str(name), Path())
@@ -78,7 +78,7 @@ def _chain(path: Path) -> Iterator[tuple[str, Data]]:
     for file, data in read_extended(path, _find):
         base = data.get("extends")
         if base is not None and not isinstance(base, str):
-            raise ConfigError(f"{shown(file)}: extends is {base!r}; wanted a scenario's name")
+            raise ConfigError(f"{shown(file)}: extends is {base!r}; expected a scenario's name")
         rest = {key: value for key, value in data.items() if key != "extends"}
         yield shown(file), _anchored(rest, file.parent.absolute())
 
@@ -108,7 +108,7 @@ def _overridden(
     layers = Layered(*without_stale(sources), home=home)
     if "groups" not in layers.data:
         wanted = "groups: {tb3: {platform: burger, count: 5}}"
-        raise layers.error(("groups",), f"groups is missing; wanted is such as {wanted}")
+        raise layers.error(("groups",), f"groups is missing; expected a value such as {wanted}")
     file = layers.build(ScenarioFile)
     if file.extends is not None:
         raise layers.error(("extends",), "extends is for files alone; leave it out here")

@@ -33,7 +33,7 @@ def read_event(layers: Layered, file: ScenarioFile, groups: Groups, index: int) 
     section, keys = file.events[index], ("events", index)
     action = _action(layers, section, keys)
     if section.at >= file.duration:
-        text = f"events[{index}].at is {section.at:g}; wanted before the end"
+        text = f"events[{index}].at is {section.at:g}; expected before the end"
         raise layers.error((*keys, "at"), f"{text} (duration is {file.duration:g})")
     movable = [box.name for box in file.arena.boxes if box.mass is not None and box.name]
     is_robot = action == "remove" and bool(groups.named(section.remove or ""))
@@ -67,7 +67,7 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
     given = [action for action in ACTIONS if getattr(section, action) is not None]
     if len(given) != 1:
         text = f"{name} has {' and '.join(given) or 'nothing'} at {section.at:g}"
-        raise layers.error(keys, f"{text}; wanted one of {', '.join(ACTIONS)}")
+        raise layers.error(keys, f"{text}; expected one of {', '.join(ACTIONS)}")
     for key, field_name in zip(
         EventSection.__struct_encode_fields__, EventSection.__struct_fields__, strict=True
     ):
@@ -76,7 +76,7 @@ def _action(layers: Layered, section: EventSection, keys: Keys) -> Action:
             text = f"{name}.{key} means nothing beside {given[0]}; leave it out"
             raise layers.error((*keys, key), text)
     if given[0] == "param" and not section.param:
-        text = f"{name}.param is empty; wanted values by name, such as {{speed: 0.1}}"
+        text = f"{name}.param is empty; expected values by name, such as {{speed: 0.1}}"
         raise layers.error((*keys, "param"), text)
     return given[0]
 
@@ -91,7 +91,7 @@ def _box_event(
     if section.remove is not None:
         return ScheduledEvent(at=section.at, action="remove", box=box)
     if section.pose is None:
-        raise layers.error(keys, f"{name}.pose is missing; wanted [x, y, degrees]")
+        raise layers.error(keys, f"{name}.pose is missing; expected [x, y, degrees]")
     x, y, degrees = section.pose
     check_inside(layers, file.arena, ("events", keys[1], "pose"), (x, y))
     pose = (x, y, math.radians(degrees))
@@ -108,7 +108,7 @@ def _robots(layers: Layered, groups: Groups, keys: Keys, words: Sequence[str]) -
             raise layers.error(keys, f"{name}: {unknown('robot or group', word, groups.names)}")
         meant.update(dict.fromkeys(robots))
     if not meant:
-        raise layers.error(keys, f"{name} is empty; wanted a robot, a group or all")
+        raise layers.error(keys, f"{name} is empty; expected a robot, a group or all")
     return tuple(robot for robot in groups.robots if robot in meant)
 
 

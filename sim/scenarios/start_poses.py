@@ -115,7 +115,7 @@ def start_group_of(
     for name in StartSection.__struct_fields__[1:]:
         if getattr(start, name) is not None and name not in KEYS[layout]:
             wanted = ", ".join(KEYS[layout])
-            text = f"{key}.{name} means nothing with layout {layout}; wanted there: {wanted}"
+            text = f"{key}.{name} means nothing with layout {layout}; expected there: {wanted}"
             raise layers.error((*keys, name), text)
     fault = _misfit(layout, start, len(rows))
     if fault:
@@ -128,9 +128,9 @@ def _misfit(layout: str, start: StartSection, n: int) -> str:
         if start.near is None or start.far is None:
             return "needs near and far: how far in m each robot is from the nearest before it"
         if start.near > start.far:
-            return f"has near {start.near:g} above far {start.far:g}; wanted near up to far"
+            return f"has near {start.near:g} above far {start.far:g}; expected near up to far"
     if layout == "list" and len(start.poses or ()) != n:
-        return f"has {len(start.poses or ())} poses; wanted are {n}, one a robot"
+        return f"has {len(start.poses or ())} poses; expected {n}, one a robot"
     if layout == "random" and start.center is not None and start.size is None:
         return "has a center and no size; give size, such as [2, 2], or leave center out"
     return ""

@@ -17,7 +17,9 @@ from swarmd.sim.world.geometry import transform
 MIN_MASS, MAX_MASS = 0.001, 1e6
 """kg of a movable box; the heaviest is as immovable as a wall."""
 
-_WANTED = "wanted is such as 6x6, 6.6x4.8 or 6x6,box:1:0:0.5:0.3:45,pole:-1:2:0.1,segment:0:1:2:1"
+_WANTED = (
+    "expected a value such as 6x6, 6.6x4.8 or 6x6,box:1:0:0.5:0.3:45,pole:-1:2:0.1,segment:0:1:2:1"
+)
 _SIZE = re.compile(r"([0-9.]+)x([0-9.]+)")
 _THICKNESS = 0.01
 _CORNERS_OF_A_POLE = 16
@@ -117,7 +119,7 @@ class Arena:
             if box.mass is not None and not MIN_MASS <= box.mass <= MAX_MASS:
                 raise ConfigError(
                     f"box {name} has a mass of {box.mass:g} kg;"
-                    f" wanted {MIN_MASS:g} to {MAX_MASS:g} kg"
+                    f" expected {MIN_MASS:g} to {MAX_MASS:g} kg"
                 )
 
     @property

@@ -172,7 +172,7 @@ def is_solid(platform: Platform) -> bool:
     solid = platform.body.get("solid", 1.0)
     if solid not in (0.0, 1.0):
         raise ConfigError(
-            f"platform {platform.name}: body.solid is {solid:g}; wanted 1, or 0 for a robot that"
+            f"platform {platform.name}: body.solid is {solid:g}; expected 1, or 0 for a robot that"
             " others pass through"
         )
     return solid == 1.0

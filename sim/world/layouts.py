@@ -214,7 +214,7 @@ def _headed(pose: Array, heading: float | None) -> Array:
 def _listed(rest: str, n: int) -> Array:
     rows = [[_number(word, math.nan) for word in row.split(":")] for row in rest.split(",")]
     if len(rows) != n or any(len(row) != 3 for row in rows):
-        raise ConfigError(f"{len(rows)} poses; wanted are {n} of x:y:degrees")
+        raise ConfigError(f"{len(rows)} poses; expected {n} of x:y:degrees")
     poses = np.array(rows)
     poses[:, 2] = np.radians(poses[:, 2])
     return poses
@@ -228,5 +228,5 @@ def _number(word: str, default: float) -> float:
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise ConfigError(f"{word!r} is no number; wanted is such as row:1.0")
+        raise ConfigError(f"{word!r} is no number; expected a value such as row:1.0")
     return value

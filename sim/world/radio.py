@@ -63,8 +63,8 @@ def check_radio(settings: RadioSettings) -> None:
         )
     if settings.jitter > settings.delay:
         raise ConfigError(
-            f"radio.jitter is {settings.jitter:g}; wanted at most radio.delay ({settings.delay:g}):"
-            " nothing arrives before it is sent"
+            f"radio.jitter is {settings.jitter:g}; expected at most radio.delay"
+            f" ({settings.delay:g}): nothing arrives before it is sent"
         )
 
 

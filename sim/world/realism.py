@@ -120,7 +120,7 @@ def realism_of(value: str | Mapping[str, Any], source: str = "realism") -> Reali
     """
     if not isinstance(value, str | Mapping):
         raise ConfigError(
-            f"{source}: is {brief(value)}; wanted {' or '.join(REALISMS)}, or keys and values"
+            f"{source}: is {brief(value)}; expected {' or '.join(REALISMS)}, or keys and values"
         )
     if isinstance(value, str):
         return _preset(value, source)

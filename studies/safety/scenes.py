@@ -114,7 +114,7 @@ def scenario(scene: Scene) -> Scenario:
             raise ConfigError(f"scene {scene.name}: {fault}")
     if scene.platform == "mixed" and scene.visibility == "real":
         raise ConfigError(
-            f"scene {scene.name}: a Jackal's lidar looks over TurtleBots; wanted is visibility body"
+            f"scene {scene.name}: a Jackal's lidar looks over TurtleBots; expected visibility body"
         )
     room = scene.room
     starts: dict[str, Any] = {"layout": "random", "clearance": room.clearance}

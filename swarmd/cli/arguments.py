@@ -51,7 +51,9 @@ class Duration(click.ParamType[float]):
         match = _DURATION.fullmatch(str(value).strip().lower())
         seconds = float(match[1]) * _UNITS[match[2]] if match else 0.0
         if not 0.0 < seconds <= _MAX_DURATION:
-            self.fail(f"{value!r} is no duration; wanted such as 60s, 2m or 500ms", param, ctx)
+            self.fail(
+                f"{value!r} is no duration; expected a value such as 60s, 2m or 500ms", param, ctx
+            )
         return seconds
 
 
@@ -99,7 +101,7 @@ def read_targets(
     for glob in (*names, *exclude):
         if not _GLOB.fullmatch(glob):
             raise click.UsageError(
-                f"{glob!r} is no robot name; wanted a-z, 0-9, _ and -, with * ? [..] as wildcards"
+                f"{glob!r} is no robot name; expected a-z, 0-9, _ and -, with * ? [..] as wildcards"
             )
     if names and is_all:
         raise click.UsageError(f"{verb} takes names or --all, not both")

@@ -83,7 +83,7 @@ def show_pattern(options: CommonOptions, name: str, plugin_dir: Path | None, pla
     click.echo("\n".join(map(printable, text.splitlines())) + "\n")
     print_section("Pattern", _about(row))
     click.echo(f"Parameters on {row['platform']}")
-    header = ("NAME", "DEFAULT", "WANTED", "MEANING", "SOURCE")
+    header = ("NAME", "DEFAULT", "EXPECTED", "MEANING", "SOURCE")
     print_table(header, [_param(spec) for spec in row["params"]])
 
 
@@ -108,7 +108,7 @@ def check(options: CommonOptions, file: Path, platform: str, plugin_dir: Path | 
     Prints each fault with file, line and key. Exit code 2 if there is a fault.
     """
     if not file.is_file():
-        raise click.UsageError(f"{file} is no file; wanted the YAML file of a mission")
+        raise click.UsageError(f"{file} is no file; expected the YAML file of a mission")
     faults = check_mission(file, platform, plugin_dir or file.parent)
     if options.is_json:
         print_json("Mission", {"file": str(file), "platform": platform, "faults": faults})

@@ -187,9 +187,7 @@ def _check_name(name: str) -> None:
     is_test = name.startswith("test_")
     if is_id(name) and name.isidentifier() and not keyword.iskeyword(name) and not is_test:
         return
-    wanted = (
-        "wanted are 1 to 63 of a-z, 0-9 and _, the first a letter, no word of Python's, no test_"
-    )
+    wanted = "expected 1 to 63 of a-z, 0-9 and _, the first a letter, no word of Python's, no test_"
     raise click.UsageError(
         f"a pattern's file is a Python module, and {name!r} is no name: {wanted}"
     )

@@ -176,12 +176,12 @@ def _parameter_fault(specs: Mapping[str, Record], key: str, value: object) -> st
     spec = specs[key]
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if is_number != (spec["type"] in ("int", "float")) and not isinstance(value, str | None):
-        return f"{key} is {value!r}; wanted {spec['wanted']}"
+        return f"{key} is {value!r}; expected {spec['wanted']}"
     low, high = spec["ge"], spec["le"]
     if isinstance(value, int | float) and not (
         (low is None or value >= low) and (high is None or value <= high)
     ):
-        return f"{key} is {value!r}; wanted {spec['wanted']}"
+        return f"{key} is {value!r}; expected {spec['wanted']}"
     return ""
 
 

@@ -13,7 +13,7 @@
     └── NetworkError     no session, no peers, no answer
         └── IdHeldError  the robot's id belongs to another daemon of the swarm
 
-Every message names what is wrong, where, what was wanted and what to do, in one line.
+Every message names what is wrong, where, what was expected and what to do, in one line.
 """
 
 from __future__ import annotations

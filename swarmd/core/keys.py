@@ -31,7 +31,7 @@ def check_id(value: str, what: str) -> str:
     if _ID.fullmatch(value):
         return value
     raise ConfigError(
-        f"{what} is {value!r}; wanted are 1 to 63 of a-z, 0-9, _ and -, the first a letter or digit"
+        f"{what} is {value!r}; expected 1 to 63 of a-z, 0-9, _ and -, the first a letter or digit"
     )
 
 

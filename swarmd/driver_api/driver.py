@@ -113,7 +113,7 @@ def check_protected(platform: Platform, driver: Driver, name: str) -> None:
     if platform.protection["mode"] == "off" and not driver.is_simulated:
         raise ConfigError(
             f"platform {platform.name}: protection.mode is off, and driver {name} moves a real"
-            " robot; wanted barrier, potential_field or stop_zone: change the platform's file"
+            " robot; expected barrier, potential_field or stop_zone: change the platform's file"
         )
 
 

@@ -199,5 +199,5 @@ def _regular(first: float, step: float, count: int) -> Array:
 
 def _floats(data: bytes) -> Array:
     if len(data) % 4 or len(data) > 4 * MAX_RAYS:
-        raise CodecError(f"an array of {len(data)} bytes; wanted are at most {MAX_RAYS} float32")
+        raise CodecError(f"an array of {len(data)} bytes; expected at most {MAX_RAYS} float32")
     return np.frombuffer(data, dtype="<f4").astype(np.float64)

@@ -76,9 +76,9 @@ def named_file(name: str, what: str) -> Path:
     try:
         path = Path(name).expanduser()
     except RuntimeError:
-        raise ConfigError(f"{what} is {name!r}: there is no such user; wanted is a file") from None
+        raise ConfigError(f"{what} is {name!r}: there is no such user; expected a file") from None
     if not path.name or "\0" in name:
-        raise ConfigError(f"{what} is {name!r}; wanted is a file")
+        raise ConfigError(f"{what} is {name!r}; expected a file")
     return path
 
 
@@ -92,11 +92,11 @@ def read_recording(path: Path) -> Recording:
         data = path.read_bytes()
     except OSError as error:
         raise ConfigError(
-            f"{path}: cannot be read: {error.strerror}; wanted a recording, as option record of a"
+            f"{path}: cannot be read: {error.strerror}; expected a recording, as option record of a"
             " driver writes it"
         ) from error
     if not data.startswith(MAGIC):
-        raise ConfigError(f"{path}: not a recording; wanted a file that option record wrote")
+        raise ConfigError(f"{path}: not a recording; expected a file that option record wrote")
     frames, at = [], len(MAGIC)
     while at + 4 <= len(data):
         size = int.from_bytes(data[at : at + 4], "little")

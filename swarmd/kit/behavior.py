@@ -111,5 +111,5 @@ class MovementPattern(Pattern[P]):
             return Outputs(report=self.report())
         twist = self.drive(inputs)
         if twist is None:  # valid outputs, but the author forgot something; any other type is not
-            raise PluginError("drive gave None; is a return missing? wanted is a Twist")
+            raise PluginError("drive gave None; is a return missing? expected a Twist")
         return Outputs(twist=twist, report=self.report())

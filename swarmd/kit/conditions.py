@@ -143,16 +143,16 @@ def parse_condition(text: str) -> Condition:
             return Report(name, _scalar(value_text))
     kinds = [form.partition(":")[0] for form in _FORMS]
     fault = f"condition {text!r}" if kind in kinds else unknown("condition", kind, kinds)
-    raise ConfigError(f"{fault}; wanted one of {', '.join(_FORMS)}")
+    raise ConfigError(f"{fault}; expected one of {', '.join(_FORMS)}")
 
 
 def parse_conditions(texts: object) -> Condition:
     """Any of several, as a request from the network holds them; ConfigError if malformed."""
     if not isinstance(texts, list | tuple) or not 1 <= len(texts) <= MAX_CONDITIONS:
-        wanted = f"wanted a list of 1 to {MAX_CONDITIONS} conditions"
+        wanted = f"expected a list of 1 to {MAX_CONDITIONS} conditions"
         raise ConfigError(f"until is {str(texts)[:60]!r}; {wanted}")
     if any(not isinstance(text, str) or len(text) > MAX_CONDITION_LENGTH for text in texts):
-        wanted = f"wanted text of up to {MAX_CONDITION_LENGTH} characters"
+        wanted = f"expected text of up to {MAX_CONDITION_LENGTH} characters"
         raise ConfigError(f"until holds a malformed condition; {wanted}")
     found = tuple(parse_condition(text) for text in texts)
     return found[0] if len(found) == 1 else AnyOf(found)
@@ -195,7 +195,7 @@ def _number(text: str, word: str) -> float:
     except ValueError:
         value = math.nan
     if not 0.0 < value <= MAX_SECONDS:
-        wanted = f"wanted a number above 0 and up to {MAX_SECONDS:g}, such as 5"
+        wanted = f"expected a number above 0 and up to {MAX_SECONDS:g}, such as 5"
         raise ConfigError(f"condition {text!r}: is {word!r}; {wanted}")
     return value
 

@@ -232,7 +232,7 @@ def check_spacing(params: FormationParams, platform: Platform) -> None:
         if _kept_free(platform) > params.clearance:
             whose = f"the distance that the protection of {platform.name} keeps"
         raise ConfigError(
-            f"parameter spacing is {params.spacing:g} m; wanted is more than {least:.3g} m:"
+            f"parameter spacing is {params.spacing:g} m; expected more than {least:.3g} m:"
             f" {whose} and half the footprint"
         )
 

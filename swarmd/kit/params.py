@@ -222,7 +222,7 @@ def _check_default(params_type: type[Params], spec: ParamSpec, hint: Any) -> Non
     except msgspec.ValidationError:
         raise PluginError(
             f"{params_type.__name__}.{spec.name} has the default {spec.default!r};"
-            f" wanted is {spec.wanted}"
+            f" expected {spec.wanted}"
         ) from None
 
 
@@ -237,7 +237,7 @@ def _convert(value: Value, hint: Any, spec: ParamSpec, source: str) -> Scalar | 
     if isinstance(converted, float) and not math.isfinite(converted):
         shown = repr(value) if value is None else f"{value!r} {spec.unit}".rstrip()
         raise ParameterError(
-            f"parameter {spec.name} is {shown} (from {source}); wanted is {spec.wanted}", spec.name
+            f"parameter {spec.name} is {shown} (from {source}); expected {spec.wanted}", spec.name
         )
     return cast("Scalar | None", converted)
 
@@ -248,7 +248,7 @@ def _spec(params_type: type[Params], field: Any, hint: Any) -> ParamSpec:
     if plain not in _TYPES and not (choices and all(isinstance(c, str) for c in choices)):
         raise PluginError(
             f"{params_type.__name__}.{field.name} is a {plain}; "
-            "wanted is float, int, bool, str or a Literal of strings"
+            "expected float, int, bool, str or a Literal of strings"
         )
     extra = meta.extra or {}
     return ParamSpec(

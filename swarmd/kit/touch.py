@@ -30,7 +30,7 @@ def check_zone(pattern: str, zone: object) -> None:
     if zone is None:
         return
     if not isinstance(zone, TouchZone):
-        raise PluginError(f"pattern {pattern!r}: touches is {zone!r}; wanted a TouchZone or None")
+        raise PluginError(f"pattern {pattern!r}: touches is {zone!r}; expected a TouchZone or None")
     limit = math.radians(MAX_TOUCH_HALF_WIDTH_DEG)
     is_sound = (
         math.isfinite(zone.bearing)
@@ -39,7 +39,7 @@ def check_zone(pattern: str, zone: object) -> None:
     )
     if not is_sound:
         raise PluginError(
-            f"pattern {pattern!r}: touches is {zone!r}; wanted a bearing in rad, a half_width "
+            f"pattern {pattern!r}: touches is {zone!r}; expected a bearing in rad, a half_width "
             f"above 0 and up to {limit:.3f} rad and a speed above 0 and up to "
             f"{MAX_TOUCH_SPEED:g} m/s"
         )

@@ -343,11 +343,11 @@ def _check_map(one: Map, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
     if param == "recovery":
         yield fault_at((*keys, "to"), _RECOVERY)
     if source == target:
-        yield fault_at((*keys, "to"), f"is a parameter of {source} itself; wanted another part's")
+        yield fault_at((*keys, "to"), f"is a parameter of {source} itself; expected another part's")
     if (one.values is None) == (one.base is None):
         yield fault_at(keys, "needs either values, or base and step")
     elif one.base is not None and one.step is None:
-        yield fault_at((*keys, "step"), "is missing; wanted a number, as base is there")
+        yield fault_at((*keys, "step"), "is missing; expected a number, as base is there")
     elif one.base is None and (one.step, one.count) != (None, None):
         yield fault_at(keys, "has step or count, which go with base, beside values")
 
@@ -360,7 +360,7 @@ def _check_part(part: str, keys: Keys, names: Collection[str]) -> Iterator[Fault
 def _check_reference(reference: str, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
     part, key = split(reference)
     if not key:
-        yield fault_at(keys, f"is {reference!r}; wanted PART.KEY, such as vote.opinion")
+        yield fault_at(keys, f"is {reference!r}; expected PART.KEY, such as vote.opinion")
     else:
         yield from _check_part(part, keys, names)
 
@@ -372,7 +372,7 @@ def _named(
     for own, reference in found.items():
         wrong = list(_check_reference(reference, (key, own), names))
         if not _PARAMETER_NAME.fullmatch(own) or own in _RESERVED_NAMES:
-            text = "is not a valid name; wanted letters, digits and _, but not recovery or phase"
+            text = "is not a valid name; expected letters, digits and _, but not recovery or phase"
             wrong = [fault_at((key, own), text)]
         faults += wrong
         if not wrong:
@@ -382,15 +382,15 @@ def _named(
 def _check_whole(document: Document, data: Mapping[str, Any]) -> Iterator[Fault]:
     """Faults between the keys of the file."""
     if "mission" not in data:
-        yield fault_at(("mission",), "is missing; wanted a line that says what the mission does")
+        yield fault_at(("mission",), "is missing; expected a line that says what the mission does")
     if not data.get("parts"):
-        yield fault_at(("parts",), "is missing; wanted parts, such as move: {pattern: NAME}")
+        yield fault_at(("parts",), "is missing; expected parts, such as move: {pattern: NAME}")
     if document.root is not None and document.root.when is not None:
         yield fault_at(("when",), "belongs to a branch of a switch; leave it out")
     used = set(document.names) if document.root is None else parts_in(document.root)
     for name in document.names:
         if not _is_part_name(name):
-            text = f"is not a valid name of a part; wanted letters, digits and _, not {NO_DRIVER}"
+            text = f"is not a valid name of a part; expected letters, digits and _, not {NO_DRIVER}"
             yield fault_at(("parts", name), text)
         elif name not in used:
             yield fault_at(("parts", name), "is never stepped; name it in a step, or leave it out")

@@ -103,7 +103,7 @@ def open_listening(
     except ConfigError as error:
         raise ConfigError(f"endpoint is {error}") from error
     if protocol != "tcp" or suffix:
-        raise ConfigError(f"endpoint is {endpoint!r}; wanted is such as tcp/127.0.0.1:0")
+        raise ConfigError(f"endpoint is {endpoint!r}; expected a value such as tcp/127.0.0.1:0")
     if port:
         return open_with({**options, "listen/endpoints": [endpoint]}, what), endpoint
     for _ in range(MAX_PORT_TRIES):

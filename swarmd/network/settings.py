@@ -46,7 +46,7 @@ def parse_endpoint(
     """The parts of an endpoint. Raises ConfigError: the prefix, the text, and a valid example."""
     match = _ENDPOINT.fullmatch(text)
     if match is None or int(match[3]) > 65535:
-        raise ConfigError(f"{prefix}{text!r}; wanted an endpoint such as {example}")
+        raise ConfigError(f"{prefix}{text!r}; expected an endpoint such as {example}")
     return Endpoint(match[1], match[2].strip("[]"), int(match[3]), match[4] or "")
 
 
@@ -98,9 +98,9 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
         except ConfigError as error:
             yield ("swarm",), str(error)
         if self.profile not in ("dev", "field"):
-            yield ("profile",), f"profile is {self.profile!r}; wanted is dev or field"
+            yield ("profile",), f"profile is {self.profile!r}; expected dev or field"
         if not MIN_LEASE <= self.lease_seconds <= MAX_LEASE:
-            yield ("lease",), f"lease is {self.lease_seconds:g} s; wanted are 0.2 to 60 s"
+            yield ("lease",), f"lease is {self.lease_seconds:g} s; expected 0.2 to 60 s"
         for key, endpoints in (("listen", self.listen), ("seeds", self.seeds)):
             for index, text in enumerate(endpoints):
                 if fault := self._fault_of(key, text):

@@ -125,11 +125,11 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
     channel is not of the channel's type. Report values that are no scalars are left out.
     """
     if not isinstance(outputs, Outputs):
-        raise PluginError(f"step gave {named(outputs)}; wanted is Outputs")
+        raise PluginError(f"step gave {named(outputs)}; expected Outputs")
     twist = outputs.twist
     if twist is not None:
         if not isinstance(twist, Twist):
-            raise PluginError(f"the command is {named(twist)}; wanted is a Twist or None")
+            raise PluginError(f"the command is {named(twist)}; expected a Twist or None")
         twist = Twist(float(twist.linear), float(twist.angular), float(twist.lateral))
     messages = {}
     for channel, said in outputs.messages.items():
@@ -138,7 +138,7 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
             try:
                 value = msgspec.convert(value, kind)
             except msgspec.ValidationError:
-                wanted = f"wanted is {kind.__name__}, as channels declares"
+                wanted = f"expected {kind.__name__}, as channels declares"
                 raise PluginError(f"channel {channel!r} got {named(value)}; {wanted}") from None
         messages[str(channel)] = value
     report = {str(name): _plain(value) for name, value in outputs.report.items()}

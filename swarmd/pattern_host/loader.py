@@ -117,7 +117,7 @@ def _check_declarations(kind: type[Pattern[Any]]) -> None:
                 known = ", ".join(one.__name__ for one in _CHANNEL_TYPES)
                 raise PluginError(
                     f"{kind.__name__}: channel {channel!r} is declared as {wanted!r}; "
-                    f"wanted is one of {known}"
+                    f"expected one of {known}"
                 )
 
 

@@ -364,7 +364,9 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
     origins = pattern_names(plugin_dir)
     found = origins.get(path.stem)
     if not is_id(path.stem) or path.suffix != MISSION:
-        text = "is in a file of a name that no pattern can have; wanted such as patrol.yaml"
+        text = (
+            "is in a file of a name that no pattern can have; expected a value such as patrol.yaml"
+        )
         document.faults.append(fault_at(("mission",), text))
     elif document.description and not is_mission(path):
         text = "is not at the start of a line of UTF-8 text, by which robots know a mission's file"

@@ -107,7 +107,7 @@ class Barrier:
         given = platform.protection["barrier"]
         if given is None:
             raise ConfigError(
-                f"platform {platform.name}: protection mode barrier has no settings; wanted is"
+                f"platform {platform.name}: protection mode barrier has no settings; expected"
                 " protection.barrier with others_speed and unseen_extent"
             )
         self._settings = settings = msgspec.convert(given, BarrierSettings)

@@ -69,7 +69,7 @@ def base_options(options: Mapping[str, Value], what: str) -> BaseOptions:
     if found.idle_output == "silent" and found.command_timeout == "none":
         raise ConfigError(
             f"{what}: idle_output is silent, but command_timeout is none: a base that never stops"
-            " by itself needs zeros; wanted idle_output: zeros, or a base with a timeout"
+            " by itself needs zeros; expected idle_output: zeros, or a base with a timeout"
         )
     return found
 

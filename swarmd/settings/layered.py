@@ -1,6 +1,6 @@
 """Configuration merged from several sources and read into typed structs.
 
-Each fault is one line: source, key, value, what was wanted, and the nearest valid key where a key
+Each fault is one line: source, key, value, what was expected, and the nearest valid key where a key
 is unknown.
 """
 
@@ -152,7 +152,7 @@ class _Reader:
         if len(found) == 1:
             return tags[found[0]]
         has = " and ".join(found or data) or "nothing"
-        self.faults.append(fault_at(keys, f"has {has}; wanted exactly one of {', '.join(tags)}"))
+        self.faults.append(fault_at(keys, f"has {has}; expected exactly one of {', '.join(tags)}"))
         return None
 
     def _fields(self, data: Data, kind: type[Struct], keys: Keys) -> dict[str, Any]:
@@ -167,7 +167,7 @@ class _Reader:
             if key in data:
                 values[field.name] = self.read(data[key], field.type, (*keys, key))
             elif field.required:
-                wanted = f"is missing; wanted {_wanted(field.type, None)}"
+                wanted = f"is missing; expected {_wanted(field.type, None)}"
                 self.faults.append(fault_at((*keys, key), wanted))
         return {name: value for name, value in values.items() if value is not _INVALID}
 
@@ -188,7 +188,7 @@ class _Reader:
             return msgspec.convert(data, kind)
         except (msgspec.ValidationError, OverflowError):
             wanted = _wanted(described or kind, data)
-            self.faults.append(fault_at(keys, f"is {brief(data)}; wanted {wanted}"))
+            self.faults.append(fault_at(keys, f"is {brief(data)}; expected {wanted}"))
             return _INVALID
 
 

@@ -117,7 +117,7 @@ def platform_names() -> tuple[str, ...]:
 def load_platform(name: str, near: Path | None = None) -> Platform:
     """The platform of that name, or of that file if it ends in .yaml (relative to `near`).
 
-    ConfigError names file, key, value, what was wanted and the nearest valid key.
+    ConfigError names file, key, value, what was expected and the nearest valid key.
     """
     stem = _find(name, near or Path()).stem
     return platform_of(stem, Layered(*platform_sources(name, near)))
@@ -161,13 +161,13 @@ def _check(value: Any, keys: Keys) -> Iterator[Fault]:
 def _check_scan(scan: ScanSection, keys: Keys) -> Iterator[Fault]:
     if (scan.rays is None) == (scan.bearings_deg is None):
         fault = "is missing" if scan.rays is None else f"is {scan.rays} beside bearings_deg"
-        text = f"{fault}; wanted one of the two: a number of rays, or a list of bearings"
+        text = f"{fault}; expected one of the two: a number of rays, or a list of bearings"
         yield fault_at((*keys, "rays"), text)
     if scan.range_min >= scan.range_max:
-        text = f"is {scan.range_min:g}; wanted less than scan.range_max ({scan.range_max:g})"
+        text = f"is {scan.range_min:g}; expected less than scan.range_max ({scan.range_max:g})"
         yield fault_at((*keys, "range_min"), text)
     if scan.near == "lost" and scan.zero == "too_close":
-        text = "is lost, but scan.zero is too_close; wanted reported, or another zero"
+        text = "is lost, but scan.zero is too_close; expected reported, or another zero"
         yield fault_at((*keys, "near"), text)
 
 
@@ -177,7 +177,7 @@ def _check_protection(protection: ProtectionSection, keys: Keys) -> Iterator[Fau
         text = f"names {unknown('preset', protection.preset, protection.presets)}"
         yield fault_at((*keys, "preset"), text)
     if zone.slow < zone.stop:
-        text = f"is {zone.slow:g}; wanted at least stop ({zone.stop:g})"
+        text = f"is {zone.slow:g}; expected at least stop ({zone.stop:g})"
         yield fault_at((*keys, "stop_zone", "slow"), text)
 
 
@@ -193,7 +193,7 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
             yield fault_at(("provides", index), f"names {fault}")
     fault = _shape_fault(file.footprint)
     if fault:
-        text = f"{fault}; wanted a convex polygon in m, counter-clockwise seen from above"
+        text = f"{fault}; expected a convex polygon in m, counter-clockwise seen from above"
         yield fault_at(("footprint",), text)
         return
     yield from _check_ranges(file)
@@ -220,7 +220,7 @@ def _check_ranges(file: PlatformFile) -> Iterator[Fault]:
     for keys, distance in places.items():
         if distance is not None and not scan.range_min < distance < scan.range_max:
             measured = f"between {scan.range_min:g} and {scan.range_max:g}"
-            text = f"is {distance:g}; wanted a range that the sensor measures, {measured}"
+            text = f"is {distance:g}; expected a range that the sensor measures, {measured}"
             yield fault_at(keys, text)
     stop = protection.stop_zone.stop
     reach, _ = Footprint(np.array(file.footprint)).circles(scan.offset)
@@ -228,7 +228,7 @@ def _check_ranges(file: PlatformFile) -> Iterator[Fault]:
         wanted = math.ceil(100.0 * (scan.range_min - reach)) / 100.0
         text = (
             f"is stop_zone, whose stop is {stop:g} m from the outline, nearer than the sensor"
-            f" measures; wanted protection.stop_zone.stop of at least {wanted:g}, or another mode"
+            f" measures; expected protection.stop_zone.stop of at least {wanted:g}, or another mode"
         )
         yield fault_at(("protection", "mode"), text)
 

@@ -86,7 +86,7 @@ def load_daemon_settings(
     """The settings from a file (None: no file), `overrides` and the environment.
 
     `overrides` has the keys of `DaemonFile` and `die_with_parent`; None means not given.
-    ConfigError names source, key, value, what was wanted and the nearest valid key.
+    ConfigError names source, key, value, what was expected and the nearest valid key.
     """
     given = {key: value for key, value in overrides.items() if value is not None}
     parent = given.pop("die_with_parent", None)

@@ -37,7 +37,9 @@ def read(path: Path) -> Data:
     if data is None:
         return {}
     if not isinstance(data, dict):
-        raise ConfigError(f"{name}: holds {brief(data)}; wanted keys and values, such as `id: r1`")
+        raise ConfigError(
+            f"{name}: holds {brief(data)}; expected keys and values, such as `id: r1`"
+        )
     return data
 
 
@@ -69,7 +71,7 @@ def read_value(text: str) -> Any:
         return yaml.load(text, Loader=_StrictLoader)
     except (yaml.YAMLError, ValueError, RecursionError) as error:
         raise ConfigError(
-            f"{brief(text)} is not a value; wanted YAML, such as 3 or [1, 2]"
+            f"{brief(text)} is not a value; expected YAML, such as 3 or [1, 2]"
         ) from error
 
 

@@ -196,8 +196,8 @@ def test_a_mistake_is_reported_once_with_its_line(
 @pytest.mark.parametrize(
     ("default", "base", "text"),
     [
-        ("'fast'", "OwnParams", "'fast'; wanted is a float from 0 to 1 m/s (own.py:5)"),
-        ("9.0", "OwnParams", "9.0; wanted is a float from 0 to 1 m/s (own.py:5)"),
+        ("'fast'", "OwnParams", "'fast'; expected a float from 0 to 1 m/s (own.py:5)"),
+        ("9.0", "OwnParams", "9.0; expected a float from 0 to 1 m/s (own.py:5)"),
         ("0.1", "Params", "add `params_type = OwnParams`"),
     ],
 )

@@ -155,13 +155,13 @@ def test_only_an_idle_robot_is_silent() -> None:
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
-        ({"command_timeout": "never"}, "here: command_timeout is 'never'; wanted "),
+        ({"command_timeout": "never"}, "here: command_timeout is 'never'; expected "),
         (
             {"command_timeout": 5.0},
-            "here: command_timeout is 5.0; wanted a number of at least 0.1 and up to 2",
+            "here: command_timeout is 5.0; expected a number of at least 0.1 and up to 2",
         ),
-        ({"command_timeout": True}, "here: command_timeout is True; wanted "),
-        ({"idle_output": "off"}, "here: idle_output is 'off'; wanted "),
+        ({"command_timeout": True}, "here: command_timeout is True; expected "),
+        ({"idle_output": "off"}, "here: idle_output is 'off'; expected "),
         (
             {"command_timeout": "none", "idle_output": "silent"},
             "here: idle_output is silent",

@@ -115,7 +115,7 @@ def test_what_can_be_no_file_is_refused_before_anything_starts(tmp_path: Path, n
             "driver_options": options,
             "state_dir": str(tmp_path),
         }
-        with pytest.raises(ConfigError, match=f"^driver {driver}: {option} is .*wanted is a file"):
+        with pytest.raises(ConfigError, match=f"^driver {driver}: {option} is .*expected a file"):
             make_driver(load_daemon_settings(None, values))
 
 
@@ -252,8 +252,8 @@ def read_at(data: bytes) -> int:
 @pytest.mark.parametrize(
     ("data", "fault"),
     [
-        (b"", "not a recording; wanted a file that option record wrote"),
-        (b"PK\x03\x04 a trace of a world", "not a recording; wanted"),
+        (b"", "not a recording; expected a file that option record wrote"),
+        (b"PK\x03\x04 a trace of a world", "not a recording; expected"),
         (MAGIC, "cut off before its first frame; record it again"),
         (MAGIC + b"\x05\x00\x00\x00\x01", "cut off before its first frame"),
         (MAGIC + b"\xff\xff\xff\x7f" + b"x" * 9, "damaged at byte 19: a frame of 2147483647 byt"),
@@ -290,10 +290,13 @@ def test_damage_in_the_middle_is_found_before_it_begins(
 @pytest.mark.parametrize(
     ("options", "fault"),
     [
-        ({"speed": 0}, "driver replay: speed is 0; wanted a number of at least 0.05"),
+        ({"speed": 0}, "driver replay: speed is 0; expected a number of at least 0.05"),
         ({"sped": 2.0}, "driver replay: no key 'sped'; did you mean 'speed'?"),
-        ({"file": 1}, "driver replay: file is 1; wanted text"),
-        ({"file": "nowhere.rec"}, "nowhere.rec: cannot be read: No such file or directory; wanted"),
+        ({"file": 1}, "driver replay: file is 1; expected text"),
+        (
+            {"file": "nowhere.rec"},
+            "nowhere.rec: cannot be read: No such file or directory; expected",
+        ),
     ],
 )
 def test_refuses_options(tmp_path: Path, options: Mapping[str, Value], fault: str) -> None:

@@ -155,8 +155,8 @@ def test_a_command_carries_the_scans_it_rests_on() -> None:
     ("options", "complaint"),
     [
         ({"endpont": "tcp/127.0.0.1:1"}, "did you mean 'endpoint'"),
-        ({"endpoint": 7790}, "endpoint is 7790; wanted"),
-        ({"endpoint": "127.0.0.1:7790"}, "wanted an endpoint such as tcp/"),
+        ({"endpoint": 7790}, "endpoint is 7790; expected"),
+        ({"endpoint": "127.0.0.1:7790"}, "expected an endpoint such as tcp/"),
     ],
 )
 def test_options_it_does_not_know_are_refused(options: Mapping[str, Value], complaint: str) -> None:

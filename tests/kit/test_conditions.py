@@ -106,7 +106,7 @@ def test_parses_the_short_forms(text: str, condition: Condition) -> None:
     "text", ["", "don", "done:x", "timeout", "timeout:-1", "nearer:nan", "settled:5", "report:x"]
 )
 def test_a_malformed_text_is_refused(text: str) -> None:
-    with pytest.raises(ConfigError, match="wanted"):
+    with pytest.raises(ConfigError, match="expected"):
         parse_condition(text)
 
 

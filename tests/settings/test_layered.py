@@ -55,34 +55,34 @@ def test_does_not_change_its_sources() -> None:
 @pytest.mark.parametrize(
     ("data", "fault"),
     [
-        ({}, "inner is missing; wanted keys and values: speed, count"),
-        ({"inner": {}}, "inner.speed is missing; wanted a number above 0 and up to 2"),
+        ({}, "inner is missing; expected keys and values: speed, count"),
+        ({"inner": {}}, "inner.speed is missing; expected a number above 0 and up to 2"),
         *(
             (
                 {"inner": {"speed": bad}},
-                f"inner.speed is {bad!r}; wanted a number above 0 and up to 2",
+                f"inner.speed is {bad!r}; expected a number above 0 and up to 2",
             )
             for bad in (0, 2.1, math.nan, math.inf, "1", True, None)
         ),
         ({"inner": {"spede": 1}}, "inner has no key 'spede'; did you mean 'speed'?"),
         ({"iner": {}}, "no key 'iner'; did you mean 'inner'?"),
-        ({"inner": 5}, "inner is 5; wanted keys and values: speed, count"),
+        ({"inner": 5}, "inner is 5; expected keys and values: speed, count"),
         (
             {**GOOD, "inner": {"speed": 1, "count": 1.5}},
-            "inner.count is 1.5; wanted a whole number of at least 1",
+            "inner.count is 1.5; expected a whole number of at least 1",
         ),
-        ({**GOOD, "name": False}, "name is False; wanted text (put it in quotes)"),
-        ({**GOOD, "mode": "c"}, "mode is 'c'; wanted a or b"),
-        ({**GOOD, "flag": "on"}, "flag is 'on'; wanted true or false"),
-        ({**GOOD, "points": [[0, 0], [1]]}, "points[1] is [1]; wanted [a number, a number]"),
-        ({**GOOD, "points": [[0, "x"]]}, "points[0][1] is 'x'; wanted a number"),
-        ({**GOOD, "points": {}}, "points is {}; wanted a list, each [a number, a number]"),
+        ({**GOOD, "name": False}, "name is False; expected text (put it in quotes)"),
+        ({**GOOD, "mode": "c"}, "mode is 'c'; expected a or b"),
+        ({**GOOD, "flag": "on"}, "flag is 'on'; expected true or false"),
+        ({**GOOD, "points": [[0, 0], [1]]}, "points[1] is [1]; expected [a number, a number]"),
+        ({**GOOD, "points": [[0, "x"]]}, "points[0][1] is 'x'; expected a number"),
+        ({**GOOD, "points": {}}, "points is {}; expected a list, each [a number, a number]"),
         (
             {**GOOD, "groups": {"red": {"speed": -1}}},
-            "groups.red.speed is -1; wanted a number above 0 and up to 2",
+            "groups.red.speed is -1; expected a number above 0 and up to 2",
         ),
-        ({**GOOD, "maybe": 3}, "maybe is 3; wanted a number of at least 0 and up to 1 or null"),
-        ({**GOOD, "perhaps": {"speed": -1}}, "perhaps.speed is -1; wanted a number above 0"),
+        ({**GOOD, "maybe": 3}, "maybe is 3; expected a number of at least 0 and up to 1 or null"),
+        ({**GOOD, "perhaps": {"speed": -1}}, "perhaps.speed is -1; expected a number above 0"),
         ({**GOOD, "inner": {"speed": 10**400}}, "inner.speed is 1"),
     ],
 )
@@ -118,7 +118,7 @@ def test_a_key_that_cannot_be_printed_leaves_the_fault_on_one_line() -> None:
 
     with pytest.raises(ConfigError) as raised:
         Layered(("file", {"limits": {"a\nb é": []}})).build(Named)
-    assert str(raised.value) == r"file: limits.a\nb é is []; wanted a number"
+    assert str(raised.value) == r"file: limits.a\nb é is []; expected a number"
 
 
 class Square(Struct, frozen=True, tag="side", forbid_unknown_fields=True):

@@ -178,10 +178,10 @@ def test_a_source_is_never_longer_than_a_status_can_name(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "fault"),
     [
-        ("id: TB3", "r.yaml: id is 'TB3'; wanted are 1 to 63 of a-z"),
-        ("id: 7", "r.yaml: id is 7; wanted text or null"),
+        ("id: TB3", "r.yaml: id is 'TB3'; expected 1 to 63 of a-z"),
+        ("id: 7", "r.yaml: id is 7; expected text or null"),
         ("id: r1\nplatform: wafle_pi", "no platform 'wafle_pi'; did you mean 'waffle_pi'?"),
-        ("id: r1\ndriver_options: {x: .inf}", "r.yaml: driver_options.x is inf; wanted"),
+        ("id: r1\ndriver_options: {x: .inf}", "r.yaml: driver_options.x is inf; expected"),
         ("id: r1\nplatform: none.yaml", "none.yaml: cannot be read: No such file"),
     ],
 )

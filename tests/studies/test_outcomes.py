@@ -22,7 +22,7 @@ SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
 
 
 def missed(outcomes: Sequence[Outcome]) -> list[str]:
-    return [f"{o.what}: {o.shown}; wanted {o.wanted}" for o in outcomes if not o.is_reached]
+    return [f"{o.what}: {o.shown}; expected {o.wanted}" for o in outcomes if not o.is_reached]
 
 
 @pytest.mark.parametrize("pattern", MODULES)

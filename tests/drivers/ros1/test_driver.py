@@ -107,7 +107,7 @@ def test_a_base_that_wants_another_type_of_command_is_named(roscore: RosCore) ->
 def test_a_scan_of_another_type_is_named_and_nothing_moves(roscore: RosCore) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
         text = await says(harness, "carries sensor_msgs/Range")
-        assert "wanted is sensor_msgs/LaserScan" in text
+        assert "expected sensor_msgs/LaserScan" in text
         await harness.until(lambda: "ros1/type" in harness.sink.lost, publishing=True)
         assert not harness.sink.is_up
         assert not harness.sink.scans

@@ -43,13 +43,13 @@ def test_single_values_stand_over_realistic_if_no_preset_is_named() -> None:
         ({"lidar": {"dropuot": 0.1}}, "lidar has no key 'dropuot'; did you mean 'dropout'?"),
         (
             {"lidar": {"dropout": 2}},
-            "lidar.dropout is 2; wanted a number of at least 0 and up to 1",
+            "lidar.dropout is 2; expected a number of at least 0 and up to 1",
         ),
         (
             {"actuation": {"delay": float("nan")}},
-            "actuation.delay is nan; wanted a number of at least 0 and up to 1",
+            "actuation.delay is nan; expected a number of at least 0 and up to 1",
         ),
-        (7, "is 7; wanted ideal or realistic, or keys and values"),
+        (7, "is 7; expected ideal or realistic, or keys and values"),
     ],
 )
 def test_a_mistake_is_one_line_with_place_and_remedy(value: Any, text: str) -> None:
