@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from typing import Any, Generic, TypeVar
 
-import msgpack
 import msgspec
 
 from swarmd.core.errors import CodecError
@@ -48,6 +47,8 @@ class Decoder(Generic[T]):
 
 def encode_value(value: Any) -> bytes:
     """Encode a pattern's message. Raises CodecError if it cannot be sent."""
+    import msgpack  # swarmctl does without; importing it takes 2 ms
+
     try:
         payload: bytes = _PREFIX + msgpack.packb(value, use_bin_type=True)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
@@ -61,6 +62,8 @@ def encode_value(value: Any) -> bytes:
 
 def decode_value(payload: bytes) -> Any:
     """Decode a pattern's message. Raises CodecError if it is too large or malformed."""
+    import msgpack
+
     body = _body(payload, MAX_MESSAGE)
     try:
         value = msgpack.unpackb(body, raw=False, strict_map_key=True)

@@ -20,7 +20,6 @@ import os
 import socket
 import threading
 import time
-import uuid
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal, Self, TypeVar
 
@@ -200,7 +199,7 @@ class Operator:
     def _new(self, kind: type[R], **fields: Any) -> R:
         if "reason" in fields:
             fields["reason"] = _sendable(fields["reason"], MAX_REASON)
-        return kind(id=uuid.uuid4().hex[:12], operator=self.name, **fields)
+        return kind(id=os.urandom(6).hex(), operator=self.name, **fields)
 
     def _new_discovery(self) -> Discovery:
         now = time.monotonic()
