@@ -32,7 +32,7 @@ STATUS_TIMEOUT = 3.0  # s for the statuses at the start and the end, which decid
 WORLD_TIMEOUT = 5.0  # s without a state, after which the world counts as lost
 # s between two rounds while robots start. Without a pause the rounds take up to half a second of
 # processor time from seven daemons that start on two cores.
-UP_PERIOD = 0.05
+UP_PERIOD = 0.02
 UP_TIMEOUT, UP_TIMEOUT_EACH = 20.0, 1.0  # s, and s more per robot: slow machines, cold disks
 # Twelve Burgers on a busy machine: four needed more than the 3 s in which a pattern must load.
 RUN_ATTEMPTS = 3
