@@ -1,1 +1,1 @@
-"""Built-in patterns, one idea a file; registered exactly as an outsider's would be."""
+"""Built-in patterns, one per file; they register in the same way as installed plugins."""

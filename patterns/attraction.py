@@ -4,16 +4,17 @@ Source of law "paper": Kaiser et al., ICRA 2022, pattern "attraction", and its c
 attractive potential field over all returns of the lidar, always at full speed. It never settles,
 and walls attract more than robots.
 
-Law "settling" is ours. Only objects that may be robots attract: no wider than `object_width` and
-hidden by nothing nearer; the farther, the stronger, as in the paper. Near obstacles limit only the
-speed towards them, so that the robot slides past. It rests once the pull is small.
+Law "settling" is ours. An object attracts if it may be a robot: it is not wider than `object_width`
+and nothing nearer hides part of it. The attraction grows with the distance, as in the paper. Near
+obstacles limit only the speed towards them, so that the robot slides past. The robot rests once the
+attraction is small.
 
-That alone would leave a row a row, since its robots hide one another. So a robot with fewer than
-three adjacent robots, although it sees more or receives messages from more, from time to time rolls
-along the outside of the group until it has three, as atoms do on a crystal; the first time even
-before it settles, if all robots in sight lie in line. The time between tries doubles with each, and
-is reset only when more robots than ever are in sight, so that the swarm comes to rest. A robot with
-few others in sight finally leads away to search for the rest.
+Attraction alone would leave a row unchanged, since its robots hide one another. Therefore a robot
+with fewer than three adjacent robots, but with more in sight or more that send messages, moves
+along the outside of the group from time to time until three are adjacent, as atoms do on a crystal.
+It does so before it settles if all robots in sight lie in a line. The time between tries doubles
+with each try, so that the swarm comes to rest. It is reset when more robots are in sight than ever
+before. A robot with few others in sight finally drives away to search for the rest.
 
 Limits: a robot within about 0.2 m of a wall is not distinguished from it, a pillar counts as a
 robot, and groups farther apart than `range` meet only by chance.

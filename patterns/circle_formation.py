@@ -1,4 +1,4 @@
-"""Circle formation: the robots stand on a circle with equal spacing, wherever they start.
+"""Circle formation: the robots form a circle with equal spacing from any start.
 
 Source: the task, from local sensing and without positions or leader, is Sugihara and Suzuki's
 (J. Robotic Systems 13(3), 1996); a robot moves between its two neighbours on the circle as in

@@ -1,7 +1,7 @@
 """Discussed dispersion: the robots agree on a distance and spread until they keep it.
 
 Source: Kaiser et al., ICRA 2022, pattern "discussed dispersion" and experiment 2: majority rule
-alone for 20 s while the robots stand, then majority rule and dispersion in parallel; opinions 0, 1
+alone for 20 s while the robots rest, then majority rule and dispersion in parallel; opinions 0, 1
 and 2 stand for 0.6, 1.0 and 1.4 m.
 """
 
@@ -100,7 +100,7 @@ class DiscussedDispersionParams(Params, frozen=True, kw_only=True):
 
 
 class DiscussedDispersion(CombinedPattern[DiscussedDispersionParams]):
-    """Stands and votes on a distance, then disperses to it and continues to vote.
+    """Votes on a distance at rest, then disperses to it and continues to vote.
 
     A later change of opinion changes the distance.
     """

@@ -4,8 +4,8 @@ Source of law "paper": Kaiser et al., ICRA 2022, pattern "dispersion", and its c
 repulsive potential field, always at full speed.
 
 Law "settling" is ours. Each surface, robot or wall, pushes with its nearest point, the stronger the
-nearer it is. The robot stands where the pushes cancel, so that it also comes to rest where there is
-no room for the distance.
+nearer it is. The robot comes to rest where the pushes cancel, so it also comes to rest where there
+is no room for the distance.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class DispersionParams(FieldParams, frozen=True, kw_only=True):
 
 
 class Dispersion(FieldPattern[DispersionParams]):
-    """Drives away from everything nearer than a distance, and stands where nothing is."""
+    """Drives away from everything nearer than a distance, and rests where nothing is."""
 
     params_type = DispersionParams
     field_kind = "repulsion"

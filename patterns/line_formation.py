@@ -1,4 +1,4 @@
-"""Line formation: the robots form a straight line with equal spacing, wherever they start.
+"""Line formation: the robots form a straight line with equal spacing from any start.
 
 Source: Yun, Alptekin and Albayrak, "Line and circle formation of distributed physical mobile
 robots", J. Robotic Systems 14(2), 1997: each robot drives to the line that fits best, by least

@@ -18,7 +18,7 @@ class MajorityRuleParams(VotingParams, frozen=True):
 
 
 class MajorityRule(VotingPattern[MajorityRuleParams]):
-    """Stands, sends its opinion and adopts the majority's at the end of every window."""
+    """Sends its opinion and adopts the majority's at the end of each window; it does not move."""
 
     params_type = MajorityRuleParams
 

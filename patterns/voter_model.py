@@ -19,7 +19,7 @@ class VoterModelParams(VotingParams, frozen=True):
 
 
 class VoterModel(VotingPattern[VoterModelParams]):
-    """Stands, sends its opinion and adopts a random neighbour's at the end of every window."""
+    """Sends its opinion and adopts a random neighbour's after each window; it does not move."""
 
     params_type = VoterModelParams
 

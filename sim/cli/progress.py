@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
 
-from swarmd.cli.output import has_colour, seconds, warn
+from swarmd.cli.output import has_colour, warn
 
 OnProgress = Callable[[int, int, int], None]
 MAX_LINES = 10  # where there is no terminal, besides the first two
@@ -19,21 +19,21 @@ MAX_LINES = 10  # where there is no terminal, besides the first two
 def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress]:
     """A function to call with the numbers of finished, planned and failed runs.
 
-    On a terminal it shows a bar, elsewhere a line for each tenth. Both show the time left once the
-    first run has finished, from the mean over the runs since the start: Rich's own estimate needs
-    two samples some time apart, so with few long runs it comes late.
+    A terminal shows a bar; other outputs get a line for each tenth. Both show the time left
+    once the first run has finished. It is based on the mean time of a run since the start: Rich's
+    own estimate needs two samples some time apart, so with few long runs it comes late.
     """
-    start: tuple[float, int] | None = None
+    start: tuple[float, int] | None = None  # time, and runs finished before
 
     def notes(done: int, total: int, failed: int) -> str:
         nonlocal start
         now = clock()
-        start = start or (now, done)  # those of before, if an experiment is resumed
+        start = start or (now, done)  # a resumed experiment has finished runs
         began, before = start
         text = f", {failed} failed" if failed else ""
         if not before < done < total:
             return text
-        return f"{text}, about {seconds((now - began) / (done - before) * (total - done))} left"
+        return f"{text}, about {_rounded((now - began) / (done - before) * (total - done))} left"
 
     if not sys.stderr.isatty():
         part = -1
@@ -58,6 +58,13 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
         yield lambda done, total, failed: bar.update(
             task, completed=done, total=total, notes=notes(done, total, failed)
         )
+
+
+def _rounded(left: float) -> str:
+    """A time left in whole seconds, above 120 s in minutes, above 120 min in hours."""
+    if left <= 120:
+        return f"{left:.0f} s"
+    return f"{left / 60:.0f} min" if left <= 7200 else f"{left / 3600:.0f} h"
 
 
 @contextmanager

@@ -42,10 +42,10 @@ def aligned(header: Sequence[str], rows: Sequence[Sequence[str]]) -> list[str]:
 
 
 def number(value: float | None) -> str:
-    """Four digits that count."""
+    """The value with four significant digits."""
     return NOTHING if value is None else f"{value:.4g}"
 
 
 def interval(found: Interval | None) -> str:
-    """Both ends, four digits each."""
+    """Both ends, with four significant digits each."""
     return NOTHING if found is None else f"{found.low:.4g} to {found.high:.4g}"

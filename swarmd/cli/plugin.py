@@ -95,7 +95,7 @@ def check(options: CommonOptions, file: Path) -> None:
         if results["repeated"]:
             count = results["repeated"]
             how += f", repeated at {count} other point{'s' if count > 1 else ''}"
-        click.echo(f"{len(points)} checked, {how if bad else 'all well'}")
+        click.echo(f"{len(points)} checked, {how if bad else 'all ok'}")
     click.get_current_context().exit(1 if bad else 0)
 
 

@@ -113,14 +113,14 @@ def check_file(path: Path, timeout: float) -> Iterator[Point]:
                     done.append(row["result"])
                     yield _point(row["result"], row, faults)
                     if row.get("is_hang"):
-                        yield Point(SKIPPED, "skipped", "mend this first")
+                        yield Point(SKIPPED, "skipped", "correct the failed point first")
                 elif "lost" in row:
                     is_first = not done
                     done.append(row["lost"])
                     fault = {"fault": f"the process that checks it {row['how']}"}
                     yield _point(row["lost"], fault, faults)
                     if row["hangs"]:
-                        yield Point(SKIPPED, "skipped", "mend this first")
+                        yield Point(SKIPPED, "skipped", "correct the failed point first")
                     is_over = is_first or row["hangs"]
         log.seek(0)
         printed = [line for line in log.read().decode(errors="replace").splitlines() if line]

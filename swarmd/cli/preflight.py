@@ -44,9 +44,7 @@ def check_daemon(settings: DaemonSettings) -> int:
         mark = "ok  " if finding.is_well else "FAIL"
         click.echo(f"{mark}  {finding.subject.ljust(width)}  {finding.text}")
     bad = sum(not finding.is_well for finding in findings)
-    click.echo(
-        f"{len(findings)} checked, {bad} not well" if bad else f"{len(findings)} checked, all well"
-    )
+    click.echo(f"{len(findings)} checked, {f'{bad} failed' if bad else 'all ok'}")
     return 1 if bad else 0
 
 

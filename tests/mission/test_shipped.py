@@ -58,7 +58,7 @@ def test_patterns_show_lists_its_kind_as_mission() -> None:
     done = ctl("patterns", "show", "discuss_then_disperse", "-o", "json")
     row = json.loads(done.stdout)["pattern"]
     assert (row["kind"], row["needs"]) == ("mission", ["scan"])
-    assert row["summary"].startswith("Stands and votes on a distance")
+    assert row["summary"].startswith("Votes on a distance")
 
 
 def test_text_of_a_file_is_printed_without_control_characters(tmp_path: Path) -> None:

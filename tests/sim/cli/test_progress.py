@@ -19,7 +19,7 @@ with progress() as show:
     for done in range(501):
         show(done, 500, 3 if done > 400 else 0)
         if done == 250:
-            time.sleep(0.3)  # a screen of its own for the time left
+            time.sleep(0.3)  # so that Rich draws the time left
 """
 
 
@@ -34,14 +34,20 @@ def test_without_a_terminal_there_are_few_lines(capsys: pytest.CaptureFixture[st
     assert (lines[0], lines[-1]) == ("0 of 500 runs", "500 of 500 runs, 3 failed")
 
 
-def test_the_time_left_is_shown_from_the_first_run_on(capsys: pytest.CaptureFixture[str]) -> None:
+@pytest.mark.parametrize(
+    ("per_run", "left"),
+    [(4.93, "94 s"), (6.3, "120 s"), (30.0, "10 min"), (600.0, "3 h")],
+)
+def test_the_time_left_is_shown_after_the_first_run(
+    per_run: float, left: str, capsys: pytest.CaptureFixture[str]
+) -> None:
     now = 0.0
     with progress(clock=lambda: now) as show:
-        for done in range(4, 25):  # four runs are from before
+        for done in range(4, 25):  # a resumed experiment with four finished runs
             show(done, 24, 0)
-            now += 30.0
+            now += per_run
     lines = capsys.readouterr().err.splitlines()
-    assert lines[:2] == ["4 of 24 runs", "5 of 24 runs, about 10 min left"]
+    assert lines[:2] == ["4 of 24 runs", f"5 of 24 runs, about {left} left"]
     assert lines[-1] == "24 of 24 runs"
 
 
@@ -57,12 +63,12 @@ def test_on_a_terminal_there_is_a_bar(no_colour: str) -> None:
     environ = {**os.environ, "TERM": "xterm", "NO_COLOR": no_colour}
     subprocess.run([sys.executable, "-c", SHOW], stderr=theirs, env=environ, check=True)
     os.close(theirs)
-    said = os.read(ours, 65536).decode()
+    shown = os.read(ours, 65536).decode()
     os.close(ours)
-    assert "500/500" in said
-    assert "3 failed" in said
-    assert " ms left" in said
-    assert ("\x1b[3" in said) == (not no_colour)
+    assert "500/500" in shown
+    assert "3 failed" in shown
+    assert " s left" in shown
+    assert ("\x1b[3" in shown) == (not no_colour)
 
 
 def test_sigterm_ends_in_order_and_only_meanwhile() -> None:
