@@ -1,4 +1,4 @@
-"""Whether a robot drove into what it touched or was pushed, from the motion its drives allow.
+"""Whether a robot drove into an obstacle or was pushed, from the motion that its drives allow.
 
 A ram beside the centre turns a robot, and one of its corners then moves towards the rammer. A robot
 that backs away may be thrown against the rammer, and a pushed robot may be pushed into a third.
@@ -26,7 +26,7 @@ from swarmd.sim.world.realism import REALISTIC
 BRAKING = np.array([1.0, 3.0, 1.0])
 """The least decelerations of the bases, in m/s2, rad/s2 and m/s2."""
 
-_THROWN = 0.3  # s after a contact in which it may still move the robot
+_THROWN = 0.3  # s after a contact in which the contact may still move the robot
 _ROUNDING = 1e-9
 
 
@@ -35,36 +35,36 @@ def faults(trace: Trace, unprotected: Collection[str] = ()) -> Iterator[Collisio
 
     The trace's commands must be dense: 20 or more instants a second.
     """
-    able: dict[str, Array] = {}
+    possible: dict[str, Array] = {}
     for one in collisions(trace, unprotected):
         if not one.is_fault:
             continue
-        if one.robot not in able:
-            able[one.robot] = drives(trace, trace.ids.index(one.robot))
-        if (speed := _own_drive(trace, one, able[one.robot])) > FAULT:
+        if one.robot not in possible:
+            possible[one.robot] = drives(trace, trace.ids.index(one.robot))
+        if (speed := _own_drive(trace, one, possible[one.robot])) > FAULT:
             yield structs.replace(one, own_speed=speed)
 
 
 def drives(trace: Trace, robot: int) -> Array:
-    """(T, 2, 3) the least and the most that the drives of a robot can do at each instant.
+    """(T, 2, 3) the lowest and highest speeds that a robot's drives allow at each instant.
 
-    Ahead in m/s, turning in rad/s, aside in m/s; in the base frame.
+    Ahead in m/s, turning in rad/s, sideways in m/s; in the base frame.
     """
-    t, told = trace.t, trace.safe[:, robot]
+    t, commanded = trace.t, trace.safe[:, robot]
     moved, is_thrown = _moved(trace, robot), _is_thrown(trace, robot)
-    able = np.stack((moved, moved), axis=1)
+    possible = np.stack((moved, moved), axis=1)
     for row in np.flatnonzero(is_thrown).tolist():
         late = int(np.searchsorted(t, t[row] - REALISTIC.actuation.delay - _ROUNDING))
         lost = BRAKING * (t[row] - t[row - 1]) if row else np.inf
-        before = able[row - 1]
+        before = possible[row - 1]
         before = np.sign(before) * np.maximum(np.abs(before) - lost, 0.0)
-        able[row, 0] = np.minimum(told[late : row + 1].min(axis=0), before[0])
-        able[row, 1] = np.maximum(told[late : row + 1].max(axis=0), before[1])
-    return able
+        possible[row, 0] = np.minimum(commanded[late : row + 1].min(axis=0), before[0])
+        possible[row, 1] = np.maximum(commanded[late : row + 1].max(axis=0), before[1])
+    return possible
 
 
 def _moved(trace: Trace, robot: int) -> Array:
-    """(T, 3) how fast it moved ahead, turned and moved aside up to each instant: truth."""
+    """(T, 3) true speeds ahead, of turning and sideways in the step before each instant."""
     pose = trace.pose[:, robot]
     rates = np.diff(pose, axis=0) / np.diff(trace.t)[:, None]
     yaw = (pose[1:, 2] + pose[:-1, 2]) / 2.0
@@ -82,7 +82,7 @@ def _is_thrown(trace: Trace, robot: int) -> NDArray[np.bool_]:
     return np.asarray(trace.t - last < _THROWN)
 
 
-def _own_drive(trace: Trace, one: Collision, able: Array) -> float:
+def _own_drive(trace: Trace, one: Collision, possible: Array) -> float:
     """The highest closing speed in m/s of the robot at fault by its own drives, (T, 2, 3)."""
     robot = trace.ids.index(one.robot)
     other = _index(trace, one.b if one.robot == one.a else one.a)
@@ -90,23 +90,23 @@ def _own_drive(trace: Trace, one: Collision, able: Array) -> float:
     of = is_own.any(axis=1) & (trace.contact_pair == other).any(axis=1)
     since = trace.contact_t - one.time
     of &= (since >= -_ROUNDING) & (since < ONCE - _ROUNDING)
-    after = np.minimum(np.searchsorted(trace.t, trace.contact_t[of]), len(able) - 1)
+    after = np.minimum(np.searchsorted(trace.t, trace.contact_t[of]), len(possible) - 1)
     closing = trace.contact_speed[is_own & of[:, None]]
     speeds = [
-        min(speed, max(_closing(trace, robot, other, at, able[at]) for at in (row - 1, row)))
+        min(speed, max(_closing(trace, robot, other, at, possible[at]) for at in (row - 1, row)))
         for row, speed in zip(after.tolist(), closing.tolist(), strict=True)
         if speed > FAULT
     ]
     return max(speeds, default=0.0)
 
 
-def _closing(trace: Trace, robot: int, other: int, row: int, able: Array) -> float:
-    """How fast drives that are able to so much (2, 3) bring the outline to the other, in m/s."""
+def _closing(trace: Trace, robot: int, other: int, row: int, possible: Array) -> float:
+    """The highest closing speed in m/s of the outline with the possible speeds (2, 3)."""
     outline = trace.footprint(robot)
-    if other < 0:  # walls and boxes: wherever they are
-        ways = np.linspace(-np.pi, np.pi, 73)
-        towards = np.stack((np.cos(ways), np.sin(ways)), axis=1)
-        at, to = np.tile(outline, (len(ways), 1)), np.repeat(towards, len(outline), axis=0)
+    if other < 0:  # walls and boxes: in any direction
+        angles = np.linspace(-np.pi, np.pi, 73)
+        towards = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+        at, to = np.tile(outline, (len(angles), 1)), np.repeat(towards, len(outline), axis=0)
     else:
         pose = trace.pose[row, robot]
         there = transform(trace.footprint(other), trace.pose[row, other])
@@ -115,7 +115,7 @@ def _closing(trace: Trace, robot: int, other: int, row: int, able: Array) -> flo
         to_base = np.array([[cos, sin], [-sin, cos]])
         at, to = (at - pose[:2]) @ to_base.T, np.tile(to_base @ way, (len(at), 1))
     rates = np.stack((to[:, 0], at[:, 0] * to[:, 1] - at[:, 1] * to[:, 0], to[:, 1]), axis=1)
-    return float(np.maximum(rates * able[0], rates * able[1]).sum(axis=1).max())
+    return float(np.maximum(rates * possible[0], rates * possible[1]).sum(axis=1).max())
 
 
 def _index(trace: Trace, name: str) -> int:

@@ -13,8 +13,8 @@ from swarmd.sim.live.state import Triple, WorldState
 from swarmd.sim.world.arena import Box
 from swarmd.sim.world.geometry import gaps, transform
 
-MASS = 1e6  # kg: such a box stands like a wall
-THINGS: Mapping[str, Box] = {
+MASS = 1e6  # kg: robots cannot push such a box
+OBSTACLES: Mapping[str, Box] = {
     name: Box(0.0, 0.0, *size, name=name, mass=MASS, is_placed=False)
     for name, size in {
         "wall-1": (1.0, 0.05),
@@ -27,35 +27,35 @@ THINGS: Mapping[str, Box] = {
 
 _REACTION = 0.1  # s from a scan's arrival to braking wheels: a tick, network, actuators
 _BRAKING = 1.0  # m/s2, the least of the bases
-_STALE = 0.15  # s, at most so old is the state by which a thing is placed
-_SLACK = 0.4  # m, at most so much further away than it must be
-_PAUSE = 1.0  # s between two things
-_TURN = 0.6  # of its speed the rammer spends on turning at most
-_EAGER = 2.0  # rad/s for each rad it is off its target
-_CHASE = 20.0  # s, then another
+_STALE = 0.15  # s, the highest age of a state from which an obstacle is placed
+_SLACK = 0.4  # m, at most, beyond the required distance
+_PAUSE = 1.0  # s between two obstacles
+_TURN = 0.6  # share of the rammer's speed that turning may use
+_TURN_GAIN = 2.0  # rad/s of turning for each rad between heading and target
+_CHASE = 20.0  # s after which the rammer changes its target
 _RETREAT = 1.0  # s
 
 
 class Rammer:
     """Drives into one robot after the other; no point of its surface exceeds `speed` in m/s.
 
-    `reach` is the distance of its farthest corner from its axle in m. What turning takes of the
-    speed, driving must do without: as long as the body still turns, not only while it is told to.
-    What it was told a moment ago counts too: a state may be older than that.
+    `reach` is the distance of its farthest corner from its axle in m. Turning reduces the speed for
+    driving. The higher of the commanded and the actual turn rate counts, since the body still turns
+    after its command ends. The previous commands count too, since a state may be older than they.
     """
 
     def __init__(self, speed: float, reach: float) -> None:
         self._speed, self._reach = speed, reach
-        self._told = 0.0
+        self._last_turn = 0.0
         self._target = -1
         self._chases_until = self._retreats_until = -math.inf
         self._touches = 0
 
     def command(self, state: WorldState, row: int) -> Twist:
-        """What robot `row`, which is the rammer, is to do now.
+        """The command for the rammer, which is robot `row`.
 
-        It chases the nearest of those that it was not after last; once it has touched, or in vain,
-        it backs away and takes another.
+        It chases the nearest robot other than its last target. After a contact, or after `_CHASE` s
+        without one, it backs away and chooses another.
         """
         if state.contacts > self._touches or state.time >= self._chases_until:
             self._touches = state.contacts
@@ -70,29 +70,29 @@ class Rammer:
         (x, y, yaw), target = state.poses[row], state.poses[self._target]
         bearing = math.remainder(math.atan2(target[1] - y, target[0] - x) - yaw, math.tau)
         most = _TURN * self._speed / self._reach
-        wanted = min(max(_EAGER * bearing, -most), most)
+        wanted = min(max(_TURN_GAIN * bearing, -most), most)
         return self._twist(wanted, spin, max(0.0, math.cos(bearing)))
 
     def _twist(self, wanted: float, spin: float, share: float) -> Twist:
-        turning = max(abs(wanted), self._told, abs(spin))
-        self._told = max(abs(wanted), self._told / 2.0)
+        turning = max(abs(wanted), self._last_turn, abs(spin))
+        self._last_turn = max(abs(wanted), self._last_turn / 2.0)
         left = max(0.0, self._speed - turning * self._reach)
         return Twist(linear=share * left, angular=wanted)
 
 
-class Obstacles:
+class ObstaclePlacer:
     """Places obstacles ahead of moving robots, at a distance at which they can stop."""
 
     def __init__(self, platform: Platform, robots: int, seed: int) -> None:
-        """The first `robots` of a state are blocked."""
+        """ObstaclePlacer appear ahead of the first `robots` robots of a state."""
         self._platform, self._robots = platform, robots
         self._rng = np.random.default_rng(seed)
-        self._names = cycle(THINGS)
+        self._names = cycle(OBSTACLES)
         self._next = -math.inf
         self._room = room(platform) + _STALE * platform.limits.linear
 
     def next(self, state: WorldState) -> tuple[str, Triple] | None:
-        """The thing that is to appear now, and where; None if none is, or there is no room."""
+        """The name and pose of the next obstacle; None if none is due, or there is no room."""
         moving = [
             row
             for row in range(self._robots)
@@ -103,13 +103,13 @@ class Obstacles:
         name = next(self._names)
         pose = self._ahead(state.poses[int(self._rng.choice(moving))])
         outlines = transform(self._platform.footprint, np.array(state.poses))
-        if gaps(transform(THINGS[name].shape, np.array(pose)), outlines).min() < self._room:
+        if gaps(transform(OBSTACLES[name].shape, np.array(pose)), outlines).min() < self._room:
             return None
         self._next = state.time + _PAUSE
         return name, pose
 
     def _ahead(self, pose: Triple) -> Triple:
-        """A pose ahead of a robot at `pose`, across its direction."""
+        """A pose ahead of a robot at `pose`, across the robot's heading."""
         gap = self._room + float(self._rng.uniform(0.1, _SLACK))
         x, y, yaw = pose
         distance = float(self._platform.footprint[:, 0].max()) + gap
@@ -119,10 +119,10 @@ class Obstacles:
 
 
 def room(platform: Platform) -> float:
-    """How far in m from every robot a thing may appear so that none is asked for the impossible.
+    """The least distance in m from each robot at which an obstacle may appear.
 
-    The blind zone, what the fastest robot drives until the next scan has come and is acted on,
-    what it then brakes, and what others' bodies reach beyond what is seen.
+    The sum of the blind zone, the distance that the fastest robot drives before it acts on the next
+    scan, its braking distance, and the part of a body that a lidar does not see.
     """
     barrier, speed = platform.protection["barrier"], platform.limits.linear
     wait = 1.0 / platform.scan.rate + 2.0 * platform.scan.latency + _REACTION

@@ -2,7 +2,7 @@
 
 A collision is a contact of two robots, at least one of them protected; it counts once for each
 second that it lasts. A protected robot is at fault if its own surface moved towards the other at
-more than 2 cm/s. A standing robot that is rammed is not at fault. A robot that moves although its
+more than 2 cm/s. A resting robot that is rammed is not at fault. A robot that moves although its
 command has been zero for half a second is pushed and not at fault; such collisions are counted
 separately.
 """
@@ -27,7 +27,7 @@ STUCK = 0.05
 """A robot is stuck in a window of the first number of s if it stays within the second number of m
 of its position at the start of the window."""
 
-_STANDS = 0.5  # s within which every base comes to rest, including the delay of commands
+_REST_TIME = 0.5  # s within which each base comes to rest, including the delay of commands
 _APART = 0.5  # s without contact after which two that started in contact are treated like others
 _START = 0.1  # s: contacts until then come from the start poses
 _ROUNDING = 1e-9
@@ -62,7 +62,7 @@ class Collision(Struct, frozen=True):
 
     @property
     def is_pushed(self) -> bool:
-        """Whether one came only because it was pushed."""
+        """Whether the robot closed on the other only because it was pushed."""
         return self.own_speed <= FAULT < self.pushed_speed
 
 
@@ -70,14 +70,16 @@ def collisions(trace: Trace, unprotected: Collection[str] = ()) -> list[Collisio
     """All counted contacts of protected robots, in order of time."""
     is_protected = np.array([robot not in unprotected for robot in trace.ids], dtype=bool)
     first, second = trace.contact_pair.T
-    # What is not protected, arena and boxes included, has no speed of its own to answer for.
-    answers = np.stack((is_protected[first], (second >= 0) & is_protected[second]), axis=1)
-    own = np.where(answers, trace.contact_speed, -np.inf)
-    is_told = _is_told_to_move(trace)
-    # By itself, and pushed.
-    own = np.stack((np.where(is_told, own, -np.inf), np.where(is_told, -np.inf, own)), axis=-1)
+    # Only protected robots can be at fault, not the arena, boxes or other robots.
+    can_be_at_fault = np.stack((is_protected[first], (second >= 0) & is_protected[second]), axis=1)
+    own = np.where(can_be_at_fault, trace.contact_speed, -np.inf)
+    is_commanded = _is_commanded(trace)
+    # Last axis: with a command to move, and without one.
+    own = np.stack(
+        (np.where(is_commanded, own, -np.inf), np.where(is_commanded, -np.inf, own)), axis=-1
+    )
     found = []
-    pairs = np.unique(np.sort(trace.contact_pair[answers.any(axis=1)], axis=1), axis=0)
+    pairs = np.unique(np.sort(trace.contact_pair[can_be_at_fault.any(axis=1)], axis=1), axis=0)
     for low, high in pairs.tolist():
         of = np.flatnonzero(
             ((first == low) & (second == high)) | ((first == high) & (second == low))
@@ -113,28 +115,28 @@ def _counts(times: Array, begin: float) -> Iterator[slice]:
         start = stop
 
 
-def _is_told_to_move(trace: Trace) -> np.ndarray:
-    """(c, 2) whether the command shortly before a contact moved a point of the outline."""
+def _is_commanded(trace: Trace) -> np.ndarray:
+    """(c, 2) whether a command shortly before a contact moved a point of the outline."""
     commanded = np.zeros(trace.safe.shape[:2])
     for row in range(len(trace.ids)):
         linear, angular, lateral = trace.safe[:, row].T
         for x, y in trace.footprint(row):
             speed = np.hypot(linear - angular * y, lateral + angular * x)
             np.maximum(commanded[:, row], speed, out=commanded[:, row])
-    since = np.searchsorted(trace.t, trace.contact_t - _STANDS)
+    since = np.searchsorted(trace.t, trace.contact_t - _REST_TIME)
     until = np.searchsorted(trace.t, trace.contact_t + _ROUNDING)
-    is_told = np.zeros(trace.contact_pair.shape, dtype=bool)
+    is_commanded = np.zeros(trace.contact_pair.shape, dtype=bool)
     for touch, (first, stop) in enumerate(zip(since, np.maximum(until, since + 1), strict=True)):
         most = commanded[first:stop].max(axis=0)
-        is_told[touch] = most[trace.contact_pair[touch]] > FAULT
-    return is_told
+        is_commanded[touch] = most[trace.contact_pair[touch]] > FAULT
+    return is_commanded
 
 
 def _collision(trace: Trace, rows: np.ndarray, own: Array, *, is_new: bool) -> Collision:
-    """The rows of one count; `own` (c, 2, 2) are the speeds that somebody answers for."""
+    """The rows of one count; `own` (c, 2, 2): the speeds of protected robots."""
     by_itself, pushed = own[rows, :, 0], own[rows, :, 1]
-    told = by_itself if by_itself.max() > FAULT or not pushed.max() > FAULT else pushed
-    row, side = divmod(int(told.argmax()), 2)
+    shown = by_itself if by_itself.max() > FAULT or not pushed.max() > FAULT else pushed
+    row, side = divmod(int(shown.argmax()), 2)
     pair = trace.contact_pair[rows[row]].tolist()
     a, b = pair if pair[1] < 0 or pair[0] <= pair[1] else pair[::-1]
     return Collision(

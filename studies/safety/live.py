@@ -25,7 +25,7 @@ from benchmarks.latency import Stamps, between, read_stamps, row
 from benchmarks.swarm import Swarm
 from benchmarks.table import Row, print_table
 from studies.safety.driven import faults
-from studies.safety.hazards import THINGS, Obstacles, Rammer, room
+from studies.safety.hazards import OBSTACLES, ObstaclePlacer, Rammer, room
 from studies.safety.judge import FAULT, Collision, collisions
 from studies.safety.scenes import KINDS, VISIBILITIES
 from swarmd.core import keys
@@ -123,7 +123,7 @@ def run_course(
         body = load_platform(protected)
         speed = float(body.protection["barrier"]["others_speed"])
         rammer = Rammer(speed, radius(body.footprint))
-        obstacles = Obstacles(body, ROBOTS, seed)
+        obstacles = ObstaclePlacer(body, ROBOTS, seed)
         trace = folder / "trace.npz"
         options = ["--seed", str(seed), "--realism", "realistic", "--trace", str(trace)]
         options += ["--lidar-visibility", visibility, *_space(body, ROBOTS + 1)]
@@ -182,7 +182,7 @@ def _space(platform: Platform, count: int) -> list[str]:
     """The world's options: an arena with enough room for `count` robots, and for things."""
     grid = 2.0 * room(platform) + radius(platform.footprint)
     side = math.ceil(grid * math.sqrt(count) + 1.0)
-    movable_boxes = tuple(THINGS.values())
+    movable_boxes = tuple(OBSTACLES.values())
     return ["--arena", Arena(side, side, movable_boxes).text, "--layout", f"grid:{grid:.2f}"]
 
 

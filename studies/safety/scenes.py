@@ -51,8 +51,8 @@ class Room(Struct, frozen=True):
     clearance: float
 
 
-# A goal must be within everybody's reach who is alone: the potential field lets nothing come
-# nearer than 0.5 m (Jackal 1.2 m) to the sensor, the Jackal's lidar sees nothing within 0.8 m.
+# A robot that is alone must be able to reach each goal: the potential field keeps obstacles 0.5 m
+# (Jackal 1.2 m) away from the sensor, and the Jackal's lidar measures nothing within 0.8 m.
 ROOMS: Mapping[str, Room] = {
     "burger": Room(10, 4.0, inset=0.4, reach=0.2, radius=1.5, clearance=0.2),
     "waffle_pi": Room(8, 5.0, inset=0.5, reach=0.25, radius=1.8, clearance=0.3),

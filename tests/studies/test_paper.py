@@ -16,9 +16,9 @@ NAMES = ("burger", "waffle_pi")
 VISIBILITIES = ("body", "real")
 LATE_BOUND = {"burger": 0.65, "waffle_pi": 0.75}
 ALTERED = {"burger": 0.05, "waffle_pi": 0.25}
-"""Before the stop from a command was followed, Waffle Pis kept 0.15. Now a turn that would swing a
-corner, 0.25 m from the axle, past a neighbour is given up by quarters: of 40 runs each the median
-is 0.15 with bodies seen whole, 0.10 with the real visibility, and the highest of all is 0.23."""
+"""Waffle Pis kept 0.15 before protection computed the stop from a command. Now it reduces a turn by
+quarters if the turn would swing a corner, 0.25 m from the axle, past a neighbour. The medians of 40
+runs each are 0.15 with visibility `body` and 0.10 with `real`; the highest value is 0.23."""
 
 
 @cache
@@ -45,15 +45,15 @@ def test_turtlebots_gather_in_one_cluster_and_rest_without_contact(
     found = runs(name, visibility)
     assert (found["one_cluster_at_end"] == 1.0).all()
     assert (found["time_in_one_cluster_late"] >= 0.9).all()
-    # The bound is 0.86 m. Waffle Pis seen whole keep it in the median of 20 runs, which is 0.84 m;
-    # that of three, of runs that differ by 0.06 m, is now and then above it.
+    # The bound is 0.86 m. Waffle Pis with visibility `body` keep it in the median of 20 runs, which
+    # is 0.84 m. The runs differ by 0.06 m, so the median of three is sometimes above the bound.
     early = 0.90 if (name, visibility) == ("waffle_pi", "body") else 0.86
     assert np.median(found["mean_distance_to_centroid_30s"]) <= early
-    # The bound on the late distance holds after 120 s, and with bodies seen whole in half the runs.
+    # The bound on the late distance holds after 120 s; with visibility `body`, in half the runs.
     assert (found["mean_distance_to_centroid_late"] <= 1.2 * LATE_BOUND[name]).all()
     assert (found["robot_contacts"] + found["arena_contacts"] == 0.0).all()
     assert (found["mean_speed_late_share"] <= 0.2).all()
-    # Of a filter any change counts, however small.
+    # Each change by the filter counts, even a small one.
     assert (found["command_alteration"] <= ALTERED[name]).all()
 
 

@@ -1,4 +1,4 @@
-"""Experiment 2 of docs/paper.md in short, the mission that does the same, and how it is judged."""
+"""Experiment 2 of docs/paper.md in short, the mission that does the same, and its judgement."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ TIMES = np.arange(0.0, 80.05, 0.1)
 
 
 def made(places: Array, opinion: Array) -> Trace:
-    """Two robots that look along x, at places (T, 2, 2)."""
+    """Two robots that face along x, at places (T, 2, 2)."""
     pose = np.concatenate((places, np.zeros((len(TIMES), 2, 1))), axis=2)
     return Trace(
         ids=("a", "b"),
@@ -69,7 +69,7 @@ def made(places: Array, opinion: Array) -> Trace:
 
 
 def spread(distance: float, at: float) -> Array:
-    """Two robots whose axles are 0.9 m apart until a time, and then so far."""
+    """Two robots whose axles are 0.9 m apart until the time `at`, and then `distance` m."""
     places = np.zeros((len(TIMES), 2, 2))
     places[:, 1, 0] = np.where(at - 1e-6 > TIMES, 0.9, distance)
     return places
@@ -80,7 +80,7 @@ OPINION = np.ones((len(TIMES), 2))
 
 def test_a_range_is_from_the_lidar_to_the_nearest_body_or_wall() -> None:
     trace = made(spread(2.0, 0.0), OPINION)
-    # The lidar sits 0.064 m behind the axle; the body reaches from -0.197 m to 0.086 m.
+    # The lidar is 0.064 m behind the axle; the body reaches from -0.197 m to 0.086 m.
     np.testing.assert_allclose(ranges(trace)[0], [2.0 - 0.197 + 0.064, 2.0 - 0.064 - 0.086])
     at_wall = spread(2.0, 0.0) + np.array([-4.5, 0.0])
     np.testing.assert_allclose(ranges(made(at_wall, OPINION))[0, 0], 5.0 - 4.564)

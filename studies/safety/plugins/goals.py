@@ -30,20 +30,22 @@ _GAIN = 3.0  # 1/s, of the heading
 
 
 class GoalsParams(Params, frozen=True):
-    """Which goals, and when one is reached."""
+    """The choice of goals, and the distance at which one is reached."""
 
     choice: Annotated[
         Literal["anywhere", "opposite", "centre"],
         about(
-            "anywhere: the next one evenly drawn in the arena; opposite: through the centre to the"
-            " other side and back; centre: there, and pressing on"
+            "anywhere: a uniformly drawn place in the arena; opposite: through the centre to the"
+            " other side and back; centre: to the centre, without end"
         ),
     ] = "anywhere"
     length: Annotated[
-        float, about("of the arena along x that goals are in", ge=0.1, le=1000.0, unit="m")
+        float, about("of the area of goals, along x", ge=0.1, le=1000.0, unit="m")
     ] = 3.0
     width: Annotated[float, about("the same along y", ge=0.1, le=1000.0, unit="m")] = 3.0
-    reach: Annotated[float, about("how near is there", ge=0.01, le=10.0, unit="m")] = 0.2
+    reach: Annotated[
+        float, about("distance at which a goal is reached", ge=0.01, le=10.0, unit="m")
+    ] = 0.2
 
 
 class Compass:
@@ -55,14 +57,14 @@ class Compass:
         self._from: tuple[Place, Place] | None = None
 
     def learn(self, place: Place, measured: Place) -> None:
-        """Take in where the robot is, in the arena and as its wheels say; both in m."""
+        """Update the angle from the position in the arena and by odometry, both in m."""
         if self._from is None:
             self._from = place, measured
         (x, y), (u, v) = self._from
-        way, told = (place[0] - x, place[1] - y), (measured[0] - u, measured[1] - v)
-        if math.hypot(*way) < _WAY or math.hypot(*told) < _WAY:
+        way, by_odometry = (place[0] - x, place[1] - y), (measured[0] - u, measured[1] - v)
+        if math.hypot(*way) < _WAY or math.hypot(*by_odometry) < _WAY:
             return
-        angle = math.atan2(way[1], way[0]) - math.atan2(told[1], told[0])
+        angle = math.atan2(way[1], way[0]) - math.atan2(by_odometry[1], by_odometry[0])
         share = _TRUST if self._is_known else 1.0
         self.angle = wrap(self.angle + share * difference(angle, self.angle))
         self._is_known, self._from = True, (place, measured)
@@ -81,7 +83,7 @@ class Goals(MovementPattern[GoalsParams]):
         self._reached = 0
 
     def report(self) -> Mapping[str, Scalar]:
-        """How many goals it has reached, where there are any to reach."""
+        """The number of goals reached; nothing if the goal is the centre."""
         return {} if self.params.choice == "centre" else {"goals": self._reached}
 
     def drive(self, inputs: Inputs) -> Twist:
@@ -98,7 +100,7 @@ class Goals(MovementPattern[GoalsParams]):
         return self._towards(self._goal, place, wrap(pose.yaw + self._compass.angle))
 
     def _next(self, place: Place) -> Place:
-        """The goal after `place`: the last one, or where the robot has started."""
+        """The goal after `place`, which is the last goal or the start of the robot."""
         if self.params.choice == "centre":
             return (0.0, 0.0)
         if self.params.choice == "opposite":

@@ -1,4 +1,4 @@
-"""Who drove into what it touched, and who was only thrown: on traces made by hand."""
+"""Which robot drove into the other, and which was only thrown: on traces made by hand."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def commands(before: float, after: float, turn: float = 0.0) -> Array:
     return np.where(late, (after, 0.0, 0.0), (before, turn, 0.0))
 
 
-def run(told: Array, speed: float, turned: Array | None = None, after: float = 0.1) -> Trace:
-    """Robot a, told so, is rammed from ahead; `after` s later its surface closes at `speed` m/s."""
+def run(command: Array, speed: float, turned: Array | None = None, after: float = 0.1) -> Trace:
+    """Robot a is rammed from ahead; `after` s later its surface closes at `speed` m/s."""
     pose, safe = np.zeros((len(T), 2, 3)), np.zeros((len(T), 2, 3))
-    safe[:, 0] = told
+    safe[:, 0] = command
     pose[:, 1, 0] = FRONT + BACK
     pose[:, 0, 2] = 0.0 if turned is None else turned
     times = TOUCH + np.array([0.0, after])
@@ -55,7 +55,7 @@ def test_fault_is_at_most_the_commanded_speed() -> None:
     assert own_speeds(run(commands(0.0, 0.2), 0.05)) == pytest.approx([0.05])
 
 
-def test_a_robot_thrown_against_what_it_backs_from_is_not_at_fault() -> None:
+def test_a_robot_thrown_against_an_obstacle_it_backs_from_is_not_at_fault() -> None:
     assert own_speeds(run(commands(-0.1, -0.1), 0.3)) == []
 
 
@@ -63,9 +63,9 @@ def test_a_robot_thrown_against_what_it_backs_from_is_not_at_fault() -> None:
 def test_a_turning_robot_is_at_fault_until_it_has_braked(
     after: float, expected: list[float]
 ) -> None:
-    """At 1 rad/s until the touch, though told to stop: it brakes at 3 rad/s2 at least.
+    """The robot turns at 1 rad/s until the touch, and brakes at 3 rad/s2 or more.
 
-    A corner at its front comes nearer to what is ahead.
+    A corner at its front comes nearer to the obstacle ahead.
     """
     turned = np.minimum(T - TOUCH, 0.0)
     assert own_speeds(run(commands(0.0, 0.0, 1.0), 0.3, turned, after)) == pytest.approx(
@@ -73,14 +73,14 @@ def test_a_turning_robot_is_at_fault_until_it_has_braked(
     )
 
 
-def test_what_touches_nothing_moves_by_its_own_drives() -> None:
+def test_a_robot_without_contact_moves_by_its_own_drives() -> None:
     trace = run(commands(0.0, 0.0), 0.0, turned=0.5 * T)
     free = drives(trace, 0)[(T > 0.0) & (T < TOUCH - 0.01)]
     assert free[:, :, 1] == pytest.approx(0.5)
     assert free[:, :, [0, 2]] == pytest.approx(0.0)
 
 
-def test_what_drives_can_do_lies_between_what_was_done_and_what_is_reported() -> None:
+def test_possible_speeds_are_between_the_motion_before_and_the_commands() -> None:
     trace = run(commands(0.2, -0.1), 0.3)
     trace.pose[:, 0, 0] = np.minimum(0.2 * (T - TOUCH), 0.0)
     at = int(np.searchsorted(T, TOUCH + 0.1))

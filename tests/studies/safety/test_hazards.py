@@ -1,4 +1,4 @@
-"""What comes in robots' way on a live course stays within what protection assumes of it."""
+"""Rammers and obstacles of a live course keep the assumptions of protection."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from msgspec import structs
 
-from studies.safety.hazards import THINGS, Obstacles, Rammer, room
+from studies.safety.hazards import OBSTACLES, ObstaclePlacer, Rammer, room
 from swarmd.core.values import Platform, Twist
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.state import Triple, WorldState
@@ -59,7 +59,7 @@ def corner_speeds(before: np.ndarray, after: np.ndarray, dt: float) -> np.ndarra
     return speeds
 
 
-def test_a_rammer_meets_all_and_no_corner_of_it_is_faster_than_it_may_be() -> None:
+def test_a_rammer_touches_all_robots_and_no_corner_of_it_is_too_fast() -> None:
     starts = np.array([(0.0, 0.0, 2.5), (2.0, 0.0, 0.0), (-1.0, 1.5, 0.0)])
     bodies = {"rammer": FAST, "a": BURGER, "b": BURGER}
     world = World(bodies, Arena(6.0, 6.0), starts, realism=REALISTIC)
@@ -82,7 +82,7 @@ def test_a_rammer_meets_all_and_no_corner_of_it_is_faster_than_it_may_be() -> No
 
 
 @pytest.mark.parametrize("time", [0.0, 2.0])  # backing away, and straight ahead
-def test_what_a_body_still_turns_is_taken_off_the_speed_of_a_rammer(time: float) -> None:
+def test_a_turn_that_continues_reduces_the_speed_of_a_rammer(time: float) -> None:
     rammer, spins = Rammer(0.3, 0.135), [(0.0, -1.0, 0.0), (0.0, 0.0, 0.0)]
     poses = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)
     rammer.command(state_of(poses, spins), 0)
@@ -101,9 +101,9 @@ def test_a_rammer_that_has_touched_backs_away() -> None:
 
 
 @pytest.mark.parametrize("name", PLATFORMS)
-def test_things_appear_ahead_of_robots_under_way_and_leave_room_to_all(name: str) -> None:
+def test_obstacles_appear_ahead_of_moving_robots_with_room_to_all(name: str) -> None:
     platform = load_platform(name)
-    obstacles = Obstacles(platform, 2, seed=3)
+    obstacles = ObstaclePlacer(platform, 2, seed=3)
     state = at(20.0, platform.limits.linear, 0.0, platform.limits.linear)
     appeared = []
     for _ in range(50):
@@ -111,17 +111,17 @@ def test_things_appear_ahead_of_robots_under_way_and_leave_room_to_all(name: str
         state = structs.replace(state, time=state.time + 1.0)
         if found is not None:
             appeared.append(found)
-    assert {name for name, _ in appeared} == set(THINGS)
-    for thing, pose in appeared:
-        outline = transform(THINGS[thing].shape, np.array(pose))
+    assert {name for name, _ in appeared} == set(OBSTACLES)
+    for obstacle, pose in appeared:
+        outline = transform(OBSTACLES[obstacle].shape, np.array(pose))
         apart = gaps(outline, transform(platform.footprint, np.array(state.poses)))
         assert apart.min() >= room(platform)
-        assert apart.argmin() == 0  # the only one of the first two that drives
+        assert apart.argmin() == 0  # of the first two robots only this one drives
         assert abs(math.atan2(pose[1], pose[0])) < 0.3
 
 
-def test_nothing_appears_where_another_robot_is_too_near_for_it() -> None:
-    obstacles = Obstacles(BURGER, 1, seed=3)
+def test_no_obstacle_appears_too_near_to_another_robot() -> None:
+    obstacles = ObstaclePlacer(BURGER, 1, seed=3)
     ahead = room(BURGER) + BURGER.footprint[:, 0].max() + 0.2
     poses = (0.0, 0.0, 0.0), (ahead, 0.0, 0.0)
     state = state_of(poses, [(0.22, 0.0, 0.0), (0.0, 0.0, 0.0)])
@@ -129,12 +129,12 @@ def test_nothing_appears_where_another_robot_is_too_near_for_it() -> None:
 
 
 def stopping(platform: Platform) -> float:
-    """What a robot at full speed needs after a thing has just missed a sweep."""
+    """The distance to a stop from full speed if an obstacle appears just after a scan."""
     speed = platform.limits.linear
     return speed * (1.0 / platform.scan.rate + platform.scan.latency) + speed**2 / 2.0
 
 
 @pytest.mark.parametrize("name", PLATFORMS)
-def test_room_is_beyond_the_blind_zone_and_the_way_to_a_stop(name: str) -> None:
+def test_room_is_beyond_the_blind_zone_and_the_stopping_distance(name: str) -> None:
     platform = load_platform(name)
     assert room(platform) > platform.scan.range_min + stopping(platform)

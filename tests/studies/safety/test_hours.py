@@ -1,6 +1,6 @@
 """The short form of the robot-hours: fixed seeds, every family of scenes, no collision.
 
-The long one is `python -m studies.safety hours`; what it found stands in docs/safety.md.
+The long form is `python -m studies.safety hours`; docs/safety.md has its results.
 """
 
 from __future__ import annotations
@@ -48,6 +48,6 @@ def test_a_rammed_robot_does_not_drive_into_another(platform: str) -> None:
 
 
 def test_without_protection_the_same_swarms_collide() -> None:
-    # Otherwise the tests above would pass whatever protection does.
+    # Otherwise the tests above would pass without any effect of protection.
     trace = simulate_run(scenario(Scene("goals", "burger", mode="off", duration=30.0)), SEED)
     assert len(collisions(trace)) > 10

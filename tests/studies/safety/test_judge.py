@@ -1,4 +1,4 @@
-"""The judge, on traces made by hand: who counts as having run into whom."""
+"""The judge of collisions, on traces made by hand."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from swarmd.sim.trace import ARENA, Trace
 
 BURGER = load_platform("burger").footprint
 Row = tuple[float, int, int, float, float]
-"""A step of a touch: time, the two, and how fast each one's surface came."""
+"""A step of a contact: time, the two robots, and the closing speed of each one's surface."""
 
 
 def run(
@@ -24,18 +24,18 @@ def run(
     *,
     pose: Array | None = None,
     seconds: float = 20.0,
-    told: float = 0.1,
+    command: float = 0.1,
 ) -> Trace:
-    """Two robots, face to face, and a rammer beyond; 2 m apart, ten instants a second.
+    """Two robots, face to face, and a rammer beyond; 2 m apart, ten instants per second.
 
-    They are told `told` m/s, and touch so.
+    Each robot has the command `command` in m/s.
     """
     t = np.linspace(0.0, seconds, round(10.0 * seconds) + 1)
     if pose is None:
         pose = np.zeros((len(t), 3, 3))
         pose[:, :, 0], pose[:, 1, 2] = (0.0, 2.0, 4.0), np.pi
     safe = np.zeros_like(pose)
-    safe[..., 0] = told
+    safe[..., 0] = command
     rows = np.array(touches, dtype=np.float64).reshape(-1, 5)
     return Trace(
         ids=("a", "b", "ram"),
@@ -55,25 +55,25 @@ def judged(*touches: Row) -> Judgement:
     return judge(run(touches), {"ram"})
 
 
-def test_nothing_touched_is_nothing_found() -> None:
+def test_a_trace_without_contacts_has_no_collisions() -> None:
     found = judged()
     assert (found.collisions, found.faults, found.touches, found.worst) == (0, 0, 0, 0.0)
-    assert found.seconds == pytest.approx(40.0)  # of the two that are protected
+    assert found.seconds == pytest.approx(40.0)  # of the two protected robots
     assert (found.goals, found.goal_seconds, found.windows, found.stuck) == (0, 0.0, 0, 0)
-    # The second and the rammer, back to back: 2 m less what reaches behind an axle, twice.
+    # The second and the rammer are back to back: 2 m less twice the outline behind an axle.
     assert found.min_gap == pytest.approx(2.0 - 2.0 * 0.102)
 
 
 @pytest.mark.parametrize(
     ("touch", "collided", "at_fault"),
     [
-        ((5.0, 0, 1, 0.0, 0.0), 1, 0),  # they lean against each other
+        ((5.0, 0, 1, 0.0, 0.0), 1, 0),  # contact without motion
         ((5.0, 0, 1, 0.1, 0.0), 1, 1),  # the first drives into the second
-        ((5.0, 0, 1, -0.1, 0.2), 1, 1),  # the second into the first, which flees
-        ((5.0, 0, 2, 0.0, 0.3), 1, 0),  # rammed while it stands
-        ((5.0, 0, 2, 0.02, 0.3), 1, 0),  # at what is allowed
-        ((5.0, 0, 2, 0.021, 0.3), 1, 1),  # at more
-        ((5.0, 2, 0, 0.3, 0.1), 1, 1),  # the same, named the other way round
+        ((5.0, 0, 1, -0.1, 0.2), 1, 1),  # the second drives into the first, which backs away
+        ((5.0, 0, 2, 0.0, 0.3), 1, 0),  # rammed at rest
+        ((5.0, 0, 2, 0.02, 0.3), 1, 0),  # at the allowed speed
+        ((5.0, 0, 2, 0.021, 0.3), 1, 1),  # above the allowed speed
+        ((5.0, 2, 0, 0.3, 0.1), 1, 1),  # the same with the robots in reverse order
         ((5.0, 2, 0, 0.3, -0.1), 1, 0),
     ],
 )
@@ -82,7 +82,7 @@ def test_the_robot_that_closes_is_at_fault(touch: Row, collided: int, at_fault: 
     assert (found.collisions, found.faults) == (collided, at_fault)
 
 
-def test_rammers_among_themselves_are_no_concern() -> None:
+def test_contacts_between_rammers_do_not_count() -> None:
     assert collisions(run([(5.0, 1, 2, 0.3, 0.3)]), {"b", "ram"}) == []
 
 
@@ -90,7 +90,7 @@ def test_a_long_touch_counts_once_a_second() -> None:
     steps: list[Row] = [(5.0 + 0.01 * i, 0, 1, 0.1, 0.0) for i in range(250)]
     assert judged(*steps).collisions == 3
     assert judged(*steps[:100]).collisions == 1
-    assert judged(steps[0], (5.0, 0, 2, 0.1, 0.0)).faults == 2  # each pair for itself
+    assert judged(steps[0], (5.0, 0, 2, 0.1, 0.0)).faults == 2  # each pair counts separately
 
 
 def test_the_fastest_own_surface_within_a_count_is_reported() -> None:
@@ -102,7 +102,7 @@ def test_the_fastest_own_surface_within_a_count_is_reported() -> None:
 
 
 def test_a_pushed_robot_with_command_zero_is_not_at_fault() -> None:
-    trace = run([(5.0, 0, 1, 0.2, 0.0), (8.0, 0, ARENA, 0.2, 0.0)], told=0.0)
+    trace = run([(5.0, 0, 1, 0.2, 0.0), (8.0, 0, ARENA, 0.2, 0.0)], command=0.0)
     found = judge(trace)
     assert (found.collisions, found.touches) == (1, 1)
     assert (found.faults, found.touch_faults, found.pushed) == (0, 0, 2)
@@ -115,26 +115,26 @@ def test_a_pushed_robot_with_command_zero_is_not_at_fault() -> None:
         (4.6, (0.1, 0.0), True),
         (4.9, (0.0, 0.2), True),  # a corner of it moves at 2.7 cm/s
         (4.9, (0.0, 0.1), False),
-        (4.3, (0.1, 0.0), False),  # it must have come to rest since
-        (5.1, (0.1, 0.0), False),  # only later
+        (4.3, (0.1, 0.0), False),  # it has come to rest since
+        (5.1, (0.1, 0.0), False),  # after the contact
     ],
 )
 def test_a_command_shortly_before_makes_a_motion_its_own(
     at: float, twist: tuple[float, float], is_fault: bool
 ) -> None:
-    trace = run([(5.0, 0, 1, 0.2, 0.0)], told=0.0)
+    trace = run([(5.0, 0, 1, 0.2, 0.0)], command=0.0)
     trace.safe[np.isclose(trace.t, at), 0, :2] = twist
     assert [one.is_fault for one in collisions(trace)] == [is_fault]
 
 
-def test_a_command_is_no_excuse_for_another_robot() -> None:
-    trace = run([(5.0, 0, 1, 0.2, 0.0)], told=0.0)
+def test_the_command_of_the_other_robot_does_not_change_the_judgement() -> None:
+    trace = run([(5.0, 0, 1, 0.2, 0.0)], command=0.0)
     trace.safe[:, 1, 0] = 0.1
     assert [one.is_pushed for one in collisions(trace)] == [True]
 
 
 def test_a_robot_that_drives_on_after_a_push_is_at_fault() -> None:
-    trace = run([(5.0, 0, 1, 0.3, 0.0), (5.5, 0, 1, 0.1, 0.0)], told=0.0)
+    trace = run([(5.0, 0, 1, 0.3, 0.0), (5.5, 0, 1, 0.1, 0.0)], command=0.0)
     trace.safe[np.isclose(trace.t, 5.5), 0, 0] = 0.1
     (found,) = collisions(trace)
     assert (found.is_fault, found.is_pushed) == (True, False)
@@ -145,7 +145,7 @@ def test_a_robot_that_drives_on_after_a_push_is_at_fault() -> None:
     ("touches", "hits"),
     [
         ([(5.0, 0, 2, 0.1, 0.0)], [True]),
-        ([(5.0, 0, 2, 0.0, 0.1), (5.01, 0, 2, 0.1, 0.0)], [False]),  # it was hit, then pressed
+        ([(5.0, 0, 2, 0.0, 0.1), (5.01, 0, 2, 0.1, 0.0)], [False]),  # it was rammed, then drove
         ([(5.0, 0, 2, 0.0, 0.1), (5.4, 0, 2, 0.0, 0.0), (6.0, 0, 2, 0.1, 0.0)], [False, True]),
         ([(5.0 + 0.1 * i, 0, 2, 0.1, 0.0) for i in range(11)], [True, False]),
     ],
@@ -169,13 +169,13 @@ def test_a_box_pushed_into_a_robot_at_rest_is_no_fault() -> None:
     assert judged((5.0, 1, ARENA - 1, 0.0, 0.5)).touch_faults == 0
 
 
-def test_robots_that_were_put_down_in_touch_are_not_judged_until_they_part() -> None:
-    standing: list[Row] = [(0.01 * i, 0, 1, 0.1, 0.0) for i in range(1, 400)]
-    assert judged(*standing).collisions == 0
-    assert judged(*standing, (6.0, 0, 1, 0.1, 0.0)).collisions == 1
+def test_robots_that_start_in_contact_are_not_judged_until_they_part() -> None:
+    resting: list[Row] = [(0.01 * i, 0, 1, 0.1, 0.0) for i in range(1, 400)]
+    assert judged(*resting).collisions == 0
+    assert judged(*resting, (6.0, 0, 1, 0.1, 0.0)).collisions == 1
 
 
-def test_a_robot_that_sways_on_the_spot_is_stuck_and_one_that_travels_is_not() -> None:
+def test_a_robot_that_stays_at_its_place_is_stuck_and_one_that_travels_is_not() -> None:
     t = np.linspace(0.0, 20.0, 201)
     pose = np.zeros((len(t), 3, 3))
     pose[:, 0, 0] = 0.02 * np.sin(t)
@@ -186,11 +186,11 @@ def test_a_robot_that_sways_on_the_spot_is_stuck_and_one_that_travels_is_not() -
     assert stuck_windows(trace, np.array([1])) == (2, 0)
 
 
-def test_what_is_left_after_the_last_whole_window_is_no_window() -> None:
+def test_an_incomplete_last_window_does_not_count() -> None:
     assert stuck_windows(run(seconds=29.0), np.array([0])) == (2, 2)
 
 
-def test_goals_are_the_last_counts_of_the_protected() -> None:
+def test_goals_are_the_last_counts_of_protected_robots() -> None:
     trace = run()
     goals = np.full((len(trace.t), 3), np.nan)
     goals[1:, 0], goals[1:, 1], goals[1:, 2] = 2.0, 3.0, 50.0

@@ -1,4 +1,4 @@
-"""Runs are kept, gone on with and summed up; none is done twice, none of other sources counts."""
+"""Runs are stored, resumed and added up; none runs twice, and none of other sources counts."""
 
 from __future__ import annotations
 
@@ -44,16 +44,16 @@ def changed(**values: float) -> Judgement:
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_what_was_done_is_not_done_again(tmp_path: Path, jobs: int) -> None:
+def test_a_finished_run_is_not_repeated(tmp_path: Path, jobs: int) -> None:
     file = tmp_path / "some.jsonl"
     first = carry_out([Task(SHORT, 0)], file, jobs)
     both = carry_out([Task(SHORT, 1), Task(SHORT, 0)], file, jobs)
     assert [one.task.seed for one in both] == [1, 0]
-    assert both[1] == first[0]  # processor time too: it is the same run
+    assert both[1] == first[0]  # with the same processor time: it is the same run
     assert len(file.read_text().splitlines()) == 2
 
 
-def test_what_other_sources_did_counts_for_nothing(tmp_path: Path) -> None:
+def test_runs_of_other_sources_do_not_count(tmp_path: Path) -> None:
     file = tmp_path / "some.jsonl"
     file.write_bytes(msgspec.json.encode(record(SHORT)) + b"\n")
     done = carry_out([Task(SHORT, 0)], file, 1)
@@ -61,7 +61,7 @@ def test_what_other_sources_did_counts_for_nothing(tmp_path: Path) -> None:
     assert len(read(file)) == 2
 
 
-def test_a_file_that_is_none_of_ours_is_refused_by_name(tmp_path: Path) -> None:
+def test_a_file_of_another_format_is_refused_by_name(tmp_path: Path) -> None:
     file = tmp_path / "some.jsonl"
     file.write_text("robots\n")
     with pytest.raises(ConfigError, match=r"some\.jsonl: .*take the line out"):
@@ -75,7 +75,7 @@ def test_an_impossible_scene_is_refused_before_anything_runs(tmp_path: Path) -> 
     assert not (tmp_path / "some.jsonl").exists()
 
 
-def test_numbers_add_up_and_extremes_stay() -> None:
+def test_numbers_are_added_and_extremes_kept() -> None:
     a = changed(collisions=1, worst=0.03, goals=4, goal_seconds=60.0, min_gap=0.2)
     whole = total([a, changed(collisions=2, worst=0.01), NOTHING])
     assert (whole.seconds, whole.collisions, whole.worst, whole.min_gap) == (10800, 3, 0.03, 0.1)
@@ -129,11 +129,11 @@ def test_tables_separate_swarms_with_and_without_rammers() -> None:
     assert "3.1 cm/s" not in alone
     total_row = next(line for line in alone.splitlines() if line.startswith("| all  "))
     assert "| 2.0 " in total_row
-    assert "| 1.00 " in total_row  # goals a minute, of the run that had any
-    assert "| 100 " in total_row  # robot-hours a CPU-hour
+    assert "| 1.00 " in total_row  # goals per minute of the run with goals
+    assert "| 100 " in total_row  # robot-hours per CPU-hour
 
 
-def test_progress_is_a_share_of_what_ghosts_reach() -> None:
+def test_progress_is_a_share_of_the_goals_of_ghosts() -> None:
     tasks = progress.plan(("goals",), ("burger",), ("body",), ("barrier",), (0, 1), 60.0)
     assert len(tasks) == 8  # sparse and dense, ghosts and barrier, two seeds
     reached = {"ghost": 100, "barrier": 25}

@@ -1,4 +1,4 @@
-"""Every scene is a scenario that can be run, and its robots do what it is named for."""
+"""Each scene is a scenario that can run, and its robots behave as its name states."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def test_a_mixed_swarm_agrees_on_one_speed_and_keeps_out_of_every_blind_zone() -
 
 
 @pytest.mark.parametrize("platform", ["burger", "waffle_pi", "jackal"])
-def test_nothing_is_unseen_where_lidars_see_whole_bodies(platform: str) -> None:
+def test_unseen_extent_is_zero_with_visibility_body(platform: str) -> None:
     own = load_platform(platform).protection["barrier"]["unseen_extent"]
     unseen = [
         next(iter(scenario(Scene("goals", platform, visibility)).robots.values())).protection[
@@ -86,7 +86,7 @@ def test_nothing_is_unseen_where_lidars_see_whole_bodies(platform: str) -> None:
     assert unseen == [0.0, own]
 
 
-def test_a_scene_that_is_none_is_refused_with_the_nearest() -> None:
+def test_an_unknown_scene_is_refused_with_the_nearest_name() -> None:
     with pytest.raises(ConfigError, match="goals"):
         scenario(Scene("goal", "burger"))
     with pytest.raises(ConfigError, match="Jackal"):
@@ -113,7 +113,7 @@ def test_rushing_robots_gather_at_the_centre_and_count_no_goals() -> None:
     assert "goals" not in trace.report
 
 
-def test_random_twists_go_both_ways_and_turn_both_ways() -> None:
+def test_random_twists_drive_and_turn_in_both_directions() -> None:
     trace = run(Scene("twists", "burger", mode="ghost", duration=30.0))
     linear, angular = trace.safe[..., 0], trace.safe[..., 1]
     limits = load_platform("burger").limits
@@ -126,7 +126,7 @@ def test_random_twists_go_both_ways_and_turn_both_ways() -> None:
 
 
 def fastest_points(lab: Lockstep, rows: list[int], seconds: float) -> Array:
-    """The fastest that any point of the robots' outlines moved while nobody pushed them."""
+    """The highest speed of a point of each robot's outline while no contact pushed the robot."""
     world, fastest = lab.world, np.zeros(len(rows))
     pushed_at = dict.fromkeys(world.ids, -1.0)
     for _ in range(round(seconds / world.dt)):
@@ -157,7 +157,7 @@ def test_no_point_of_a_rammer_moves_faster_than_others_assume(platform: str) -> 
 
 
 @pytest.mark.parametrize("platform", ["burger", "jackal"])
-def test_rammers_run_into_those_that_do_not_look(platform: str) -> None:
+def test_rammers_drive_into_unprotected_robots(platform: str) -> None:
     trace = run(Scene("ram", platform, mode="off", duration=20.0))
     ram = {trace.ids.index(robot) for robot in rammers(trace)}
     hits = [
