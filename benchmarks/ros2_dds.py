@@ -31,17 +31,17 @@ COMMAND = {"/cmd_vel": dds.Twist}
 
 @contextmanager
 def robot() -> Iterator[tuple[str, Callable[[], float | None]]]:
-    """The bridge's endpoint and the domain, and what says a scan and waits for the command."""
+    """The bridge's endpoint and domain, and a function that sends a scan and awaits the command."""
     domain = free_domain()
     held = Domain(domain, LOOPBACK)  # ends when it is deleted
-    node = DdsNode(domain, "base", says=SCAN, hears=COMMAND)
+    node = DdsNode(domain, "base", published=SCAN, subscribed=COMMAND)
     message: Any = dds.LaserScan.deserialize(cdr.encode(scan()))
 
     def exchange() -> float | None:
         message.header.stamp.nanosec += 1
-        node.heard("/cmd_vel")
+        node.take("/cmd_vel")
         sent = time.perf_counter()
-        node.say("/scan", message)
+        node.publish("/scan", message)
         return time.perf_counter() - sent if node.wait("/cmd_vel", 1.0) else None
 
     with tempfile.TemporaryDirectory() as folder, Bridge(Path(folder), domain) as bridge:
@@ -51,12 +51,12 @@ def robot() -> Iterator[tuple[str, Callable[[], float | None]]]:
 
 
 def answer(domain: int, until: Callable[[], str]) -> str:
-    """Be the plain node until that has come, and return it."""
-    said: list[str] = []
-    waiting = threading.Thread(target=lambda: said.append(until()))
+    """Act as the plain node until `until` returns; its text."""
+    found: list[str] = []
+    waiting = threading.Thread(target=lambda: found.append(until()))
     waiting.start()
     held = Domain(domain, LOOPBACK)
-    node = DdsNode(domain, "plain", says=COMMAND, hears=SCAN)
+    node = DdsNode(domain, "plain", published=COMMAND, subscribed=SCAN)
     while waiting.is_alive():
         message = node.wait("/scan", 0.2)
         if message is None:
@@ -64,7 +64,7 @@ def answer(domain: int, until: Callable[[], str]) -> str:
         message.ranges = np.array(message.ranges)
         twist = field(conversion.scan_of(message, 1, PLATFORM.scan))
         linear, angular = dds.Vector3(x=twist.linear), dds.Vector3(z=twist.angular)
-        node.say("/cmd_vel", dds.Twist(linear, angular))
+        node.publish("/cmd_vel", dds.Twist(linear, angular))
     node.close()
     del held
-    return said[0]
+    return found[0]

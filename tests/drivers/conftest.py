@@ -1,4 +1,4 @@
-"""What tests of drivers share: one roscore for those that do not end it."""
+"""Shared by the tests of drivers: one roscore for the tests that do not end it."""
 
 from __future__ import annotations
 

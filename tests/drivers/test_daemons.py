@@ -83,7 +83,7 @@ class Course:
         return found[0]
 
     def gets_only_zeros(self, since: float, seconds: float) -> None:
-        """Zeros, and again and again, for so long."""
+        """Only zeros arrive for `seconds`, at least 5 per second."""
         wait_until(lambda: self.commands[-1][0] > since + seconds, "commands for long enough")
         after = [(t - since, twist) for t, twist in self.commands if t >= since]
         assert not [t for t, twist in after if not twist.is_zero]
@@ -159,7 +159,7 @@ def moving(
         yield course, daemon
 
 
-def test_a_killed_daemon_is_stopped_for(moving: tuple[Course, DaemonProcess]) -> None:
+def test_the_robot_of_a_killed_daemon_stops(moving: tuple[Course, DaemonProcess]) -> None:
     course, daemon = moving
     has_watchdog = course.setup.driver != "ros1"  # whose adapter ends after 2 s of zeros
     assert bool(watchdogs(daemon.swarm, ROBOT)) == has_watchdog
@@ -172,7 +172,7 @@ def test_a_killed_daemon_is_stopped_for(moving: tuple[Course, DaemonProcess]) ->
     wait_until(lambda: not any(map(is_running, started)), "its child processes have ended")
 
 
-def test_a_frozen_daemon_is_stopped_for(moving: tuple[Course, DaemonProcess]) -> None:
+def test_the_robot_of_a_frozen_daemon_stops(moving: tuple[Course, DaemonProcess]) -> None:
     course, daemon = moving
     frozen = boottime()
     daemon.freeze()
@@ -183,10 +183,10 @@ def test_a_frozen_daemon_is_stopped_for(moving: tuple[Course, DaemonProcess]) ->
         thawed = boottime()
     finally:
         daemon.thaw()
-    wait_until(lambda: course.commands[-1][0] > thawed + 1.0, "it commands again")
+    wait_until(lambda: course.commands[-1][0] > thawed + 1.0, "the daemon commands again")
     assert is_running(daemon.process.pid)
     late = [t - thawed for t, twist in course.commands if t > thawed + 0.2 and not twist.is_zero]
-    assert not late, "a daemon that was frozen for so long does not drive on"
+    assert not late, "the stall has ended the run"
 
 
 class Thymio(BridgedRobot):
@@ -209,7 +209,7 @@ class Thymio(BridgedRobot):
             self.put(f"{NAMESPACE}/proximity/{name}", message)
 
 
-def test_a_thymio_drives_by_its_platform_file_and_keeps_off_a_hand(tmp_path: Path) -> None:
+def test_a_thymio_drives_with_its_platform_file_and_avoids_a_hand(tmp_path: Path) -> None:
     robot = Thymio()
     options: dict[str, Value] = {"endpoint": robot.endpoint}
     setup = Setup("ros2dds", robot, options, robot.publish_count, platform="thymio")

@@ -1,4 +1,4 @@
-"""Only the newest reaches the loop."""
+"""Only the newest sample of each name reaches the loop."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Taken = list[tuple[str, bytes]]
 
 
 def play(story: Callable[[LatestSamples], Awaitable[None]]) -> tuple[Taken, list[str]]:
-    """What was taken and dropped while a story ran."""
+    """The samples taken and dropped while a story ran."""
     taken: Taken = []
     dropped: list[str] = []
 
@@ -56,7 +56,7 @@ def test_in_a_loop_that_keeps_up_each_is_delivered() -> None:
     assert play(story) == ([("scan", b"0"), ("scan", b"1"), ("scan", b"2")], [])
 
 
-def test_nothing_is_delivered_after_closing_not_even_what_was_on_its_way() -> None:
+def test_nothing_is_delivered_after_closing() -> None:
     async def story(inbox: LatestSamples) -> None:
         inbox.put("scan", b"1")
         inbox.close()
@@ -65,14 +65,14 @@ def test_nothing_is_delivered_after_closing_not_even_what_was_on_its_way() -> No
     assert play(story)[0] == []
 
 
-def test_what_comes_from_another_thread_is_taken_on_the_loops() -> None:
+def test_a_sample_of_another_thread_is_taken_on_the_loops_thread() -> None:
     async def story(inbox: LatestSamples) -> None:
         await asyncio.to_thread(inbox.put, "scan", b"1")
 
     assert play(story)[0] == [("scan", b"1")]
 
 
-def test_what_comes_after_the_loop_has_ended_is_dropped() -> None:
+def test_a_sample_after_the_end_of_the_loop_is_dropped() -> None:
     loop = asyncio.new_event_loop()
     loop.close()
     taken: list[bytes] = []

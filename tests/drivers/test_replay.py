@@ -1,4 +1,4 @@
-"""What a driver heard is recorded, and comes again: in order, at its pace, and as it was."""
+"""Inputs of a driver are recorded and replayed: in order, at their pace, and unchanged."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ class Deck:
         return self._drivers[-1]
 
     def publish(self) -> None:
-        """It speaks by itself."""
+        """The recording plays by itself."""
 
     def commands(self) -> Sequence[Twist]:
         taken = [twist for driver in self._drivers for twist in driver.taken]
@@ -105,8 +105,8 @@ class TestContract(DriverContract):
         assert all("record a robot that has it" in finding.text for finding in unwell)
 
 
-@pytest.mark.parametrize("name", ["", "~nobody-of-that-name/x.rec", "x\0.rec", "/"])
-def test_what_can_be_no_file_is_refused_before_anything_starts(tmp_path: Path, name: str) -> None:
+@pytest.mark.parametrize("name", ["", "~unknown-user/x.rec", "x\0.rec", "/"])
+def test_an_impossible_file_is_refused_before_the_start(tmp_path: Path, name: str) -> None:
     for driver, option in (("replay", "file"), ("simulated", "record")):
         options: dict[str, Value] = {option: name}
         values: dict[str, Value] = {
@@ -145,18 +145,18 @@ class Timed(CollectingSink):
 
 
 def played(path: Path, scans: int, **options: Value) -> Timed:
-    """What a sink heard until that many scans had come and a round had ended."""
-    heard = Timed()
+    """What a sink replayed until that many scans had come and a round had ended."""
+    replayed = Timed()
 
     async def story() -> None:
-        task = asyncio.create_task(make(path, **options).run(heard))
-        while len(heard.scans) < scans or "ended" not in heard.states[-1][1]:
+        task = asyncio.create_task(make(path, **options).run(replayed))
+        while len(replayed.scans) < scans or "ended" not in replayed.states[-1][1]:
             await asyncio.sleep(0.01)
         task.cancel()
         await asyncio.gather(task, return_exceptions=True)
 
     handclock.run(story())
-    return heard
+    return replayed
 
 
 def same(one: Scan, other: Scan) -> bool:
@@ -170,23 +170,23 @@ def same(one: Scan, other: Scan) -> bool:
 @pytest.mark.parametrize("speed", [1.0, 4.0])
 def test_the_same_scans_in_order_and_at_their_pace(tmp_path: Path, speed: float) -> None:
     at = [0.0, 0.1, 0.4, 0.5, 1.0]
-    heard = played(record(tmp_path / "a.rec", at), 5, speed=speed)
-    assert all(same(scan(i), one) for i, one in enumerate(heard.scans))
-    assert heard.odometries == [odometry(i) for i in range(5)]
-    assert heard.order[:3] == ["lost", "up", "scan"]
-    assert heard.times == pytest.approx([time / speed for time in at])
+    replayed = played(record(tmp_path / "a.rec", at), 5, speed=speed)
+    assert all(same(scan(i), one) for i, one in enumerate(replayed.scans))
+    assert replayed.odometries == [odometry(i) for i in range(5)]
+    assert replayed.order[:3] == ["lost", "up", "scan"]
+    assert replayed.times == pytest.approx([time / speed for time in at])
 
 
-def test_in_a_loop_stamps_and_sequences_go_on(tmp_path: Path) -> None:
-    heard = played(record(tmp_path / "a.rec", [0.0, 0.1]), 4, loop=True)
-    assert [one.seq for one in heard.scans][:4] == [0, 1, 2, 3]
-    stamps = [one.stamp for one in heard.scans]
+def test_in_a_loop_stamps_and_sequences_continue(tmp_path: Path) -> None:
+    replayed = played(record(tmp_path / "a.rec", [0.0, 0.1]), 4, loop=True)
+    assert [one.seq for one in replayed.scans][:4] == [0, 1, 2, 3]
+    stamps = [one.stamp for one in replayed.scans]
     assert stamps == sorted(set(stamps))
-    assert [state for state, _ in heard.states][:4] == [False, True, False, True]
+    assert [state for state, _ in replayed.states][:4] == [False, True, False, True]
 
 
 def test_a_recording_holds_what_the_driver_delivered(tmp_path: Path) -> None:
-    path, told = tmp_path / "body.rec", CollectingSink()
+    path, delivered = tmp_path / "body.rec", CollectingSink()
 
     class Body(Wire):
         def make(self, options: Mapping[str, Value]) -> Driver:
@@ -198,7 +198,7 @@ def test_a_recording_holds_what_the_driver_delivered(tmp_path: Path) -> None:
             harness.driver.send(Twist(0.1), 3, 2)
             harness.driver.send(Twist(0.2), 4, 3)
             await harness.end()
-            told.scans, told.states = harness.sink.scans, harness.sink.states
+            delivered.scans, delivered.states = harness.sink.scans, harness.sink.states
 
     asyncio.run(run())
     recording = read_recording(path)
@@ -208,10 +208,10 @@ def test_a_recording_holds_what_the_driver_delivered(tmp_path: Path) -> None:
         (0.1, 3, 2),
         (0.2, 4, 3),
     ]
-    heard = played(path, len(told.scans))
-    assert len(heard.scans) == len(told.scans)
-    assert all(same(one, other) for one, other in zip(told.scans, heard.scans, strict=True))
-    assert [is_up for is_up, _ in heard.states] == [False, False, True, False]
+    replayed = played(path, len(delivered.scans))
+    assert len(replayed.scans) == len(delivered.scans)
+    assert all(same(one, other) for one, other in zip(delivered.scans, replayed.scans, strict=True))
+    assert [is_up for is_up, _ in replayed.states] == [False, False, True, False]
 
 
 def test_commands_are_taken_and_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
@@ -233,8 +233,8 @@ def test_a_recording_that_is_cut_off_is_played_up_to_there(
     whole = record(tmp_path / "a.rec", [0.0, 0.1, 0.2])
     data = whole.read_bytes()
     whole.write_bytes(data[:-40])
-    heard = played(whole, 3)
-    assert (len(heard.scans), len(heard.odometries)) == (3, 2)
+    replayed = played(whole, 3)
+    assert (len(replayed.scans), len(replayed.odometries)) == (3, 2)
     (line,) = (r.getMessage() for r in caplog.records if r.levelname == "WARNING")
     assert f"cut off at byte {read_at(data)} of {len(data) - 40}, 0.2 s after it began" in line
     findings = asyncio.run(make(whole).check(1.0))
@@ -260,7 +260,9 @@ def read_at(data: bytes) -> int:
         (MAGIC + b"\x03\x00\x00\x00\x01zz", "damaged at byte 19: "),
     ],
 )
-def test_what_is_no_recording_is_one_clear_line(tmp_path: Path, data: bytes, fault: str) -> None:
+def test_a_file_that_is_no_recording_is_one_clear_line(
+    tmp_path: Path, data: bytes, fault: str
+) -> None:
     path = tmp_path / "a.rec"
     path.write_bytes(data)
     with pytest.raises(ConfigError) as caught:
@@ -355,14 +357,14 @@ def test_a_recording_with_wall_clock_stamps_and_map_coordinates_plays(tmp_path: 
     recorder = Recorder(tmp_path / "a.rec", {})
     sink = RecordingSink(NullSink(), recorder)
     sink.scan(real_scan(1))
-    sink.odometry(real_odometry(x=5_400_000.0))  # as of UTM
+    sink.odometry(real_odometry(x=5_400_000.0))  # in UTM
     recorder.close()
-    heard = played(tmp_path / "a.rec", 1)
-    assert [one.stamp for one in heard.scans] == [NOW + 1]
-    assert heard.odometries == [real_odometry(x=5_400_000.0)]
+    replayed = played(tmp_path / "a.rec", 1)
+    assert [one.stamp for one in replayed.scans] == [NOW + 1]
+    assert replayed.odometries == [real_odometry(x=5_400_000.0)]
 
 
-def test_what_could_not_be_read_again_is_left_out_and_counted(tmp_path: Path) -> None:
+def test_values_that_cannot_be_decoded_are_left_out_and_counted(tmp_path: Path) -> None:
     recorder, counted = Recorder(tmp_path / "a.rec", {}), CollectingSink()
     sink = RecordingSink(counted, recorder)
     sink.scan(real_scan(1, rays=MAX_RAYS))
@@ -373,10 +375,10 @@ def test_what_could_not_be_read_again_is_left_out_and_counted(tmp_path: Path) ->
     sink.readings({"battery_voltage": 12.0})
     recorder.close()
     assert counted.lost == ["record/scan", "record/odometry", "record/readings"]
-    heard = played(tmp_path / "a.rec", 1)
-    assert [one.seq for one in heard.scans] == [2]
-    assert heard.odometries == [real_odometry()]
-    assert heard.values == [{"battery_voltage": 12.0}]
+    replayed = played(tmp_path / "a.rec", 1)
+    assert [one.seq for one in replayed.scans] == [2]
+    assert replayed.odometries == [real_odometry()]
+    assert replayed.values == [{"battery_voltage": 12.0}]
 
 
 def test_a_replay_that_is_behind_leaves_the_loop_to_others(tmp_path: Path) -> None:
@@ -400,4 +402,4 @@ def test_a_replay_that_is_behind_leaves_the_loop_to_others(tmp_path: Path) -> No
         await asyncio.gather(task, return_exceptions=True)
 
     handclock.run(story())
-    assert before[-1] > 50, "others have had their turns in between"
+    assert before[-1] > 50, "other tasks ran in between"

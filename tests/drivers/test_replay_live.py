@@ -1,4 +1,4 @@
-"""A daemon is recorded while it drives a body, and another lives on the recording alone."""
+"""A daemon is recorded while it drives a body; another daemon runs on the recording alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 pytestmark = pytest.mark.integration
 
 
-def test_what_a_daemon_recorded_drives_another(tmp_path: Path) -> None:
+def test_the_recording_of_a_daemon_drives_another(tmp_path: Path) -> None:
     swarm, file = unique_swarm(), tmp_path / "run.rec"
     platform = load_platform("waffle_pi")
     with Body(platform, swarm=swarm, robot=ROBOT) as body:

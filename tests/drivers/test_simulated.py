@@ -1,4 +1,4 @@
-"""The simulated driver against a body in the test's hand, over real Zenoh on loopback."""
+"""The simulated driver against a body that the test controls, over Zenoh on loopback."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ ODOMETRY = Odometry(1.0, Pose(0.1, 0.2, 0.3), Twist(0.1, 0.2))
 
 
 class RecordingLink(WorldLink):
-    """A world's link that keeps what came."""
+    """A world's link that keeps the received payloads."""
 
     def __init__(self, endpoint: str) -> None:
         self.payloads: list[bytes] = []
@@ -51,15 +51,17 @@ class Body:
     def __init__(self, endpoint: str = "tcp/127.0.0.1:0") -> None:
         self.link = RecordingLink(endpoint)
         self.endpoint = self.link.endpoint
-        self._spoken = 0
+        self._published_count = 0
 
     def make(self, options: Mapping[str, Value]) -> SimulatedDriver:
         return make(endpoint=self.endpoint, **options)
 
     def publish(self) -> None:
-        self._spoken += 1
-        self.send("scan", encode_scan(scan(self._spoken)))
-        self.send("odometry", encode_odometry(Odometry(0.1 * self._spoken, Pose(), Twist())))
+        self._published_count += 1
+        self.send("scan", encode_scan(scan(self._published_count)))
+        self.send(
+            "odometry", encode_odometry(Odometry(0.1 * self._published_count, Pose(), Twist()))
+        )
 
     def send(self, name: str, payload: bytes) -> None:
         self.link.publish("r", name, payload)
@@ -68,8 +70,10 @@ class Body:
         self.send("scan", encode_scan(scan))
 
     def publish_odometry(self) -> None:
-        self._spoken += 1
-        self.send("odometry", encode_odometry(Odometry(0.1 * self._spoken, Pose(), Twist())))
+        self._published_count += 1
+        self.send(
+            "odometry", encode_odometry(Odometry(0.1 * self._published_count, Pose(), Twist()))
+        )
 
     def publish_garbage(self) -> None:
         whole = encode_scan(scan(1))
@@ -119,18 +123,18 @@ def test_all_senses_arrive_as_they_were_sent() -> None:
         body.send("odometry", encode_odometry(ODOMETRY))
         body.send("neighbors", encode_neighbors(neighbors))
         body.send("readings", encode_readings({"light": 0.25}))
-        heard = harness.sink
-        await harness.until(lambda: bool(heard.neighborhoods and heard.values))
-        await harness.until(lambda: heard.scans[-1].seq == 77 and heard.odometries[-1] == ODOMETRY)
-        np.testing.assert_allclose(heard.scans[-1].ranges, scan(77).ranges)
-        np.testing.assert_allclose(heard.scans[-1].bearings, SPEC.bearings, atol=1e-9)
-        assert heard.neighborhoods == [neighbors]
-        assert heard.values == [{"light": 0.25}]
+        sink = harness.sink
+        await harness.until(lambda: bool(sink.neighborhoods and sink.values))
+        await harness.until(lambda: sink.scans[-1].seq == 77 and sink.odometries[-1] == ODOMETRY)
+        np.testing.assert_allclose(sink.scans[-1].ranges, scan(77).ranges)
+        np.testing.assert_allclose(sink.scans[-1].bearings, SPEC.bearings, atol=1e-9)
+        assert sink.neighborhoods == [neighbors]
+        assert sink.values == [{"light": 0.25}]
 
     play(story)
 
 
-def test_says_where_it_looks_for_its_body_and_why_it_is_lost() -> None:
+def test_the_driver_reports_its_endpoint_and_the_reason_of_a_loss() -> None:
     async def story(harness: DriverHarness, body: Body) -> None:
         await harness.until(lambda: bool(harness.sink.states))
         assert body.endpoint in harness.sink.states[0][1]
@@ -141,7 +145,7 @@ def test_says_where_it_looks_for_its_body_and_why_it_is_lost() -> None:
     play(story, connected=False)
 
 
-def test_a_command_carries_the_scans_it_rests_on() -> None:
+def test_a_command_carries_the_scans_it_is_based_on() -> None:
     async def story(harness: DriverHarness, body: Body) -> None:
         harness.driver.send(Twist(0.2), 5, 4)
         await harness.until(lambda: bool(body.link.payloads))
@@ -159,6 +163,6 @@ def test_a_command_carries_the_scans_it_rests_on() -> None:
         ({"endpoint": "127.0.0.1:7790"}, "expected an endpoint such as tcp/"),
     ],
 )
-def test_options_it_does_not_know_are_refused(options: Mapping[str, Value], complaint: str) -> None:
+def test_unknown_options_are_refused(options: Mapping[str, Value], complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         SimulatedDriver(swarm="s", robot="r", platform=PLATFORM, options=options)

@@ -23,44 +23,44 @@ _SENSORS = (dds.LaserScan,)
 
 
 class DdsNode:
-    """Says and hears topics, full names such as `/scan`, each with its type.
+    """Publishes and subscribes to topics, full names such as `/scan`, each with its type.
 
-    It tells of itself on `ros_discovery_info`, as every node does: a bridge goes by that.
+    It announces itself on `ros_discovery_info`, as each node does; a bridge requires that.
     """
 
     def __init__(
         self,
         domain: int,
         name: str,
-        says: Mapping[str, type] | None = None,
-        hears: Mapping[str, type] | None = None,
+        published: Mapping[str, type] | None = None,
+        subscribed: Mapping[str, type] | None = None,
     ) -> None:
-        """There from now on; the domain's settings are those of a `Domain` made before."""
+        """The node exists from now on, with the settings of a `Domain` made before."""
         self._participant = DomainParticipant(domain)
         self._writers = {
             topic: DataWriter(self._participant, self._topic(topic, kind))
-            for topic, kind in (says or {}).items()
+            for topic, kind in (published or {}).items()
         }
-        self._hears = dict(hears or {})
+        self._subscribed = dict(subscribed or {})
         self._readers = {
             topic: DataReader(self._participant, self._topic(topic, kind))
-            for topic, kind in self._hears.items()
+            for topic, kind in self._subscribed.items()
         }
         kept = dds.ParticipantEntitiesInfo
         about = Topic(self._participant, "ros_discovery_info", kept, _KEPT)
         self._about = DataWriter(self._participant, about)
         self._about.write(self._info(name))
 
-    def say(self, topic: str, message: object) -> None:
+    def publish(self, topic: str, message: object) -> None:
         self._writers[topic].write(message)
 
-    def heard(self, topic: str) -> Sequence[Any]:
-        """What has come since the last call, oldest first."""
+    def take(self, topic: str) -> Sequence[Any]:
+        """The messages since the last call, oldest first."""
         taken = self._readers[topic].take(100)
         return [message for message in taken if self._is_whole(topic, message)]
 
     def wait(self, topic: str, seconds: float) -> Any:
-        """The next message to come; None if none does within so long."""
+        """The next message; None if none arrives within this time."""
         found = self._readers[topic].take_iter(timeout=duration(seconds=seconds))
         return next((message for message in found if self._is_whole(topic, message)), None)
 
@@ -70,8 +70,8 @@ class DdsNode:
         del self._about, self._participant
 
     def _is_whole(self, topic: str, message: object) -> bool:
-        """Whether it is a message, and not the end of a writer."""
-        return isinstance(message, self._hears[topic])
+        """Whether this is a message, and not the end of a writer."""
+        return isinstance(message, self._subscribed[topic])
 
     def _topic(self, name: str, kind: type) -> Any:
         qos = SENSOR if kind in _SENSORS else RELIABLE

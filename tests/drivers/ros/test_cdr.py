@@ -1,4 +1,4 @@
-"""The codec against a second library's, both ways, and against bytes that are no message."""
+"""The codec against a second library, in both directions, and against invalid bytes."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def test_no_truncated_message_is_read(
 
 
 @pytest.mark.parametrize(("ours", "theirs", "values"), cases)
-def test_garbage_raises_nothing_but_the_one_error(
+def test_garbage_raises_codec_errors_only(
     ours: type, theirs: Any, values: st.SearchStrategy[Any]
 ) -> None:
     @settings(max_examples=200, deadline=None)
@@ -119,7 +119,7 @@ def test_garbage_raises_nothing_but_the_one_error(
     check()
 
 
-def test_what_is_too_long_is_not_read() -> None:
+def test_an_overlong_message_is_not_read() -> None:
     with pytest.raises(CodecError, match="at most"):
         cdr.decode(messages.LaserScan, bytes(cdr.MAX_PAYLOAD + 1))
 

@@ -1,4 +1,4 @@
-"""What a check of a ROS robot reports: pure; over real links in the tests of the drivers."""
+"""The report of a check of a ROS robot, without links; the drivers' tests have real links."""
 
 from __future__ import annotations
 
@@ -66,7 +66,7 @@ def end(middleware: Middleware, kind: type, topic: str, *, is_publisher: bool) -
 
 
 @both
-def test_all_is_well_where_everything_arrives(middleware: Middleware) -> None:
+def test_a_robot_whose_topics_arrive_has_no_faults(middleware: Middleware) -> None:
     well = found(middleware, received())
     assert all(finding.is_well for finding in well.values())
     assert "5.0 Hz, 360 rays, stamps advanced by 1.0 s in 1.0 s" in well["scan"].text
@@ -140,7 +140,7 @@ def test_messages_that_cannot_be_read_are_a_fault(middleware: Middleware) -> Non
 
 
 @both
-def test_the_topics_of_the_wanted_type_are_named(middleware: Middleware) -> None:
+def test_the_topics_of_the_expected_type_are_named(middleware: Middleware) -> None:
     ends = [
         end(middleware, messages.LaserScan, topic, is_publisher=True) for topic in ("/b", "/a/scan")
     ]
@@ -291,7 +291,7 @@ def test_a_fault_is_recent_for_2_s(stats: TopicStats) -> None:
 def test_stamps_advance_only_if_the_last_is_later(stats: TopicStats) -> None:
     for stamp in (5.0, 5.0):
         stats.record(stamp, stamp)
-    assert stats.stamps_advance(), "too few to tell"
+    assert stats.stamps_advance(), "too few to decide"
     stats.record(6.0, 5.0)
     assert not stats.stamps_advance()
     stats.record(7.0, 5.5)

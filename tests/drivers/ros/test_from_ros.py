@@ -1,4 +1,4 @@
-"""ROS messages as the core's values: what passes unchanged, what is turned, what is refused."""
+"""ROS messages as the core's values: which pass unchanged, are turned, or are refused."""
 
 from __future__ import annotations
 
@@ -49,9 +49,9 @@ def test_ranges_pass_as_the_sensor_gave_them() -> None:
 )
 def test_bearings_are_those_of_the_base(first: float, step: float, yaw: float, hangs: bool) -> None:
     message = robots.scan(1.0, [1.0] * 4, angle_min=first, angle_increment=step)
-    told = read(messages.LaserScan, message)
-    scan = conversion.scan_of(told, 7, SPEC, yaw, is_upside_down=hangs)
-    # What the transform of a base does with such a frame: a roll of half a turn, then the yaw.
+    decoded = read(messages.LaserScan, message)
+    scan = conversion.scan_of(decoded, 7, SPEC, yaw, is_upside_down=hangs)
+    # A base transforms such a frame by a roll of half a turn and then the yaw.
     angles = first + step * np.arange(4)
     x, y = np.cos(angles), np.sin(angles) * (-1.0 if hangs else 1.0)
     turned = np.arctan2(

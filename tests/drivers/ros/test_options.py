@@ -1,4 +1,4 @@
-"""What may stand in the options, and how topics are named with them."""
+"""The allowed options, and the names of topics that follow from them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Plays the adapter in tests without ROS: sends what FAKE_ADAPTER names, then waits.
+"""Replaces the adapter in tests without ROS: behaves as FAKE_ADAPTER names, then waits.
 
 `garbage`: malformed packets, then a state. `dies`: ends with a line on standard error. `mute`:
 sends nothing. `deaf`: does not end on a farewell.

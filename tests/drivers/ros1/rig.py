@@ -43,7 +43,7 @@ class RosRobot:
             stdout=subprocess.PIPE,
             stderr=subprocess.DEVNULL,
         )
-        # A queue of this process's own: what still arrives from the one before is not in it.
+        # A queue of this process's own, without late lines of the process before.
         self._lines, ready = list[str](), threading.Event()
         self._thread = threading.Thread(
             target=_read, args=(self._process, self._lines, ready), daemon=True
@@ -73,28 +73,28 @@ class RosRobot:
             return
 
     def publish(self) -> None:
-        self.do("speak")
+        self.do("publish")
 
     def commands(self) -> Sequence[Twist]:
-        """What has come since the last call."""
+        """The commands since the last call."""
         lines = self._lines[:]
         del self._lines[: len(lines)]
         return [_twist(line) for line in lines]
 
     def publish_scan(self, scan: Scan) -> None:
         first, ranges = float(scan.bearings[0]), scan.ranges.tolist()
-        self.do("say", stamp=scan.stamp, first=first, ranges=ranges)
+        self.do("scan", stamp=scan.stamp, first=first, ranges=ranges)
 
     def publish_odometry(self) -> None:
-        self.do("move")
+        self.do("odometry")
 
     def publish_garbage(self) -> None:
-        """Send bytes that no LaserScan has, each time others."""
+        """Send random bytes that are no LaserScan."""
         size = random.randrange(200)
         self.do("garble", bytes=(b"\xff" * 16 + random.randbytes(size)).hex())
 
     def disconnect(self) -> None:
-        """Kill its nodes; the master does not know."""
+        """Kill its nodes; the master still lists them."""
         self.close()
 
     def close(self) -> None:

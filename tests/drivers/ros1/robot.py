@@ -1,9 +1,9 @@
-"""A robot's nodes in rospy, under the system's Python; told what to do on standard input.
+"""A robot's nodes in rospy, under the system's Python; it reads orders on standard input.
 
-Its namespace is ROS_NAMESPACE. Each line is an object as JSON: `{"do": "speak"}` publishes a scan
-and an odometry with the next stamp, `{"do": "scan", "ranges": [...]}` such a scan, `{"do": "rate",
-"hz": 5}` speaks by itself; `say`, `move`, `garble` and `extras` are seen below. Each command that
-comes is printed as `linear angular lateral`, first of all `ready`.
+Its namespace is ROS_NAMESPACE. Each line is a JSON object: `{"do": "publish"}` publishes a scan and
+an odometry with the next stamp, `{"do": "ranges", "ranges": [...]}` the same with these ranges, and
+`{"do": "rate", "hz": 5}` publishes at this rate; `Robot.obey` has the other orders. It prints
+`ready`, then each command that arrives as `linear angular lateral`.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ RAYS = 360
 
 
 class Robot:
-    """The nodes of one robot, in one."""
+    """All nodes of one robot as one node."""
 
     def __init__(self, args: argparse.Namespace) -> None:
         self._args = args
@@ -43,30 +43,30 @@ class Robot:
             rospy.Subscriber(
                 "cmd_vel", TwistStamped if stamped else Twist, self._on_command, queue_size=50
             )
-        threading.Thread(target=self._speak_by_itself, daemon=True).start()
+        threading.Thread(target=self._publish_at_rate, daemon=True).start()
 
     def obey(self, order: dict[str, Any]) -> None:
         if order["do"] == "rate":
             self._rate = order["hz"]
+        elif order["do"] == "ranges":
+            self.publish(order["ranges"])
+        elif order["do"] == "publish":
+            self.publish([1.0] * RAYS)
         elif order["do"] == "scan":
-            self.speak(order["ranges"])
-        elif order["do"] == "speak":
-            self.speak([1.0] * RAYS)
-        elif order["do"] == "say":
             stamp = rospy.Time.from_sec(order["stamp"])
             send(self._scans, bytes_of(self._scan(stamp, order["ranges"], order["first"])))
-        elif order["do"] == "move":
-            self.move()
+        elif order["do"] == "odometry":
+            self.publish_odometry()
         elif order["do"] == "garble":
             self._garble(bytes.fromhex(order["bytes"]))
         elif order["do"] == "extras":
             self._extras()
 
-    def speak(self, ranges: list[float]) -> None:
+    def publish(self, ranges: list[float]) -> None:
         send(self._scans, bytes_of(self._scan(self._stamp(), ranges)))
-        self.move()
+        self.publish_odometry()
 
-    def move(self) -> None:
+    def publish_odometry(self) -> None:
         send(self._odometry, bytes_of(self._pose()))
 
     def _pose(self) -> Any:
@@ -114,16 +114,16 @@ class Robot:
         twist = getattr(message, "twist", message)
         print(twist.linear.x, twist.angular.z, twist.linear.y, flush=True)
 
-    def _speak_by_itself(self) -> None:
+    def _publish_at_rate(self) -> None:
         pause = threading.Event()
         while True:
             if self._rate:
-                self.speak([2.0 + random.gauss(0.0, 0.01) for _ in range(RAYS)])
+                self.publish([2.0 + random.gauss(0.0, 0.01) for _ in range(RAYS)])
             pause.wait(1.0 / (self._rate or 20.0))
 
 
 def raw_publisher(topic: str, kind: Any) -> Any:
-    """A publisher that says it sends `kind`, and sends any bytes."""
+    """A publisher that announces `kind` and sends any bytes."""
     names = ("_type", "_md5sum", "_full_text")
     raw = type("Raw", (rospy.AnyMsg,), {name: getattr(kind, name) for name in names})
     return rospy.Publisher(topic, raw, queue_size=5, tcp_nodelay=True)

@@ -1,4 +1,4 @@
-"""Driver `ros1` and an adapter that is none: needs no ROS."""
+"""Driver `ros1` with a fake adapter; needs no ROS."""
 
 from __future__ import annotations
 
@@ -38,11 +38,11 @@ def play(
     monkeypatch.setenv("FAKE_ADAPTER", kind)
 
     async def run() -> None:
-        driver, heard = make(**{"python": sys.executable, **options}), CollectingSink()
-        task = asyncio.create_task(driver.run(heard))
+        driver, sink = make(**{"python": sys.executable, **options}), CollectingSink()
+        task = asyncio.create_task(driver.run(sink))
         try:
             async with asyncio.timeout(TIMEOUT):
-                await story(driver, heard)
+                await story(driver, sink)
         finally:
             pid = driver.adapter_pid
             task.cancel()
@@ -57,25 +57,25 @@ async def until(condition: Callable[[], bool]) -> None:
         await asyncio.sleep(0.01)
 
 
-def texts(heard: CollectingSink) -> list[str]:
-    return [text for _, text in heard.states]
+def texts(sink: CollectingSink) -> list[str]:
+    return [text for _, text in sink.states]
 
 
-def test_garbage_is_counted_and_what_follows_is_understood(
+def test_garbage_is_counted_and_later_events_are_read(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
-        await until(lambda: any("a fake adapter" in text for text in texts(heard)))
-        assert heard.lost.count("ros1/garbage") >= 60
-        assert not heard.is_up
-        assert not heard.scans
+    async def story(driver: Ros1Driver, sink: CollectingSink) -> None:
+        await until(lambda: any("a fake adapter" in text for text in texts(sink)))
+        assert sink.lost.count("ros1/garbage") >= 60
+        assert not sink.is_up
+        assert not sink.scans
 
     play(monkeypatch, "garbage", story)
 
 
 def test_the_last_words_of_an_adapter_are_reported(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
-        await until(lambda: any("it cannot go on" in text for text in texts(heard)))
+    async def story(driver: Ros1Driver, sink: CollectingSink) -> None:
+        await until(lambda: any("it cannot go on" in text for text in texts(sink)))
 
     play(monkeypatch, "dies", story)
 
@@ -83,31 +83,31 @@ def test_the_last_words_of_an_adapter_are_reported(monkeypatch: pytest.MonkeyPat
 def test_a_silent_adapter_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros1_child, "START_TIMEOUT", 0.3)
 
-    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
-        await until(lambda: any("SIGKILL" in text for text in texts(heard)))
-        assert any("did not answer" in text for text in texts(heard))
+    async def story(driver: Ros1Driver, sink: CollectingSink) -> None:
+        await until(lambda: any("SIGKILL" in text for text in texts(sink)))
+        assert any("did not answer" in text for text in texts(sink))
 
     play(monkeypatch, "mute", story)
 
 
 def test_an_adapter_that_does_not_leave_is_killed(monkeypatch: pytest.MonkeyPatch) -> None:
-    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
-        await until(lambda: any("a fake adapter" in text for text in texts(heard)))
+    async def story(driver: Ros1Driver, sink: CollectingSink) -> None:
+        await until(lambda: any("a fake adapter" in text for text in texts(sink)))
         assert driver.adapter_pid is not None  # `play` sees that it has ended
 
     play(monkeypatch, "deaf", story)
 
 
-def test_a_machine_that_is_full_ends_no_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_full_machine_ends_no_daemon(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise OSError(errno.EMFILE, "Too many open files")
 
-    async def story(driver: Ros1Driver, heard: CollectingSink) -> None:
+    async def story(driver: Ros1Driver, sink: CollectingSink) -> None:
         await until(lambda: driver.adapter_pid is not None)
         with monkeypatch.context() as full:
             full.setattr(socket, "socketpair", refuse)
             os.kill(driver.adapter_pid or 0, signal.SIGKILL)
-            await until(lambda: any("is the machine full?" in text for text in texts(heard)))
+            await until(lambda: any("is the machine full?" in text for text in texts(sink)))
         await until(lambda: driver.adapter_pid is not None)
 
     play(monkeypatch, "mute", story)

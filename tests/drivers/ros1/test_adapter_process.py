@@ -84,7 +84,7 @@ def message(md5sum: str = "1") -> Any:
 
 
 def taken(sock: socket.socket) -> list[bytes]:
-    """All that waits."""
+    """All waiting packets."""
     found = []
     while True:
         try:
@@ -110,7 +110,7 @@ def test_a_frozen_daemon_gets_the_state_when_it_reads_again(
     assert frames[-1][:1] == DATA
 
 
-def test_of_a_message_of_another_type_only_its_publisher_is_passed_on(
+def test_a_message_of_another_type_is_reported_by_its_publisher_only(
     ends: tuple[Adapter, socket.socket],
 ) -> None:
     adapter, mine = ends
@@ -136,7 +136,7 @@ def test_zero_of_either_sign_does_not_move_a_base(
 
 @pytest.fixture
 def master() -> Iterator[str]:
-    """The address of a master that knows nobody."""
+    """The address of a master without nodes."""
     with SimpleXMLRPCServer(("127.0.0.1", 0), logRequests=False) as server:
         known = {
             "getUri": "",
@@ -195,8 +195,8 @@ def test_an_adapter_that_joins_only_in_part_ends_with_the_reason(
         )
         mine.setblocking(False)
         frames = taken(mine)
-    (said,) = (json.loads(frame[1:]) for frame in frames if frame[:1] == EVENT)
-    assert "it could not join the master: gone" in said["text"]
+    (event,) = (json.loads(frame[1:]) for frame in frames if frame[:1] == EVENT)
+    assert "it could not join the master: gone" in event["text"]
 
 
 def _waits(pipe: IO[bytes]) -> bool:

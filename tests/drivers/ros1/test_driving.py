@@ -1,6 +1,6 @@
-"""When driver `ros1` commands, and what first: exactly, with an adapter that is none.
+"""When driver `ros1` sends commands, and which one first: exactly, with a fake adapter.
 
-With a real one: `test_adapter.py` and, with ROS, `test_driver.py`.
+`test_adapter.py` has a real process, `test_driver.py` ROS as well.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ def odometry(x: float = 0.5) -> bytes:
 
 
 class Adapter:
-    """Tells what the test says, and keeps what it is to send."""
+    """Passes on the events of the test, and keeps the commands that it receives."""
 
     def __init__(self, *given: Any) -> None:
         self.config, self.listener = given[2], given[4]
@@ -76,28 +76,28 @@ class Scene:
     """A driver that runs, and the adapters that it has started."""
 
     def __init__(self, driver: Ros1Driver, started: list[Adapter]) -> None:
-        self.driver, self.started, self.heard = driver, started, CollectingSink()
-        self.task = asyncio.create_task(driver.run(self.heard))
+        self.driver, self.started, self.sink = driver, started, CollectingSink()
+        self.task = asyncio.create_task(driver.run(self.sink))
 
     @property
     def adapter(self) -> Adapter:
         return self.started[-1]
 
-    def tell(self, state: MasterState = WELL) -> None:
+    def report(self, state: MasterState = WELL) -> None:
         self.adapter.listener.on_event(state)
 
-    def rise(self) -> None:
-        """All that is needed is there."""
-        self.tell()
+    def connect(self) -> None:
+        """The master, the base and all needed messages arrive."""
+        self.report()
         for topic, data in enumerate((scan(1.0), odometry())):
             self.adapter.listener.on_message(topic, data)
 
     def is_moved(self) -> bool:
-        """Whether two commands to move make it move."""
+        """Whether two commands to move cause a motion."""
         return any(data != FIRST[0] for data in self.command())
 
     def command(self) -> list[bytes]:
-        """What reaches the adapter of two commands."""
+        """The commands that reach the adapter after two commands to move."""
         self.adapter.sent.clear()
         for _ in range(2):
             self.driver.send(MOVING, 1, 1)
@@ -125,7 +125,7 @@ def play(
         finally:
             scene.task.cancel()
             await asyncio.gather(scene.task, return_exceptions=True)
-        assert scene.adapter.is_closed_politely, "it sends its zero on the way out"
+        assert scene.adapter.is_closed_politely, "a clean end sends zero"
 
     handclock.run(run())
 
@@ -138,19 +138,19 @@ def play(
         replace(WELL, listeners=[], connected=0),
         AdapterEnd("end", "ROS has shut it down"),
     ],
-    ids=["master", "someone else", "no base", "the end"],
+    ids=["master", "other publisher", "no base", "end"],
 )
-def test_what_takes_the_base_away_ends_commands_at_once(
+def test_the_loss_of_the_base_ends_commands_at_once(
     monkeypatch: pytest.MonkeyPatch, lost: Any
 ) -> None:
     async def story(scene: Scene) -> None:
-        scene.rise()
+        scene.connect()
         scene.command()
-        scene.tell(lost)
-        assert not scene.heard.is_up
+        scene.report(lost)
+        assert not scene.sink.is_up
         assert not scene.is_moved()
         if isinstance(lost, MasterState):
-            scene.tell()
+            scene.report()
             assert scene.command() == FIRST
 
     play(monkeypatch, story)
@@ -166,7 +166,7 @@ def test_one_cause_of_a_loss_is_one_line_in_the_log(
 
     async def story(scene: Scene) -> None:
         for _ in range(40):
-            scene.tell(replace(WELL, publishers={}))
+            scene.report(replace(WELL, publishers={}))
             await asyncio.sleep(0.1)
 
     play(monkeypatch, story)
@@ -176,33 +176,35 @@ def test_one_cause_of_a_loss_is_one_line_in_the_log(
     assert "driver_options" in line
 
 
-def test_a_silent_sense_takes_it_away_after_2_and_a_half_s(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_base_is_lost_2_and_a_half_s_after_a_topic_falls_silent(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     async def story(scene: Scene) -> None:
-        scene.rise()
+        scene.connect()
         await asyncio.sleep(2.45)
-        assert scene.heard.is_up
+        assert scene.sink.is_up
         scene.adapter.listener.on_message(0, scan(1.0))
         await asyncio.sleep(0.2)
-        assert not scene.heard.is_up, "scans come, odometry does not"
+        assert not scene.sink.is_up, "scans come, odometry does not"
         assert not scene.is_moved()
 
     play(monkeypatch, story)
 
 
-def test_an_adapter_that_had_its_base_is_replaced_after_the_first_pause(
+def test_an_adapter_that_was_connected_is_replaced_after_the_first_pause(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(scene: Scene) -> None:
         assert not scene.adapter.config["holds"]
         for count in range(1, 8):
-            scene.rise()
+            scene.connect()
             assert scene.command() == FIRST
             scene.adapter.is_dead = True
             await asyncio.sleep(ros1.MIN_RESTART_DELAY + 0.01)
-            assert not scene.heard.is_up
+            assert not scene.sink.is_up
             scene.driver.send(MOVING, 1, 1)
             await asyncio.sleep(0.19)
-            assert len(scene.started) == count + 1, "however often it has ended"
+            assert len(scene.started) == count + 1, "the pause does not grow"
             assert scene.adapter.config["holds"], "the robot was driven"
             assert not scene.is_moved()
 
@@ -228,13 +230,13 @@ def test_unreadable_messages_and_other_types_are_counted_and_no_sign_of_life(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(scene: Scene) -> None:
-        scene.tell()
+        scene.report()
         listener = scene.adapter.listener
         listener.on_event(ForeignMessage("/odom", "/base", "nav_msgs/Odometry", "0" * 32))
         listener.on_message(0, scan(1.0)[:-1])
         listener.on_message(2, odometry())
-        assert scene.heard.lost == ["ros1/type", "ros1/scan", "ros1/garbage"]
-        assert not scene.heard.is_up
+        assert scene.sink.lost == ["ros1/type", "ros1/scan", "ros1/garbage"]
+        assert not scene.sink.is_up
 
     play(monkeypatch, story)
 
@@ -243,7 +245,7 @@ def test_stamped_commands_are_numbered_and_in_the_frame_asked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(scene: Scene) -> None:
-        scene.rise()
+        scene.connect()
         for count, data in enumerate(scene.command(), 1):
             assert struct.unpack_from("<I", data)[0] == count
             assert data[12:20] == b"\x04\0\0\0base"
@@ -255,10 +257,10 @@ def test_of_waiting_messages_only_the_newest_of_each_topic_is_delivered(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     now = 1000.0
-    heard: list[tuple[int, bytes]] = []
+    received: list[tuple[int, bytes]] = []
     dropped: list[str] = []
     listener = SimpleNamespace(
-        on_message=lambda topic, data: heard.append((topic, data)),
+        on_message=lambda topic, data: received.append((topic, data)),
         on_dropped=dropped.append,
         on_event=lambda event: None,
     )
@@ -280,7 +282,7 @@ def test_of_waiting_messages_only_the_newest_of_each_topic_is_delivered(
         await child.close(politely=False)
 
     asyncio.run(run())
-    assert heard == [(1, b"newest"), (2, b"late")]
+    assert received == [(1, b"newest"), (2, b"late")]
     assert dropped == ["overtaken"] * 3
 
 
@@ -290,6 +292,6 @@ def test_the_adapters_environment_is_that_of_the_options(monkeypatch: pytest.Mon
     usual = read_options(Ros1Options, {}, "ros1", "r")
     assert (usual.master_uri, usual.environ["ROS_HOSTNAME"]) == ("http://robot:11311", "desk")
     given = {"master": "http://127.0.0.1:9", "ip": "10.0.0.7"}
-    told = read_options(Ros1Options, given, "ros1", "r").environ
-    assert (told["ROS_MASTER_URI"], told["ROS_IP"]) == ("http://127.0.0.1:9", "10.0.0.7")
-    assert "ROS_HOSTNAME" not in told, "it would win"
+    environ = read_options(Ros1Options, given, "ros1", "r").environ
+    assert (environ["ROS_MASTER_URI"], environ["ROS_IP"]) == ("http://127.0.0.1:9", "10.0.0.7")
+    assert "ROS_HOSTNAME" not in environ, "it would have priority over ROS_IP"

@@ -1,4 +1,4 @@
-"""What ends, comes back and misbehaves around driver `ros1`: against a real roscore."""
+"""Ends, restarts and faults around driver `ros1`, against a real roscore."""
 
 from __future__ import annotations
 
@@ -58,39 +58,39 @@ def adapter(driver: object) -> int:
     return pid
 
 
-def why(heard: CollectingSink) -> str:
-    return heard.states[-1][1] if heard.states else ""
+def why(sink: CollectingSink) -> str:
+    return sink.states[-1][1] if sink.states else ""
 
 
-def test_a_master_that_comes_late_goes_and_comes_back(roscore: RosCore, tmp_path: Path) -> None:
+def test_a_master_that_starts_late_ends_and_restarts(roscore: RosCore, tmp_path: Path) -> None:
     async def run() -> None:
         core = RosCore(tmp_path, is_whole=False)
         namespace = "/late"
         options = {"master": core.uri, "ip": "127.0.0.1", "namespace": namespace}
         maker = RosRobot.__new__(RosRobot)
         maker.core, maker.namespace = core, namespace
-        driver, heard = maker.make(options), CollectingSink()
-        task = asyncio.create_task(driver.run(heard))
+        driver, sink = maker.make(options), CollectingSink()
+        task = asyncio.create_task(driver.run(sink))
         for _ in range(2):
-            harness = DriverHarness(maker, driver, heard, task)
-            await harness.until(lambda: f"answers at {core.uri}" in why(heard))
-            assert "start roscore" in why(heard)
+            harness = DriverHarness(maker, driver, sink, task)
+            await harness.until(lambda: f"answers at {core.uri}" in why(sink))
+            assert "start roscore" in why(sink)
             await asyncio.to_thread(core.start)
             body = await asyncio.to_thread(RosRobot, core, namespace=namespace)
             body.do("rate", hz=10)
-            await harness.until(lambda: heard.is_up)
+            await harness.until(lambda: sink.is_up)
             driver.send(Twist(0.1), 1, 1)
-            assert (await DriverHarness(body, driver, heard, task).command()).is_zero
+            assert (await DriverHarness(body, driver, sink, task).command()).is_zero
             await drive(harness, body)
             core.kill()
             taken: list[Twist] = []
 
-            def stands(body: RosRobot = body, taken: list[Twist] = taken) -> bool:
+            def is_stopped(body: RosRobot = body, taken: list[Twist] = taken) -> bool:
                 driver.send(Twist(0.1), 1, 1)
                 taken.extend(body.commands())
-                return not heard.is_up and bool(taken) and taken[-1].is_zero
+                return not sink.is_up and bool(taken) and taken[-1].is_zero
 
-            await harness.until(stands)
+            await harness.until(is_stopped)
             body.close()
         await harness.end()
 
@@ -130,7 +130,7 @@ def test_an_adapter_that_ends_or_hangs_is_replaced_and_stops_the_base(
         await harness.until(lambda: not harness.sink.is_up)
         assert "adapter" in why(harness.sink)
         while not (await harness.command()).is_zero:  # nothing is sent: the next adapter's
-            pass  # on its way when the adapter was harmed
+            pass  # sent before the adapter was harmed
         await harness.until(lambda: harness.sink.is_up)
         assert adapter(harness.driver) != first
         assert not is_running(first)
@@ -152,11 +152,11 @@ def test_an_adapter_that_ros_shuts_down_stops_the_base_first(roscore: RosCore) -
             node.shutdown("/test", "as rosnode kill does")
         taken: list[Twist] = []
 
-        def stands() -> bool:
+        def is_stopped() -> bool:
             taken.extend(body.commands())
             return bool(taken) and taken[-1].is_zero
 
-        await harness.until(stands)
+        await harness.until(is_stopped)
         await harness.until(lambda: not harness.sink.is_up)
         await harness.until(lambda: harness.sink.is_up)
 
@@ -166,9 +166,9 @@ def test_an_adapter_that_ros_shuts_down_stops_the_base_first(roscore: RosCore) -
 def test_a_killed_node_no_longer_counts_though_the_master_lists_it(roscore: RosCore) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
         other = body.make({})
-        second = asyncio.create_task(other.run(heard_too := CollectingSink()))
+        second = asyncio.create_task(other.run(second_sink := CollectingSink()))
         await harness.until(lambda: not harness.sink.is_up)
-        await harness.until(lambda: bool(heard_too.states) and "another node" in why(heard_too))
+        await harness.until(lambda: bool(second_sink.states) and "another node" in why(second_sink))
         os.kill(adapter(other), signal.SIGKILL)
         second.cancel()
         await asyncio.gather(second, return_exceptions=True)
@@ -225,7 +225,7 @@ async def moving(
     return taken
 
 
-def test_another_driver_is_left_alone_after_zeros_and_logged_once(
+def test_another_driver_gets_the_base_after_zeros_and_is_logged_once(
     roscore: RosCore, caplog: pytest.LogCaptureFixture
 ) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
@@ -233,11 +233,11 @@ def test_another_driver_is_left_alone_after_zeros_and_logged_once(
         other = body.make({})
         second = asyncio.create_task(other.run(CollectingSink()))
         await moving(harness, 0.0, lambda: not harness.sink.is_up)
-        told = await moving(harness, ZERO_REPEAT_TIME + COMMAND_TIMEOUT, lambda: True)
-        while not told[0].is_zero:  # sent before
-            del told[0]
-        assert len(told) > 10
-        assert all(twist.is_zero for twist in told)
+        taken = await moving(harness, ZERO_REPEAT_TIME + COMMAND_TIMEOUT, lambda: True)
+        while not taken[0].is_zero:  # sent before
+            del taken[0]
+        assert len(taken) > 10
+        assert all(twist.is_zero for twist in taken)
         assert not await moving(harness, 3.0 * COMMAND_TIMEOUT, lambda: not body.commands())
         second.cancel()
         await asyncio.gather(second, return_exceptions=True)
@@ -291,8 +291,8 @@ class EndlessPublisher(threading.Thread):
     def run(self) -> None:
         with self._server, self._server.accept()[0] as reader:
             reader.recv(4096)
-            says = {"type": type_name(LaserScan), "md5sum": definition(LaserScan)[1]}
-            head = b"".join(_sized(f"{key}={value}") for key, value in says.items())
+            fields = {"type": type_name(LaserScan), "md5sum": definition(LaserScan)[1]}
+            head = b"".join(_sized(f"{key}={value}") for key, value in fields.items())
             try:
                 reader.sendall(len(head).to_bytes(4, "little") + head + b"\xff\xff\xff\xff")
                 for _ in range(4096):
@@ -323,8 +323,8 @@ def test_a_master_that_hangs_stops_the_robot_until_it_answers(
             try:
                 taken = await moving(harness, 1.0, lambda: not harness.sink.is_up)
                 assert taken[-1].is_zero
-                said = harness.sink.states[-1][1]
-                assert f"{core.uri} (timed out)" in said
+                text = harness.sink.states[-1][1]
+                assert f"{core.uri} (timed out)" in text
             finally:
                 core.send(signal.SIGCONT)
             await harness.until(lambda: harness.sink.is_up)
@@ -340,7 +340,7 @@ def test_a_master_that_hangs_stops_the_robot_until_it_answers(
         play(RosRobot(core), story)
 
 
-def test_a_message_without_an_end_fills_no_memory(roscore: RosCore) -> None:
+def test_an_endless_message_fills_no_memory(roscore: RosCore) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
         await drive(harness, body)
         with closing(EndlessPublisher(roscore, f"{body.namespace}/scan")) as publisher:
@@ -366,7 +366,7 @@ def test_an_address_of_a_node_instead_of_a_master_is_reported(roscore: RosCore) 
 
 
 def _port_of(core: RosCore, topic: str) -> int:
-    """Where the first publisher of a topic waits for who listens."""
+    """The port on which the first publisher of a topic waits for subscribers."""
     with xmlrpc.client.ServerProxy(core.uri) as master:
         uri = str(_value(master.lookupNode("/test", core.topics()[topic][0])))
     with xmlrpc.client.ServerProxy(uri) as node:

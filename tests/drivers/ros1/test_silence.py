@@ -1,7 +1,7 @@
 """When the adapter of driver `ros1` sends zeros by itself: exactly, without ROS or a second thread.
 
-What stands in for rospy keeps what is published, and the clock is in the test's hand; with a real
-roscore: `test_life.py`.
+The test replaces rospy, keeps the published commands and controls the clock; `test_life.py` has a
+real roscore.
 """
 
 from __future__ import annotations
@@ -36,16 +36,16 @@ STAMPED = {"type": "geometry_msgs/TwistStamped", "frame_id": "base"}
 
 
 class NoMore(Exception):
-    """Nothing else is on its way, or the process has ended."""
+    """No packet is left, or the process has ended."""
 
 
 class Scene:
-    """An adapter, what it publishes and when, and the packets that its daemon sends."""
+    """An adapter, its published commands with their times, and the packets of its daemon."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch, **config: Any) -> None:
         self.now = BEGIN
         self.published: list[tuple[float, bytes]] = []
-        self.told: list[dict[str, str]] = []
+        self.events: list[dict[str, str]] = []
         self.left_at: float | None = None
         self._frames: list[bytes] = []
         self._until = BEGIN
@@ -111,21 +111,21 @@ class Scene:
     def sendmsg(self, parts: tuple[bytes, ...], *_: object) -> None:
         frame = b"".join(parts)
         if frame[:1] == ros1_adapter.EVENT:
-            self.told.append(json.loads(frame[1:]))
+            self.events.append(json.loads(frame[1:]))
 
-    def hear(self, *frames: bytes) -> None:
-        """The daemon's packets come now."""
+    def deliver(self, *frames: bytes) -> None:
+        """Deliver packets of the daemon."""
         self._frames = list(frames)
         with contextlib.suppress(NoMore):
             self.adapter._read()
 
     def command(self, payload: bytes, age: float = 0.0) -> None:
-        self.hear(COMMAND_HEAD.pack(COMMAND, self.now - age) + payload)
+        self.deliver(COMMAND_HEAD.pack(COMMAND, self.now - age) + payload)
 
     def pass_time(
         self, seconds: float, to_do: Mapping[float, Callable[[], None]] | None = None
     ) -> list[float]:
-        """Let it beat for so long; after how many s it said zero. `to_do`: at that many s."""
+        """Let the adapter tick; the times of its zeros in s. `to_do`: an action for each time."""
         begun, self.published = self.now, []
         self._until = begun + seconds
         self._to_do = {begun + after: action for after, action in (to_do or {}).items()}
@@ -147,13 +147,13 @@ def test_zeros_begin_after_0_4_s_of_silence_and_go_on(scene: Scene, payload: byt
     assert 0.4 <= zeros[0] <= 0.45
     assert zeros[-1] > 9.9
     assert all(later - sooner < 0.051 for sooner, later in pairwise(zeros))
-    assert scene.left_at is None, "it watches on: the daemon may be back"
+    assert scene.left_at is None, "the adapter continues: the daemon may return"
 
 
-def test_a_daemon_that_is_back_is_obeyed(scene: Scene) -> None:
+def test_commands_of_a_daemon_that_continues_are_passed_on(scene: Scene) -> None:
     scene.command(MOVING)
     zeros = scene.pass_time(4.0, {1.0 + 0.1 * i: lambda: scene.command(MOVING) for i in range(40)})
-    assert all(0.4 <= zero <= 2.5 for zero in zeros), "it may send them for 2 s"
+    assert all(0.4 <= zero <= 2.5 for zero in zeros), "zeros for 2 s at most"
     moving = [at - BEGIN for at, payload in scene.published if payload == MOVING]
     assert moving[0] == pytest.approx(0.4 + ZERO_TIME, abs=0.16), "zeros for 2 s come first"
 
@@ -173,12 +173,12 @@ def test_a_robot_of_an_earlier_adapter_gets_zeros_for_2_s_after_it_connects(
         scene.adapter.peer_subscribe("/cmd_vel", None, lambda message: None)
 
     zeros = scene.pass_time(10.0, {1.0: connect})
-    assert zeros[-1] == pytest.approx(3.0, abs=0.06), "whoever else drives may have it"
+    assert zeros[-1] == pytest.approx(3.0, abs=0.06), "another node may drive afterwards"
     zeros = scene.pass_time(10.0, {1.0: connect})
-    assert zeros[0] == pytest.approx(1.0, abs=0.06), "one that comes later may still drive too"
+    assert zeros[0] == pytest.approx(1.0, abs=0.06), "a base that connects later may still drive"
     assert zeros[-1] == pytest.approx(3.0, abs=0.06)
     scene.command(MOVING)
-    assert scene.pass_time(10.0, {1.0: connect})[-1] > 9.9, "as of any daemon's silence"
+    assert scene.pass_time(10.0, {1.0: connect})[-1] > 9.9, "as after the silence of any daemon"
 
 
 def test_one_zero_does_not_make_silence_harmless(scene: Scene) -> None:
@@ -190,46 +190,46 @@ def test_one_zero_does_not_make_silence_harmless(scene: Scene) -> None:
 def test_half_a_second_of_zeros_makes_silence_harmless(scene: Scene) -> None:
     scene.command(MOVING)
     idle = {0.1 * i: lambda: scene.command(ZERO) for i in range(1, 8)}
-    assert len(scene.pass_time(5.0, idle)) == len(idle), "who is idle may be silent"
+    assert len(scene.pass_time(5.0, idle)) == len(idle), "an idle daemon may be silent"
 
 
 def test_a_command_that_waited_for_0_2_s_is_dropped(scene: Scene) -> None:
     scene.command(MOVING, age=0.19)
     assert len(scene.published) == 1
     scene.command(MOVING, age=0.2)
-    scene.hear(COMMAND_HEAD.pack(COMMAND, scene.now), b"?")
+    scene.deliver(COMMAND_HEAD.pack(COMMAND, scene.now), b"?")
     assert len(scene.published) == 1
 
 
 def test_after_the_daemons_end_the_adapter_sends_zeros_for_2_s_and_leaves(scene: Scene) -> None:
     scene.command(MOVING)
-    scene.hear(b"")
+    scene.deliver(b"")
     zeros = scene.pass_time(10.0)
     assert zeros[0] == 0.0
     assert scene.left_at == pytest.approx(BEGIN + 2.0, abs=0.051)
     assert len(zeros) >= 40
 
 
-def test_bye_is_a_zero_and_it_leaves(scene: Scene) -> None:
+def test_a_farewell_causes_one_zero_and_the_end(scene: Scene) -> None:
     scene.command(MOVING)
-    scene.hear(FAREWELL)
+    scene.deliver(FAREWELL)
     assert scene.pass_time(10.0) == [0.0]
     assert scene.left_at == BEGIN
 
 
 def test_an_adapter_that_never_drove_leaves_without_a_zero(scene: Scene) -> None:
-    scene.hear(b"")
+    scene.deliver(b"")
     assert scene.pass_time(10.0) == []
     assert scene.left_at == BEGIN
 
 
-def test_once_it_is_to_end_no_command_is_passed_on(scene: Scene) -> None:
+def test_no_command_is_passed_on_after_a_request_to_end(scene: Scene) -> None:
     scene.command(MOVING)
     scene.adapter.end(ZERO_TIME, "a signal ended the adapter")
     scene.published.clear()
     scene.command(MOVING)
     assert not scene.published
-    assert scene.told[-1] == {
+    assert scene.events[-1] == {
         "event": "end",
         "kind": "end",
         "text": "a signal ended the adapter",
@@ -252,7 +252,7 @@ def test_a_base_that_connects_while_it_is_driven_gets_zero_first(scene: Scene) -
         given.append(message._buff)
 
     scene.adapter.peer_subscribe("/cmd_vel", None, keep)
-    assert not given, "nobody has driven yet: a joystick may"
+    assert not given, "no command has come yet: a joystick may drive"
     scene.command(MOVING)
     scene.adapter.peer_subscribe("/cmd_vel", None, keep)
     assert given == [ZERO]

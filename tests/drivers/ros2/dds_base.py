@@ -1,4 +1,4 @@
-"""A base in a process of its own, to be killed: it says scans and prints commands that change.
+"""A base in a process of its own, to be killed; it publishes scans and prints changed commands.
 
 python dds_base.py DOMAIN
 """
@@ -24,8 +24,8 @@ def main(number: int) -> None:
     for count in itertools.count(100):
         header = dds.Header(dds.Time(count, 0), "base_scan")
         ranges, step = [2.0] * 360, 2.0 * math.pi / 360
-        node.say("/scan", dds.LaserScan(header, angle_increment=step, ranges=ranges))
-        for command in node.heard("/cmd_vel"):
+        node.publish("/scan", dds.LaserScan(header, angle_increment=step, ranges=ranges))
+        for command in node.take("/cmd_vel"):
             if command.linear.x != last:
                 last = command.linear.x
                 print(last, flush=True)

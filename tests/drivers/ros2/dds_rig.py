@@ -1,4 +1,4 @@
-"""A ROS 2 robot on DDS behind the real zenoh-bridge-ros2dds, in a test's hand."""
+"""A ROS 2 robot on DDS behind the real zenoh-bridge-ros2dds, controlled by a test."""
 
 from __future__ import annotations
 
@@ -20,12 +20,11 @@ SENSES: Mapping[str, Any] = {"scan": dds.LaserScan, "odom": dds.Odometry}
 
 
 class DdsRobot(BridgedRobot):
-    """A node that says scans and odometry and takes velocities, and a bridge of its own.
+    """A node that publishes scans and odometry and takes velocities, with a bridge of its own.
 
-    `namespace`, such as `/front`, is the node's, `at` likewise the bridge's, which stands before
-    it. `says`: the type of each topic. `distro` is what the bridge takes the robot for, which is of
-    Jazzy; `is_elsewhere`: the bridge is in another domain. The node leaves with `stop`, the bridge
-    with `die`.
+    `namespace`, such as `/front`, is the node's. `at` is the bridge's, which precedes it.
+    `published`: the type of each topic. `distro`: the bridge's setting; the robot is of Jazzy.
+    `is_elsewhere`: the bridge is in another domain. `stop` ends the node, `disconnect` the bridge.
     """
 
     def __init__(
@@ -34,12 +33,12 @@ class DdsRobot(BridgedRobot):
         namespace: str = "",
         at: str = "",
         is_stamped: bool = False,
-        says: Mapping[str, Any] = SENSES,
+        published: Mapping[str, Any] = SENSES,
         distro: str = "jazzy",
         is_elsewhere: bool = False,
     ) -> None:
         self.namespace, self.at = namespace, at
-        self._says = says
+        self._published = published
         self._command = dds.TwistStamped if is_stamped else dds.Twist
         self._folder = tempfile.TemporaryDirectory()
         self.domain = free_domain()
@@ -55,12 +54,12 @@ class DdsRobot(BridgedRobot):
         return f"{self.namespace}/{topic}"
 
     def start(self) -> None:
-        says = {self.name(topic): kind for topic, kind in self._says.items()}
-        hears = {self.name("cmd_vel"): self._command}
-        self.node = DdsNode(self.domain, "base", says, hears)
+        published = {self.name(topic): kind for topic, kind in self._published.items()}
+        subscribed = {self.name("cmd_vel"): self._command}
+        self.node = DdsNode(self.domain, "base", published, subscribed)
 
     def stop(self) -> None:
-        """The node has left, and said so; the bridge stays."""
+        """End the node in order; the bridge continues."""
         if self.node is not None:
             self.node.close()
             self.node = None
@@ -72,21 +71,21 @@ class DdsRobot(BridgedRobot):
         self.bridge.kill()
 
     def put(self, topic: str, message: Any) -> None:
-        """Over DDS; bytes, which no DDS node would write, at the bridge."""
+        """Publish over DDS; bytes, which no DDS node would write, go to the bridge."""
         if isinstance(message, bytes):
             key = f"{self.at}{self.name(topic)}".removeprefix("/")
             session = open_session("client", "connect/endpoints", self.endpoint)
             with contextlib.closing(session):
                 session.put(key, message)
-        elif self.node is not None and topic in self._says:
-            kind = self._says[topic]
+        elif self.node is not None and topic in self._published:
+            kind = self._published[topic]
             is_usual = kind is SENSES[topic]
-            said = kind.deserialize(message.serialize()) if is_usual else kind()
-            self.node.say(self.name(topic), said)
+            converted = kind.deserialize(message.serialize()) if is_usual else kind()
+            self.node.publish(self.name(topic), converted)
 
     def commands(self) -> Sequence[Twist]:
-        heard = [] if self.node is None else self.node.heard(self.name("cmd_vel"))
-        twists = [message.twist if self.is_stamped else message for message in heard]
+        received = [] if self.node is None else self.node.take(self.name("cmd_vel"))
+        twists = [message.twist if self.is_stamped else message for message in received]
         return [Twist(one.linear.x, one.angular.z, one.linear.y) for one in twists]
 
     def options(self, given: Mapping[str, Value]) -> Mapping[str, Value]:

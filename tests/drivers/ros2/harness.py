@@ -1,4 +1,4 @@
-"""A driver played against a robot in the test's hand."""
+"""A driver played against a robot that the test controls."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ PACE = 0.01
 
 
 async def drive(harness: DriverHarness) -> None:
-    """Command until the base moves; nothing that was sent is on its way any more.
+    """Command until the base moves and no earlier command is still on its way.
 
     The last command differs from those before, so that its arrival proves theirs.
     """
@@ -33,18 +33,18 @@ async def drive(harness: DriverHarness) -> None:
 
 def check(
     robot: Robot,
-    speak: Callable[[], None] = lambda: None,
+    publish: Callable[[], None] = lambda: None,
     *,
     seconds: float = 3.0,
     **options: Value,
 ) -> Mapping[str, Finding]:
-    """What `check` finds, by subject, while the robot does `speak` again and again."""
+    """The findings of `check`, by subject, while `publish` is called repeatedly."""
 
     async def run() -> tuple[Finding, ...]:
         checking = asyncio.create_task(robot.make(options).check(seconds))
         async with asyncio.timeout(TIMEOUT):
             while not checking.done():
-                speak()
+                publish()
                 await asyncio.sleep(PACE)
         return checking.result()
 
@@ -54,9 +54,9 @@ def check(
         robot.close()
 
 
-def reported(harness: DriverHarness, words: str, *, is_up: bool | None = None) -> bool:
-    """Whether the driver has said that of its base."""
-    return any(words in text and is_up in (None, up) for up, text in harness.sink.states)
+def reported(harness: DriverHarness, part: str, *, is_up: bool | None = None) -> bool:
+    """Whether the driver has reported this text about its base."""
+    return any(part in text and is_up in (None, up) for up, text in harness.sink.states)
 
 
 def announce(robot: Robot, what: str, topic: str, kind: str, domain: int = 0) -> None:

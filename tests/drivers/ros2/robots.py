@@ -45,7 +45,7 @@ class Robot:
     def __init__(self, *, is_stamped: bool = False) -> None:
         self.endpoint = free_endpoint()
         self.is_stamped = is_stamped
-        self._spoken = 0
+        self._published_count = 0
         self.reconnect()
 
     def make(self, options: Mapping[str, Value]) -> RosDriver:
@@ -105,8 +105,8 @@ class Robot:
         return {"endpoint": self.endpoint, **stamped, **given}
 
     def _stamp(self) -> float:
-        self._spoken += 1
-        return 100.0 + 0.1 * self._spoken
+        self._published_count += 1
+        return 100.0 + 0.1 * self._published_count
 
 
 class BridgedRobot(Robot):
@@ -135,13 +135,13 @@ PACKAGES = {"Odometry": "nav_msgs", "Twist": "geometry_msgs", "TwistStamped": "g
 
 
 class ZenohRobot(Robot):
-    """Through rmw_zenoh: a node is a peer of the router; type and hash stand in the key."""
+    """Through rmw_zenoh: a node is a peer of the router; the key contains type and hash."""
 
     def __init__(
         self, *, domain: int = 0, is_humble: bool = False, is_stamped: bool = False
     ) -> None:
         self.domain, self.is_humble = domain, is_humble
-        self._said = 0
+        self._sent_count = 0
         super().__init__(is_stamped=is_stamped)
 
     def make(self, options: Mapping[str, Value]) -> RosDriver:
@@ -168,8 +168,10 @@ class ZenohRobot(Robot):
             self.put_on(self.key(topic, type(message).__name__), message.serialize())
 
     def put_on(self, key: str, payload: bytes) -> None:
-        self._said += 1
-        self.hub.put(key, payload, attachment=struct.pack("<qqB16s", self._said, 1, 16, b"g" * 16))
+        self._sent_count += 1
+        self.hub.put(
+            key, payload, attachment=struct.pack("<qqB16s", self._sent_count, 1, 16, b"g" * 16)
+        )
 
 
 def scan(stamp: float, ranges: Sequence[float] | None = None, **angles: float) -> dds.LaserScan:

@@ -52,8 +52,8 @@ async def moves(harness: DriverHarness) -> None:
     assert taken[0].is_zero
 
 
-async def tells(harness: DriverHarness, words: str) -> None:
-    """Until the driver says that of a base that is lost."""
+async def reports_lost(harness: DriverHarness, words: str) -> None:
+    """Wait until the driver reports the base as lost with this text."""
     await harness.until(lambda: reported(harness, words, is_up=False), publishing=True)
 
 
@@ -75,7 +75,7 @@ def test_a_robot_that_leaves_and_returns_gets_zero_first() -> None:
         await moves(harness)
         robot.stop()
         await harness.until(lambda: not harness.sink.is_up)
-        await tells(harness, "no /scan")
+        await reports_lost(harness, "no /scan")
         harness.driver.send(Twist(0.1), 1, 1)
         robot.start()
         await moves(harness)
@@ -147,14 +147,14 @@ def base_process(domain: int, speeds: list[str]) -> Iterator[None]:
 
 
 def test_a_base_that_leaves_while_its_lidar_stays_gets_zero_first() -> None:
-    robot = DdsRobot(says={})
+    robot = DdsRobot(published={})
     lidar = DdsNode(robot.domain, "lidar", {"/scan": dds.LaserScan})
 
     async def story(harness: DriverHarness) -> None:
         stop_speaking = asyncio.create_task(_spin(lidar))
         await moves(harness)
         robot.stop()
-        await tells(harness, "no node subscribes to /cmd_vel")
+        await reports_lost(harness, "no node subscribes to /cmd_vel")
         harness.driver.send(Twist(0.1), 1, 1)
         robot.start()
         await moves(harness)
@@ -170,7 +170,7 @@ async def _spin(lidar: DdsNode) -> None:
         stamp = dds.Time(count, 0)
         step = 2.0 * math.pi / 360
         header = dds.Header(stamp, "base_scan")
-        lidar.say(
+        lidar.publish(
             "/scan",
             dds.LaserScan(header=header, angle_increment=step, ranges=[2.0] * 360),
         )
@@ -183,7 +183,7 @@ def test_a_base_that_wants_another_type_gets_no_command(is_stamped: bool) -> Non
     robot = DdsRobot(is_stamped=is_stamped)
 
     async def story(harness: DriverHarness) -> None:
-        await tells(harness, "/cmd_vel wants geometry_msgs/msg/Twist")
+        await reports_lost(harness, "/cmd_vel wants geometry_msgs/msg/Twist")
         for _ in range(20):
             harness.driver.send(Twist(0.1), 1, 1)
             robot.publish()
@@ -203,7 +203,7 @@ def test_another_nodes_command_is_reported() -> None:
         await moves(harness)
 
         def is_lost() -> bool:
-            joystick.say("/cmd_vel", dds.Twist(dds.Vector3(0.3)))
+            joystick.publish("/cmd_vel", dds.Twist(dds.Vector3(0.3)))
             return not harness.sink.is_up
 
         await harness.until(is_lost, publishing=True)
@@ -248,10 +248,10 @@ def test_a_restarted_bridges_announcements_are_gone_with_it() -> None:
     async def story(harness: DriverHarness) -> None:
         await moves(harness)
         robot.disconnect()
-        await tells(harness, "nothing answers at")
+        await reports_lost(harness, "nothing answers at")
         robot.stop()
         robot.reconnect()
-        await tells(harness, "announces no topic at all")
+        await reports_lost(harness, "announces no topic at all")
 
     play(robot, story)
 

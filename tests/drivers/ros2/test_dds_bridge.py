@@ -30,16 +30,16 @@ def test_all_senses_arrive_with_their_meaning() -> None:
         robot.put("odom", robots.odometry(501.0, x=2.0, yaw=1.0))
         robot.put("imu", dds.Imu(orientation=dds.Quaternion(z=1.0, w=0.0)))
         robot.put("battery_state", dds.BatteryState(voltage=11.5, percentage=0.5))
-        heard = harness.sink
-        await harness.until(lambda: bool(heard.values) and "battery" in heard.values[-1])
-        await harness.until(lambda: heard.odometries[-1].stamp == 501.0)
-        await harness.until(lambda: heard.scans[-1].stamp == 500.0)
-        np.testing.assert_allclose(heard.scans[-1].ranges, ranges, rtol=1e-6)
-        pose = heard.odometries[-1].pose
+        sink = harness.sink
+        await harness.until(lambda: bool(sink.values) and "battery" in sink.values[-1])
+        await harness.until(lambda: sink.odometries[-1].stamp == 501.0)
+        await harness.until(lambda: sink.scans[-1].stamp == 500.0)
+        np.testing.assert_allclose(sink.scans[-1].ranges, ranges, rtol=1e-6)
+        pose = sink.odometries[-1].pose
         assert pose.x == 2.0
         assert pose.yaw == pytest.approx(1.0)
-        assert heard.values[-1]["yaw"] == pytest.approx(math.pi)
-        assert heard.values[-1]["battery"] == pytest.approx(0.5)
+        assert sink.values[-1]["yaw"] == pytest.approx(math.pi)
+        assert sink.values[-1]["battery"] == pytest.approx(0.5)
 
     play(robot, story, imu="imu", battery="battery_state")
 
@@ -81,11 +81,11 @@ def test_a_base_that_restarts_at_once_gets_zero_first() -> None:
 def test_check_reports_commands_of_other_nodes() -> None:
     robot = BridgedRobot()
 
-    def speak() -> None:
+    def publish() -> None:
         robot.publish()
         robot.put("cmd_vel", robots.command(0.0))
 
-    found = check(robot, speak)
+    found = check(robot, publish)
     assert not found["others"].is_well
     assert "commands of another node on /cmd_vel" in found["others"].text
 

@@ -42,7 +42,7 @@ ENDS = (
 
 
 def varied_scan(platform: Platform, seq: int = 1) -> Scan:
-    """Ranges that differ from ray to ray, and all that is no distance."""
+    """Ranges that differ between rays, and each value that is no distance."""
     spec = platform.scan
     nearest = max(spec.range_min, 0.09) + 0.01  # beyond the rim on which a Thymio's sensors sit
     ranges = np.linspace(nearest, spec.range_max - 0.01, len(spec.bearings))
@@ -90,36 +90,36 @@ def stage(request: pytest.FixtureRequest) -> Iterator[Stage]:
 
 
 def test_a_laser_scan_is_as_an_lds_sends_it() -> None:
-    said = varied_scan(BURGER)
-    (message,) = LaserScanEncoder(RosOptions(), BURGER).encode(said)
-    heard = dds.LaserScan.deserialize(cdr.encode(message))
-    assert heard.angle_min == 0.0
-    assert heard.angle_increment == pytest.approx(math.radians(1.0), abs=1e-8)
-    assert heard.angle_max == pytest.approx(math.radians(359.0), abs=1e-6)
-    assert (heard.range_min, heard.range_max) == pytest.approx((0.12, 3.5))
-    assert heard.scan_time == pytest.approx(0.2)
-    assert np.array_equal(np.array(heard.ranges), said.ranges.astype("<f4"), equal_nan=True)
-    assert (heard.header.stamp.sec, heard.header.stamp.nanosec) == (0, 100_000_000)
-    assert heard.header.frame_id == "base_scan"
+    original = varied_scan(BURGER)
+    (message,) = LaserScanEncoder(RosOptions(), BURGER).encode(original)
+    received = dds.LaserScan.deserialize(cdr.encode(message))
+    assert received.angle_min == 0.0
+    assert received.angle_increment == pytest.approx(math.radians(1.0), abs=1e-8)
+    assert received.angle_max == pytest.approx(math.radians(359.0), abs=1e-6)
+    assert (received.range_min, received.range_max) == pytest.approx((0.12, 3.5))
+    assert received.scan_time == pytest.approx(0.2)
+    assert np.array_equal(np.array(received.ranges), original.ranges.astype("<f4"), equal_nan=True)
+    assert (received.header.stamp.sec, received.header.stamp.nanosec) == (0, 100_000_000)
+    assert received.header.frame_id == "base_scan"
 
 
 @pytest.mark.parametrize("hangs", [False, True])
-def test_a_scan_is_the_same_however_the_lidar_is_mounted(hangs: bool) -> None:
-    options, said = RosOptions(scan_yaw_deg=70.0, scan_upside_down=hangs), varied_scan(BURGER)
-    (message,) = LaserScanEncoder(options, BURGER).encode(said)
-    heard = CollectingSink()
-    Subscriptions(options, BURGER).read("scan", cdr.encode(message), 0.0)(heard)
-    off = np.abs(np.exp(1j * heard.scans[0].bearings) - np.exp(1j * said.bearings))
+def test_a_scan_is_the_same_for_each_mounting_of_the_lidar(hangs: bool) -> None:
+    options, original = RosOptions(scan_yaw_deg=70.0, scan_upside_down=hangs), varied_scan(BURGER)
+    (message,) = LaserScanEncoder(options, BURGER).encode(original)
+    sink = CollectingSink()
+    Subscriptions(options, BURGER).read("scan", cdr.encode(message), 0.0)(sink)
+    off = np.abs(np.exp(1j * sink.scans[0].bearings) - np.exp(1j * original.bearings))
     assert off.max() < 1e-5
 
 
 def test_odometry_is_that_of_nav_msgs() -> None:
-    heard = dds.Odometry.deserialize(cdr.encode(odometry_message(odometry())))
-    at, moving = heard.pose.pose, heard.twist.twist
+    received = dds.Odometry.deserialize(cdr.encode(odometry_message(odometry())))
+    at, moving = received.pose.pose, received.twist.twist
     assert (at.position.x, at.position.y) == (1.0, -2.0)
     assert 2.0 * math.atan2(at.orientation.z, at.orientation.w) == pytest.approx(2.5)
     assert (moving.linear.x, moving.angular.z) == (0.1, -0.2)
-    assert heard.header.frame_id == "odom"
+    assert received.header.frame_id == "odom"
 
 
 def test_a_bridges_tokens_are_those_that_the_driver_knows() -> None:
@@ -146,7 +146,7 @@ def test_a_nodes_tokens_are_those_that_the_driver_knows() -> None:
     ]
 
 
-def test_each_publisher_of_a_node_counts_for_itself() -> None:
+def test_each_publisher_of_a_node_has_its_own_sequence() -> None:
     node = RmwZenoh(0, "/a/cmd_vel", "/a", "base")
     _, scans, poses, _ = node.tokens("ab12", ENDS)
     payloads = [node.attachment(token) for token in (scans, poses, scans)]
@@ -157,13 +157,13 @@ def test_each_publisher_of_a_node_counts_for_itself() -> None:
 
 def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: Stage) -> None:
     async def story() -> None:
-        driver, heard = stage.driver("r-2"), CollectingSink()
-        task = asyncio.create_task(driver.run(heard))
+        driver, sink = stage.driver("r-2"), CollectingSink()
+        task = asyncio.create_task(driver.run(sink))
         seq = 0
         try:
             async with asyncio.timeout(60.0):
                 while (
-                    len([t for _, t in stage.commands if not t.is_zero]) < 3 or len(heard.scans) < 3
+                    len([t for _, t in stage.commands if not t.is_zero]) < 3 or len(sink.scans) < 3
                 ):
                     seq += 1
                     stage.side.scan("r-2", varied_scan(stage.platform, seq))
@@ -173,9 +173,9 @@ def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: St
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
-        said, got = varied_scan(stage.platform), heard.scans[-1]
-        assert np.allclose(got.ranges, said.ranges, atol=1e-5, equal_nan=True)
-        apart = np.angle(np.exp(1j * (got.bearings - said.bearings)))
+        original, got = varied_scan(stage.platform), sink.scans[-1]
+        assert np.allclose(got.ranges, original.ranges, atol=1e-5, equal_nan=True)
+        apart = np.angle(np.exp(1j * (got.bearings - original.bearings)))
         assert np.abs(apart).max() < 1e-5
 
     asyncio.run(story())
@@ -184,7 +184,7 @@ def test_a_driver_receives_its_robots_data_and_commands_no_other_robot(stage: St
     assert (Twist(0.1, 0.3)) in [twist for _, twist in stage.commands]
 
 
-def test_what_no_base_could_follow_is_counted_and_left() -> None:
+def test_a_command_that_no_base_could_follow_is_counted_and_dropped() -> None:
     stage = Stage("ros2dds", BURGER)
     mad = (
         dds.Twist(linear=dds.Vector3(x=math.nan)),
@@ -221,7 +221,7 @@ def given(platform: Platform, **options: Any) -> Platform:
         (given(BURGER, scam="scan"), "did you mean 'scan'"),
     ],
 )
-def test_a_platform_that_cannot_be_spoken_for_is_one_clear_error(
+def test_a_platform_that_cannot_be_emulated_is_one_clear_error(
     platform: Platform, complaint: str
 ) -> None:
     with pytest.raises(ConfigError, match=complaint):

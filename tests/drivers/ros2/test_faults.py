@@ -25,7 +25,7 @@ MAKERS: list[Callable[[], Robot]] = [BridgedRobot, ZenohRobot]
 
 @pytest.fixture(autouse=True)
 def _reports_soon(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The driver explains a fault 0.3 s after it has begun, instead of 2 s."""
+    """The driver explains a fault 0.3 s after its start instead of 2 s."""
     monkeypatch.setattr(ros_driver, "_EXPLAIN_PERIOD", 0.3)
 
 
@@ -37,7 +37,7 @@ class Deaf(BridgedRobot):
 
 
 async def stays_lost(harness: DriverHarness, words: str) -> None:
-    """It says so, and whatever is commanded meanwhile does not reach the base."""
+    """The driver reports the loss, and no command reaches the base meanwhile."""
 
     def is_reported() -> bool:
         harness.driver.send(Twist(0.1), 1, 1)
@@ -70,7 +70,7 @@ def test_a_base_that_wants_another_type_is_not_commanded(make: Callable[[], Robo
 
 
 @pytest.mark.parametrize("make", MAKERS)
-def test_a_base_that_turns_out_to_want_another_type_is_let_go(make: Callable[[], Robot]) -> None:
+def test_a_base_that_announces_another_type_later_is_lost(make: Callable[[], Robot]) -> None:
     robot = make()
 
     async def story(harness: DriverHarness) -> None:
@@ -82,7 +82,7 @@ def test_a_base_that_turns_out_to_want_another_type_is_let_go(make: Callable[[],
     play(robot, story)
 
 
-def test_the_last_zero_is_zero_also_to_a_base_that_takes_it_for_a_twist() -> None:
+def test_the_last_zero_is_zero_also_to_a_base_that_reads_it_as_a_twist() -> None:
     robot = BridgedRobot(is_stamped=True)
 
     async def story(harness: DriverHarness) -> None:
@@ -93,14 +93,14 @@ def test_the_last_zero_is_zero_also_to_a_base_that_takes_it_for_a_twist() -> Non
         announce(robot, "MS", "cmd_vel", TWIST)
         await harness.until(lambda: not harness.sink.is_up, publishing=True)
         await harness.end()
-        said: list[bytes] = []
+        payloads: list[bytes] = []
 
         def is_reported() -> bool:
-            said.extend(sample.payload.to_bytes() for sample in robot.samples())
-            return len(said) >= 2
+            payloads.extend(sample.payload.to_bytes() for sample in robot.samples())
+            return len(payloads) >= 2
 
         await harness.until(is_reported)
-        for payload in said[-2:]:
+        for payload in payloads[-2:]:
             taken = robots.twist(payload[:52], is_stamped=False)
             assert max(abs(taken.linear), abs(taken.angular), abs(taken.lateral)) < 1e-9
 
@@ -129,7 +129,7 @@ def test_the_first_command_after_an_instant_restart_of_the_hub_is_zero(
     robot = make()
 
     async def story(harness: DriverHarness) -> None:
-        until = asyncio.get_running_loop().time() + 0.5  # it has looked whom it is linked to
+        until = asyncio.get_running_loop().time() + 0.5  # the driver has looked up its link
         while asyncio.get_running_loop().time() < until:
             harness.driver.send(Twist(0.1), 1, 1)
             robot.publish()
@@ -211,32 +211,32 @@ def test_the_command_type_of_a_base_is_known_before_its_first_message() -> None:
     announce(robot, "MS", "cmd_vel", TWIST)
     is_ending = threading.Event()
 
-    def speak() -> None:
+    def publish() -> None:
         while not is_ending.wait(0.0003):
             robot.publish()
 
     async def run() -> bool:
-        driver, heard = robot.make({"cmd_vel_type": "twist_stamped"}), CollectingSink()
-        running = asyncio.create_task(driver.run(heard))
+        driver, sink = robot.make({"cmd_vel_type": "twist_stamped"}), CollectingSink()
+        running = asyncio.create_task(driver.run(sink))
         async with asyncio.timeout(TIMEOUT):
-            while len(heard.states) < 2:
+            while len(sink.states) < 2:
                 await asyncio.sleep(0.01)
         running.cancel()
         await asyncio.gather(running, return_exceptions=True)
-        return any(is_up for is_up, _ in heard.states)
+        return any(is_up for is_up, _ in sink.states)
 
-    speaking = threading.Thread(target=speak)
-    speaking.start()
+    publisher = threading.Thread(target=publish)
+    publisher.start()
     try:
         assert not any(asyncio.run(run()) for _ in range(3))
     finally:
         is_ending.set()
-        speaking.join()
+        publisher.join()
         robot.close()
 
 
 @pytest.mark.parametrize("make", MAKERS)
-def test_names_that_are_none_make_no_second_line(make: Callable[[], Robot]) -> None:
+def test_invalid_names_add_no_second_line(make: Callable[[], Robot]) -> None:
     robot = make()
     announce(robot, "MP", "bot1/scan\nok    scan", LASER)
     announce(robot, "MP", "bot1/" + 2000 * "x", LASER)

@@ -144,8 +144,8 @@ def test_the_bridges_keys_are_topics_without_their_first_slash() -> None:
     assert ours.attachment() is None
 
 
-def test_the_announcements_of_a_bridge_are_understood() -> None:
-    """As zenoh-bridge-ros2dds 1.10 says them: the type's hash behind the quality of service."""
+def test_the_announcements_of_a_bridge_are_read() -> None:
+    """As zenoh-bridge-ros2dds 1.10 sends them: the type's hash follows the quality of service."""
     zid, hashed = "ad21b741805add91719f8b8dd4f837a7", "typehash=RIHS01_9c45bf16fe0983d8;"
     end = Ros2Dds().parse_token(
         f"@/{zid}/@ros2_lv/MS/cmd_vel/geometry_msgs§msg§Twist/:1::0,10:{hashed}"
@@ -159,5 +159,5 @@ def test_the_announcements_of_a_bridge_are_understood() -> None:
         assert Ros2Dds().parse_token(other) is None
 
 
-def test_a_topic_is_heard_in_its_domain_whatever_its_type_and_hash() -> None:
+def test_a_topic_is_received_in_its_domain_with_any_type_and_hash() -> None:
     assert scheme(3).subscription_key("/bot/scan") == "3/bot/scan/*/*"

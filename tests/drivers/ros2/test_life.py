@@ -1,7 +1,6 @@
-"""When a ROS 2 driver takes its robot for lost, and what it commands then: exactly, without Zenoh.
+"""When a ROS 2 driver reports its robot as lost, and its commands then: exactly, without Zenoh.
 
-The session is a stand-in, and the clock is in the test's hand; against real sessions:
-`test_dds_bridge.py`.
+The test controls the session and the clock; `test_dds_bridge.py` has real sessions.
 """
 
 from __future__ import annotations
@@ -27,16 +26,16 @@ MOVING = Twist(0.1)
 
 
 class Session:
-    """A Zenoh session to a hub with one robot: what is put on a key is kept."""
+    """A Zenoh session to a hub with one robot; it keeps what is put on a key."""
 
     def __init__(self) -> None:
         self.is_linked = True
         self.hub = "hub"
         self.is_closed = False
-        self.said: list[tuple[str, Twist]] = []
+        self.sent: list[tuple[str, Twist]] = []
         self.origins: list[object] = []
         self.tokens: list[str] = []
-        self._heard: dict[str, Callable[[Any], None]] = {}
+        self._subscribers: dict[str, Callable[[Any], None]] = {}
         self.info = SimpleNamespace(
             zid=lambda: "ab",
             routers_zid=lambda: [self.hub] if self.is_linked else [],
@@ -45,14 +44,14 @@ class Session:
 
     def declare_publisher(self, key: str, **_: object) -> Any:
         def put(payload: bytes, *, attachment: bytes | None) -> None:
-            self.said.append((key, robots.twist(payload, is_stamped=False)))
+            self.sent.append((key, robots.twist(payload, is_stamped=False)))
 
         return SimpleNamespace(put=put, matching_status=SimpleNamespace(matching=True))
 
     def declare_subscriber(
         self, key: str, take: Callable[[Any], None], *, allowed_origin: object
     ) -> None:
-        self._heard[key] = take
+        self._subscribers[key] = take
         self.origins.append(allowed_origin)
 
     def liveliness(self) -> Any:
@@ -61,25 +60,25 @@ class Session:
         )
 
     def get(self, selector: str, take: Callable[[Any], None], *, timeout: float) -> None:
-        """Nobody answers."""
+        """There is no answer."""
 
     def close(self) -> None:
         self.is_closed = True
 
-    def speak(self, topic: str, message: Any, key: str | None = None) -> None:
-        """The robot says something on a topic, or on another key that it is heard on too."""
+    def publish(self, topic: str, message: Any, key: str | None = None) -> None:
+        """The robot publishes on a topic, or on another key that the subscriber matches."""
         payload = message if isinstance(message, bytes) else message.serialize()
         sample = SimpleNamespace(
             key_expr=key or topic, payload=SimpleNamespace(to_bytes=lambda: payload)
         )
-        self._heard[topic](sample)
+        self._subscribers[topic](sample)
 
     def moves(self, stamp: float = 1.0) -> None:
-        self.speak("odom", robots.odometry(stamp))
+        self.publish("odom", robots.odometry(stamp))
 
     def taken(self) -> list[Twist]:
-        """What was commanded since the last call."""
-        found, self.said = self.said, []
+        """The commands since the last call."""
+        found, self.sent = self.sent, []
         return [twist for _, twist in found]
 
 
@@ -87,15 +86,15 @@ class Scene:
     """A driver that runs, the session that it has opened, and its sink."""
 
     def __init__(self, driver: RosDriver, session: Session) -> None:
-        self.driver, self.session, self.heard = driver, session, CollectingSink()
-        self.task = asyncio.create_task(driver.run(self.heard))
+        self.driver, self.session, self.sink = driver, session, CollectingSink()
+        self.task = asyncio.create_task(driver.run(self.sink))
 
     @property
     def is_up(self) -> bool:
-        return self.heard.is_up
+        return self.sink.is_up
 
     def command(self) -> list[Twist]:
-        """What reaches the base of two commands."""
+        """The commands that reach the base after two commands to move."""
         for _ in range(2):
             self.driver.send(MOVING, 1, 1)
         return self.session.taken()
@@ -105,7 +104,7 @@ class Scene:
         await handclock.settle()
 
     async def pass_time(self, seconds: float, *, moving: bool = False) -> None:
-        """So many seconds and a little, for the driver looks ten times a second itself."""
+        """Pass the time and a little more, since the driver checks ten times per second."""
         begun = asyncio.get_running_loop().time()
         while asyncio.get_running_loop().time() - begun < seconds + 0.005:
             if moving:
@@ -157,7 +156,7 @@ def test_a_base_is_lost_after_1_s_of_silence_or_3_and_a_half_scans(
         assert scene.is_up
         await scene.pass_time(0.12)  # it looks every 0.1 s
         assert not scene.is_up
-        assert "no scan and no odometry" in scene.heard.states[-1][1]
+        assert "no scan and no odometry" in scene.sink.states[-1][1]
 
     play(monkeypatch, story, platform=slow(rate))
 
@@ -168,7 +167,7 @@ def test_a_link_that_is_cut_is_a_lost_base_at_once(monkeypatch: pytest.MonkeyPat
         scene.command()
         scene.session.is_linked = False
         await scene.pass_time(0.12, moving=True)
-        lost = [text for is_up, text in scene.heard.states if not is_up]
+        lost = [text for is_up, text in scene.sink.states if not is_up]
         assert lost[-1].startswith("nothing answers at tcp/")
         assert scene.session.taken()[0] == Twist()
 
@@ -197,7 +196,7 @@ def test_another_nodes_command_stops_the_driver_for_2_s(
     async def story(scene: Scene) -> None:
         await scene.move()
         scene.command()
-        scene.session.speak("cmd_vel", robots.command(0.2))
+        scene.session.publish("cmd_vel", robots.command(0.2))
         await handclock.settle()
         assert not scene.is_up
         assert scene.session.taken() == [Twist()]
@@ -227,7 +226,7 @@ def test_any_command_but_zero_counts_as_driving(
 ) -> None:
     async def story(scene: Scene) -> None:
         await scene.move()
-        scene.session.speak("cmd_vel", message, key)
+        scene.session.publish("cmd_vel", message, key)
         await handclock.settle()
         assert scene.is_up != is_lost
 
@@ -236,14 +235,14 @@ def test_any_command_but_zero_counts_as_driving(
 
 def test_a_battery_alone_is_no_base(monkeypatch: pytest.MonkeyPatch) -> None:
     async def story(scene: Scene) -> None:
-        scene.session.speak("power", dds.BatteryState(percentage=0.5))
+        scene.session.publish("power", dds.BatteryState(percentage=0.5))
         await handclock.settle()
         assert not scene.is_up
-        assert not scene.heard.values
+        assert not scene.sink.values
         await scene.move()
-        scene.session.speak("power", dds.BatteryState(percentage=0.5))
+        scene.session.publish("power", dds.BatteryState(percentage=0.5))
         await handclock.settle()
-        assert scene.heard.values[-1]["battery"] == 0.5
+        assert scene.sink.values[-1]["battery"] == 0.5
 
     play(monkeypatch, story, battery="power")
 
@@ -252,11 +251,11 @@ def test_unreadable_samples_and_other_keys_are_counted_and_no_sign_of_life(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(scene: Scene) -> None:
-        scene.session.speak("scan", b"\x00\x01\x00\x00rubbish")
-        scene.session.speak("odom", robots.odometry(1.0), "**")
+        scene.session.publish("scan", b"\x00\x01\x00\x00rubbish")
+        scene.session.publish("odom", robots.odometry(1.0), "**")
         await handclock.settle()
-        assert sorted(scene.heard.lost) == ["odometry:type", "scan"]
+        assert sorted(scene.sink.lost) == ["odometry:type", "scan"]
         assert not scene.is_up
-        assert scene.heard.order.count("odometry") == 0
+        assert scene.sink.order.count("odometry") == 0
 
     play(monkeypatch, story)

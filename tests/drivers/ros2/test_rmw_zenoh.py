@@ -48,9 +48,9 @@ def test_a_command_carries_sequence_time_and_the_gid_of_our_token() -> None:
         await harness.until(has_two, publishing=True)
         read = [struct.unpack("<qqB16s", s.attachment.to_bytes()) for s in taken if s.attachment]
         assert [r[0] for r in read] == list(range(read[0][0], read[0][0] + len(taken)))
-        said = [token for token in tokens(robot) if "/MP/" in token]
-        assert len(said) == 1
-        assert {r[3] for r in read} == {rmw_zenoh.gid_of(said[0])}
+        announced = [token for token in tokens(robot) if "/MP/" in token]
+        assert len(announced) == 1
+        assert {r[3] for r in read} == {rmw_zenoh.gid_of(announced[0])}
         assert {r[2] for r in read} == {16}
 
     play(robot, story)
@@ -75,7 +75,7 @@ def test_it_is_a_node_of_the_graph_while_it_runs(is_humble: bool) -> None:
     play(robot, story)
 
 
-def test_a_token_that_is_none_ends_nothing() -> None:
+def test_a_malformed_token_is_ignored() -> None:
     robot = ZenohRobot()
 
     async def story(harness: DriverHarness) -> None:
@@ -83,33 +83,33 @@ def test_a_token_that_is_none_ends_nothing() -> None:
         loop = asyncio.get_running_loop()
         loop.set_exception_handler(lambda _, context: crashes.append(context))
         await harness.connect()
-        heard = len(harness.sink.scans)
-        await harness.until(lambda: len(harness.sink.scans) > heard + 2, publishing=True)
+        count = len(harness.sink.scans)
+        await harness.until(lambda: len(harness.sink.scans) > count + 2, publishing=True)
         assert not crashes
 
     declare = robot.hub.liveliness().declare_token
-    said = [
+    held = [
         declare(f"@ros2_lv/{domain}/aa/0/1/MP/%/%/node/%scan/T/H/q")
         for domain in ("9" * 5000, "x", "-1")
     ]
     play(robot, story, connected=False)
-    assert said, "as long as it ran"
+    assert held, "the tokens exist as long as the driver runs"
 
 
 def test_a_check_announces_no_node() -> None:
     robot = ZenohRobot()
     seen: list[str] = []
 
-    def speak() -> None:
+    def publish() -> None:
         robot.publish()
         seen.extend(tokens(robot))
 
-    found = check(robot, speak)
+    found = check(robot, publish)
     assert all(finding.is_well for finding in found.values())
     assert not seen
 
 
-def test_nodes_that_are_peers_of_the_router_are_heard_and_commanded() -> None:
+def test_nodes_that_are_peers_of_the_router_are_received_and_commanded() -> None:
     robot = ZenohRobot()
     node = robots.open_session("peer", "connect/endpoints", robot.endpoint)
     taken: list[zenoh.Sample] = []

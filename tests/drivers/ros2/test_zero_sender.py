@@ -17,11 +17,11 @@ from tests.support.processes import wait_until
 
 
 class Hub:
-    """What listens at the endpoint, or does not; the sessions to it keep what is put."""
+    """The hub at the endpoint, unless `is_there` is false; its sessions keep what is put."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.is_there = True
-        self.said: list[tuple[str, bytes, bytes | None]] = []
+        self.sent: list[tuple[str, bytes, bytes | None]] = []
         self.is_faulty = False
         monkeypatch.setattr(zero, "open_session", self._open)
         monkeypatch.setattr(zero, "command_publisher", self._publisher)
@@ -33,7 +33,7 @@ class Hub:
         def put(payload: bytes, *, attachment: bytes | None) -> None:
             if self.is_faulty:
                 raise zenoh.ZError("closed")
-            self.said.append((key, payload, attachment))
+            self.sent.append((key, payload, attachment))
 
         return SimpleNamespace(put=put)
 
@@ -49,13 +49,13 @@ def test_zero_goes_out_on_the_keys_of_every_distribution(hub: Hub) -> None:
     sender.open()
     sender.send_zero()
     prefix = "3/cmd_vel/geometry_msgs::msg::dds_::TwistStamped_/"
-    keys = [key for key, _, _ in hub.said]
+    keys = [key for key, _, _ in hub.sent]
     assert sorted(keys) == [prefix + HASHES["TwistStamped"], prefix + "TypeHashNotSupported"]
     wanted = dds.TwistStamped(dds.stamped(0.0, ""), dds.Twist()).serialize()
-    assert all(payload == wanted for _, payload, _ in hub.said)
+    assert all(payload == wanted for _, payload, _ in hub.sent)
     read = dds.Twist.deserialize(wanted + bytes(48))  # as a base that takes it for a Twist
     assert abs(read.linear.x) + abs(read.linear.y) + abs(read.angular.z) < 1e-300
-    assert all(attachment is not None and len(attachment) == 33 for _, _, attachment in hub.said)
+    assert all(attachment is not None and len(attachment) == 33 for _, _, attachment in hub.sent)
 
 
 def test_a_hub_that_is_not_there_is_tried_again(hub: Hub) -> None:
@@ -65,10 +65,10 @@ def test_a_hub_that_is_not_there_is_tried_again(hub: Hub) -> None:
     sender.send_zero()
     assert not sender.is_connected
     hub.is_there = True
-    wait_until(lambda: sender.is_connected, "it has found the hub before a zero is due")
-    assert not hub.said
+    wait_until(lambda: sender.is_connected, "the sender has found the hub before it must send zero")
+    assert not hub.sent
     sender.send_zero()
-    assert hub.said
+    assert hub.sent
     sender.close()
 
 
@@ -79,4 +79,4 @@ def test_a_zero_that_cannot_be_put_ends_nothing(hub: Hub) -> None:
     sender.send_zero()
     hub.is_faulty = False
     sender.send_zero()
-    assert len(hub.said) == 1
+    assert len(hub.sent) == 1

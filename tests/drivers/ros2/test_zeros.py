@@ -1,4 +1,4 @@
-"""A ROS 2 robot that has to stand: its watchdog, its link that is back, and zeros of others."""
+"""Zeros for a ROS 2 robot: of its watchdog, after a link is back, and of other nodes."""
 
 from __future__ import annotations
 
