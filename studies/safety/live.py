@@ -47,7 +47,7 @@ RAMMER = "rammer"
 _NEWEST = 2**52  # commands that depend on no scan and are never replaced by one that does
 _WALK = {"clearance": 0.0, "straight_min": 3.0, "straight_max": 8.0}  # only protection looks
 _THROWN, _INSTANT = 0.3, 0.02  # s after a contact, and between two instants of a trace
-_OFTEN = 5  # gaps are evaluated at one of so many instants
+_OFTEN = 5  # gaps are evaluated at every fifth instant
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -53,7 +53,7 @@ class Ram(MovementPattern[RamParams]):
             self._look(inputs)
         limits, most = self.context.platform.limits, _BELOW * self.params.surface_speed
         turn = min(max(_GAIN * self._bearing, -limits.angular), limits.angular)
-        # The turn comes first: what it leaves of the speed is for driving.
+        # Turning has priority; driving gets the rest of the speed.
         ahead = max(math.cos(self._bearing), 0.0) * min(most, limits.linear)
         wanted = min(ahead, max(most - abs(turn) * self._radius, 0.0))
         if self._blind_until <= inputs.now < self._back_until:

@@ -195,7 +195,7 @@ def test_goals_are_the_last_counts_of_protected_robots() -> None:
     goals = np.full((len(trace.t), 3), np.nan)
     goals[1:, 0], goals[1:, 1], goals[1:, 2] = 2.0, 3.0, 50.0
     goals[-1, 1] = 4.0
-    trace.report["goals"] = goals  # type: ignore[index]  # a dict, as it is made here
+    trace.report["goals"] = goals  # type: ignore[index]  # this trace has a dict
     found = judge(trace, {"ram"})
     assert (found.goals, found.windows, found.stuck) == (6, 4, 4)
     assert found.goal_seconds == pytest.approx(40.0)
