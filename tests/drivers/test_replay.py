@@ -145,7 +145,7 @@ class Timed(CollectingSink):
 
 
 def played(path: Path, scans: int, **options: Value) -> Timed:
-    """What a sink replayed until that many scans had come and a round had ended."""
+    """A sink that has received this many scans, at the end of a round."""
     replayed = Timed()
 
     async def story() -> None:
