@@ -7,7 +7,7 @@ COMPILE = $(BIN)/python -m compileall -q swarmd patterns drivers sim config
 ARGS ?=
 # Test files at a time; three for two cores, since half of the time a test waits and computes
 # nothing. 0: one after the other, in this process.
-JOBS ?= 3
+JOBS ?= 4
 
 .PHONY: help demo test evidence check format bench paper safety outcomes voting mutants lock clean
 .DELETE_ON_ERROR:

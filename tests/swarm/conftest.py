@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import subprocess
 import sys
 import time
@@ -138,12 +139,23 @@ class Swarm:
             stderr=subprocess.PIPE,
             stdin=subprocess.DEVNULL,
             text=True,
-            env={**os.environ, "LOGNAME": user, "SWARM": self.name, **shared},
+            env={
+                **os.environ,
+                "LOGNAME": user,
+                "SWARM": self.name,
+                "PYTHONFAULTHANDLER": "1",
+                **shared,
+            },
         )
 
     def finish(self, process: subprocess.Popen[str]) -> Finished:
         with process:
-            out, err = process.communicate(timeout=CAP)
+            try:
+                out, err = process.communicate(timeout=CAP)
+            except subprocess.TimeoutExpired:
+                process.send_signal(signal.SIGABRT)  # faulthandler then prints where it hangs
+                _, err = process.communicate()
+                pytest.fail(f"{process.args} has not ended after {CAP:g} s:\n{err}")
             return Finished(process.returncode, out, err)
 
     def ctl(self, *words: str, user: str = "anna") -> Finished:

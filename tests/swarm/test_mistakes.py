@@ -122,7 +122,7 @@ def test_an_unknown_swarm_is_reported_with_those_in_reach(driving: Driving) -> N
         ("parameters: {labels: {red: {}}}", "'red'"),
         ("labels: {red: [r9]}\nroster: [r1]", "'r9'"),
         ("a: b: c", "swarmd.yaml"),
-        ("[r1]", "wanted"),
+        ("[r1]", "expected"),
     ],
 )
 def test_swarmd_reports_a_mistake_in_one_line(
