@@ -20,6 +20,7 @@ from swarmd.network.session import (
     PORTS,
     open_with,
     session_options,
+    undeclare,
 )
 from swarmd.network.settings import NetworkSettings
 
@@ -31,7 +32,7 @@ def swarms_in_reach(
 ) -> tuple[str, ...]:
     """Names of swarms with a living daemon, sorted; takes up to three times `timeout` s."""
     if not settings.multicast:
-        return tuple(sorted(_poll(session, timeout)))
+        return tuple(sorted(_names(session, timeout)))
     found = _names(session, timeout)
     locators = _scout(settings.interface_name, timeout)
     if locators:
@@ -42,24 +43,27 @@ def swarms_in_reach(
             "open/return_conditions/connect_scouted": True,
         }
         with suppress(NetworkError), open_with(options, what="a look around") as visitor:
-            found |= _poll(visitor, timeout)
+            found |= _names(visitor, timeout)
     return tuple(sorted(found))
 
 
 def _names(session: zenoh.Session, timeout: float) -> set[str]:
-    replies = session.liveliness().get(_TOKENS, timeout=timeout)
-    keys = (parse(str(reply.ok.key_expr)) for reply in replies if reply.ok is not None)
-    return {key.swarm for key in keys if key is not None}
+    """The swarms of the tokens that the session sees within `timeout` s.
 
-
-def _poll(session: zenoh.Session, timeout: float) -> set[str]:
-    """Names, asked again until links and tokens had time to come up."""
+    By a subscriber: `liveliness().get` of Zenoh 1.10 was seen twice not to return, whatever its
+    timeout, on a session whose links were coming up.
+    """
     found: set[str] = set()
-    end = time.monotonic() + timeout
-    while time.monotonic() < end:
-        found |= _names(session, timeout)
-        time.sleep(0.02)
-    return found
+
+    def on_token(sample: zenoh.Sample) -> None:
+        key = parse(str(sample.key_expr))
+        if key is not None and sample.kind == zenoh.SampleKind.PUT:
+            found.add(key.swarm)
+
+    tokens = session.liveliness().declare_subscriber(_TOKENS, on_token, history=True)
+    time.sleep(timeout)
+    undeclare(tokens)
+    return set(found)
 
 
 def _scout(interface: str, timeout: float) -> set[str]:
