@@ -155,7 +155,7 @@ class Swarm:
             except subprocess.TimeoutExpired:
                 process.send_signal(signal.SIGABRT)  # faulthandler then prints where it hangs
                 _, err = process.communicate()
-                pytest.fail(f"{process.args} has not ended after {CAP:g} s:\n{err}")
+                pytest.fail(f"{process.args!r} has not ended after {CAP:g} s:\n{err}")
             return Finished(process.returncode, out, err)
 
     def ctl(self, *words: str, user: str = "anna") -> Finished:
