@@ -228,7 +228,7 @@ def _source(point: EntryPoint) -> str:
 
 
 def _extra_with(point: EntryPoint, module: str) -> str | None:
-    """The extra of the plugin's distribution that requires the module; None if there is none."""
+    """The extra of the plugin's distribution that requires the module; None if no extra does."""
     root = module.partition(".")[0].lower().replace("_", "-")
     for line in point.dist.requires or () if point.dist is not None else ():
         match = re.match(r"([A-Za-z0-9._-]+).*extra\s*==\s*['\"]([\w-]+)['\"]", line)

@@ -18,7 +18,7 @@ LINK_TIMEOUT = 5.0
 
 
 def open_session(endpoint: str, *, within: float = 1.0) -> zenoh.Session | None:
-    """A session to the hub at `endpoint`; None if there is none within that time in s."""
+    """A session to the hub at `endpoint`; None if the hub does not answer within that time in s."""
     options: dict[str, object] = {
         **PROMPT_OPTIONS,
         "mode": "client",

@@ -16,7 +16,7 @@ from swarmd.sim.world.scalar_fields import Field
 
 @contextmanager
 def blamed(layers: Layered, *keys: str | int, prefix: str = "") -> Iterator[None]:
-    """Turn a ConfigError or PluginError within into one that names the source of the keys."""
+    """Add the source of the keys to a ConfigError or PluginError that is raised within."""
     try:
         yield
     except (ConfigError, PluginError) as error:

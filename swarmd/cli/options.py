@@ -58,7 +58,7 @@ class VerbGroup(click.Group):
     def resolve_command(
         self, ctx: click.Context, args: list[str]
     ) -> tuple[str | None, click.Command | None, list[str]]:
-        """The verb; UsageError with the nearest name if there is none."""
+        """The verb; raises UsageError with the nearest name if it is unknown."""
         name = args[0]
         if not name.startswith("-") and self.get_command(ctx, name) is None:
             ctx.fail(unknown("verb", name, self.list_commands(ctx)))

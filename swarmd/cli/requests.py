@@ -96,7 +96,7 @@ def estop(options: CommonOptions, targets: Targets, reason: str) -> None:
 def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> None:
     """Clear emergency stops and faults of TARGETS, which become idle; moves nothing.
 
-    Clears only the emergency stops that swarmctl sees now: one that arrives meanwhile stays.
+    Clears only the emergency stops that swarmctl sees now. A later one stays.
     """
     with options.operator() as operator:
         view = known_members(operator)

@@ -56,7 +56,7 @@ class Verbs(VerbGroup):
         return [*VERBS, *(name for name in plugins.command_names() if name not in VERBS)]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The verb of that name, imported; None if there is none."""
+        """The verb of that name, imported; None if it is unknown."""
         if cmd_name in VERBS:
             module, _, attribute = VERBS[cmd_name][0].partition(":")
             return cast(click.Command, getattr(import_module(module), attribute))

@@ -39,8 +39,8 @@ class Params(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
 
     The type is float, int, bool, str or a Literal of strings, `Annotated[int, about(...)] | None`
     where None has a meaning. Without a default it is derived or required. `__post_init__` may check
-    several fields and raise ValueError. Every pattern has `recovery`; one that stands or pushes on
-    purpose overrides its default, `recovery: Recovery = False`.
+    several fields and raise ValueError. Every pattern has `recovery`; a pattern that stops or
+    pushes on purpose overrides its default, `recovery: Recovery = False`.
     """
 
     recovery: Recovery = True

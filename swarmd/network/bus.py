@@ -264,7 +264,7 @@ class ZenohBus:
         return publisher
 
     def _subscribe(self, key_expr: str, kind: str, plane: str, handler: Listener) -> None:
-        """Zenoh delivers what intersects `key_expr`: a concrete key is one that was asked for."""
+        """Zenoh delivers every key that intersects `key_expr`, so a concrete key always matches."""
         is_own = plane == SAFETY
         queue = self._queue(kind, is_urgent=is_own)
         limit = MAX_MESSAGE if plane == "msg" else MAX_CONTROL

@@ -312,7 +312,7 @@ class DriverContract:
     async def test_a_silent_base_is_lost_and_gets_zero_first_when_back(
         self, harness: DriverHarness
     ) -> None:
-        """A base without sensors may still drive; one that is back starts again."""
+        """A base without sensors may still drive; a base that returns starts again."""
         taken = await _moving(harness)
         await harness.until(lambda: not harness.sink.is_up)
         assert harness.sink.states[-1][1], "the reason"
@@ -581,7 +581,7 @@ def _detachable(harness: DriverHarness) -> DetachableRig:
 
 
 def is_running(pid: int) -> bool:
-    """True while a process runs; False for one that waits to be reaped."""
+    """True while a process runs; False for a zombie."""
     try:
         stat = Path(f"/proc/{pid}/stat").read_text()
     except OSError:

@@ -1,4 +1,4 @@
-"""Drives, and in a thread tells the daemon without end what is well-formed and for nobody."""
+"""Drives, and in a thread floods the daemon with well-formed messages that have no receiver."""
 
 from __future__ import annotations
 
