@@ -23,6 +23,7 @@ _SENTENCES = {
     Reason.DUPLICATE_ID: "another daemon has the same id{detail}; stop one of them, then reset",
     Reason.QUARANTINED: "the pattern failed repeatedly{detail}; correct it, then reset",
     Reason.LEAVING: "its daemon is shutting down",
+    Reason.NETWORK_CHANGED: f"its network has changed{{detail}}; {_START}",
     Reason.NO_SCAN: "no scan arrives{detail}; check the driver{driver}",
     Reason.INVALID_SCAN: "too many rays are missing in its scans{detail}; check the lidar",
     Reason.STALE_SCAN: "its last scan is too old{age}; check the lidar and the driver{driver}",

@@ -55,6 +55,7 @@ class Reason(StrEnum):
     DUPLICATE_ID = "duplicate_id"
     QUARANTINED = "pattern_quarantined"
     LEAVING = "leaving"
+    NETWORK_CHANGED = "network_changed"
     # holds: they zero the command; a hold that lasts ends the run
     NO_SCAN = "no_scan"
     INVALID_SCAN = "invalid_scan"

@@ -58,7 +58,7 @@ from swarmd.robot.state_machine import StateMachine, Trigger
 MAX_HOLD_TIME = 2.0  # s after which a hold ends the run
 MAX_EVENTS = 10  # kept for `describe`
 MAX_TEXT = 300  # characters
-_ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL})
+_ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL, Trigger.NETWORK})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -381,6 +381,12 @@ class Lifecycle:
         self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"
         self.end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
+
+    def on_network_changed(self, text: str, effects: Effects) -> None:
+        """The daemon speaks on another network: earlier epochs become stale and the run ends."""
+        self.raise_revision("a change of the network")
+        self.log(f"network: {text}", effects.now)
+        self.end(Trigger.NETWORK, Reason.NETWORK_CHANGED, text, effects)
 
     def on_duplicate(self, holder: str | None, effects: Effects) -> None:
         """Another instance has this id; None: it has left."""

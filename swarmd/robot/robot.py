@@ -155,6 +155,12 @@ class Robot:
         self._lifecycle.on_duplicate(holder, effects)
         return self._settle(effects)
 
+    def on_network_changed(self, text: str, now: float) -> Actions:
+        """The daemon speaks on another network; `text` says what changed. The run ends."""
+        effects = self._begin(now)
+        self._lifecycle.on_network_changed(text, effects)
+        return self._settle(effects)
+
     def on_leave(self, now: float) -> Actions:
         """The daemon leaves: the run ends."""
         effects = self._begin(now)

@@ -11,6 +11,7 @@
 | HOLD_LASTED | a hold has lasted for MAX_HOLD_TIME                    | the hold             |
 | LOAD_FAILED | a load fails or times out; a restart is refused        | load_failed          |
 | STALL       | the daemon's loop was late by STALL_TIMEOUT (robot)    | loop_stalled         |
+| NETWORK     | the network that the daemon speaks on has changed      | network_changed      |
 | ESTOP       | an estop request; the latch of a peer; a latch on disk | estop                |
 | FAULT       | too many failures of a pattern; a second robot has     | pattern_quarantined  |
 |             | the same id                                            | duplicate_id         |
@@ -37,6 +38,7 @@ class Trigger(StrEnum):
     HOLD_LASTED = "hold_lasted"
     LOAD_FAILED = "load_failed"
     STALL = "stall"
+    NETWORK = "network"
     ESTOP = "estop"
     FAULT = "fault"
     RESET = "reset"
@@ -53,6 +55,7 @@ TRANSITIONS: Mapping[Trigger, Mapping[State, State]] = MappingProxyType(
         Trigger.HOLD_LASTED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.LOAD_FAILED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.STALL: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.NETWORK: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.ESTOP: {_I: _E, _R: _E, _S: _E, _E: _E, _F: _E},
         Trigger.FAULT: {_I: _F, _R: _F, _S: _F, _E: _E, _F: _F},
         Trigger.RESET: {_I: _I, _R: _R, _S: _I, _E: _I, _F: _I},

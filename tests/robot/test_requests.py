@@ -204,6 +204,47 @@ def test_param_set_holds_until_the_next_run() -> None:
     assert harness.twist == Twist(0.2)
 
 
+def test_change_of_the_network_ends_the_run_and_nothing_late_starts_motion() -> None:
+    harness = started()
+    seen = harness.epoch
+    harness.carry_out(harness.robot.on_network_changed("wlan0 has no address", harness.now))
+    assert harness.twist.is_zero
+    assert standing_state(harness) == (State.STOPPED, Reason.NETWORK_CHANGED)
+    assert harness.status.detail == "wlan0 has no address"
+    late = harness.answer(harness.request("run", seen, pattern="forward"))
+    assert late.refusal is Refusal.STALE_EPOCH
+    harness.advance(1.0)
+    assert harness.twist.is_zero
+    harness.ask("run", pattern="forward")
+    harness.advance(0.2)
+    assert harness.twist == Twist(0.2)
+
+
+def test_change_of_the_network_cancels_a_load() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(1.0)
+    harness.is_hung = True
+    run = harness.request("run", pattern="forward")
+    assert harness.send(run) is None
+    harness.carry_out(harness.robot.on_network_changed("wlan0 is down", harness.now))
+    assert harness.reply_to(run).refusal is Refusal.OVERTAKEN
+    harness.is_hung = False
+    harness.advance(1.0)
+    assert harness.twist.is_zero
+    assert standing_state(harness) == (State.IDLE, Reason.NEVER_ASKED)
+
+
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+def test_change_of_the_network_leaves_a_standing_robot_its_reason(verb: str) -> None:
+    harness = started()
+    harness.ask(verb)
+    before, revision = standing_state(harness), harness.epoch.revision
+    harness.carry_out(harness.robot.on_network_changed("wlan0 has 10.0.0.9 now", harness.now))
+    assert standing_state(harness) == before
+    assert harness.epoch.revision == revision + 1
+    assert harness.status.events[-1].text == "network: wlan0 has 10.0.0.9 now"
+
+
 def test_duplicate_id_faults_until_it_left_and_a_reset() -> None:
     harness = started()
     harness.carry_out(harness.robot.on_duplicate("instance b", harness.now))
