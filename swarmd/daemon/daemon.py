@@ -80,7 +80,7 @@ class Daemon:
         self._runner = ProcessRunner(self._loop, settings.plugin_dir, self._on_host_events)
         self._bus: ZenohBus | None = None
         self._claim: Claim | None = None
-        self._requests = RequestServer(settings.id, self._on_request)
+        self._requests = RequestServer(settings.id, self._on_request, self._on_audit)
         self._ticks = 0
         self._status = Decoder(Status)
         self._robot = Robot(
@@ -220,6 +220,10 @@ class Daemon:
 
     def _on_request(self, request: Request) -> None:
         self._carry_out(self._robot.on_request(request, boottime()))
+
+    def _on_audit(self, line: str) -> None:
+        log.info("%s", line)
+        self._robot.log(line, boottime())
 
     def _on_peer_status(self, status: Status) -> None:
         if status.latches:

@@ -199,7 +199,6 @@ class Lifecycle:
         else:
             effects.is_new_run = True
             self.report = {}
-            self.log(f"runs {loading.pattern}, by {loading.request.operator}", effects.now)
             text = f"runs {loading.pattern}"
             self.applied(effects, loading.request, f"{text}; {event.note}" if event.note else text)
         # The touch zone is granted to this generation alone: it ends with `pattern_run.running`.
@@ -216,7 +215,6 @@ class Lifecycle:
         if loading is None or loading.request is None:
             self.end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
             return
-        self.log(f"{loading.pattern} refused: {text}", effects.now)
         self.refuse(effects, loading.request, event.refusal, text)
         if self._load is not None and self._load.is_fresh:  # it replaced the host that ran
             self.fault("its host was replaced", effects)

@@ -167,6 +167,10 @@ class Robot:
         self._lifecycle.end(Trigger.STOP, Reason.LEAVING, "", effects)
         return self._settle(effects)
 
+    def log(self, text: str, now: float) -> None:
+        """Record an event of the daemon for `describe`."""
+        self._lifecycle.log(text, now)
+
     # Time
 
     def tick(self, now: float) -> Actions:

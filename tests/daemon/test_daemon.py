@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
+from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.messages import AnyRequest, Code, EstopRequest, Reply
 from swarmd.core.values import Twist
@@ -119,6 +121,25 @@ async def test_an_estop_is_stored_and_acked_if_zero_cannot_be_sent(
         await run(daemon, later=ask)
     assert [reply.code for reply in query.replies] == [Code.APPLIED]
     assert LatchFile(settings.state_dir / settings.network.swarm / settings.id).read().held
+
+
+async def test_a_request_is_in_the_log_and_in_the_events(
+    settings: DaemonSettings, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    query, stop = RecordingQuery(EstopRequest(id="e1", operator="alice")), asyncio.Event()
+    daemon = Daemon(settings, RecordingDriver())
+    events: list[str] = []
+
+    def ask() -> None:
+        daemon._requests.handle("estop", query, "10.0.0.5")
+        events.extend(event.text for event in daemon._robot.status(boottime()).events)
+        stop.set()
+
+    await run(daemon, stop, ask)
+    line = "estop to all robots, by alice from 10.0.0.5: applied"
+    assert any(text.startswith(line) for text in events), events
+    assert any(text.startswith(line) for text in caplog.messages), caplog.messages
 
 
 @pytest.mark.parametrize("ends", [False, True])

@@ -162,3 +162,25 @@ def test_a_reply_names_the_latches_that_are_not_on_disk() -> None:
     assert [one.text != "zero" for one in query.replies] == [True]
     server.reply(reply)
     assert len(query.replies) == 1
+
+
+def test_each_request_gives_one_line_also_when_it_is_repeated() -> None:
+    lines: list[str] = []
+    server: RequestServer
+
+    def carry_out(request: Request) -> None:
+        server.reply(Reply(id=request.id, robot="tb3-01", code=Code.APPLIED, text="fine"))
+
+    server = RequestServer("tb3-01", carry_out, lines.append)
+    stop = encode(StopRequest(id="s1", operator="anna"))
+    for _ in range(3):
+        server.handle("stop", RecordingQuery(stop), "10.0.0.5")
+    server.handle("run", RecordingQuery(encode(run_request())))
+    server.handle("run", RecordingQuery(raw(id="r2", verb="run", targets={"tb3-01": None})))
+    server.handle("run", RecordingQuery(b"rubbish"))
+    assert lines[:2] == [
+        "stop to all robots, by anna from 10.0.0.5: applied: fine",
+        "run drive to 1 robot, by anna from zenoh: applied: fine",
+    ]
+    assert len(lines) == 3
+    assert "refused (invalid_request)" in lines[2]

@@ -1,0 +1,112 @@
+"""The line that the daemon's log gets for each request."""
+
+from __future__ import annotations
+
+import pytest
+
+from swarmd.core.messages import (
+    AnyRequest,
+    Code,
+    Epoch,
+    EstopRequest,
+    ForgetRequest,
+    ParamRequest,
+    Refusal,
+    ReloadRequest,
+    Reply,
+    ResetRequest,
+    RunRequest,
+    StopRequest,
+)
+from swarmd.daemon.audit import (
+    APPLIED_BURST,
+    MAX_LINE,
+    OTHER_BURST,
+    OTHER_RATE,
+    Audit,
+    describe_request,
+)
+
+TARGETS: dict[str, Epoch | None] = {"r1": Epoch("i", 1), "r2": Epoch("i", 2)}
+ONE: dict[str, Epoch | None] = {"r1": Epoch("i", 1)}
+APPLIED = Reply(id="x", robot="r1", code=Code.APPLIED, text="fine")
+REFUSED = Reply(id="x", robot="r1", code=Code.REFUSED, refusal=Refusal.BUSY, text="loading")
+
+
+@pytest.mark.parametrize(
+    ("request_", "text"),
+    [
+        (
+            RunRequest(
+                id="a", operator="o", targets=TARGETS, pattern="drive", params={"speed": 0.1}
+            ),
+            "run drive speed=0.1 to 2 robots",
+        ),
+        (
+            RunRequest(
+                id="a",
+                operator="o",
+                targets=ONE,
+                pattern="drive",
+                seconds=5.0,
+                until=("done", "nearer:1"),
+            ),
+            "run drive for 5 s until done or nearer:1 to 1 robot",
+        ),
+        (StopRequest(id="a", operator="o"), "stop to all robots"),
+        (
+            EstopRequest(id="a", operator="o", targets=ONE, reason="cable"),
+            "estop (cable) to 1 robot",
+        ),
+        (ResetRequest(id="a", operator="o", targets=TARGETS), "reset to 2 robots"),
+        (ParamRequest(id="a", operator="o", targets=ONE, params={"k": 1}), "param k=1 to 1 robot"),
+        (ReloadRequest(id="a", operator="o", targets=ONE, pattern="own"), "reload own to 1 robot"),
+        (ForgetRequest(id="a", operator="o", targets=ONE, name="r9"), "forget r9 to 1 robot"),
+    ],
+)
+def test_each_request_is_described(request_: AnyRequest, text: str) -> None:
+    assert describe_request(request_) == text
+
+
+def test_a_line_says_who_from_where_what_and_the_result() -> None:
+    lines: list[str] = []
+    audit = Audit(lines.append)
+    audit.record("stop to 1 robot", "anna@desk", "10.0.0.5", APPLIED, 1.0)
+    audit.record("run drive to 1 robot", "ben", "zenoh", REFUSED, 1.0)
+    assert lines == [
+        "stop to 1 robot, by anna@desk from 10.0.0.5: applied: fine",
+        "run drive to 1 robot, by ben from zenoh: refused (busy): loading",
+    ]
+
+
+def test_refused_junk_is_left_out_and_counted_and_hides_no_stop() -> None:
+    lines: list[str] = []
+    audit = Audit(lines.append)
+    for n in range(1000):
+        audit.record("run x to 1 robot", "eve", "zenoh", REFUSED, 1.0 + 0.001 * n)
+    assert len(lines) == OTHER_BURST
+    audit.record("stop to 1 robot", "anna", "zenoh", APPLIED, 2.0)
+    assert lines[-1].startswith(f"[{1000 - int(OTHER_BURST)} requests left out")
+    assert "stop to 1 robot, by anna" in lines[-1]
+    audit.record("run x to 1 robot", "eve", "zenoh", REFUSED, 2.0 + 1.0 / OTHER_RATE)
+    assert lines[-1].startswith("run x")
+
+
+def test_a_flood_of_stops_is_bounded_too() -> None:
+    lines: list[str] = []
+    audit = Audit(lines.append)
+    for _ in range(1000):
+        audit.record("stop to all robots", "eve", "zenoh", APPLIED, 1.0)
+    assert len(lines) == APPLIED_BURST
+
+
+def test_texts_of_an_operator_are_bounded_and_stay_in_one_line() -> None:
+    lines: list[str] = []
+    long = ParamRequest(id="a", operator="o", targets=ONE, params={"k": "v" * 200})
+    what = describe_request(long)
+    Audit(lines.append).record(
+        what, "x\nroot: all well\x1b[2J" + "y" * 999, "z" * 999, REFUSED, 1.0
+    )
+    assert len(lines[0]) <= MAX_LINE
+    assert lines[0].isprintable()
+    assert ": refused (busy): loading" in lines[0]
