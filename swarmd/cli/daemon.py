@@ -57,6 +57,7 @@ Exit codes:
 @click.option("--plugin-dir", type=click.Path(file_okay=False), help="Folder of one-file patterns.")
 @click.option("--log-level", type=click.Choice(["debug", "info", "warning"]), default="info")
 @click.option("--die-with-parent", type=int, metavar="PID", hidden=True)
+@click.version_option(package_name="swarmd", prog_name="swarmd", message="%(prog)s %(version)s")
 @click.option("--check", is_flag=True, help="Check everything, move nothing, and exit.")
 @click.option(
     "--print-effective-config", is_flag=True, help="Show each setting with its source, and exit."

@@ -10,7 +10,7 @@ from swarmd.cli.explain import activity, obstacles, why
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
 from swarmd.cli.send import known_members
-from swarmd.core.messages import Member, Presence, Status
+from swarmd.core.messages import Member, Presence, State, Status
 
 
 @click.command()
@@ -40,12 +40,18 @@ def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, 
         ("Emergency stops", [(i, _latch(status, i)) for i in sorted(status.latches)]),
         ("Protection", _protection(status)),
         ("Parameters", _parameters(status)),
-        ("Report", [(name, number(value)) for name, value in status.report.items()]),
+        (_report_title(status), [(name, number(value)) for name, value in status.report.items()]),
         ("Readings", [(name, number(value)) for name, value in status.readings.items()]),
         ("Health", _health(status)),
         ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
         ("Events", [(f"{seconds(status.uptime - e.at)} ago", e.text) for e in status.events[-10:]]),
     ]
+
+
+def _report_title(status: Status) -> str:
+    if status.state is State.RUNNING:
+        return "Report"
+    return f"Last report (the run has ended: {status.state} for {seconds(status.since)})"
 
 
 def _robot(status: Status, seen: str) -> list[tuple[str, str]]:
@@ -54,6 +60,7 @@ def _robot(status: Status, seen: str) -> list[tuple[str, str]]:
         ("platform", status.platform),
         ("driver", f"{status.driver} {'(up)' if status.health.driver_up else '(lost)'}"),
         ("host", status.host),
+        ("version", status.version or NOTHING),
         ("network", f"profile {status.profile}, {secured}"),
         ("labels", ", ".join(status.labels) or NOTHING),
         ("instance", status.instance),

@@ -13,7 +13,7 @@ from swarmd.cli.explain import activity
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
 from swarmd.cli.send import known_members, report
-from swarmd.core.messages import ForgetRequest, Member, Presence
+from swarmd.core.messages import ForgetRequest, Member, Presence, State
 from swarmd.network.outcome import REFUSED
 
 if TYPE_CHECKING:
@@ -83,7 +83,7 @@ def row(member: Member) -> tuple[str, ...]:
         f"{status.health.scan_rate:.1f} Hz",
         seconds(status.health.loop_p99),
         _seen(member),
-        _report(status.report),
+        _report(status.report if status.state is State.RUNNING else {}),
     )
 
 

@@ -279,7 +279,8 @@ class Param(Struct, frozen=True, kw_only=True):
 class Status(Struct, frozen=True, kw_only=True):
     """The published status of a robot: on each change and at 1 Hz.
 
-    `readings`: the latest values of its scalar sensors, such as `battery` from 0 to 1.
+    `readings`: the latest values of its scalar sensors, such as `battery` from 0 to 1. `version`:
+    of the daemon's package.
     """
 
     robot: Name
@@ -307,6 +308,7 @@ class Status(Struct, frozen=True, kw_only=True):
     readings: dict[Word, BoundedScalar] = {}
     events: tuple[LoggedEvent, ...] = ()
     has_left: bool = False
+    version: Word = ""
 
 
 class Presence(StrEnum):

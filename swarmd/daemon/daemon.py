@@ -15,6 +15,7 @@ import signal
 import socket
 from contextlib import suppress
 from functools import partial
+from importlib.metadata import version
 from typing import Any
 
 from msgspec.structs import replace
@@ -91,6 +92,7 @@ class Daemon:
                 layers=settings.pattern_layers,
                 host=socket.gethostname(),
                 profile=settings.network.profile,
+                version=version("swarmd"),
                 labels=settings.labels,
                 touch=settings.touch_zones,
             ),

@@ -20,8 +20,6 @@ from swarmd.core.values import Twist, Value
 from swarmd.protection.decision import Decision
 from swarmd.robot.latches import LatchRecord
 
-MESSAGES_PER_SECOND = 20.0
-
 
 class Actions(Struct, frozen=True, eq=False):
     """The work of the shell after one event, in this order.
@@ -70,30 +68,3 @@ class Effects(Struct, eq=False):
         if isinstance(command, Load) and isinstance(self.host, KillHost):
             command = structs.replace(command, is_fresh=True)
         self.host = command
-
-
-class Outbox:
-    """Passes at most 20 messages per second on each declared channel; counts the others."""
-
-    def __init__(self) -> None:
-        self._tokens: dict[str, tuple[float, float]] = {}  # by channel: how many, and when
-        self.dropped = 0
-
-    def take(
-        self, messages: Mapping[str, Value], channels: frozenset[str], now: float
-    ) -> dict[str, Value]:
-        """The messages that may be sent at `now`, by channel."""
-        passed = {}
-        for channel, value in messages.items():
-            if channel in channels and self._spend(channel, now):
-                passed[channel] = value
-            else:
-                self.dropped += 1
-        return passed
-
-    def _spend(self, channel: str, now: float) -> bool:
-        tokens, at = self._tokens.get(channel, (0.0, -1e9))
-        tokens = min(tokens + (now - at) * MESSAGES_PER_SECOND, MESSAGES_PER_SECOND / 4.0)
-        is_allowed = tokens >= 1.0
-        self._tokens[channel] = (tokens - is_allowed, now)
-        return is_allowed

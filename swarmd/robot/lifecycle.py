@@ -43,8 +43,9 @@ from swarmd.core.messages import (
 from swarmd.core.values import Platform, Scalar, TouchZone
 from swarmd.kit.touch import effective_zone
 from swarmd.protection.decision import NO_PERMIT, Permit
-from swarmd.robot.actions import Effects, Outbox
+from swarmd.robot.actions import Effects
 from swarmd.robot.latches import Latches, LatchRecord
+from swarmd.robot.outbox import Outbox
 from swarmd.robot.pattern_run import (
     FAULTS_BEFORE_QUARANTINE,
     LOAD_TIMEOUT,
@@ -74,6 +75,7 @@ class RobotSettings:
     host: str = ""
     profile: str = "dev"
     is_secured: bool = False
+    version: str = ""
     labels: tuple[str, ...] = ()
     touch: Mapping[str, TouchZone] = field(default_factory=dict)
 

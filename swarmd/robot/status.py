@@ -78,6 +78,7 @@ def make_status(
         uptime=max(now - lifecycle.born, 0.0),
         readings=_clean(sensors.readings),
         events=tuple(lifecycle.events),
+        version=settings.version,
     )
 
 

@@ -7,7 +7,7 @@ import math
 import msgspec
 
 from swarmd.cli.describe import sections
-from swarmd.core.messages import DecisionSummary, LimitingObstacle, Member, Reason, Status
+from swarmd.core.messages import DecisionSummary, LimitingObstacle, Member, Reason, State, Status
 from tests.support.statuses import ESTOPPED, make_member
 
 
@@ -66,6 +66,13 @@ def test_shows_every_field_of_a_status() -> None:
         if field.name != "robot" and isinstance(value, str) and value:  # the robot: in the title
             assert value in text, field.name
     assert "without certificates" in text
+
+
+def test_a_report_is_the_last_one_once_the_run_has_ended() -> None:
+    assert shown(make_member())["Report"] == {"opinion": "2"}
+    ended = shown(make_member(state=State.STOPPED, reason=Reason.OPERATOR, since=3.0))
+    assert "Report" not in ended
+    assert ended["Last report (the run has ended: stopped for 3.0 s)"] == {"opinion": "2"}
 
 
 def test_shows_no_minus_zero() -> None:

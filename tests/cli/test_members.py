@@ -43,7 +43,7 @@ def test_shows_the_report_of_the_pattern_cut_to_its_column() -> None:
     [
         (
             {"state": State.STOPPED, "reason": Reason.STALE_SCAN, "pattern": None},
-            {"STATE": "stopped", "REASON": "stale_scan", "PATTERN": "-"},
+            {"STATE": "stopped", "REASON": "stale_scan", "PATTERN": "-", "REPORT": "-"},
         ),
         ({"decision": DecisionSummary()}, {"PROTECTION": "clear"}),
         (

@@ -44,6 +44,7 @@ RUNNING = Status(
     health=Health(scan_rate=4.96, loop_p99=0.0041, driver="answers", driver_up=True),
     uptime=100.0,
     events=(LoggedEvent(at=97.0, text="loading drive"),),
+    version="1.2.3",
 )
 
 
