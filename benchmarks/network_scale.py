@@ -1,0 +1,198 @@
+"""The network of N robots: packets, bytes, CPU and memory, idle, voting at 2 Hz, chatting at 10 Hz.
+
+Each robot is a daemon with a fake body in a network namespace of its own, on a bridge of the
+kernel; its interface counts what it sends. Needs root. Group packets are multicast and broadcast,
+IPv4 only; the rest is unicast. Bytes are those of Ethernet frames without preamble and checksum.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+from benchmarks.resources import cpu_seconds, memory
+from benchmarks.swarm import PLUGINS
+from benchmarks.table import markdown
+from tests.support.field import Field, lacks
+from tests.support.field_swarm import FieldSwarm
+from tests.support.processes import children, wait_until
+
+LOADS: dict[str, tuple[str, ...]] = {
+    "idle": (),
+    "voting": ("majority_rule", "-p", "share_period=0.5"),
+    "chat": ("chat",),
+}
+ETHERNET = 14  # bytes of a frame's header
+READY_TIMEOUT = 180.0
+
+
+@dataclass(frozen=True, slots=True)
+class Counters:
+    """What one host has sent so far, and the seconds of CPU that its daemon and host used."""
+
+    packets: int
+    size: int
+    group_packets: int
+    group_size: int
+    daemon_cpu: float
+    host_cpu: float
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """Means over the robots: packets and bytes a second that a robot sends, % of a core, MB."""
+
+    robots: int
+    load: str
+    packets: float
+    size: float
+    group_packets: float
+    group_size: float
+    daemon_cpu: float
+    host_cpu: float
+    daemon_rss: float
+    host_rss: float
+    machine_load: float
+
+    @property
+    def cells(self) -> tuple[str, ...]:
+        """The texts of the columns of `HEAD`."""
+        pairs = max(1, self.robots - 1)
+        unicast = self.packets - self.group_packets
+        return (
+            *(str(self.robots), self.load, f"{self.packets:.1f}", f"{self.size:.0f}"),
+            *(f"{self.group_packets:.2f}", f"{self.group_size:.0f}", f"{unicast:.1f}"),
+            *(f"{self.packets / pairs:.2f}", f"{self.size / pairs:.0f}"),
+            f"{self.robots * self.packets:.0f}",
+            f"{self.robots * self.size * 8e-6:.2f}",
+            *(f"{self.daemon_cpu:.2f}", f"{self.host_cpu:.2f}"),
+            *(f"{self.daemon_rss:.0f}", f"{self.host_rss:.0f}", f"{self.machine_load:.0f}"),
+        )
+
+
+HEAD = (
+    *("robots", "load", "packets/s a robot", "bytes/s", "group packets/s", "group bytes/s"),
+    *("unicast packets/s", "packets/s a pair", "bytes/s a pair", "packets/s in all"),
+    *("Mbit/s in all", "CPU daemon %", "CPU host %", "RSS daemon MB", "RSS host MB"),
+    "load average",
+)
+
+
+def counters(pid: int) -> Counters:
+    """The counters of the namespace and the processes of the daemon `pid`."""
+    net = Path(f"/proc/{pid}/net")
+    [line] = [one for one in (net / "dev").read_text().splitlines() if "eth0:" in one]
+    sent = [int(word) for word in line.partition(":")[2].split()]
+    names, values = (
+        one.split()
+        for one in (net / "netstat").read_text().splitlines()
+        if one.startswith("IpExt:")
+    )
+    extra = {name: int(value) for name, value in zip(names[1:], values[1:], strict=True)}
+    group = extra["OutMcastPkts"] + extra["OutBcastPkts"]
+    group_size = extra["OutMcastOctets"] + extra["OutBcastOctets"] + ETHERNET * group
+    host = sum(cpu_seconds(child) for child in children(pid))
+    return Counters(sent[9], sent[8], group, group_size, cpu_seconds(pid), host)
+
+
+def measure(swarm: FieldSwarm, load: str, seconds: float) -> Measured:
+    """Means over `seconds` of what each robot sends and uses."""
+    pids = [daemon.process.pid for daemon in swarm.daemons.values()]
+    before, began = [counters(pid) for pid in pids], time.monotonic()
+    time.sleep(seconds)
+    after, passed = [counters(pid) for pid in pids], time.monotonic() - began
+
+    def rate(name: str) -> float:
+        pairs = zip(before, after, strict=True)
+        grown = [float(getattr(b, name) - getattr(a, name)) for a, b in pairs]
+        return statistics.mean(grown) / passed
+
+    return Measured(
+        robots=len(pids),
+        load=load,
+        packets=rate("packets"),
+        size=rate("size"),
+        group_packets=rate("group_packets"),
+        group_size=rate("group_size"),
+        daemon_cpu=100.0 * rate("daemon_cpu"),
+        host_cpu=100.0 * rate("host_cpu"),
+        daemon_rss=statistics.mean(memory(pid, "Rss") for pid in pids),
+        host_rss=statistics.mean(memory(children(pid)[-1], "Rss") for pid in pids),
+        machine_load=os.getloadavg()[0],
+    )
+
+
+def run(swarm: FieldSwarm, load: str) -> None:
+    """Put all robots under a load; AssertionError if some never take it."""
+    missing = list(swarm.robots)
+
+    def try_it() -> bool:
+        nonlocal missing
+        answer = swarm.ctl(
+            "laptop", "run", *LOADS[load], *missing, "--timeout", "20s", "-o", "json"
+        )
+        applied = (answer.json or {}).get("applied", ())
+        missing = [robot for robot in missing if robot not in applied]
+        return not missing
+
+    if LOADS[load]:
+        wait_until(try_it, f"{load} by all", READY_TIMEOUT)
+
+
+def measured(robots: int, loads: Sequence[str], seconds: float, settle: float) -> list[Measured]:
+    """A swarm of that many robots under each load."""
+    names = [f"r{number:02d}" for number in range(1, robots + 1)]
+    field = Field([*names, "laptop"], is_switched=False, neighbours=True)
+    found = []
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            options: dict[str, object] = {"plugin_dir": str(PLUGINS)}
+            with FieldSwarm(Path(folder), field, names, options) as swarm:
+                began = time.monotonic()
+                for name in names:
+                    swarm.spawn(name)
+                    time.sleep(0.3)
+                for daemon in swarm.daemons.values():
+                    daemon.wait_ready()
+                wait_until(lambda: len(swarm.states("laptop")) == robots, "all met", READY_TIMEOUT)
+                print(f"{robots}: all met after {time.monotonic() - began:.0f} s", file=sys.stderr)
+                for load in loads:
+                    run(swarm, load)
+                    time.sleep(settle)
+                    found.append(measure(swarm, load, seconds))
+                    print("; ".join(found[-1].cells), file=sys.stderr)
+    finally:
+        field.close()
+    return found
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--robots", type=int, nargs="+", default=[10, 20, 40])
+    parser.add_argument("--loads", nargs="+", choices=LOADS, default=list(LOADS))
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--settle", type=float, default=15.0, help="s before each measurement")
+    parser.add_argument("--json", type=Path, help="write a JSON line a row to this file")
+    options = parser.parse_args(arguments)
+    if why := lacks():
+        sys.exit(why)
+    found = [
+        one
+        for robots in options.robots
+        for one in measured(robots, options.loads, options.seconds, options.settle)
+    ]
+    print(markdown([HEAD, *(one.cells for one in found)]))
+    if options.json:
+        options.json.write_text("".join(json.dumps(asdict(one)) + "\n" for one in found))
+
+
+if __name__ == "__main__":
+    main()
