@@ -50,10 +50,12 @@ STAMPS = Stamps()  # of this process, which is one measurement
 
 
 class StampedDriver(simulated.SimulatedDriver):
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         STAMPS.put("safe_sent", scan_seq)
         STAMPS.put("requested_sent", requested_scan_seq)
-        super().send(twist, scan_seq, requested_scan_seq)
+        super().send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
 
 
 class StampedRunner(ProcessRunner):

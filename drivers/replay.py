@@ -83,7 +83,9 @@ class ReplayDriver:
             moving = self._commands["moving"]
             log.info("took %d commands, %d to move", self._commands.total(), moving)
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         """Take a command; dropped while the base is lost, zero the first time it is back."""
         command = self._gate.filter(twist)
         if command is not None:

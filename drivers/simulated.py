@@ -82,7 +82,9 @@ class SimulatedDriver:
                 self._commands = None
                 session.close()
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         """Send a safe command; dropped while the base is lost, zero the first time it is back."""
         command = self._gate.filter(twist)
         if command is not None:

@@ -103,7 +103,9 @@ class Ros1Driver:
             self._sink, self._reported, self._logged = None, (False, ""), ""
             self._gate.end()
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         """Send a safe command; dropped while the base is lost, zero the first time it is back.
 
         For the first 2 s of a loss each command is sent as zero. The adapter then knows that the

@@ -77,7 +77,9 @@ class RosDriver:
         """Feed the sink until cancelled; the session reconnects by itself."""
         await self._run(sink, is_check=False)
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         """Send a safe command; dropped while the base is lost, zero the first time it is back."""
         command = self._gate.filter(twist)
         if command is not None:

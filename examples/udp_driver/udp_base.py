@@ -19,6 +19,7 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.messages import Reason
 from swarmd.core.values import (
     ZERO,
     Neighbor,
@@ -99,7 +100,9 @@ class UdpDriver:
             self._link.close()
             self._link = None
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         """Send a safe command: dropped while the base is lost, zero the first time it is back."""
         command = self._gate.filter(twist)
         if command is not None:
@@ -231,7 +234,9 @@ class _CountingSink:
     def readings(self, values: Mapping[str, float]) -> None:
         pass
 
-    def state(self, is_up: bool, text: str) -> None:
+    def state(
+        self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
+    ) -> None:
         pass
 
     def dropped(self, what: str) -> None:

@@ -60,6 +60,7 @@ class Reason(StrEnum):
     NO_SCAN = "no_scan"
     INVALID_SCAN = "invalid_scan"
     STALE_SCAN = "stale_scan"
+    SCAN_CONFLICT = "two_scan_sources"
     FROZEN_SCAN = "frozen_scan"
     STALE_ODOMETRY = "stale_odometry"
     COMMAND_EXPIRED = "command_expired"

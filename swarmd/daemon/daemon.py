@@ -156,10 +156,12 @@ class Daemon:
         self._crashed.set()
         self._send(ZERO, -1, -1)
 
-    def _send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def _send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         """Hand a command to the driver; one that raises ends the daemon after all else is done."""
         try:
-            self._driver.send(twist, scan_seq, requested_scan_seq)
+            self._driver.send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
         except Exception as error:  # a driver may raise anything
             log.exception("driver %s: a command could not be sent", self._settings.driver)
             self._crash = self._crash or error
@@ -275,7 +277,12 @@ class Daemon:
 
     def _carry_out(self, actions: Actions) -> None:
         if self._idle.allows(actions.twist, actions.is_idle, boottime()):
-            self._send(actions.twist, actions.decision.scan_seq, actions.requested_scan_seq)
+            self._send(
+                actions.twist,
+                actions.decision.scan_seq,
+                actions.requested_scan_seq,
+                is_stopped=actions.is_stopped,
+            )
         is_stored = actions.latches is None or self._latches.write(actions.latches)
         for command in (actions.trial, actions.host):
             if command is not None:

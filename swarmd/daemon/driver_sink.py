@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from swarmd.core.clock import boottime
+from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Scan
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
@@ -41,9 +42,12 @@ class DriverSink:
         """Scalar sensors by name."""
         self._robot.on_readings(values)
 
-    def state(self, is_up: bool, text: str) -> None:
-        """The base is connected, or lost for the reason `text`."""
-        self._carry_out(self._robot.on_driver(is_up, text, boottime()))
+    def state(
+        self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
+    ) -> None:
+        """The base is connected, or lost for the reason `text`; see `Sink`."""
+        now = boottime()
+        self._carry_out(self._robot.on_driver(is_up, text, now, hold=hold, gets_zero=gets_zero))
 
     def dropped(self, what: str) -> None:
         """Count one input that could not be read."""

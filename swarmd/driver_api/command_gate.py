@@ -1,4 +1,7 @@
-"""Which commands a driver publishes while its base is lost, back, or left for good. Pure."""
+"""Which commands a driver publishes while its base is lost, back, or left for good. Pure.
+
+A driver whose base others may command hands `is_stopped` to `filter`; any other leaves it out.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +21,7 @@ class CommandGate:
     """
 
     def __init__(self) -> None:
-        self._is_open = self._has_sent = False
+        self._is_open = self._has_sent = self._is_stopped = False
         self._needs_zero = True
         self._repeat_until = -math.inf
 
@@ -32,6 +35,11 @@ class CommandGate:
         """True once a command was published; until `end`."""
         return self._has_sent
 
+    @property
+    def is_stopped(self) -> bool:
+        """True while the robot must stand: a command of another node is answered with zero."""
+        return self._is_stopped
+
     def open(self) -> None:
         """The base is connected: the next command is zero."""
         self._is_open = self._needs_zero = True
@@ -40,12 +48,17 @@ class CommandGate:
         """The next command is zero: another node may take the commands from now on."""
         self._needs_zero = True
 
-    def filter(self, twist: Twist) -> Twist | None:
-        """The command to publish for a safe command; None if it is to be dropped."""
-        if not self._is_open:
+    def filter(self, twist: Twist, *, is_stopped: bool = False) -> Twist | None:
+        """The command to publish for a safe command; None if it is to be dropped.
+
+        `is_stopped`: of a robot that must stand; it is zero and published although the base is
+        lost, since another node may command the base.
+        """
+        self._is_stopped = is_stopped
+        if not (self._is_open or is_stopped):
             return None
-        twist = ZERO if self._needs_zero else twist
-        self._needs_zero, self._has_sent = False, True
+        twist = ZERO if self._needs_zero or is_stopped else twist
+        self._needs_zero, self._has_sent = not self._is_open, True
         return twist
 
     def close(self, now: float) -> bool:
@@ -75,5 +88,5 @@ class CommandGate:
         """The driver ends. True if it has to publish zero now; a later `run` begins again."""
         has_sent = self._has_sent
         self.cut()
-        self._has_sent = False
+        self._has_sent = self._is_stopped = False
         return has_sent

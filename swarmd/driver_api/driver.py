@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist, Value
 
 
@@ -34,8 +35,14 @@ class Sink(Protocol):
     def readings(self, values: Mapping[str, float]) -> None:
         """Scalar sensors by name."""
 
-    def state(self, is_up: bool, text: str) -> None:
-        """The base is connected, or lost and why."""
+    def state(
+        self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
+    ) -> None:
+        """The base is connected, or lost and why.
+
+        `hold`: why the robot must not move although its base is connected. `gets_zero`: the base is
+        lost, but the zeros of a stopped robot are sent to it.
+        """
 
     def dropped(self, what: str) -> None:
         """Count one input that could not be read."""
@@ -49,10 +56,14 @@ class Driver(Protocol):
     async def run(self, sink: Sink) -> None:
         """Feed the sink until cancelled; sends zero on the way out."""
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         """Hand over a safe command: never blocks, keeps no queue, drops while the base is lost.
 
-        The first command after a (re)connect is zero: see `CommandGate`.
+        The first command after a (re)connect is zero: see `CommandGate`. `is_stopped`: the robot is
+        stopped, estopped or faulted, so a base that others may command is sent zero although it is
+        lost, with each call and at once when another's command is heard.
         """
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:

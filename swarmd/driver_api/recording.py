@@ -17,6 +17,7 @@ from msgspec import Meta, Struct
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError, ConfigError, DriverError
+from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Scan, Twist
 from swarmd.driver_api.driver import Driver, Finding, Sink
 from swarmd.driver_api.hw_codec import (
@@ -212,9 +213,11 @@ class RecordingSink:
         self._sink.readings(values)
         self._add("readings", encode_readings(values), decode_readings)
 
-    def state(self, is_up: bool, text: str) -> None:
+    def state(
+        self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
+    ) -> None:
         """The state of the base."""
-        self._sink.state(is_up, text)
+        self._sink.state(is_up, text, hold=hold, gets_zero=gets_zero)
         self._recorder.add("state", f"{int(is_up)}{text}".encode()[:1000])
 
     def dropped(self, what: str) -> None:
@@ -247,9 +250,11 @@ class RecordedDriver:
             self._recorder.close()
             self._recorder = None
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         """Pass a command on and record it."""
-        self._driver.send(twist, scan_seq, requested_scan_seq)
+        self._driver.send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
         if self._recorder is not None:
             self._recorder.add("command", encode_command(twist, scan_seq, requested_scan_seq))
 

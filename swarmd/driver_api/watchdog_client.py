@@ -184,12 +184,14 @@ class WatchedDriver:
             self._watchdog = None
             watchdog.close()
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         """Feed the watchdog and pass a command on: zero if it requires that, dropped without it."""
         if self._watchdog is not None:
             self._watchdog.feed()
             command = ZERO if self._watchdog.requires_zero else twist
-            self._driver.send(command, scan_seq, requested_scan_seq)
+            self._driver.send(command, scan_seq, requested_scan_seq, is_stopped=is_stopped)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """The driver's findings, and whether a watchdog can be started; moves nothing."""

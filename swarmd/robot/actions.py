@@ -27,14 +27,16 @@ class Actions(Struct, frozen=True, eq=False):
     Hand `twist` to the driver, write `latches` to disk, send `trial` and `host` to the pattern
     host, publish `messages` (by `<pattern>/<channel>`), `status` and `replies`.
     `requested_scan_seq` is the scan behind `twist` (-1: none). `is_idle`: the state is idle and the
-    base is connected. `replies` may answer earlier requests: a run is answered when its pattern has
-    been loaded. A `trial` has a process of its own and leaves the running pattern alone.
+    base is connected. `is_stopped`: the state is stopped, estopped or faulted. `replies` may answer
+    earlier requests: a run is answered when its pattern has been loaded. A `trial` has a process of
+    its own and leaves the running pattern alone.
     """
 
     twist: Twist
     decision: Decision
     requested_scan_seq: int = -1
     is_idle: bool = False
+    is_stopped: bool = False
     latches: LatchRecord | None = None
     trial: StartTrial | CancelTrial | None = None
     host: HostCommand | None = None

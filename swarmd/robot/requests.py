@@ -44,9 +44,9 @@ TRIAL_TIMEOUT = 10.0
 
 
 class RequestHandler:
-    """Carries out the requests of operators. `stop_text` returns the text of a stop's ack."""
+    """Carries out the requests of operators. `stop_text`: the text of a stop's ack at a time."""
 
-    def __init__(self, robot: str, lifecycle: Lifecycle, stop_text: Callable[[], str]) -> None:
+    def __init__(self, robot: str, lifecycle: Lifecycle, stop_text: Callable[[float], str]) -> None:
         self._robot = robot
         self._lifecycle = lifecycle
         self._stop_text = stop_text
@@ -80,13 +80,13 @@ class RequestHandler:
             lifecycle.raise_revision(f"{request.operator} (stop)")
             self._last_stop = (request.id, lifecycle.revision)
         lifecycle.end(Trigger.STOP, Reason.OPERATOR, f"by {request.operator}", effects)
-        lifecycle.applied(effects, request, self._stop_text())
+        lifecycle.applied(effects, request, self._stop_text(effects.now))
 
     def _estop(self, request: EstopRequest, effects: Effects) -> None:
         latch_id = request.id if is_id(request.id) else "unnamed"
         latch = Latch(issuer=request.operator, scope=request.scope, reason=request.reason)
         self._lifecycle.latch(latch_id, latch, effects)
-        self._lifecycle.applied(effects, request, self._stop_text())
+        self._lifecycle.applied(effects, request, self._stop_text(effects.now))
 
     def _run(self, request: RunRequest, effects: Effects) -> None:
         lifecycle, machine = self._lifecycle, self._lifecycle.state_machine

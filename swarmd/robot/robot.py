@@ -24,6 +24,7 @@ from swarmd.robot.status import DutyCycle, make_status, status_reason
 
 STALL_TIMEOUT = 1.0
 STATUS_PERIOD = 1.0
+MAX_WHY = 200  # characters of the driver's text in the answer to a stop
 
 
 class Robot:
@@ -115,12 +116,20 @@ class Robot:
         channel = None if running is None else running.channel(name)
         return channel is None or self._sensors.on_message(sender, channel, value, now)
 
-    def on_driver(self, is_up: bool, text: str, now: float) -> Actions:
-        """The driver is connected (`is_up`) or lost; `text` says why."""
+    def on_driver(
+        self,
+        is_up: bool,
+        text: str,
+        now: float,
+        *,
+        hold: Reason | None = None,
+        gets_zero: bool = False,
+    ) -> Actions:
+        """The driver is connected (`is_up`) or lost; `text` says why. See `Sink.state`."""
         effects = self._begin(now)
-        if is_up != self._sensors.is_driver_up:
+        if (is_up, hold) != (self._sensors.is_driver_up, self._sensors.driver_hold):
             self._lifecycle.log(f"driver: {text}", now)
-        self._sensors.on_driver(is_up, text)
+        self._sensors.on_driver(is_up, text, hold=hold, gets_zero=gets_zero)
         return self._settle(effects)
 
     # Pattern host, operators and peers
@@ -222,7 +231,8 @@ class Robot:
             twist=self.decision.safe,
             decision=self.decision,
             requested_scan_seq=-1 if running is None else running.requested.scan_seq,
-            is_idle=self._sensors.is_driver_up and lifecycle.state_machine.state is State.IDLE,
+            is_idle=self._sensors.is_driver_up and self.state is State.IDLE,
+            is_stopped=self.state not in (State.IDLE, State.RUNNING),
             latches=lifecycle.latches.record() if effects.is_latched else None,
             trial=effects.trial,
             host=effects.host,
@@ -281,11 +291,19 @@ class Robot:
         self._published, self._published_at = current, now
         return self.status(now)
 
-    def _stop_text(self) -> str:
-        """The text that acknowledges a stop: the command and the measured speeds."""
-        odometry = self._sensors.odometry
-        if odometry is None:
-            return "commanded zero"
+    def _stop_text(self, now: float) -> str:
+        """The text that acknowledges a stop: what was sent, and the measured speed with its age."""
+        sensors = self._sensors
+        why = sensors.driver_text[:MAX_WHY]
+        if sensors.is_driver_up:
+            sent = "commanded zero"
+        elif sensors.gets_zero:
+            sent = f"commanded zero; {why}"
+        else:
+            sent = f"nothing was sent: driver lost: {why}"
+        odometry, age = sensors.odometry, sensors.odometry_age(now)
+        if odometry is None or age is None:
+            return f"{sent}; no odometry"
         twist = odometry.twist
         linear, angular = round(twist.linear, 2) + 0.0, round(twist.angular, 2) + 0.0  # no -0.00
-        return f"commanded zero; measured {linear:.2f} m/s, {angular:.2f} rad/s"
+        return f"{sent}; measured {linear:.2f} m/s, {angular:.2f} rad/s, {age:.1f} s ago"

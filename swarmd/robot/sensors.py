@@ -58,6 +58,8 @@ class Sensors:
         self.readings: Mapping[str, float] = {}
         self.is_driver_up = False
         self.driver_text = "not connected yet"
+        self.driver_hold: Reason | None = None
+        self.gets_zero = False
 
     def on_scan(self, scan: Scan, now: float) -> bool:
         """Take in a driver's scan; True if it is a new, valid one."""
@@ -108,10 +110,14 @@ class Sensors:
             self.overflowed += 1
         return True
 
-    def on_driver(self, is_up: bool, text: str) -> None:
-        """Take in whether the driver is connected, and why not."""
+    def on_driver(
+        self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
+    ) -> None:
+        """Take in whether the driver is connected, and why not; see `Sink.state`."""
         self.is_driver_up = is_up
         self.driver_text = text
+        self.driver_hold = hold
+        self.gets_zero = gets_zero
 
     def neighbors(self, now: float) -> tuple[Neighbor, ...]:
         """The neighbours, with ages to within 0.5 s; none after 3 s without an update."""
@@ -137,10 +143,13 @@ class Sensors:
         """
         return None if self._scan_at is None else now - self._scan_at
 
+    def odometry_age(self, now: float) -> float | None:
+        """The time in s since the last new odometry arrived; None before the first."""
+        return None if self._odometry_at is None else now - self._odometry_at
+
     def context(self, now: float) -> DecisionContext:
         """The context of a decision at `now`."""
-        odometry_age = None if self._odometry_at is None else now - self._odometry_at
-        return DecisionContext(now, self.scan_age(now), self.odometry, odometry_age)
+        return DecisionContext(now, self.scan_age(now), self.odometry, self.odometry_age(now))
 
     def scan_rate(self, now: float) -> float:
         """Valid scans per second, over the last few; 0 once they have stopped."""
@@ -153,6 +162,8 @@ class Sensors:
         """The reason why the sensors forbid motion; None if they do not."""
         if not self.is_driver_up:
             return Reason.DRIVER_LOST
+        if self.driver_hold is not None:
+            return self.driver_hold
         age = self.scan_age(now)
         if age is None:
             return self._problem or Reason.NO_SCAN

@@ -29,7 +29,8 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Array, Neighbor, Odometry, Platform, Scan, Twist, Value
+from swarmd.core.messages import Reason
+from swarmd.core.values import ZERO, Array, Neighbor, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver
 
 TIMEOUT = 30.0
@@ -99,6 +100,8 @@ class CollectingSink:
     neighborhoods: list[tuple[Neighbor, ...]] = field(default_factory=list)
     values: list[Mapping[str, float]] = field(default_factory=list)
     states: list[tuple[bool, str]] = field(default_factory=list)
+    hold: Reason | None = None
+    gets_zero: bool = False
     lost: list[str] = field(default_factory=list)
     order: list[str] = field(default_factory=list)
     threads: set[int] = field(default_factory=set)
@@ -128,9 +131,12 @@ class CollectingSink:
         """Record scalar sensors."""
         self.values.append(values)
 
-    def state(self, is_up: bool, text: str) -> None:
+    def state(
+        self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
+    ) -> None:
         """Record the state of the base."""
         self.states.append((is_up, text))
+        self.hold, self.gets_zero = hold, gets_zero
         self.order.append("up" if is_up else "lost")
 
     def dropped(self, what: str) -> None:
@@ -307,6 +313,13 @@ class DriverContract:
         sent = await harness.command()
         assert sent.linear == pytest.approx(0.1, abs=1e-6)
         assert sent.angular == pytest.approx(-0.2, abs=1e-6)
+
+    @_connected
+    async def test_a_stopped_robot_is_sent_zero(self, harness: DriverHarness) -> None:
+        """The daemon marks the commands of a robot that is stopped, estopped or faulted."""
+        taken = await _moving(harness)
+        harness.driver.send(ZERO, 2, 2, is_stopped=True)
+        await _ends_with_zero(harness, taken)
 
     @_connected
     async def test_a_silent_base_is_lost_and_gets_zero_first_when_back(
@@ -609,9 +622,11 @@ def _open_files() -> int:
 class _RaisingSink(CollectingSink):
     """A sink that raises when the base is lost."""
 
-    def state(self, is_up: bool, text: str) -> None:
+    def state(
+        self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
+    ) -> None:
         """Record it; RuntimeError if the base was up before."""
         was_up = self.is_up
-        super().state(is_up, text)
+        super().state(is_up, text, hold=hold, gets_zero=gets_zero)
         if was_up and not is_up:
             raise RuntimeError("this sink is broken")

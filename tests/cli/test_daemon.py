@@ -42,7 +42,7 @@ class Real:
     async def run(self, sink):
         Path("connected").touch()
 
-    def send(self, twist, scan_seq, requested_scan_seq):
+    def send(self, twist, scan_seq, requested_scan_seq, *, is_stopped=False):
         Path("connected").touch()
 """
 UNPROTECTED = """extends: burger

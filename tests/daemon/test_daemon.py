@@ -34,7 +34,9 @@ class RecordingDriver:
         sink.state(True, "recording")
         await asyncio.Event().wait()
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         self.sent.append(twist)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
@@ -86,10 +88,12 @@ class Unplugged(RecordingDriver):
     def unplug(self) -> None:
         self.is_gone = True
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         if self.is_gone:
             raise OSError("unplugged")
-        super().send(twist, scan_seq, requested_scan_seq)
+        super().send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
 
 
 class RecordingQuery:

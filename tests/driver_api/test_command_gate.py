@@ -93,6 +93,36 @@ def test_a_cut_connection_repeats_no_zero_and_remembers_that_it_sent() -> None:
     assert gate.filter(AHEAD) == ZERO
 
 
+def test_a_stopped_robot_is_sent_zero_also_while_its_base_is_lost() -> None:
+    gate = moving_gate()
+    gate.close(10.0)
+    assert [gate.filter(ZERO, is_stopped=True) for _ in range(3)] == [ZERO] * 3
+    assert gate.is_stopped
+    assert gate.filter(AHEAD) is None
+    assert not gate.is_stopped
+    gate.open()
+    assert [gate.filter(AHEAD), gate.filter(AHEAD)] == [ZERO, AHEAD]
+
+
+def test_a_stopped_robot_gets_nothing_but_zero() -> None:
+    gate = moving_gate()
+    assert gate.filter(AHEAD, is_stopped=True) == ZERO
+
+
+def test_zeros_of_a_stopped_robot_do_not_replace_the_first_zero_of_a_connection() -> None:
+    gate = CommandGate()
+    assert gate.filter(ZERO, is_stopped=True) == ZERO
+    gate.open()
+    assert [gate.filter(AHEAD), gate.filter(AHEAD)] == [ZERO, AHEAD]
+
+
+def test_a_driver_that_has_ended_answers_nobody() -> None:
+    gate = moving_gate()
+    gate.filter(ZERO, is_stopped=True)
+    assert gate.end()
+    assert not gate.is_stopped
+
+
 @pytest.mark.parametrize("seed", range(20))
 def test_motion_is_published_only_after_a_zero_of_this_connection(seed: int) -> None:
     random_, gate, zeros = random.Random(seed), CommandGate(), 0

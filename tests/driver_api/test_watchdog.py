@@ -183,7 +183,9 @@ class Bare:
 
     async def run(self, sink: Sink) -> None: ...
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None: ...
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None: ...
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         return ()

@@ -283,7 +283,9 @@ class Inner:
         finally:
             self.story.append("ends")
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         self.story.append(f"sends {twist.linear:g}")
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError, DriverError
+from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Pose, Scan, Twist, Value
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Driver, NullSink
@@ -134,8 +135,10 @@ class Timed(CollectingSink):
         self.times: list[float] = []
         self._up = 0.0
 
-    def state(self, is_up: bool, text: str) -> None:
-        super().state(is_up, text)
+    def state(
+        self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
+    ) -> None:
+        super().state(is_up, text, hold=hold, gets_zero=gets_zero)
         if is_up:
             self._up = asyncio.get_running_loop().time()
 

@@ -81,6 +81,43 @@ def test_estop_latches_and_is_written_before_the_ack() -> None:
     harness.applied("stop")
 
 
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+def test_answer_to_a_stop_has_the_measured_speed_and_its_age(verb: str) -> None:
+    harness = started()
+    harness.odometry = Twist(0.123, -0.001)
+    harness.advance(0.1)
+    harness.odometry = None
+    harness.advance(0.2)
+    text = harness.applied(verb).text
+    assert text == "commanded zero; measured 0.12 m/s, 0.00 rad/s, 0.2 s ago"
+
+
+def test_answer_to_a_stop_never_says_commanded_if_nothing_was_sent() -> None:
+    harness = started()
+    harness.carry_out(harness.robot.on_driver(False, "no bridge at 7447", harness.now))
+    harness.odometry = None
+    harness.advance(1.0)
+    text = harness.applied("estop").text
+    assert text.startswith("nothing was sent: driver lost: no bridge at 7447; measured ")
+    assert text.endswith(" 1.0 s ago")
+    assert "commanded" not in text
+
+
+def test_answer_to_a_stop_says_that_someone_else_drives() -> None:
+    harness = started()
+    words = "someone else drives: " + "x" * 999
+    harness.carry_out(harness.robot.on_driver(False, words, harness.now, gets_zero=True))
+    text = harness.applied("estop").text
+    assert text.startswith("commanded zero; someone else drives: ")
+    assert " ago" in text
+    assert len(text) <= 300
+
+
+def test_answer_to_a_stop_without_odometry() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    assert harness.applied("stop").text == "commanded zero; no odometry"
+
+
 def test_latch_on_disk_holds_the_next_instance() -> None:
     harness = started()
     harness.send(harness.request("estop", id="e1"))

@@ -10,7 +10,7 @@ from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.host_messages import HostDied, KillHost, Load, Loaded, Step, Stepped
 from swarmd.core.messages import Code, Reason, State, Status
-from swarmd.core.values import Neighbor, Scalar
+from swarmd.core.values import ZERO, Neighbor, Scalar
 from swarmd.pattern_host.wire import MAX_FRAME, encode_command
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, standing_state, started
@@ -174,6 +174,38 @@ def test_actions_are_idle_before_a_run_while_the_base_is_there() -> None:
     assert not harness.robot.on_driver(False, "gone", harness.now).is_idle
     running = started()
     assert not running.robot.tick(running.now).is_idle
+
+
+def test_each_tick_of_a_robot_that_must_stand_is_marked() -> None:
+    harness = started()
+    assert not harness.robot.tick(harness.now).is_stopped
+    harness.ask("stop")
+    harness.carry_out(harness.robot.on_driver(False, "someone else drives", harness.now))
+    for _ in range(40):  # 2 s at 20 Hz
+        harness.advance(0.05)
+        actions = harness.robot.tick(harness.now)
+        assert (actions.is_stopped, actions.twist) == (True, ZERO)
+        assert not actions.is_idle
+    harness.ask("estop", id="e1")
+    assert harness.robot.tick(harness.now).is_stopped
+    harness.ask("reset", ids=("e1",))
+    assert not harness.robot.tick(harness.now).is_stopped
+    harness.carry_out(harness.robot.on_duplicate("instance b", harness.now))
+    assert harness.robot.tick(harness.now).is_stopped
+
+
+def test_hold_of_the_driver_zeroes_and_ends_the_run() -> None:
+    harness = started()
+    hold = Reason.SCAN_CONFLICT
+    harness.carry_out(harness.robot.on_driver(True, "two publish /scan", harness.now, hold=hold))
+    assert harness.twist.is_zero
+    assert standing_state(harness) == (State.RUNNING, hold)
+    harness.carry_out(harness.robot.on_driver(True, "there", harness.now))
+    harness.advance(0.2)
+    assert harness.twist == Twist(0.2)
+    harness.carry_out(harness.robot.on_driver(True, "two publish /scan", harness.now, hold=hold))
+    harness.advance(2.1)
+    assert standing_state(harness) == (State.STOPPED, hold)
 
 
 def test_pattern_steps_at_its_rate_and_on_every_new_scan() -> None:

@@ -44,10 +44,12 @@ class ReportsUpAtOnce(Good):
 class QueuesCommands(Good):
     late: Twist | None = None
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         if not self.is_up:
             self.late = twist
-        super().send(twist, scan_seq, requested_scan_seq)
+        super().send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
 
     def reconnect(self, sink: Sink) -> None:
         super().reconnect(sink)
@@ -55,10 +57,20 @@ class QueuesCommands(Good):
             self.put(self.late)
 
 
+class DropsCommandsOfStoppedRobots(Good):
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
+        if not is_stopped:
+            super().send(twist, scan_seq, requested_scan_seq)
+
+
 class StartsWithoutZero(Good):
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         self.owes_zero = False
-        super().send(twist, scan_seq, requested_scan_seq)
+        super().send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
 
 
 class SendsOnlyZero(Good):
@@ -148,10 +160,12 @@ class SendsZeroOnlyIfCancelled(Good):
 
 
 class SendsAfterItsEnd(Good):
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         if self.has_ended:
             self.put(twist)
-        super().send(twist, scan_seq, requested_scan_seq)
+        super().send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
 
     has_ended = False
 

@@ -160,7 +160,9 @@ class Good:
     def on_odometry(self, sink: Sink, odometry: Odometry) -> None:
         sink.odometry(odometry)
 
-    def send(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
+    def send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
         if not self.is_up:
             return
         if self.owes_zero:
