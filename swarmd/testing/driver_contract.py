@@ -318,8 +318,13 @@ class DriverContract:
     async def test_a_stopped_robot_is_sent_zero(self, harness: DriverHarness) -> None:
         """The daemon marks the commands of a robot that is stopped, estopped or faulted."""
         taken = await _moving(harness)
-        harness.driver.send(ZERO, 2, 2, is_stopped=True)
-        await _ends_with_zero(harness, taken)
+
+        def stands() -> bool:
+            harness.driver.send(ZERO, 2, 2, is_stopped=True)
+            taken.extend(harness.rig.commands())
+            return taken[-1].is_zero
+
+        await harness.until(stands, publishing=True)
 
     @_connected
     async def test_a_silent_base_is_lost_and_gets_zero_first_when_back(
