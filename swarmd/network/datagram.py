@@ -1,0 +1,282 @@
+"""The datagrams that every robot of a swarm sends and hears. Pure: bytes in, structs out.
+
+A datagram is readable by every version of swarmd. Its head has a fixed layout; its body is a
+MessagePack array to whose end later versions append fields, and of which older versions ignore
+what they do not know::
+
+    offset  bytes
+    0       4      magic b"SWMD"
+    4       1      kind
+    5       8      tag of profile and swarm; zeros: any swarm
+    13      2      length of the body, big endian
+    15      n      body
+    15 + n  0..    room for a signature; ignored so far
+
+Reading raises nothing but `CodecError`. The bounds of the fields also refuse NaN and infinity.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import struct
+from enum import IntEnum, IntFlag
+from typing import Annotated, Any, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from swarmd.core.errors import CodecError
+from swarmd.core.messages import Code, Latch, Line, Name, Presence, Refusal, State
+
+MAGIC = b"SWMD"
+TAG_BYTES = 8
+ANY_SWARM = bytes(TAG_BYTES)
+# Fits one frame of WiFi and Ethernet with the heads of IPv6 and UDP.
+MAX_DATAGRAM = 1400
+MAX_HOPS = 4  # a stop or a word travels at most this far from robot to robot
+_HEAD = struct.Struct(f">4sB{TAG_BYTES}sH")
+_MAX_MS = 2**40
+
+RobotId = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
+Bytes6 = Annotated[bytes, Meta(min_length=6, max_length=6)]
+DIGEST_BYTES = 6
+Digest = Annotated[bytes, Meta(max_length=DIGEST_BYTES)]
+Milliseconds = Annotated[int, Meta(ge=0, le=_MAX_MS)]
+Number = Annotated[int, Meta(ge=0, le=2**53)]
+Hops = Annotated[int, Meta(ge=0, le=MAX_HOPS)]
+Host = Annotated[str, Meta(max_length=64)]
+Short = Annotated[str, Meta(max_length=128)]
+Reason = Annotated[str, Meta(max_length=256)]
+
+
+class Kind(IntEnum):
+    """The kind of a datagram; numbers are never reused."""
+
+    BEACON = 1
+    SOLICIT = 2
+    WORD = 3
+    STOP = 4
+    ACK = 5
+    LATCHES = 6
+    MESSAGE = 7
+    SWARM = 8
+
+
+class Flag(IntFlag):
+    """What a beacon says beside the state."""
+
+    JOINING = 1  # it claims its id and does not own it yet
+    LEFT = 2  # it leaves in order
+
+
+STATES = tuple(State)  # the index of a state on the wire; append only
+PRESENCES = tuple(Presence)
+
+
+class _Datagram(Struct, frozen=True, kw_only=True, array_like=True):
+    """The body of a datagram."""
+
+
+class Beacon(_Datagram, frozen=True, kw_only=True):
+    """Shows that a robot is there: sent once a second, at each change, and when solicited.
+
+    `sequence` rises with each beacon of an instance. `state` is an index in STATES; a later
+    version may send an unknown one. `revision` counts the changes of the robot. `latches` and
+    `goal` are digests, empty without any. `echo`: the number of the `Solicit` that it answers.
+    `wire` is the version of the requests that the daemon reads, `version` that of its package,
+    which only answers have.
+    """
+
+    robot: RobotId
+    instance: Bytes6
+    sequence: Number
+    wire: Annotated[int, Meta(ge=0, le=255)]
+    state: Annotated[int, Meta(ge=0, le=255)]
+    revision: Number
+    flags: Annotated[int, Meta(ge=0, le=255)] = 0
+    latches: Digest = b""
+    goal: Digest = b""
+    echo: Number = 0
+    version: Annotated[str, Meta(max_length=32)] = ""
+
+
+class Solicit(_Datagram, frozen=True, kw_only=True):
+    """Asks robots to answer at once: a beacon, and words and latches as wanted.
+
+    `echo` is repeated in the answer, so that the asker knows the round trip.
+    """
+
+    echo: Number
+    wants_words: bool = False
+    wants_latches: bool = False
+
+
+class Heard(_Datagram, frozen=True, kw_only=True):
+    """What a robot knows of another member.
+
+    `presence` is an index in PRESENCES, `age` the time since it was heard (alive) or since it left
+    or failed. `hops` 0: heard directly, from `host` and `port`.
+    """
+
+    robot: RobotId
+    instance: Bytes6
+    presence: Annotated[int, Meta(ge=0, le=255)]
+    age: Milliseconds
+    hops: Hops = 0
+    host: Host = ""
+    port: Annotated[int, Meta(ge=0, le=65535)] = 0
+
+
+class Word(_Datagram, frozen=True, kw_only=True):
+    """A part of what a robot knows of the other members; `part` counts from 0 to `parts` - 1.
+
+    `roster`: the names that the robot's own settings expect; in part 0 as far as they fit.
+    """
+
+    robot: RobotId
+    instance: Bytes6
+    members: Annotated[tuple[Heard, ...], Meta(max_length=64)]
+    part: Annotated[int, Meta(ge=0, le=255)] = 0
+    parts: Annotated[int, Meta(ge=1, le=256)] = 1
+    echo: Number = 0
+    roster: Annotated[tuple[Name, ...], Meta(max_length=64)] = ()
+
+
+class Stop(_Datagram, frozen=True, kw_only=True):
+    """A stop or an emergency stop, as its operator or a relaying robot sends it.
+
+    `targets` None: every robot. `scope` swarm: the latch spreads to robots that join. `age`: since
+    the operator issued it, summed hop by hop without clocks. `hops`: how often it was relayed.
+    A robot acks each repeat.
+    """
+
+    id: Name
+    verb: Literal["stop", "estop"]
+    operator: Short
+    targets: Annotated[tuple[RobotId, ...], Meta(max_length=1024)] | None = None
+    scope: Literal["swarm", "robots"] = "swarm"
+    reason: Reason = ""
+    age: Milliseconds = 0
+    hops: Hops = 0
+
+
+class Ack(_Datagram, frozen=True, kw_only=True):
+    """A robot's answer to a stop or estop, or such an answer handed on by another robot (`via`)."""
+
+    id: Name
+    robot: RobotId
+    instance: Bytes6
+    revision: Number
+    code: Code
+    refusal: Refusal | None = None
+    text: Line = ""
+    via: Annotated[str, Meta(max_length=63)] = ""
+
+
+class Latches(_Datagram, frozen=True, kw_only=True):
+    """A part of the latches that others take over from a robot with this `digest` in its beacon."""
+
+    robot: RobotId
+    instance: Bytes6
+    digest: Digest
+    held: Annotated[dict[Name, Latch], Meta(max_length=33)]
+
+
+class Message(_Datagram, frozen=True, kw_only=True):
+    """What a pattern says on a channel `<pattern>/<name>`.
+
+    `sequence` rises by one with each message of an instance on any channel, so that losses show.
+    """
+
+    robot: RobotId
+    instance: Bytes6
+    sequence: Number
+    channel: Annotated[str, Meta(min_length=3, max_length=127)]
+    payload: Annotated[bytes, Meta(max_length=1024)]
+
+
+class Swarm(_Datagram, frozen=True, kw_only=True):
+    """The answer to a `Solicit` of any swarm: the name of the robot's swarm and its profile."""
+
+    swarm: RobotId
+    profile: Annotated[str, Meta(max_length=16)]
+    robot: RobotId
+
+
+Datagram = Beacon | Solicit | Word | Stop | Ack | Latches | Message | Swarm
+_TYPES: dict[int, type[_Datagram]] = {
+    Kind.BEACON: Beacon,
+    Kind.SOLICIT: Solicit,
+    Kind.WORD: Word,
+    Kind.STOP: Stop,
+    Kind.ACK: Ack,
+    Kind.LATCHES: Latches,
+    Kind.MESSAGE: Message,
+    Kind.SWARM: Swarm,
+}
+_KINDS = {kind: number for number, kind in _TYPES.items()}
+_encoder = msgspec.msgpack.Encoder()
+_DECODERS = {number: msgspec.msgpack.Decoder[Any](kind) for number, kind in _TYPES.items()}
+
+
+def tag_of(profile: str, swarm: str) -> bytes:
+    """The tag of a swarm: two profiles, or two swarms, do not meet."""
+    return hashlib.blake2b(f"{profile}/{swarm}".encode(), digest_size=TAG_BYTES).digest()
+
+
+def pack(tag: bytes, body: Datagram) -> bytes:
+    """The bytes of a datagram. Raises CodecError if it exceeds MAX_DATAGRAM."""
+    content = _encoder.encode(body)
+    if _HEAD.size + len(content) > MAX_DATAGRAM:
+        raise CodecError(f"a datagram of {_HEAD.size + len(content)} bytes; at most {MAX_DATAGRAM}")
+    return _HEAD.pack(MAGIC, _KINDS[type(body)], tag, len(content)) + content
+
+
+def unpack(tag: bytes, payload: bytes) -> Datagram | None:
+    """The body of a datagram; None if it is of another swarm or of a kind that is unknown here.
+
+    A `Solicit` of any swarm is read, too. Raises CodecError if it is malformed.
+    """
+    if len(payload) < _HEAD.size or len(payload) > MAX_DATAGRAM or payload[:4] != MAGIC:
+        raise CodecError("no datagram of a swarm")
+    _, kind, of, length = _HEAD.unpack_from(payload)
+    is_any = of == ANY_SWARM and kind in (Kind.SOLICIT, Kind.SWARM)
+    decoder = _DECODERS.get(kind)
+    if decoder is None or (of != tag and not is_any):
+        return None
+    if _HEAD.size + length > len(payload):
+        raise CodecError("a datagram that is cut short")
+    try:
+        body: Datagram = decoder.decode(memoryview(payload)[_HEAD.size : _HEAD.size + length])
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise CodecError(str(error)) from error
+    return body
+
+
+def is_for_any_swarm(payload: bytes) -> bool:
+    """True if the tag of a valid datagram is that of any swarm."""
+    return payload[5 : 5 + TAG_BYTES] == ANY_SWARM
+
+
+def in_parts(
+    members: tuple[Heard, ...], *, roster: tuple[str, ...] = ()
+) -> list[tuple[tuple[Heard, ...], tuple[str, ...]]]:
+    """Members and names of the roster, in parts of which each fits a datagram."""
+    parts: list[tuple[list[Heard], list[str]]] = [([], [])]
+    room = _ROOM
+    items: tuple[Heard | str, ...] = (*members, *roster)
+    for item in items:
+        size = len(_encoder.encode(item))
+        full = len(parts[-1][0]) >= 64 or len(parts[-1][1]) >= 64
+        if size > room or full:
+            parts.append(([], []))
+            room = _ROOM
+        room -= size
+        if isinstance(item, str):
+            parts[-1][1].append(item)
+        else:
+            parts[-1][0].append(item)
+    return [(tuple(some), tuple(names)) for some, names in parts[:256]]
+
+
+_ROOM = MAX_DATAGRAM - _HEAD.size - 110  # beside the sender's name, instance and numbers

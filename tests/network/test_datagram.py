@@ -1,0 +1,128 @@
+"""The codec of datagrams: what fits, what is refused, and what other versions may send."""
+
+from __future__ import annotations
+
+import msgspec
+import pytest
+
+from swarmd.core.errors import CodecError
+from swarmd.network import datagram
+from swarmd.network.datagram import (
+    ANY_SWARM,
+    MAX_DATAGRAM,
+    Beacon,
+    Heard,
+    Kind,
+    Solicit,
+    Stop,
+    Swarm,
+    in_parts,
+    pack,
+    tag_of,
+    unpack,
+)
+
+TAG = tag_of("field", "lab")
+BEACON = Beacon(
+    robot="tb3-01",
+    instance=b"abcdef",
+    sequence=70_000,
+    wire=1,
+    state=1,
+    revision=12,
+    latches=b"123456",
+    goal=b"123456",
+)
+
+
+def body(kind: Kind, *fields: object, signature: bytes = b"", tag: bytes = TAG) -> bytes:
+    """A datagram with these fields, as another version may send it."""
+    content = msgspec.msgpack.encode(list(fields))
+    head = b"SWMD" + bytes([kind]) + tag + len(content).to_bytes(2, "big")
+    return head + content + signature
+
+
+def test_beacon_has_at_most_sixty_bytes_and_is_read_back() -> None:
+    payload = pack(TAG, BEACON)
+    assert 40 <= len(payload) <= 60
+    assert unpack(TAG, payload) == BEACON
+
+
+def test_fields_of_later_versions_and_a_signature_are_ignored() -> None:
+    fields = [getattr(BEACON, name) for name in Beacon.__struct_fields__]
+    newer = body(Kind.BEACON, *fields, {"new": 1}, signature=b"s" * 64)
+    assert unpack(TAG, newer) == BEACON
+
+
+def test_fields_that_an_earlier_version_does_not_send_have_defaults() -> None:
+    older = body(Kind.BEACON, "tb3-01", b"abcdef", 70_000, 1, 1, 12)
+    assert unpack(TAG, older) == msgspec.structs.replace(BEACON, latches=b"", goal=b"")
+
+
+def test_stop_with_three_fields_is_read() -> None:
+    assert unpack(TAG, body(Kind.STOP, "id", "estop", "anna")) == Stop(
+        id="id", verb="estop", operator="anna"
+    )
+
+
+def test_other_swarms_profiles_and_unknown_kinds_are_skipped() -> None:
+    payload = pack(TAG, BEACON)
+    assert unpack(tag_of("field", "other"), payload) is None
+    assert unpack(tag_of("dev", "lab"), payload) is None
+    assert unpack(TAG, payload[:4] + b"\xff" + payload[5:]) is None
+
+
+def test_a_solicit_of_any_swarm_is_read_and_a_stop_of_any_swarm_is_not() -> None:
+    assert unpack(TAG, pack(ANY_SWARM, Solicit(echo=5))) == Solicit(echo=5)
+    named = Swarm(swarm="lab", profile="field", robot="r1")
+    assert unpack(TAG, pack(ANY_SWARM, named)) == named
+    assert unpack(TAG, pack(ANY_SWARM, Stop(id="i", verb="stop", operator="x"))) is None
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [
+        b"",
+        b"SWMD",
+        b"x" * 40,
+        pack(TAG, BEACON)[:-1],
+        pack(TAG, BEACON) + b"x" * MAX_DATAGRAM,
+        body(Kind.BEACON),
+        body(Kind.BEACON, "Wild/*", b"abcdef", 1, 1, 1, 1),
+        body(Kind.BEACON, "r1\n", b"abcdef", 1, 1, 1, 1),
+        body(Kind.BEACON, "r1", b"short", 1, 1, 1, 1),
+        body(Kind.BEACON, "r1", b"abcdef", -1, 1, 1, 1),
+        body(Kind.BEACON, "r1", b"abcdef", 1.5, 1, 1, 1),
+        body(Kind.STOP, "id", "run", "anna"),
+    ],
+)
+def test_malformed_datagrams_are_refused(payload: bytes) -> None:
+    with pytest.raises(CodecError):
+        unpack(TAG, payload)
+
+
+def test_a_datagram_that_is_too_large_is_not_sent() -> None:
+    with pytest.raises(CodecError):
+        pack(TAG, Stop(id="i", verb="stop", operator="a", targets=("r" * 63,) * 30))
+
+
+def test_words_of_many_members_are_cut_into_datagrams_that_fit() -> None:
+    members = tuple(
+        Heard(robot=f"robot-{n}", instance=b"abcdef", presence=0, age=10, host="10.0.0.1", port=1)
+        for n in range(150)
+    )
+    roster = tuple(f"robot-{n}" for n in range(100))
+    parts = in_parts(members, roster=roster)
+    assert tuple(one for some, _ in parts for one in some) == members
+    assert tuple(name for _, names in parts for name in names) == roster
+    for number, (some, names) in enumerate(parts):
+        word = datagram.Word(
+            robot="r" * 63,
+            instance=b"abcdef",
+            members=some,
+            part=number,
+            parts=len(parts),
+            echo=2**50,
+            roster=names,
+        )
+        assert len(pack(TAG, word)) <= MAX_DATAGRAM
