@@ -9,7 +9,7 @@ ARGS ?=
 # nothing. 0: one after the other, in this process.
 JOBS ?= 4
 
-.PHONY: help demo test evidence check format bench paper safety outcomes voting mutants lock clean
+.PHONY: help demo test evidence check format bench network network-scale paper safety outcomes voting mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -18,6 +18,8 @@ help:
 	@echo "make check     format, lint, types, and the wheel tried in a fresh environment"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
+	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
+	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
 	@echo "make evidence  long tests, then the four studies below; hours on two cores"
 	@echo "make outcomes    what each pattern brings about in a swarm, over twenty seeds"
 	@echo "make paper       the tables and figures of docs/paper.md; half an hour"
@@ -54,6 +56,17 @@ format: $(VENV)/tools
 
 bench: $(VENV)/tools
 	@$(BIN)/python -m benchmarks $(ARGS)
+
+# Every verb at 28 pairs of delay and loss, then the long tests of splits, storms and flapping, in
+# network namespaces. ARGS="--rtt 200 500 --loss 0 --json answers.jsonl" picks cells of the matrix.
+network: $(VENV)/tools
+	@$(COMPILE) tests
+	@$(BIN)/python -m benchmarks.network_matrix $(ARGS)
+	@$(BIN)/python -m pytest -m evidence --timeout 3600 tests/network_faults
+
+network-scale: $(VENV)/tools
+	@$(COMPILE) tests
+	@$(BIN)/python -m benchmarks.network_scale $(ARGS)
 
 # The tables and figures of docs/paper.md, in build/paper: 640 runs, half an hour on two cores.
 paper: $(VENV)/tools

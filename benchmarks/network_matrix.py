@@ -12,13 +12,15 @@ import sys
 import tempfile
 from collections.abc import Sequence
 from dataclasses import asdict
+from itertools import product
 from pathlib import Path
 
 from benchmarks.table import markdown
-from tests.support.field import lacks
+from tests.support.field import Field, lacks
 from tests.support.field_swarm import FieldSwarm
-from tests.support.network_matrix import HEAD, ROBOTS, TRUE, Row, field, matrix
+from tests.support.network_matrix import FAR, HEAD, NEAR, TRUE, Row, cell
 
+ROBOTS = tuple(f"r{number:02d}" for number in range(1, 7))
 RTTS = (0, 50, 100, 200, 300, 500, 1000)  # ms
 LOSSES = (0, 5, 10, 20)  # %
 
@@ -33,24 +35,21 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if why := lacks():
         sys.exit(why)
 
-    def report(row: Row) -> None:
-        print("; ".join((*row.cells, row.text.replace("\n", " / "))), file=sys.stderr)
-        if options.json:
-            with options.json.open("a") as lines:
-                lines.write(json.dumps(asdict(row)) + "\n")
-
-    rtts = tuple(one / 1000 for one in options.rtt)
-    losses = tuple(one / 100 for one in options.loss)
-    found = []
+    found: list[Row] = []
     with contextlib.ExitStack() as left:
         folder = left.enter_context(tempfile.TemporaryDirectory())
-        made = left.enter_context(contextlib.closing(field()))
-        swarm = left.enter_context(FieldSwarm(Path(folder), made, ROBOTS))
+        field = left.enter_context(contextlib.closing(Field((*ROBOTS, FAR, NEAR))))
+        swarm = left.enter_context(FieldSwarm(Path(folder), field, ROBOTS))
         swarm.start()
-        for _ in range(options.repeat):
-            found += matrix(swarm, rtts, losses, report)
+        for _, rtt, loss in product(range(options.repeat), options.rtt, options.loss):
+            for row in cell(swarm, rtt / 1000, loss / 100):
+                print("; ".join((*row.cells, row.judged.text)), file=sys.stderr)
+                found.append(row)
+                if options.json:
+                    with options.json.open("a") as lines:
+                        lines.write(json.dumps(asdict(row), default=sorted) + "\n")
     print(markdown([HEAD, *(row.cells for row in found)]))
-    wrong = [row for row in found if row.verdict != TRUE]
+    wrong = [row for row in found if row.judged.verdict != TRUE]
     if wrong:
         sys.exit(f"{len(wrong)} of {len(found)} answers are not true")
 

@@ -1,17 +1,19 @@
-"""Swarms on a radio that fails: namespaces that are gone after each test, skipped without root."""
+"""Swarms on a radio that fails: real daemons in namespaces, skipped where these need more rights.
+
+Each test leaves the robots of its module as it likes: the next one finds them idle, on a clean
+radio, and every daemon alive.
+"""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Iterator
 
 import pytest
 
 from tests.support.field import Field, lacks
 from tests.support.field_swarm import FieldSwarm
-
-MakeSwarm = Callable[..., FieldSwarm]
+from tests.support.network_matrix import FAR, NEAR, prepare
 
 
 @pytest.fixture(scope="session")
@@ -21,14 +23,25 @@ def namespaces_permitted() -> None:
         pytest.skip(why)
 
 
-@pytest.fixture
-def make_swarm(namespaces_permitted: None, tmp_path: Path) -> Iterator[MakeSwarm]:
-    """`make_swarm(robots, laptops)`: a field of these hosts and a swarm without daemons yet."""
+@pytest.fixture(scope="module")
+def started_swarm(
+    request: pytest.FixtureRequest,
+    namespaces_permitted: None,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Iterator[FieldSwarm]:
+    """The `ROBOTS` of a test module with their daemons, and the two laptops of the matrix."""
+    robots: tuple[str, ...] = request.module.ROBOTS
     with contextlib.ExitStack() as left:
+        field = left.enter_context(contextlib.closing(Field((*robots, FAR, NEAR))))
+        swarm = left.enter_context(FieldSwarm(tmp_path_factory.mktemp("field"), field, robots))
+        swarm.start()
+        yield swarm
 
-        def make(robots: tuple[str, ...], laptops: tuple[str, ...]) -> FieldSwarm:
-            field = Field((*robots, *laptops))
-            left.callback(field.close)
-            return left.enter_context(FieldSwarm(tmp_path, field, robots))
 
-        yield make
+@pytest.fixture
+def swarm(started_swarm: FieldSwarm) -> FieldSwarm:
+    """The swarm of the module: every robot is alive and idle, and the radio is clean."""
+    started_swarm.revive()
+    prepare(started_swarm, "idle")
+    started_swarm.moved()
+    return started_swarm

@@ -130,10 +130,22 @@ class FieldSwarm:
         self.daemons[robot] = daemon
         return self._left.enter_context(daemon)
 
-    def start(self, robots: Iterable[str] = (), state: str = "state") -> None:
+    def start(self, robots: Iterable[str] | None = None, state: str = "state") -> None:
         """Start daemons, all of them without names; return once they are ready."""
-        for daemon in [self.spawn(robot, state) for robot in robots or self.robots]:
+        names = self.robots if robots is None else robots
+        for daemon in [self.spawn(robot, state) for robot in names]:
             daemon.wait_ready()
+
+    def revive(self) -> None:
+        """Thaw the daemons that are frozen and start those that have ended."""
+        for daemon in self.daemons.values():
+            if daemon.process.poll() is None:
+                daemon.thaw()
+        self.start([robot for robot in self.robots if not self.is_alive(robot)])
+
+    def is_alive(self, robot: str) -> bool:
+        """True if its daemon's process has not ended."""
+        return self.daemons[robot].process.poll() is None
 
     # Bodies
 
