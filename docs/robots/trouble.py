@@ -54,8 +54,10 @@ A running daemon reports another publisher as
 {}
 ```
 
-The driver stops publishing for 2 s when another node publishes a non-zero command; its first
-command afterwards is zero. Zeros of other nodes do not count.
+What follows depends on the state of the robot. A stopped, estopped or faulted robot is sent zero
+20 times per second, and at once after each command of the other node. To an idle or running robot
+the driver sends nothing for 2 s; its first command afterwards is zero. A running robot is held, and
+stopped after 2 s. Zeros of other nodes do not count.
 """
 
 Row = tuple[str, str, str]
@@ -171,6 +173,12 @@ def ros2() -> Iterator[Row]:
         "a slower lidar than the file says, or a network that loses messages",
         "`scan.rate` of the platform, or look at the network",
     )
+    yield (
+        conflict("/lidar", "/tb3_02_lidar"),
+        "two nodes publish one scan, such as robots in one domain; the robot is held with"
+        " `two_scan_sources`",
+        "end one, or give each robot a namespace",
+    )
 
 
 def ros1() -> Iterator[Row]:
@@ -220,6 +228,13 @@ def ros1() -> Iterator[Row]:
         "two publishers, active or not",
         "end it, or `shared_cmd_vel: true`",
     )
+
+
+def conflict(*owners: str) -> str:
+    """Why a robot does not run on the scans of these nodes."""
+    stats = Subscriptions(TopicOptions(), PLATFORM).topics["scan"]
+    ends = [Endpoint(True, "/scan", SCAN, node=owner) for owner in owners]
+    return Graph(middleware=Ros2Dds(), endpoints=ends).rival(stats)
 
 
 def any_driver() -> Iterator[Row]:

@@ -127,7 +127,11 @@ class Graph:
                 f"{topic}: messages come, all with the stamp {stats.stamps[-1]:.12g}; look at the"
                 " sensor, which is frozen, or at its publisher, which fills in none"
             )
-        publishers = self.publishers(topic)
+        return self.rival(stats)
+
+    def rival(self, stats: TopicStats) -> str:
+        """Why more than one node seems to publish a needed topic; empty without a sign of that."""
+        topic, publishers = stats.topic, self.publishers(stats.topic)
         if len(publishers) > 1 and stats.is_needed:
             owners = listed(sorted({end.owner for end in publishers}))
             return (
@@ -200,17 +204,22 @@ def too_slow(stats: TopicStats, spec: ScanSpec) -> str:
     )
 
 
+def scan_conflict(graph: Graph, topics: Iterable[TopicStats]) -> str:
+    """Why the scans seem to come from more than one node; empty without a sign of that."""
+    return next(filter(None, (graph.rival(stats) for stats in topics if stats.is_scan)), "")
+
+
 def driven_by_others(topic: str, publishers: Iterable[str] = ()) -> str:
     """Another node publishes commands. `publishers`: the nodes, where they are known."""
     names = listed(publishers)
     if names:
         return (
-            f"another node may drive this robot: {topic} is also published by {names}; end that"
-            " node, or set driver_options.shared_cmd_vel if the base has a multiplexer"
+            f"someone else may drive: {topic} is also published by {names}; end that node, or set"
+            " driver_options.shared_cmd_vel if the base has a multiplexer"
         )
     return (
-        f"another node drives this robot: commands on {topic} that are not this driver's; stop what"
-        " publishes them, and this driver takes over 2 s later"
+        f"someone else drives: commands on {topic} that are not this driver's; stop what publishes"
+        " them, and this driver takes over 2 s later"
     )
 
 

@@ -70,6 +70,11 @@ class TopicStats:
             return 0.0
         return (len(self.times) - 1) / max(self.times[-1] - self.times[0], 1e-6)
 
+    @property
+    def is_scan(self) -> bool:
+        """True for the range sensor, or a part of it."""
+        return self.option in ("scan", "ranges")
+
     def stamps_advance(self) -> bool:
         """False if the last few stamps are all the same; true below three messages."""
         count = min(len(self.stamps), _STAMP_WINDOW)

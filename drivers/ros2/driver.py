@@ -11,6 +11,7 @@ from functools import partial
 import zenoh
 
 from swarmd.core.errors import CodecError
+from swarmd.core.messages import Reason
 from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.driver_api.command_gate import CommandGate
@@ -24,6 +25,7 @@ from swarmd.drivers.ros.diagnosis import (
     driven_by_others,
     has_enough,
     incomplete,
+    scan_conflict,
     unreachable,
 )
 from swarmd.drivers.ros.options import RosOptions
@@ -80,10 +82,13 @@ class RosDriver:
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
     ) -> None:
-        """Send a safe command; dropped while the base is lost, zero the first time it is back."""
-        command = self._gate.filter(twist)
+        """Send a safe command; dropped while the base is lost, zero the first time it is back.
+
+        A stopped robot is sent zero also while the base is lost: another node may command it.
+        """
+        command = self._gate.filter(twist, is_stopped=is_stopped)
         if command is not None:
-            self._put(command, self._options.cmd_vel_frame)
+            self._put(command, self._options.cmd_vel_frame if self._gate.is_open else "")
 
     def zero_sender(self) -> ZeroSenderSpec:
         """How the watchdog sends zero to this base."""
@@ -133,7 +138,8 @@ class RosDriver:
         self._foreign_motion_at = -math.inf
         self._foreign_zeros_from = self._foreign_zero_at = -math.inf
         self._foreign_commands = 0
-        self._reported: tuple[bool, str] | None = None
+        self._reported: tuple[bool, str, Reason | None, bool] | None = None
+        self._conflict = ""
         self._reported_at = -math.inf
         self._was_incomplete = False
 
@@ -144,7 +150,7 @@ class RosDriver:
         session = await self._opened(sink)
         inbox = LatestSamples(loop, partial(self._take, sink, is_check), sink.dropped)
         try:
-            self._session = session
+            self._session, self._was_linked = session, True
             for key in self._scheme.command_keys(self._cmd_vel, self._command_type):
                 self._publishers[key] = command_publisher(session, key)
             self._listen(session, inbox, loop)
@@ -225,11 +231,14 @@ class RosDriver:
                 sink.dropped(name)
                 return
             self._open_gate(sink, is_check, now)
-            if self._gate.is_open:
-                deliver(sink)
+            if self._gate.is_open or now - self._foreign_motion_at < YIELD_TIME:
+                deliver(sink)  # also while another node drives: a stop tells the measured speed
 
     def _on_command(self, sink: Sink, name: str, payload: bytes, now: float) -> None:
-        """Another node publishes a command; a zero does not count as driving."""
+        """Another node publishes a command; a zero does not count as driving.
+
+        If the robot must stand, zero follows at once. Else this driver falls silent.
+        """
         self._foreign_commands += 1
         if name == _COMMAND:
             try:
@@ -243,12 +252,14 @@ class RosDriver:
         self._foreign_motion_at = now
         if self._gate.is_open:
             self._close_gate(sink, driven_by_others(self._cmd_vel))
+        elif self._gate.is_stopped:
+            self._put(ZERO, frame="")
 
     def _open_gate(self, sink: Sink, is_check: bool, now: float) -> None:
         if self._gate.is_open or self._subscriptions.last_arrival < now or self._obstacle(now):
             return
         self._gate.open()
-        self._report_state(sink, True, self._place())
+        self._report_state(sink, True, self._conflict or self._place())
         if self._scheme.is_node and not is_check and not self._tokens and self._session is not None:
             ends = [
                 TopicEnd(t.topic, t.message_type, is_publisher=False, is_reliable=False, depth=1)
@@ -272,7 +283,8 @@ class RosDriver:
         silent = now - self._subscriptions.last_arrival
         if hubs and (not self._was_linked or hubs != before):
             self._gate.repeat_zero(now)
-        self._was_linked = bool(hubs)
+        was_linked, self._was_linked = self._was_linked, bool(hubs)
+        conflict, self._conflict = self._conflict, self._scan_conflict()
         if self._gate.is_open and not hubs:
             self._close_gate(sink, self._unreachable())
         elif self._gate.is_open and before and hubs != before:
@@ -283,6 +295,10 @@ class RosDriver:
             )
         elif self._gate.is_open and (obstacle := self._obstacle(now)):
             self._close_gate(sink, obstacle)
+        elif self._gate.is_open and conflict != self._conflict:
+            self._report_state(sink, True, self._conflict or self._place())
+        elif self._reported is not None and was_linked != self._was_linked:
+            self._report_state(sink, *self._reported[:2])  # zeros of a stopped robot arrive now
         elif self._gate.repeats_zero(now) and now - self._foreign_motion_at >= YIELD_TIME:
             self._put(ZERO, frame="")
         if now - self._reported_at >= _EXPLAIN_PERIOD and now - opened >= _EXPLAIN_PERIOD:
@@ -329,11 +345,15 @@ class RosDriver:
         graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
         silent = self._subscriptions.silent(now, max(_EXPLAIN_PERIOD, self._sensor_timeout))
         faults = (
+            self._conflict,
             *(graph.unreadable(stats) for stats in topics if stats.recent_fault(now)),
             *(graph.silence(stats) for stats in silent),
             *(graph.unreliable(stats) for stats in topics if stats.is_needed),
         )
         return next(filter(None, faults), "") or self._incompleteness()
+
+    def _scan_conflict(self) -> str:
+        return scan_conflict(self._foreign_graph(), self._subscriptions.topics.values())
 
     def _incompleteness(self) -> str:
         """What all scans lack, as far as the last two that were examined tell."""
@@ -351,13 +371,16 @@ class RosDriver:
 
     def _report_state(self, sink: Sink, is_up: bool, text: str) -> None:
         self._reported_at = asyncio.get_running_loop().time()
-        if self._reported == (is_up, text):
+        hold = Reason.SCAN_CONFLICT if self._conflict else None
+        report = (is_up, text, hold, self._was_linked)
+        if self._reported == report:
             return
-        if self._reported is not None and not isinstance(sink, NullSink):
+        is_new = self._reported is not None and self._reported[:2] != (is_up, text)
+        if is_new and not isinstance(sink, NullSink):
             is_well = is_up and text == self._place()
             log.log(logging.INFO if is_well else logging.WARNING, "driver %s: %s", self._name, text)
-        self._reported = (is_up, text)
-        sink.state(is_up, text)
+        self._reported = report
+        sink.state(is_up, text, hold=hold, gets_zero=self._was_linked)
 
     def _put(self, twist: Twist, frame: str) -> None:
         publisher = self._publishers.get(self._scheme.key(self._cmd_vel, self._command_type))

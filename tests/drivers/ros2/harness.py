@@ -59,9 +59,14 @@ def reported(harness: DriverHarness, part: str, *, is_up: bool | None = None) ->
     return any(part in text and is_up in (None, up) for up, text in harness.sink.states)
 
 
-def announce(robot: Robot, what: str, topic: str, kind: str, domain: int = 0) -> None:
-    """Announce a publisher (MP) or a subscription (MS) of the robot's node, as its hub does."""
-    zid = str(robot.hub.zid())
+def announce(
+    robot: Robot, what: str, topic: str, kind: str, domain: int = 0, zid: str = ""
+) -> None:
+    """Announce a publisher (MP) or a subscription (MS) of the robot's node, as its hub does.
+
+    `zid`: another session's, for an end of another node.
+    """
+    zid = zid or str(robot.hub.zid())
     if isinstance(robot, BridgedRobot):
         key, typed = topic.replace("/", "§"), kind.replace("/", "§")
         robot.announce(f"@/{zid}/@ros2_lv/{what}/{key}/{typed}/:::1,5")

@@ -207,7 +207,7 @@ def test_another_nodes_command_is_reported() -> None:
             return not harness.sink.is_up
 
         await harness.until(is_lost, publishing=True)
-        assert reported(harness, "another node drives this robot", is_up=False)
+        assert reported(harness, "someone else drives", is_up=False)
         await harness.until(lambda: harness.sink.is_up, publishing=True)
 
     play(robot, story)
