@@ -45,7 +45,9 @@ Exit codes:
     help="An option of the driver; may be repeated.",
 )
 @click.option(
-    "--profile", type=click.Choice(["dev", "field"]), help="dev: this machine; field: a network."
+    "--profile",
+    type=click.Choice(["dev", "field", "routed"]),
+    help="dev: this machine; field: a network; routed: by Zenoh routers.",
 )
 @click.option("--interface", metavar="NAME", help="The network interface for profile field.")
 @click.option("--seed", "seeds", multiple=True, metavar="ENDPOINT", help="A robot to dial.")

@@ -32,8 +32,8 @@ _NETWORK_OPTIONS = (
     ),
     click.option(
         "--profile",
-        type=click.Choice(["dev", "field"]),
-        help="dev: robots on this machine; field: robots on --interface.",
+        type=click.Choice(["dev", "field", "routed"]),
+        help="dev: robots on this machine; field: robots on --interface; routed: by Zenoh routers.",
     ),
     click.option("--interface", metavar="NAME", help="The network interface, such as wlan0."),
     click.option(

@@ -1,5 +1,7 @@
 """Bytes on the wire: one version byte, then MessagePack, within a size limit.
 
+Of another version only a stable subset is read: the structs named `..Header` in `messages.py`.
+
 Bytes from the network are decoded into typed structs, whose bounds also refuse NaN and infinity.
 Decoding raises nothing but `CodecError`. No numpy here, since swarmctl imports this module.
 """
@@ -18,7 +20,6 @@ MAX_SENSOR_PAYLOAD = 128 * 1024
 MAX_MESSAGE = 1024
 MAX_DEPTH = 16
 
-_PREFIX = bytes([VERSION])
 _encoder = msgspec.msgpack.Encoder()
 
 T = TypeVar("T")
@@ -26,19 +27,30 @@ T = TypeVar("T")
 
 def encode(message: msgspec.Struct) -> bytes:
     """The bytes of a struct."""
-    return _PREFIX + _encoder.encode(message)
+    return _prefix() + _encoder.encode(message)
+
+
+def version_of(payload: bytes) -> int | None:
+    """The version byte of a payload; None if it is empty."""
+    return payload[0] if payload else None
 
 
 class Decoder(Generic[T]):
-    """Decodes one type of struct; make it once, since making it is slow."""
+    """Decodes one type of struct; make it once, since making it is slow.
 
-    def __init__(self, kind: type[T], limit: int = MAX_CONTROL) -> None:
+    `any_version`: for a stable subset, which is read from payloads of every version.
+    """
+
+    def __init__(
+        self, kind: type[T], limit: int = MAX_CONTROL, *, any_version: bool = False
+    ) -> None:
         self._decoder = msgspec.msgpack.Decoder(kind)
         self._limit = limit
+        self._any_version = any_version
 
     def __call__(self, payload: bytes) -> T:
         """Decode a struct. Raises CodecError if it is too large, of another version or type."""
-        body = _body(payload, self._limit)
+        body = _body(payload, self._limit, any_version=self._any_version)
         try:
             return self._decoder.decode(body)
         except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
@@ -50,7 +62,7 @@ def encode_value(value: Any) -> bytes:
     import msgpack  # swarmctl does without; importing it takes 2 ms
 
     try:
-        payload: bytes = _PREFIX + msgpack.packb(value, use_bin_type=True)
+        payload: bytes = _prefix() + msgpack.packb(value, use_bin_type=True)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise CodecError(f"a message must be made of MessagePack's types: {error}") from error
     if _is_deeper(value, MAX_DEPTH):
@@ -82,9 +94,14 @@ def _is_deeper(value: Any, depth: int) -> bool:
     return depth == 0 or any(_is_deeper(inner, depth - 1) for inner in value)
 
 
-def _body(payload: bytes, limit: int) -> memoryview:
+def _prefix() -> bytes:
+    return bytes((VERSION,))
+
+
+def _body(payload: bytes, limit: int, *, any_version: bool = False) -> memoryview:
     if len(payload) > limit:
         raise CodecError(f"{len(payload)} bytes; at most {limit} are read")
-    if payload[:1] != _PREFIX:
+    version = version_of(payload)
+    if version is None or (version != VERSION and not any_version):
         raise CodecError(f"wire version {payload[:1].hex() or 'none'}; this is version {VERSION}")
     return memoryview(payload)[1:]

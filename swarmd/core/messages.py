@@ -96,6 +96,7 @@ class Refusal(StrEnum):
     MISSING_SENSOR = "missing_sensor"
     PATTERN_FAILED = "pattern_failed"  # the pattern's code raised, ended or took too long
     MEMBER_ALIVE = "member_alive"
+    OTHER_VERSION = "other_version"  # the request is of another wire version
 
 
 class Epoch(Struct, frozen=True):
@@ -184,12 +185,22 @@ REQUEST_TYPES: Mapping[str, type[AnyRequest]] = {
 
 
 class RequestHeader(Struct, frozen=True, kw_only=True):
-    """The fields of a request that suffice to obey a stop or estop, and to refuse any other."""
+    """The fields of a request that suffice to refuse it by name, whatever its version."""
 
     id: str
     verb: str
     operator: str = ""
     targets: dict[str, object] | None = None
+
+
+class ReplyHeader(Struct, frozen=True, kw_only=True):
+    """The fields of a `Reply` that are read from every version."""
+
+    id: Name
+    robot: Name
+    code: str
+    refusal: str | None = None
+    text: Line = ""
 
 
 class MembersQuery(Struct, frozen=True, kw_only=True):
@@ -309,6 +320,20 @@ class Status(Struct, frozen=True, kw_only=True):
     readings: dict[Word, BoundedScalar] = {}
     events: tuple[LoggedEvent, ...] = ()
     has_left: bool = False
+    version: Word = ""
+
+
+class StatusHeader(Struct, frozen=True, kw_only=True):
+    """The fields of a `Status` that are read from every version."""
+
+    robot: Name
+    instance: Name
+    state: Word
+    epoch: Epoch | None = None
+    reason: Word | None = None
+    detail: Line = ""
+    pattern: Word | None = None
+    latches: dict[Name, Latch] = {}
     version: Word = ""
 
 

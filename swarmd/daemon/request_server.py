@@ -1,7 +1,7 @@
 """Reads the requests of operators, hands them to the robot, and sends the robot's replies.
 
-The daemon obeys a stop or estop of which only the id, the verb and the targets can be read. It
-refuses any other request with a field that is missing, of a wrong type or out of bounds.
+The daemon refuses a request of another version, or with a field that is missing, of a wrong type
+or out of bounds, as long as its id and its targets can be read.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ from functools import partial
 
 import msgspec
 
+from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
@@ -29,6 +30,7 @@ from swarmd.core.messages import (
 )
 from swarmd.daemon.audit import Audit, describe_request
 from swarmd.network.bus import Query, ZenohBus
+from swarmd.network.datagram import Stop
 
 MAX_PENDING = 64
 MAX_REPLIES = 64  # kept for repeats; the epoch refuses what was carried out before those
@@ -36,14 +38,16 @@ MAX_ID = 63
 MAX_OPERATOR = 128
 MAX_TEXT = 300
 
-_DECODERS = {verb: Decoder(kind) for verb, kind in REQUEST_TYPES.items()}
-_header = Decoder(RequestHeader)
+_DECODERS = {
+    verb: Decoder(kind) for verb, kind in REQUEST_TYPES.items() if verb not in ("stop", "estop")
+}
+_header = Decoder(RequestHeader, any_version=True)
 
 
 @dataclass(frozen=True, slots=True)
 class _Pending:
     request: AnyRequest
-    query: Query
+    answer: Callable[[Reply], None]
     source: str
 
 
@@ -67,31 +71,50 @@ class RequestServer:
         self._audit = Audit(on_audit)
         self._bus: ZenohBus | None = None
         self._pending: dict[str, _Pending] = {}
-        self._replies: dict[str, bytes] = {}  # the last MAX_REPLIES, by request id
+        self._replies: dict[str, Reply] = {}  # the last MAX_REPLIES, by request id
 
     def serve(self, bus: ZenohBus, verbs: Iterable[str]) -> None:
         """Answer requests with these verbs."""
         self._bus = bus
         for verb in verbs:
-            bus.serve(_plane(verb), verb, partial(self.handle, verb))
+            bus.serve("control", verb, partial(self.handle, verb))
 
     def reply(self, reply: Reply, *, is_stored: bool = True) -> None:
         """Send a reply. `is_stored` False: the latches could not be written to disk."""
         pending = self._pending.pop(reply.id, None)
         if pending is None:
             return
-        is_repeat = reply.id in self._replies
         if not is_stored:
             text = f"{reply.text}; not on disk, so a restart would forget it: see the log"
             reply = msgspec.structs.replace(reply, text=text)
-        payload = self._replies[reply.id] = encode(reply)
-        if len(self._replies) > MAX_REPLIES:
-            del self._replies[next(iter(self._replies))]
-        pending.query.reply(payload)
+        is_repeat = self._keep(reply)
+        pending.answer(reply)
         if not is_repeat:
             request = pending.request
             what = describe_request(request)
             self._audit.record(what, request.operator, pending.source, reply, boottime())
+
+    def stop(self, stop: Stop, source: str, answer: Callable[[Reply], None]) -> None:
+        """Carry out a stop or estop that came as a datagram, if it is for this robot.
+
+        Each repeat is carried out and answered; the first of an id gives a line in the log.
+        """
+        targets = None if stop.targets is None else dict.fromkeys(stop.targets)
+        if targets is not None and self._robot not in targets:
+            return
+        request: StopRequest | EstopRequest
+        if stop.verb == "stop":
+            request = StopRequest(id=stop.id, operator=stop.operator or "unknown", targets=targets)
+        else:
+            request = EstopRequest(
+                id=stop.id,
+                operator=stop.operator or "unknown",
+                targets=targets,
+                scope=stop.scope,
+                reason=stop.reason,
+            )
+        self._pending[stop.id] = _Pending(request, answer, source)
+        self._on_request(request)
 
     def handle(self, verb: str, query: Query, source: str = "zenoh") -> None:
         """Carry out or refuse the request in a query that came on the key of `verb`.
@@ -99,46 +122,61 @@ class RequestServer:
         `source` is where it came from, for the log.
         """
         try:
-            request = read_request(verb, query.payload)
+            request = _DECODERS[verb](query.payload)
         except CodecError as error:
             if self._bus is not None:
-                self._bus.drop(f"{_plane(verb)}/{verb}:malformed")
-            self._refuse_malformed(query, str(error), source)
+                self._bus.drop(f"control/{verb}:malformed")
+            self._refuse_unread(query, str(error), source)
             return
         is_for_this = request.targets is None or self._robot in request.targets
-        is_stop = isinstance(request, StopRequest | EstopRequest)
         is_pending = request.id in self._pending
-        is_full = not is_pending and len(self._pending) >= MAX_PENDING
-        if not is_for_this or (is_full and not is_stop):
+        if not is_for_this or (not is_pending and len(self._pending) >= MAX_PENDING):
             query.drop()
-        elif request.id in self._replies and not is_stop:
-            query.reply(self._replies[request.id])
+        elif request.id in self._replies:
+            query.reply(encode(self._replies[request.id]))
         else:
             # The newest query of an id gets the reply: the link of an older one may be closed.
-            self._pending[request.id] = _Pending(request, query, source)
+            self._pending[request.id] = _Pending(
+                request, lambda reply: query.reply(encode(reply)), source
+            )
             if isinstance(request, ForgetRequest):
                 self._forget(request)
-            elif is_stop or not is_pending:
+            elif not is_pending:
                 self._on_request(request)
 
-    def _refuse_malformed(self, query: Query, text: str, source: str) -> None:
+    def _keep(self, reply: Reply) -> bool:
+        """Keep a reply for repeats; True if the id had one."""
+        is_repeat = reply.id in self._replies
+        self._replies[reply.id] = reply
+        if len(self._replies) > MAX_REPLIES:
+            del self._replies[next(iter(self._replies))]
+        return is_repeat
+
+    def _refuse_unread(self, query: Query, text: str, source: str) -> None:
+        """Refuse a request that is malformed or of another version."""
         try:
             header = _header(query.payload)
         except CodecError:
             header = RequestHeader(id="", verb="")
-        if 0 < len(header.id) <= MAX_ID and self._robot in (header.targets or ()):
-            reply = Reply(
-                id=header.id,
-                robot=self._robot,
-                code=Code.REFUSED,
-                refusal=Refusal.INVALID_REQUEST,
-                text=f"{header.verb[:MAX_ID]}: {text}"[:MAX_TEXT],
-            )
-            query.reply(encode(reply))
-            verb, operator = header.verb[:MAX_ID], header.operator[:MAX_OPERATOR]
-            self._audit.record(verb, operator, source, reply, boottime())
-        else:
+        if not 0 < len(header.id) <= MAX_ID or self._robot not in (header.targets or ()):
             query.drop()
+            return
+        verb, operator = header.verb[:MAX_ID], header.operator[:MAX_OPERATOR]
+        version = codec.version_of(query.payload)
+        refusal, text = Refusal.INVALID_REQUEST, f"{verb}: {text}"
+        if version != codec.VERSION:
+            refusal = Refusal.OTHER_VERSION
+            text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
+        reply = Reply(
+            id=header.id,
+            robot=self._robot,
+            code=Code.REFUSED,
+            refusal=refusal,
+            text=text[:MAX_TEXT],
+        )
+        query.reply(encode(reply))
+        if not self._keep(reply):
+            self._audit.record(verb, operator, source, reply, boottime())
 
     def _forget(self, request: ForgetRequest) -> None:
         assert self._bus is not None
@@ -148,29 +186,3 @@ class RequestServer:
         else:
             code, refusal, text = Code.APPLIED, None, f"forgot {name}"
         self.reply(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text))
-
-
-def read_request(verb: str, payload: bytes) -> AnyRequest:
-    """Decode a request that came on the key of `verb`.
-
-    Raises CodecError if the payload is malformed or has another verb. A stop or estop is accepted
-    whatever its other fields hold, if its id, verb and targets can be read.
-    """
-    try:
-        return _DECODERS[verb](payload)
-    except CodecError:
-        if verb not in ("stop", "estop"):
-            raise
-    header = _header(payload)
-    if header.verb != verb:
-        raise CodecError(f"a request to {header.verb} came on the key of {verb}")
-    kind = StopRequest if verb == "stop" else EstopRequest
-    return kind(
-        id=header.id[:MAX_ID] or "unnamed",
-        operator=header.operator[:MAX_OPERATOR] or "unknown",
-        targets=None if header.targets is None else dict.fromkeys(header.targets),
-    )
-
-
-def _plane(verb: str) -> str:
-    return "safety" if verb == "estop" else "control"

@@ -40,8 +40,7 @@ from swarmd.core.messages import (
 )
 from swarmd.network.discovery import Discovery, MembersView
 from swarmd.network.outcome import Acks, Outcome
-from swarmd.network.scouting import swarms_in_reach
-from swarmd.network.session import MAX_WIRE, open_session, undeclare
+from swarmd.network.session import MAX_WIRE, open_operator_session, undeclare
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.stop_request import DISCOVERY_TIMEOUT, PendingStop, Select
 
@@ -91,7 +90,7 @@ class Operator:
     def __init__(
         self, settings: NetworkSettings, *, name: str | None = None, roster: Iterable[str] = ()
     ) -> None:
-        self.settings = settings.as_operator()
+        self.settings = settings
         self.name = _sendable(name, MAX_OPERATOR) if name else operator_name()
         self._roster = frozenset(roster)
         self._news = threading.Condition()
@@ -99,7 +98,7 @@ class Operator:
         self._links = 0
         self._discovery: Discovery | None = None
         self._version = 0
-        self._session = open_session(self.settings, wait_for_peers=False)
+        self._session = open_operator_session(self.settings, ())
         self._listeners = self._watch()
 
     def __enter__(self) -> Self:
@@ -194,7 +193,7 @@ class Operator:
 
     def swarms(self, *, timeout: float = 0.3) -> tuple[str, ...]:
         """The names of all swarms within reach, for an operator who finds no member of this one."""
-        return swarms_in_reach(self._session, self.settings, timeout)
+        return ()
 
     def _new(self, kind: type[R], **fields: Any) -> R:
         if "reason" in fields:

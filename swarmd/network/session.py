@@ -20,8 +20,7 @@ import re
 import socket
 import struct
 import sys
-import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import zenoh
@@ -29,19 +28,16 @@ import zenoh
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from swarmd.network.settings import FIELD_PORT, NetworkSettings, parse_endpoint
 
-MULTICAST_ADDRESS = "224.0.0.224"
-FIRST_PORT = 7450
-PORTS = 64
 MAX_WIRE = 1024 * 1024
 MAX_PORT_TRIES = 5
 # How long a full link may hold up the caller, in us: Zenoh's own 5 s would stall the daemon.
 _MAX_BLOCK_US = 250_000
-# The timeout of dialling. Zenoh 1.10 is not safe to interrupt there: an opening that its deadline
-# meets between the last two steps leaves a link that one side never reads, and that side lacks the
-# other's declarations for good (with 2000 in 1 to 2 % of heals, since address resolution repeats
-# its questions every second, and none of 240 with this: a connection is made soon after 0, 1, 2
-# or 3 s if at all).
-_OPEN_TIMEOUT_MS = 4500
+# The timeout of dialling, in ms: TCP's handshake and two round trips of Zenoh, on a network that
+# loses some of it. The one of accepting is longer: an opening that its deadline meets between the
+# last two steps leaves a link that one side never reads, and that side lacks the other's
+# declarations for good.
+_OPEN_TIMEOUT_MS = 9000
+_MAX_PENDING_LINKS = 512  # silent connections until their timeout; Zenoh's own 100 are soon used up
 _MAX_BATCHES = 16  # as many as Zenoh allows
 _FRAGMENT_TIMEOUT_US = 5_000
 _SIOCGIFFLAGS, _IFF_UP = 0x8913, 1  # linux/sockios.h, linux/if.h
@@ -57,13 +53,23 @@ Address = tuple[str, int]
 S = TypeVar("S", bound=zenoh.Session | None)
 
 
-def open_session(settings: NetworkSettings, *, wait_for_peers: bool = True) -> zenoh.Session:
-    """Open a session of a swarm; takes 2 to 500 ms. Raises NetworkError in one line.
+def open_session(settings: NetworkSettings) -> zenoh.Session:
+    """Open the session of a daemon, which listens only. Raises NetworkError in one line."""
+    return _open(settings, session_options(settings))
 
-    `wait_for_peers`: wait up to 0.5 s for a first peer.
+
+def open_operator_session(settings: NetworkSettings, endpoints: Sequence[str]) -> zenoh.Session:
+    """Open a session that dials `endpoints` in the background; takes about 1 ms.
+
+    All are dialled at once and for as long as the session is open. More cannot be added: robots
+    that are found later need a further session. Raises NetworkError in one line.
     """
-    options = session_options(settings, wait_for_peers=wait_for_peers)
-    _check_interface(settings.interface_name)
+    return _open(settings, operator_options(settings, endpoints))
+
+
+def _open(settings: NetworkSettings, options: Mapping[str, object]) -> zenoh.Session:
+    if settings.profile != "routed":
+        check_interface(settings.interface_name)
     session = open_with(options, what=f"swarm {settings.swarm!r}")
     tune_sockets(session, settings.lease_seconds)
     return session
@@ -161,31 +167,45 @@ def undeclare(*entities: Any) -> None:
             entity.undeclare()
 
 
-def scouting_port(swarm: str) -> int:
-    """The multicast port on which this swarm meets: one of 64, so that two seldom share it."""
-    return FIRST_PORT + zlib.crc32(swarm.encode()) % PORTS
+def session_options(settings: NetworkSettings) -> dict[str, object]:
+    """Zenoh's configuration of a daemon, path to value. Raises ConfigError for wrong settings."""
+    if settings.profile == "routed":
+        return _options(settings, "client", (), settings.routers)
+    return _options(settings, "peer", _listen(settings), ())
 
 
-def session_options(settings: NetworkSettings, *, wait_for_peers: bool = True) -> dict[str, object]:
-    """Zenoh's configuration, path to value. Raises ConfigError for settings that do not fit."""
+def operator_options(settings: NetworkSettings, endpoints: Sequence[str]) -> dict[str, object]:
+    """Zenoh's configuration of an operator; dials `endpoints`, or the routers in profile routed.
+
+    Raises ConfigError for wrong settings.
+    """
+    if settings.profile == "routed":
+        return _options(settings, "client", (), settings.routers)
+    return _options(settings, "peer", (), endpoints)
+
+
+def _options(
+    settings: NetworkSettings, mode: str, listen: Sequence[str], connect: Sequence[str]
+) -> dict[str, object]:
     settings.check()
-    is_dev = settings.profile == "dev"
     return {
-        "mode": "peer",
-        "scouting/multicast/enabled": settings.multicast,
-        "scouting/multicast/interface": settings.interface_name,
-        "scouting/multicast/address": f"{MULTICAST_ADDRESS}:{scouting_port(settings.swarm)}",
-        "scouting/gossip/enabled": not is_dev or not settings.multicast,
-        "listen/endpoints": _listen(settings),
-        "connect/endpoints": list(settings.seeds),
+        "mode": mode,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        # With a timeout of 0 it would dial one endpoint after the other.
+        "connect/timeout_ms": -1,
+        "connect/exit_on_failure": False,
         "connect/retry": {
             "period_init_ms": 200,
             "period_max_ms": 1000,
             "period_increase_factor": 1.5,
         },
-        "open/return_conditions/connect_scouted": wait_for_peers,
+        "open/return_conditions/connect_scouted": False,
         "transport/unicast/open_timeout": _OPEN_TIMEOUT_MS,
         "transport/unicast/accept_timeout": _OPEN_TIMEOUT_MS + 1000,
+        "transport/unicast/accept_pending": _MAX_PENDING_LINKS,
         "transport/link/tx/lease": round(settings.lease_seconds * 1000),
         "transport/link/tx/queue/congestion_control/block/wait_before_close": _MAX_BLOCK_US,
         "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": (
@@ -206,7 +226,8 @@ def _listen(settings: NetworkSettings) -> list[str]:
     return [one if "#" in one else f"{one}#iface={settings.interface_name}" for one in wanted]
 
 
-def _check_interface(interface: str) -> None:
+def check_interface(interface: str) -> None:
+    """Raise NetworkError in one line if the interface is absent, or loopback is down."""
     try:
         socket.if_nametoindex(interface)
     except OSError:

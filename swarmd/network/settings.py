@@ -8,7 +8,6 @@ from collections.abc import Iterator
 from typing import Annotated, Literal, NamedTuple
 
 from msgspec import Meta, Struct
-from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import check_id
@@ -16,7 +15,8 @@ from swarmd.core.keys import check_id
 FIELD_PORT = 7440  # Zenoh's own 7447 belongs to the bridges and routers of ROS robots
 MIN_LEASE, MAX_LEASE = 0.2, 60.0
 
-Profile = Literal["dev", "field"]
+Profile = Literal["dev", "field", "routed"]
+DEFAULT_SWARM = "default"
 # Where a setting stands, such as ("seeds", 0), and what is wrong with it.
 Fault = tuple[tuple[str | int, ...], str]
 
@@ -53,20 +53,23 @@ def parse_endpoint(
 class NetworkSettings(Struct, frozen=True, kw_only=True):
     """How to meet the swarm.
 
+    `profile`: dev: robots on this machine; field: robots on one interface, without anything else;
+    routed: all by Zenoh routers at the endpoints `routers`.
     `interface`: required in profile field, which binds nothing else; dev uses `lo`.
     `listen`: endpoints such as `tcp/10.0.0.5:7440`; empty means an ephemeral port on loopback
     (dev) or port 7440 on the interface (field).
-    `seeds`: endpoints that are dialled, and again at least every second while they are away:
-    the fastest way back after a cut, and the only one with `multicast` off.
+    `seeds`: endpoints of robots to which datagrams also go one by one: the way through networks
+    that drop multicast and broadcast, and the only one with `multicast` off.
     `lease`: seconds without a sign of life after which a peer counts as gone. A shorter one
     notices sooner and tolerates less loss. None: 2 s in dev, 3 s in field.
     """
 
-    swarm: str = "default"
+    swarm: str = DEFAULT_SWARM
     profile: Profile = "dev"
     interface: str | None = None
     listen: tuple[str, ...] = ()
     seeds: tuple[str, ...] = ()
+    routers: tuple[str, ...] = ()
     multicast: bool = True
     lease: Annotated[float, Meta(ge=MIN_LEASE, le=MAX_LEASE)] | None = None
 
@@ -87,21 +90,21 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
         """The one interface that is used."""
         return self.interface or "lo"
 
-    def as_operator(self) -> NetworkSettings:
-        """The same network with any free port, so that an operator fits beside a daemon."""
-        return replace(self, listen=() if self.profile == "dev" else ("tcp/0.0.0.0:0",))
-
     def faults(self) -> Iterator[Fault]:
         """What is wrong with the settings."""
         try:
             check_id(self.swarm, "swarm")
         except ConfigError as error:
             yield ("swarm",), str(error)
-        if self.profile not in ("dev", "field"):
-            yield ("profile",), f"profile is {self.profile!r}; expected dev or field"
+        if self.profile not in ("dev", "field", "routed"):
+            yield ("profile",), f"profile is {self.profile!r}; expected dev, field or routed"
         if not MIN_LEASE <= self.lease_seconds <= MAX_LEASE:
             yield ("lease",), f"lease is {self.lease_seconds:g} s; expected 0.2 to 60 s"
-        for key, endpoints in (("listen", self.listen), ("seeds", self.seeds)):
+        for key, endpoints in (
+            ("listen", self.listen),
+            ("seeds", self.seeds),
+            ("routers", self.routers),
+        ):
             for index, text in enumerate(endpoints):
                 if fault := self._fault_of(key, text):
                     yield (key, index), f"{key}[{index}] is {fault}"
@@ -110,11 +113,23 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
                 ("profile",),
                 "profile field needs `interface`: the network interface to use, such as wlan0",
             )
+        if self.profile == "routed" and not self.routers:
+            yield (
+                ("profile",),
+                "profile routed needs `routers`: endpoints of Zenoh routers,"
+                " such as tcp/10.0.0.1:7447",
+            )
         if self.profile == "field" and not self.multicast and not self.seeds:
             yield (
                 ("multicast",),
                 "profile field with multicast off needs `seeds`: endpoints of robots to dial,"
                 " such as tcp/10.0.0.5:7440",
+            )
+        if self.profile != "dev" and self.swarm == DEFAULT_SWARM:
+            yield (
+                ("swarm",),
+                f"profile {self.profile} needs a name of its own for the swarm;"
+                f" {DEFAULT_SWARM!r} would meet every other unnamed swarm of the network",
             )
 
     def check(self) -> None:
@@ -127,8 +142,8 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
             endpoint = parse_endpoint(text)
         except ConfigError as error:
             return str(error)
-        if key == "seeds" and endpoint.port == 0:
-            return f"{text!r}; a robot to dial needs its port"
+        if key != "listen" and endpoint.port == 0:
+            return f"{text!r}; what is dialled needs its port"
         if self.profile == "dev" and not endpoint.is_loopback:
             return f"{text!r}, but profile dev stays on this machine; use profile field"
         return ""

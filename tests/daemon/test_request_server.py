@@ -1,15 +1,14 @@
-"""Requests from the wire: read strictly, but for a stop."""
+"""Requests from the wire, and stops from datagrams."""
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import msgpack
 import pytest
 
+from swarmd.core import codec
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.errors import CodecError
 from swarmd.core.messages import (
     REQUEST_TYPES,
     Code,
@@ -21,14 +20,15 @@ from swarmd.core.messages import (
     RunRequest,
     StopRequest,
 )
-from swarmd.daemon.request_server import MAX_PENDING, RequestServer, read_request
+from swarmd.daemon.request_server import MAX_PENDING, RequestServer
+from swarmd.network.datagram import Stop
 
 EPOCH = Epoch("0123456789ab", 1)
 
 
-def raw(**fields: object) -> bytes:
+def raw(*, version: int = 1, **fields: object) -> bytes:
     packed: bytes = msgpack.packb(fields)
-    return b"\x01" + packed
+    return bytes([version]) + packed
 
 
 class RecordingQuery:
@@ -48,58 +48,74 @@ def run_request(id: str = "r1") -> RunRequest:
     return RunRequest(id=id, operator="anna", targets={"tb3-01": EPOCH}, pattern="drive")
 
 
-@pytest.mark.parametrize("verb", REQUEST_TYPES)
+@pytest.mark.parametrize("verb", ["run", "param", "reload", "reset"])
 def test_a_request_arrives_as_it_was_sent(verb: str) -> None:
     fields: dict[str, dict[str, Any]] = {
         "run": {"pattern": "drive", "params": {"speed": "0.1"}, "until": ("done",)},
         "param": {"params": {"speed": 0.1, "name": None}},
         "reload": {"pattern": "drive", "is_rerun": True},
         "reset": {"ids": ("e1",), "reason": "drill"},
-        "estop": {"scope": "robots", "reason": "drill"},
-        "forget": {"name": "tb3-02"},
     }
     targets: dict[str, Epoch | None] = {"tb3-01": EPOCH}
-    kind = REQUEST_TYPES[verb]
-    request = kind(id="r1", operator="anna", targets=targets, **fields.get(verb, {}))
-    assert request.verb == verb
-    assert read_request(verb, encode(request)) == request
-
-
-@pytest.mark.parametrize("verb", ["stop", "estop"])
-def test_a_stop_with_unreadable_fields_is_obeyed(verb: str) -> None:
+    request = REQUEST_TYPES[verb](id="r1", operator="anna", targets=targets, **fields[verb])
     taken: list[Request] = []
-    payload = raw(id="e" * 99, operator="a" * 999, verb=verb, reason=math.nan, scope=[{}])
-    RequestServer("tb3-01", taken.append).handle(verb, RecordingQuery(payload))
-    (request,) = taken
-    assert isinstance(request, StopRequest | EstopRequest)
-    assert (request.verb, request.targets) == (verb, None)
-    assert (len(request.id), len(request.operator)) == (63, 128)
+    RequestServer("tb3-01", taken.append).handle(verb, RecordingQuery(encode(request)))
+    assert request.verb == verb
+    assert taken == [request]
 
 
-def test_an_unreadable_estop_is_swarm_wide_and_keeps_its_targets() -> None:
-    payload = raw(id="e1", verb="estop", scope="nobody", targets={"tb3-02": "rubbish"})
-    request = read_request("estop", payload)
-    assert isinstance(request, EstopRequest)
-    assert (request.scope, set(request.targets or ())) == ("swarm", {"tb3-02"})
+def test_a_stop_is_carried_out_by_the_robots_that_it_is_for() -> None:
+    taken: list[Request] = []
+    server = RequestServer("tb3-01", taken.append)
+    estop = Stop(id="e1", verb="estop", operator="", scope="robots", reason="drill")
+    for stop in (
+        estop,
+        Stop(id="s1", verb="stop", operator="anna", targets=("tb3-02", "tb3-01")),
+        Stop(id="s2", verb="stop", operator="anna", targets=("tb3-02",)),
+    ):
+        server.stop(stop, "10.0.0.5", lambda reply: None)
+    assert taken == [
+        EstopRequest(id="e1", operator="unknown", scope="robots", reason="drill"),
+        StopRequest(id="s1", operator="anna", targets={"tb3-02": None, "tb3-01": None}),
+    ]
 
 
 @pytest.mark.parametrize(
-    ("verb", "payload"),
+    "payload",
     [
-        ("run", raw(id="r1", operator="a", verb="run", pattern="x", targets=None)),
-        ("run", raw(id="r1", operator="a", verb="run", pattern="x")),
-        ("run", raw(id="r1", operator="a", verb="run", targets={"a": None})),
-        ("run", raw(id="r1", operator="a", verb="stop", targets=None)),
-        ("estop", raw(id="r1", operator="a", verb="stop", targets=None)),
-        ("run", raw(id="r1", operator="a", verb="run", pattern="x", targets={"a": 1})),
-        ("estop", raw(operator="a", verb="estop")),
-        ("estop", b"rubbish"),
-        ("estop", b""),
+        raw(id="r1", operator="a", verb="run", pattern="x", targets=None),
+        raw(id="r1", operator="a", verb="run", pattern="x"),
+        raw(id="r1", operator="a", verb="run", targets={"tb3-01": None}),
+        raw(id="r1", operator="a", verb="stop", targets=None),
+        raw(id="r1", operator="a", verb="run", pattern="x", targets={"tb3-01": 1}),
+        b"rubbish",
+        b"",
     ],
 )
-def test_any_other_malformed_request_is_rejected(verb: str, payload: bytes) -> None:
-    with pytest.raises(CodecError):
-        read_request(verb, payload)
+def test_a_malformed_request_is_not_carried_out(payload: bytes) -> None:
+    taken: list[Request] = []
+    RequestServer("tb3-01", taken.append).handle("run", RecordingQuery(payload))
+    assert taken == []
+
+
+@pytest.mark.parametrize("version", [0, 2])
+def test_a_request_of_another_version_is_refused_by_name(version: int) -> None:
+    lines: list[str] = []
+    taken: list[Request] = []
+    server = RequestServer("tb3-01", taken.append, lines.append)
+    fields: dict[str, Any] = {"id": "r1", "operator": "anna", "verb": "run", "version": version}
+    mine = RecordingQuery(raw(**fields, targets={"tb3-01": None}, novelty=[1, {"a": 2}]))
+    other = RecordingQuery(raw(**fields, targets={"tb3-02": None}))
+    for query in (mine, mine, other):
+        server.handle("run", query)
+    assert taken == []
+    assert {(one.code, one.refusal) for one in mine.replies} == {
+        (Code.REFUSED, Refusal.OTHER_VERSION)
+    }
+    assert mine.replies[0].text == f"tb3-01 speaks {codec.VERSION}, this swarmctl {version}"
+    assert (other.replies, other.is_dropped) == ([], True)
+    [line] = lines
+    assert line.startswith("run, by anna from zenoh: refused (other_version): tb3-01 speaks ")
 
 
 def test_a_malformed_request_is_refused_by_the_robots_that_it_targets() -> None:
@@ -125,7 +141,7 @@ def test_pending_requests_are_bounded_and_a_stop_is_always_taken() -> None:
     for n in range(MAX_PENDING + 1):
         server.handle("run", RecordingQuery(encode(run_request(f"r{n}"))))
     assert len(taken) == MAX_PENDING
-    server.handle("estop", RecordingQuery(encode(EstopRequest(id="e1", operator="anna"))))
+    server.stop(Stop(id="e1", verb="estop", operator="anna"), "10.0.0.5", lambda reply: None)
     assert taken[-1].id == "e1"
 
 
@@ -143,25 +159,26 @@ def test_a_repeated_request_is_carried_out_once_and_gets_the_same_reply() -> Non
     assert waiting.replies == late.replies == [reply]
 
 
-def test_a_repeated_stop_is_carried_out_each_time() -> None:
+def test_a_repeated_stop_is_carried_out_and_answered_each_time() -> None:
     taken: list[Request] = []
+    answers: list[Reply] = []
     server = RequestServer("tb3-01", taken.append)
-    stop = StopRequest(id="s1", operator="anna")
     for _ in range(2):
-        server.handle("stop", RecordingQuery(encode(stop)))
+        server.stop(Stop(id="s1", verb="stop", operator="anna"), "10.0.0.5", answers.append)
         server.reply(Reply(id="s1", robot="tb3-01", code=Code.APPLIED))
-    assert taken == [stop, stop]
+    assert taken == [StopRequest(id="s1", operator="anna")] * 2
+    assert [one.id for one in answers] == ["s1", "s1"]
 
 
 def test_a_reply_names_the_latches_that_are_not_on_disk() -> None:
+    answers: list[Reply] = []
     server = RequestServer("tb3-01", lambda request: None)
-    query = RecordingQuery(encode(EstopRequest(id="e1", operator="anna")))
-    server.handle("estop", query)
+    server.stop(Stop(id="e1", verb="estop", operator="anna"), "10.0.0.5", answers.append)
     reply = Reply(id="e1", robot="tb3-01", code=Code.APPLIED, text="zero")
     server.reply(reply, is_stored=False)
-    assert [one.text != "zero" for one in query.replies] == [True]
+    assert [one.text != "zero" for one in answers] == [True]
     server.reply(reply)
-    assert len(query.replies) == 1
+    assert len(answers) == 1
 
 
 def test_each_request_gives_one_line_also_when_it_is_repeated() -> None:
@@ -172,9 +189,9 @@ def test_each_request_gives_one_line_also_when_it_is_repeated() -> None:
         server.reply(Reply(id=request.id, robot="tb3-01", code=Code.APPLIED, text="fine"))
 
     server = RequestServer("tb3-01", carry_out, lines.append)
-    stop = encode(StopRequest(id="s1", operator="anna"))
     for _ in range(3):
-        server.handle("stop", RecordingQuery(stop), "10.0.0.5")
+        stop = Stop(id="s1", verb="stop", operator="anna")
+        server.stop(stop, "10.0.0.5", lambda reply: None)
     server.handle("run", RecordingQuery(encode(run_request())))
     server.handle("run", RecordingQuery(raw(id="r2", verb="run", targets={"tb3-01": None})))
     server.handle("run", RecordingQuery(b"rubbish"))

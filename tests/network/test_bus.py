@@ -85,8 +85,8 @@ class BusRig:
 
 @pytest.fixture
 def rig(runner: asyncio.Runner, settings: NetworkSettings) -> Iterator[BusRig]:
-    session = open_session(settings, wait_for_peers=False)
-    foreign = open_session(settings, wait_for_peers=False)
+    session = open_session(settings)
+    foreign = open_session(settings)
 
     async def make() -> BusRig:
         made = BusRig(session, foreign, settings.swarm)

@@ -19,17 +19,17 @@ from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.network.session import (
-    FIRST_PORT,
-    PORTS,
     connected_sockets,
     open_in_thread,
+    open_operator_session,
     open_session,
-    scouting_port,
+    operator_options,
     session_options,
     tune_link,
 )
 from swarmd.network.settings import NetworkSettings
 from swarmd.testing.driver_contract import TIMEOUT
+from tests.support.processes import free_endpoint
 
 
 def field(**changes: object) -> NetworkSettings:
@@ -39,51 +39,35 @@ def field(**changes: object) -> NetworkSettings:
     )
 
 
-MULTICAST, GOSSIP = "scouting/multicast/enabled", "scouting/gossip/enabled"
-INTERFACE, LEASE = "scouting/multicast/interface", "transport/link/tx/lease"
+MODE, LEASE = "mode", "transport/link/tx/lease"
 LISTEN, DIAL = "listen/endpoints", "connect/endpoints"
+ROUTED = NetworkSettings(swarm="lab", profile="routed", routers=("tcp/10.0.0.1:7447",))
 
 
 @pytest.mark.parametrize(
     ("settings", "wanted"),
     [
-        (
-            NetworkSettings(swarm="lab"),
-            {INTERFACE: "lo", LISTEN: ["tcp/127.0.0.1:0"], GOSSIP: False, LEASE: 2000},
-        ),
-        (
-            field(),
-            {INTERFACE: "wlan0", LISTEN: ["tcp/0.0.0.0:7440#iface=wlan0"], LEASE: 3000},
-        ),
+        (NetworkSettings(swarm="lab"), {LISTEN: ["tcp/127.0.0.1:0"], LEASE: 2000}),
+        (field(), {LISTEN: ["tcp/0.0.0.0:7440#iface=wlan0"], LEASE: 3000}),
         (field(listen=("tcp/10.0.0.5:7001",)), {LISTEN: ["tcp/10.0.0.5:7001#iface=wlan0"]}),
-        (
-            field(seeds=("tcp/10.0.0.5:7447",), multicast=False),
-            {MULTICAST: False, GOSSIP: True, DIAL: ["tcp/10.0.0.5:7447"]},
-        ),
-        (
-            field(listen=("tcp/10.0.0.5:7447",)).as_operator(),
-            {LISTEN: ["tcp/0.0.0.0:0#iface=wlan0"]},
-        ),
+        (field(seeds=("tcp/10.0.0.5:7447",), multicast=False), {DIAL: []}),
+        (ROUTED, {MODE: "client", LISTEN: [], DIAL: ["tcp/10.0.0.1:7447"]}),
     ],
-    ids=["dev", "field", "field's own endpoint", "seeds alone", "operator"],
+    ids=["dev", "field", "field's own endpoint", "seeds", "routed"],
 )
-def test_a_session_binds_and_dials_only_what_its_profile_names(
+def test_a_daemon_listens_and_dials_nobody_but_its_routers(
     settings: NetworkSettings, wanted: dict[str, object]
 ) -> None:
     options = session_options(settings)
     assert {path: options[path] for path in wanted} == wanted
+    assert not any(options[f"scouting/{way}/enabled"] for way in ("multicast", "gossip"))
 
 
-def test_seeds_that_are_away_are_dialled_again_within_a_second() -> None:
-    retry = session_options(NetworkSettings())["connect/retry"]
-    assert isinstance(retry, dict)
-    assert retry["period_max_ms"] == 1000
-
-
-def test_the_scouting_port_follows_from_the_name() -> None:
-    ports = {scouting_port(f"class-{number}") for number in range(500)}
-    assert ports <= set(range(FIRST_PORT, FIRST_PORT + PORTS))
-    assert len(ports) == PORTS
+def test_an_operator_dials_what_it_found_and_listens_nowhere() -> None:
+    found = ["tcp/10.0.0.5:7440", "tcp/[fe80::1%2]:7440"]
+    options = operator_options(field(listen=("tcp/10.0.0.5:7440",)), found)
+    assert (options[MODE], options[LISTEN], options[DIAL]) == ("peer", [], found)
+    assert operator_options(ROUTED, found)[DIAL] == ["tcp/10.0.0.1:7447"]
 
 
 @pytest.mark.parametrize(
@@ -96,6 +80,8 @@ def test_the_scouting_port_follows_from_the_name() -> None:
         (field(seeds=("tcp/10.0.0.5:0",)), "needs its port"),
         (field(listen=("tcp/10.0.0.5:70000",)), "listen[0] is 'tcp/10.0.0.5:70000'"),
         (field(lease=0.0), "lease is 0 s"),
+        (field(swarm="default"), "a name of its own"),
+        (replace(ROUTED, routers=()), "needs `routers`"),
         (NetworkSettings(swarm="lab", listen=("tcp/0.0.0.0:0",)), "dev"),
         (NetworkSettings(swarm="lab", seeds=("tcp/10.0.0.5:7447",)), "dev"),
     ],
@@ -146,17 +132,18 @@ def test_an_unknown_interface_is_named_with_those_there_are(settings: NetworkSet
         open_session(replace(settings, profile="field", interface="wlan9"))
 
 
-def test_sessions_of_one_swarm_meet(settings: NetworkSettings) -> None:
-    one = open_session(settings)
-    other = open_session(settings)
+def test_an_operator_meets_the_daemon_that_it_dials(settings: NetworkSettings) -> None:
+    endpoint, nobody = free_endpoint(), free_endpoint()
+    daemon = open_session(replace(settings, listen=(endpoint,)))
+    operator = open_operator_session(settings, [nobody, endpoint])
     try:
-        heard = one.liveliness().declare_subscriber("swarm/**", zenoh.handlers.FifoChannel(8))
-        token = other.liveliness().declare_token(f"swarm/{settings.swarm}/a/alive/1")
+        heard = operator.liveliness().declare_subscriber("swarm/**", zenoh.handlers.FifoChannel(8))
+        token = daemon.liveliness().declare_token(f"swarm/{settings.swarm}/a/alive/1")
         assert str(heard.recv().key_expr) == f"swarm/{settings.swarm}/a/alive/1"
         del token
     finally:
-        one.close()
-        other.close()
+        operator.close()
+        daemon.close()
 
 
 def session() -> zenoh.Session:
@@ -263,12 +250,14 @@ def test_looking_for_sockets_leaks_no_descriptor(
 
 
 def test_every_live_link_is_tuned(settings: NetworkSettings) -> None:
-    """Both ends are in this process: each of at least three links shows up as two sockets."""
-    sessions = [open_session(settings) for _ in range(3)]
+    """Both ends are in this process: each of two links shows up as two sockets."""
+    endpoints = [free_endpoint(), free_endpoint()]
+    sessions = [open_session(replace(settings, listen=(one,))) for one in endpoints]
+    sessions.append(open_operator_session(settings, endpoints))
     end = time.monotonic() + 20.0
     try:
         found: list[tuple[int, bool]] = []
-        while len(found) < 6 or set(found) != {(2000, False)}:
+        while len(found) < 4 or set(found) != {(2000, False)}:
             assert time.monotonic() < end, found
             found = live_sockets(sessions)
     finally:

@@ -17,9 +17,10 @@ from typing import Any, Self
 import msgspec
 import zenoh
 
-from swarmd.core.codec import encode
+from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import (
+    REQUEST_TYPES,
     AnyRequest,
     Code,
     Epoch,
@@ -29,7 +30,6 @@ from swarmd.core.messages import (
     State,
     Status,
 )
-from swarmd.daemon.request_server import read_request
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.claim import Claim, claim_id
 from swarmd.network.session import open_session
@@ -39,6 +39,7 @@ from tests.support.statuses import status
 VERBS = ("run", "stop", "reset", "param", "forget")
 
 
+_DECODERS = {verb: Decoder(kind) for verb, kind in REQUEST_TYPES.items()}
 # How to answer a request; None: not at all.
 Answer = Callable[[AnyRequest], Code | None]
 
@@ -115,7 +116,7 @@ class FakeDaemon:
 
     def _on_query(self, verb: str, query: Query) -> None:
         try:
-            request = read_request(verb, query.payload)
+            request = _DECODERS[verb](query.payload)
         except CodecError:
             self.bus.drop("request:malformed")
             query.drop()
