@@ -1,0 +1,219 @@
+"""Datagrams on real sockets on loopback."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import secrets
+import socket
+import time
+from collections.abc import Iterator
+
+import pytest
+from msgspec.structs import replace
+
+from swarmd.core.errors import NetworkError
+from swarmd.network.datagram import ANY_SWARM, Beacon, Solicit, Stop, pack, tag_of
+from swarmd.network.recipients import Address
+from swarmd.network.settings import NetworkSettings
+from swarmd.network.udp import Received, UdpCarrier
+from tests.network.conftest import Until
+
+TAG = tag_of("dev", f"test-{secrets.token_hex(6)}")
+OTHER = tag_of("dev", "another")
+
+
+def beacon(number: int = 0, tag: bytes = TAG) -> bytes:
+    body = Beacon(robot="r1", instance=bytes(6), sequence=number, wire=1, state=0, revision=0)
+    return pack(tag, body)
+
+
+def stop(name: str, tag: bytes = TAG) -> bytes:
+    return pack(tag, Stop(id=name, verb="stop", operator="anna"))
+
+
+@pytest.fixture
+def left() -> Iterator[contextlib.ExitStack]:
+    with contextlib.ExitStack() as stack:
+        yield stack
+
+
+class Peers:
+    """Carriers of one swarm, closed at the end."""
+
+    def __init__(self, settings: NetworkSettings, left: contextlib.ExitStack) -> None:
+        self._settings, self._left = settings, left
+
+    def open(self, tag: bytes = TAG, port: int = 0, **changes: object) -> UdpCarrier:
+        made = UdpCarrier(replace(self._settings, **changes), tag, port=port)
+        self._left.callback(made.close)
+        return made
+
+
+@pytest.fixture
+def peers(settings: NetworkSettings, left: contextlib.ExitStack) -> Peers:
+    return Peers(settings, left)
+
+
+def arrived(carrier: UdpCarrier, count: int = 1) -> list[Received]:
+    """What arrives until these many have, or nothing does for 10 s."""
+    found: list[Received] = []
+    deadline = time.monotonic() + 10.0
+    while len(found) < count and time.monotonic() < deadline:
+        found += carrier.receive()
+        time.sleep(0.001)
+    return found
+
+
+def of(carrier: UdpCarrier) -> Address:
+    return ("127.0.0.1", carrier.port)
+
+
+def test_what_is_sent_reaches_all_but_the_sender(peers: Peers) -> None:
+    a, b, c = peers.open(), peers.open(), peers.open()
+    a.send(beacon())
+    for one in (b, c):
+        assert arrived(one) == [(beacon(), of(a), True)]
+    b.send(beacon(1))
+    assert arrived(a) == [(beacon(1), of(b), True)]
+    assert a.unsent == 0
+
+
+def test_a_datagram_by_unicast_reaches_one(peers: Peers) -> None:
+    a, b, c = peers.open(), peers.open(), peers.open()
+    a.send_to(stop("s1"), of(b))
+    assert arrived(b) == [(stop("s1"), of(a), False)]
+    a.send(beacon())
+    assert arrived(c) == [(beacon(), of(a), True)]
+
+
+def test_other_swarms_and_junk_are_dropped_by_the_kernel(peers: Peers) -> None:
+    a, other = peers.open(), peers.open(OTHER)
+    long = beacon() + bytes(1400)
+    for payload in (b"", b"SWMD", b"junk" * 20, beacon(tag=OTHER), stop("s", ANY_SWARM), long):
+        other.send_to(payload, of(a))
+    other.send(beacon(tag=OTHER))
+    solicit = pack(ANY_SWARM, Solicit(echo=1))
+    other.send(solicit)
+    other.send_to(beacon(), of(a))
+    assert {payload for payload, _, _ in arrived(a, 2)} == {solicit, beacon()}
+    assert not a.dropped
+
+
+def test_without_multicast_seeds_and_those_who_answer_hear(peers: Peers) -> None:
+    a = peers.open(multicast=False)
+    b = peers.open(multicast=False, seeds=(f"tcp/127.0.0.1:{a.port}",))
+    c = peers.open()
+    b.send(beacon())
+    assert arrived(a) == [(beacon(), of(b), False)]
+    a.send(beacon(1))
+    assert arrived(b) == [(beacon(1), of(a), False)]
+    c.send(beacon(2))
+    a.send_to(beacon(3), of(b))
+    assert [payload for payload, _, _ in arrived(b)] == [beacon(3)]
+
+
+def test_a_seed_may_be_a_name(peers: Peers) -> None:
+    a = peers.open(multicast=False)
+    b = peers.open(multicast=False, seeds=(f"tcp/localhost:{a.port}",))
+    found: list[Received] = []
+    deadline = time.monotonic() + 20.0
+    while not found and time.monotonic() < deadline:
+        b._refresh_at = -1e9  # a look at the name's address is due
+        b.send(beacon())
+        found += a.receive()
+        time.sleep(0.01)
+    assert found[0] == (beacon(), of(b), False)
+
+
+def test_a_copy_by_another_way_is_dropped_and_a_repeat_by_the_same_is_not(peers: Peers) -> None:
+    a, b = peers.open(), peers.open()
+    for _ in range(2):
+        a.send(stop("s"))
+        a.send_to(stop("s"), of(b))
+    a.send_to(beacon(), of(b))
+    found = [payload for payload, _, _ in arrived(b, 3)]
+    while beacon() not in found:
+        found += [payload for payload, _, _ in arrived(b)]
+    assert found.count(stop("s")) == 2
+
+
+@pytest.mark.parametrize(
+    "address",
+    [
+        ("240.0.0.1", 7440),
+        ("::1", 7440),
+        ("fe80::1%2", 7440),
+        ("a.name", 7440),
+        ("127.0.0.1", 0),
+        ("127.0.0.1", 70000),
+        ("127.0.0.1%2", 7440),
+        ("", 7440),
+        ("a\0b", 1),
+    ],
+)
+def test_what_cannot_be_sent_is_counted(peers: Peers, address: Address) -> None:
+    a = peers.open()
+    a.send_to(beacon(), address)
+    assert a.unsent == 1
+
+
+def test_a_full_queue_is_no_error(peers: Peers) -> None:
+    a, b = peers.open(), peers.open()
+    for number in range(20_000):
+        a.send_to(beacon(number), of(b))
+    assert arrived(b)
+
+
+def test_the_port_is_the_one_that_was_given(peers: Peers) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        port = probe.getsockname()[1]
+        with pytest.raises(NetworkError, match=f"udp port {port} is in use"):
+            peers.open(port=port)
+    assert peers.open(port=port).port == port
+
+
+def test_an_interface_that_is_not_there_is_named(peers: Peers) -> None:
+    with pytest.raises(NetworkError, match=r"'wlan7'.*there are: .*lo"):
+        peers.open(profile="field", interface="wlan7")
+
+
+def test_the_loop_is_told_of_each_datagram_until_the_carrier_is_closed(
+    peers: Peers, until: Until
+) -> None:
+    a, b = peers.open(), peers.open()
+    found: list[Received] = []
+
+    async def main() -> None:
+        b.attach(asyncio.get_running_loop(), lambda *one: found.append(one))
+        for number in range(500):
+            a.send(beacon(number))
+        await until(lambda: len(found) == 500)
+        b.close()
+        a.send(beacon())
+        await asyncio.sleep(0)
+
+    asyncio.run(main())
+    assert [payload for payload, _, _ in found] == [beacon(number) for number in range(500)]
+
+
+def test_a_thread_tells_of_each_datagram_until_the_carrier_is_closed(peers: Peers) -> None:
+    a, b = peers.open(), peers.open()
+    found: list[Received] = []
+    b.start_thread(lambda *one: found.append(one))
+    for number in range(500):
+        a.send(beacon(number))
+    deadline = time.monotonic() + 20.0
+    while len(found) < 500 and time.monotonic() < deadline:
+        time.sleep(0.001)
+    assert [payload for payload, _, _ in found] == [beacon(number) for number in range(500)]
+    b.close()
+    b.close()
+
+
+def test_rejoining_is_harmless(peers: Peers) -> None:
+    a, b = peers.open(), peers.open()
+    b.rejoin()
+    a.send(beacon())
+    assert arrived(b) == [(beacon(), of(a), True)]
