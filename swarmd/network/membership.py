@@ -1,104 +1,188 @@
-"""The members of a swarm as one peer sees them. Pure: events in, members out.
+"""The members of a swarm as one robot hears them. Pure: datagrams and times in, members out.
 
-A liveliness token shows that an instance is there, a status shows its state. The two come on
-different threads and may overtake each other; the result does not depend on their order. A robot is
+A robot is
 
-- alive while at least one of its instances holds a token and has not published `has_left`,
-- left when its latest instance published `has_left`, before or after its token vanished,
-- failed when its last token vanished without that; it stays listed until it is forgotten.
+- alive while its beacons are heard: a silent one is solicited before its lease ends,
+- left once its latest instance sent a beacon with Flag.LEFT,
+- failed when its lease ended without that; it stays listed until it returns or is forgotten.
 
+Beside these members, whose beacons arrive here, the words of others name robots that are known
+only by hearsay. They are handed on with their age and their distance, and count as no neighbours.
 Times are in s on the caller's monotonic clock.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
-from swarmd.core.messages import Member, Presence, Status
+from swarmd.core.messages import Member, Presence
+from swarmd.network.datagram import MAX_HOPS, PRESENCES, Beacon, Flag, Heard, Word
 
-# Each may hold a status of 64 kB.
-MAX_MEMBERS = 256
+Address = tuple[str, int]
+
+MAX_MEMBERS = 1024
 MAX_INSTANCES = 4
+# A member that is silent for this share of its lease is solicited, once per PROBE_PERIOD.
+PROBE_SHARE = 0.5
+PROBE_PERIOD = 0.25
+# A failed member that was heard for less than this was a stranger, and is dropped after a while.
+STRANGER_TIME = 10.0
+STRANGER_KEPT = 120.0
+
+
+@dataclass(slots=True)
+class _Instance:
+    """One life of a robot. `since`: first beacon as the owner of its id."""
+
+    since: float
+    heard: float
+    beacon: Beacon
+    address: Address
+    has_left: bool = False
 
 
 @dataclass(slots=True)
 class _Record:
-    """`seen`: instances that held a token, oldest first; `statuses` may come before the token."""
+    """`shown`: the instance and presence at the last event, and `since` when."""
 
-    seen: list[str] = field(default_factory=list)
-    alive: set[str] = field(default_factory=set)
-    left: set[str] = field(default_factory=set)
-    statuses: dict[str, Status] = field(default_factory=dict)
-    shown: tuple[str, Presence] | None = None
+    instances: dict[bytes, _Instance] = field(default_factory=dict)
+    shown: tuple[bytes, Presence] | None = None
     since: float = 0.0
+    first: float = 0.0
+    probed: float = 0.0
 
     @property
-    def is_gone(self) -> bool:
-        return self.shown is not None and self.shown[1] is not Presence.ALIVE
+    def latest(self) -> _Instance:
+        """The instance that appeared last."""
+        return next(reversed(self.instances.values()))
+
+    def living(self, lease: float, now: float) -> list[bytes]:
+        """The living instances, the newest first.
+
+        An older one counts only if it was heard after the newest appeared: a robot that restarts
+        is no duplicate of itself.
+        """
+        newest = self.latest
+        return [
+            name
+            for name, one in reversed(self.instances.items())
+            if not one.has_left
+            and now - one.heard <= lease
+            and (one is newest or one.heard > newest.since)
+        ]
+
+
+@dataclass(frozen=True, slots=True)
+class Hearsay:
+    """A robot that others know: their description, by whom and when it came."""
+
+    heard: Heard
+    by: str
+    at: float
+
+    def age(self, now: float) -> float:
+        """Seconds since the robot was heard by whoever hears it directly."""
+        return self.heard.age / 1000.0 + max(now - self.at, 0.0)
 
 
 class Membership:
     """The other robots of a swarm; `own` is never among them.
 
-    Each event method returns True if a member's instance or presence changed. Bounded: beyond
-    `MAX_MEMBERS` robots a new one replaces the one that vanished the longest ago, and is ignored
-    if all are alive. Of one robot's many instances the oldest are dropped.
+    Bounded: beyond MAX_MEMBERS a new robot replaces the one that is gone the longest, and is
+    ignored and counted in `ignored` if all are alive.
     """
 
-    def __init__(self, own: str) -> None:
+    def __init__(self, own: str, lease: float) -> None:
         self._own = own
+        self._lease = lease
         self._records: dict[str, _Record] = {}
+        self._hearsay: dict[str, Hearsay] = {}
+        self.ignored = 0
 
-    def on_alive(self, robot: str, instance: str, now: float) -> bool:
-        """A token appeared."""
-        record = self._record(robot, has_token=True)
+    def on_beacon(self, beacon: Beacon, address: Address, now: float) -> bool:
+        """A robot that owns its id sent a beacon; True if its presence or instance changed."""
+        if beacon.robot == self._own or beacon.flags & Flag.JOINING:
+            return False
+        record = self._records.get(beacon.robot)
         if record is None:
+            if beacon.flags & Flag.LEFT:
+                return False
+            if len(self._records) >= MAX_MEMBERS and not self._make_room():
+                self.ignored += 1
+                return False
+            record = self._records[beacon.robot] = _Record(first=now)
+        self._hearsay.pop(beacon.robot, None)
+        instance = record.instances.get(beacon.instance)
+        if instance is None:
+            instance = _Instance(now, now, beacon, address)
+            record.instances[beacon.instance] = instance
+            for old in list(record.instances)[:-MAX_INSTANCES]:
+                del record.instances[old]
+        elif instance.has_left or beacon.sequence < instance.beacon.sequence:
             return False
-        if instance not in record.alive:
-            record.alive.add(instance)
-            record.seen = [*(name for name in record.seen if name != instance), instance]
+        instance.heard, instance.beacon, instance.address = now, beacon, address
+        instance.has_left = bool(beacon.flags & Flag.LEFT)
         return self._settle(record, now)
 
-    def on_gone(self, robot: str, instance: str, now: float) -> bool:
-        """A token vanished: its holder left, died, or cannot be reached."""
-        record = self._records.get(robot)
-        if record is None or instance not in record.alive:
-            return False
-        record.alive.discard(instance)
-        return self._settle(record, now)
+    def on_word(self, word: Word, now: float) -> None:
+        """A robot told of those it knows."""
+        for heard in word.members:
+            record = self._records.get(heard.robot)
+            is_heard_here = record is not None and record.shown is not None
+            if heard.robot == self._own or heard.hops >= MAX_HOPS or is_heard_here:
+                continue
+            known = self._hearsay.get(heard.robot)
+            told = Hearsay(heard, word.robot, now)
+            if known is None and len(self._hearsay) >= MAX_MEMBERS:
+                self.ignored += 1
+            elif known is None or told.age(now) < known.age(now):
+                self._hearsay[heard.robot] = told
 
-    def on_status(self, status: Status, now: float) -> bool:
-        """A robot published its status; `has_left` in it means that the robot is leaving."""
-        record = self._record(status.robot)
-        if record is None:
-            return False
-        record.statuses.pop(status.instance, None)
-        record.statuses[status.instance] = status
-        if status.has_left:
-            record.left.add(status.instance)
-        return self._settle(record, now)
+    def advance(self, now: float) -> list[str]:
+        """End the leases that are over; the robots whose presence changed."""
+        changed = [robot for robot, record in self._records.items() if self._settle(record, now)]
+        for robot, record in list(self._records.items()):
+            is_stranger = record.since - record.first < STRANGER_TIME
+            if _is_gone(record) and is_stranger and now - record.since > STRANGER_KEPT:
+                del self._records[robot]
+        for robot, told in list(self._hearsay.items()):
+            if now - told.at > STRANGER_KEPT:
+                del self._hearsay[robot]
+        return changed
+
+    def to_probe(self, now: float) -> list[Address]:
+        """The addresses of members whose beacons are overdue."""
+        found = []
+        for record in self._records.values():
+            if _is_gone(record) or record.shown is None:
+                continue
+            silence = now - record.latest.heard
+            if silence > PROBE_SHARE * self._lease and now - record.probed >= PROBE_PERIOD:
+                record.probed = now
+                found.append(record.latest.address)
+        return found
 
     def forget(self, robot: str) -> bool:
         """Remove a robot; False if it is alive or unknown."""
+        self._hearsay.pop(robot, None)
         record = self._records.get(robot)
-        if record is None or not record.is_gone:
+        if record is None or not _is_gone(record):
             return False
         del self._records[robot]
         return True
 
     def member(self, robot: str, now: float) -> Member | None:
-        """One member, or None if it was never seen or is forgotten."""
+        """One member, or None if it was never heard or is forgotten."""
         record = self._records.get(robot)
         if record is None or record.shown is None:
             return None
         instance, presence = record.shown
         return Member(
             robot=robot,
-            instance=instance,
+            instance=instance.hex(),
             presence=presence,
             age=max(0.0, now - record.since),
-            status=record.statuses.get(instance),
         )
 
     def members(self, now: float) -> dict[str, Member]:
@@ -107,62 +191,83 @@ class Membership:
         return {robot: member for robot, member in found if member is not None}
 
     @property
-    def duplicates(self) -> Mapping[str, tuple[str, ...]]:
-        """Robot ids that more than one living instance holds, with those instances."""
-        return {
-            robot: tuple(sorted(record.alive - record.left))
-            for robot, record in self._records.items()
-            if len(record.alive - record.left) > 1
-        }
+    def hearsay(self) -> Mapping[str, Hearsay]:
+        """The robots that only others hear."""
+        return self._hearsay
 
-    def _record(self, robot: str, *, has_token: bool = False) -> _Record | None:
-        if robot == self._own:
-            return None
+    def address(self, robot: str) -> Address | None:
+        """The address from which a member was last heard."""
         record = self._records.get(robot)
-        if record is None:
-            if len(self._records) >= MAX_MEMBERS and not self._make_room(has_token):
-                return None
-            record = self._records[robot] = _Record()
-        return record
+        return None if record is None or record.shown is None else record.latest.address
 
-    def _make_room(self, has_token: bool) -> bool:
-        """Drop a robot that never held a token; for a token also the one that vanished first."""
+    def alive_addresses(self) -> Iterable[tuple[str, Address]]:
+        """The members that are alive, with their addresses."""
         for robot, record in self._records.items():
+            if record.shown is not None and record.shown[1] is Presence.ALIVE:
+                yield robot, record.latest.address
+
+    def told(self, now: float) -> tuple[Heard, ...]:
+        """What this robot tells others: those it hears or heard, then those it knows by hearsay."""
+        known = []
+        for robot, record in sorted(self._records.items()):
             if record.shown is None:
-                del self._records[robot]
-                return True
-        if not has_token:
-            return False
-        gone = [(record.since, robot) for robot, record in self._records.items() if record.is_gone]
+                continue
+            presence, latest = record.shown[1], record.latest
+            since = latest.heard if presence is Presence.ALIVE else record.since
+            known.append(
+                Heard(
+                    robot=robot,
+                    instance=record.shown[0],
+                    presence=PRESENCES.index(presence),
+                    age=round(max(now - since, 0.0) * 1000),
+                    host=latest.address[0],
+                    port=latest.address[1],
+                )
+            )
+        for robot, told in sorted(self._hearsay.items()):
+            heard = told.heard
+            age = round(told.age(now) * 1000)
+            known.append(
+                Heard(
+                    robot=robot,
+                    instance=heard.instance,
+                    presence=heard.presence,
+                    age=age,
+                    hops=heard.hops + 1,
+                    host=heard.host,
+                    port=heard.port,
+                )
+            )
+        return tuple(known)
+
+    def duplicates(self, now: float) -> Mapping[str, tuple[str, ...]]:
+        """Robot ids that more than one living instance holds, with those instances."""
+        found = {
+            robot: tuple(sorted(name.hex() for name in record.living(self._lease, now)))
+            for robot, record in self._records.items()
+        }
+        return {robot: living for robot, living in found.items() if len(living) > 1}
+
+    def _make_room(self) -> bool:
+        gone = [
+            (record.since, robot) for robot, record in self._records.items() if _is_gone(record)
+        ]
         if gone:
             del self._records[min(gone)[1]]
         return bool(gone)
 
     def _settle(self, record: _Record, now: float) -> bool:
-        _prune(record)
-        shown = _shown(record)
+        living = record.living(self._lease, now)
+        name, latest = next(reversed(record.instances.items()))
+        if living:
+            shown = living[0], Presence.ALIVE
+        else:
+            shown = name, Presence.LEFT if latest.has_left else Presence.FAILED
         if shown == record.shown:
             return False
         record.shown, record.since = shown, now
         return True
 
 
-def _shown(record: _Record) -> tuple[str, Presence] | None:
-    for instance in reversed(record.seen):
-        if instance in record.alive and instance not in record.left:
-            return instance, Presence.ALIVE
-    if not record.seen:
-        return None
-    last = record.seen[-1]
-    return last, Presence.LEFT if last in record.left else Presence.FAILED
-
-
-def _prune(record: _Record) -> None:
-    for instance in record.seen[:-MAX_INSTANCES]:
-        record.alive.discard(instance)
-    del record.seen[:-MAX_INSTANCES]
-    known = set(record.seen)
-    for strange in [name for name in record.statuses if name not in known][:-MAX_INSTANCES]:
-        del record.statuses[strange]
-    if len(record.left) > 4 * MAX_INSTANCES:
-        record.left &= known
+def _is_gone(record: _Record) -> bool:
+    return record.shown is not None and record.shown[1] is not Presence.ALIVE

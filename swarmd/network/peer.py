@@ -1,0 +1,381 @@
+"""What one robot says and hears by datagrams. Pure: datagrams and times in, `Effects` out.
+
+`Peer` joins the claim of the id, the membership, the spread of latches, the relay of stops and the
+loss of pattern messages. The daemon sends what `Effects` holds and carries out the rest.
+"""
+
+from __future__ import annotations
+
+import math
+import random
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from swarmd.core.messages import Latch, State
+from swarmd.network.claim import CLAIM_PERIOD, Claim
+from swarmd.network.datagram import (
+    STATES,
+    Ack,
+    Beacon,
+    Datagram,
+    Flag,
+    Latches,
+    Message,
+    Solicit,
+    Stop,
+    Swarm,
+    Word,
+    in_parts,
+)
+from swarmd.network.latch_sync import LatchSync, digest_of, latch_parts
+from swarmd.network.membership import Membership
+from swarmd.network.stop_relay import StopRelay
+
+Address = tuple[str, int]
+
+BEACON_PERIOD = 1.0  # s
+# While a latch is new, and at least between beacons of changes.
+FAST_BEACON_PERIOD = 0.1
+NEW_LATCH_TIME = 1.0
+LATCH_REPEATS = (0.0, 0.1, 0.3)  # s after a latch is new: so often the latch itself is sent to all
+WORD_PERIOD = 10.0  # between questions for words, each to another member
+MAX_ANSWERS = 50.0  # answers a second to those that solicit
+SYNC_TIMEOUT = 0.5  # a robot that joins waits so long for the latches of the others
+MESSAGE_WINDOW = 64
+
+
+@dataclass(frozen=True, slots=True)
+class Summary:
+    """What a robot's beacon shows of it."""
+
+    state: State
+    revision: int
+    latches: Mapping[str, Latch]
+
+
+@dataclass(slots=True)
+class Effects:
+    """What follows from a datagram or from time.
+
+    `sends`: datagrams, each to an address or (None) to all. `stops`: to be carried out, with their
+    sources; the ack goes to the source if `wants_ack`. `latches`: of peers. `changed`: robots whose
+    presence changed. `messages`: of patterns. `heard_of`: addresses of robots that others hear.
+    `has_won`: the id belongs to this robot from now on.
+    """
+
+    sends: list[tuple[Datagram, Address | None]] = field(default_factory=list)
+    stops: list[tuple[Stop, Address]] = field(default_factory=list)
+    acks: list[tuple[Ack, Address]] = field(default_factory=list)
+    latches: dict[str, Latch] = field(default_factory=dict)
+    changed: list[str] = field(default_factory=list)
+    messages: list[Message] = field(default_factory=list)
+    heard_of: list[Address] = field(default_factory=list)
+    duplicate: str = ""
+    has_won: bool = False
+    lost: int = 0
+
+
+@dataclass(slots=True)
+class _Window:
+    """The messages of one sender: the highest sequence, and a bit for each of those before it."""
+
+    instance: bytes
+    highest: int
+    seen: int = 1
+
+    def take(self, sequence: int) -> tuple[bool, int]:
+        """Whether a message is new, and the change of the number of lost ones."""
+        ahead = sequence - self.highest
+        if ahead > 0:
+            self.seen = ((self.seen << ahead) | 1) & ((1 << MESSAGE_WINDOW) - 1)
+            self.highest = sequence
+            return True, ahead - 1
+        bit = 1 << -ahead
+        if -ahead >= MESSAGE_WINDOW or self.seen & bit:
+            return False, 0
+        self.seen |= bit
+        return True, -1
+
+
+class Peer:
+    """One robot among the others; `instance` has 6 bytes, `wire` and `version` are shown to others."""
+
+    def __init__(
+        self,
+        *,
+        robot: str,
+        instance: bytes,
+        swarm: str,
+        profile: str,
+        lease: float,
+        settle: float,
+        wire: int,
+        version: str,
+        roster: tuple[str, ...],
+        now: float,
+    ) -> None:
+        self.robot = robot
+        self.membership = Membership(robot, lease)
+        self._instance = instance
+        self._lease = lease
+        self._swarm = Swarm(swarm=swarm, profile=profile, robot=robot)
+        self._wire = wire
+        self._version = version
+        self._roster = roster
+        self._random = random.Random(instance)
+        self._claim: Claim | None = Claim(robot, instance, settle, now)
+        self._settle = settle
+        self._sync = LatchSync()
+        self._relay = StopRelay(robot, self._random.getrandbits(32))
+        self._sequence = 0
+        self._message_sequence = 0
+        self._beacon_at = now
+        self._last_beacon = -math.inf
+        self._shown: tuple[object, ...] = ()
+        self._digest = b""
+        self._digest_since = -math.inf
+        self._latches_due: list[float] = []
+        self._words_at = now + self._random.uniform(0.0, 1.0)
+        self._began = now
+        self._windows: dict[str, _Window] = {}
+        self._duplicates: dict[bytes, float] = {}
+        self._answers = MAX_ANSWERS
+        self._answers_at = now
+
+    # State
+
+    @property
+    def owns_id(self) -> bool:
+        """True once the claim of the id is won."""
+        return self._claim is None
+
+    @property
+    def holder(self) -> str | None:
+        """The instance that owns the id, if the claim is lost."""
+        if self._claim is None or self._claim.holder is None:
+            return None
+        return self._claim.holder.hex()
+
+    @property
+    def duplicates(self) -> tuple[str, ...]:
+        """Other instances that own this id now."""
+        return tuple(name.hex() for name in self._duplicates)
+
+    def is_in_sync(self, now: float) -> bool:
+        """True once the latches of all peers that were heard are here, or SYNC_TIMEOUT is over."""
+        return now - self._began >= self._settle + SYNC_TIMEOUT or not self._sync.is_open
+
+    # Inputs
+
+    def on_datagram(
+        self, body: Datagram, source: Address, now: float, summary: Summary, *, is_any: bool = False
+    ) -> Effects:
+        """A datagram arrived; `is_any`: it is for any swarm."""
+        effects = Effects()
+        match body:
+            case Beacon():
+                self._on_beacon(body, source, now, summary, effects)
+            case Solicit():
+                self._on_solicit(body, source, now, summary, effects, is_any=is_any)
+            case Word():
+                self.membership.on_word(body, now)
+                effects.heard_of = [
+                    (heard.host, heard.port)
+                    for heard in body.members
+                    if heard.hops == 0 and heard.presence == 0 and heard.port
+                    and heard.robot in self.membership.hearsay
+                ]  # fmt: skip
+            case Stop():
+                sends = self._relay.on_stop(body, source, now)
+                effects.sends.extend(sends)
+                effects.stops.append((body, source))
+            case Ack():
+                effects.sends.extend(self._relay.on_ack(body, source, now))
+            case Latches() if body.instance != self._instance:
+                self._sync.on_latches(body)
+                effects.latches = dict(body.held)
+            case Message() if body.robot != self.robot:
+                self._on_message(body, effects)
+        return effects
+
+    def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
+        """True if the sender of this stop is to have this robot's ack now."""
+        return self._relay.wants_ack(stop, source, now)
+
+    def message(self, channel: str, payload: bytes) -> Message:
+        """The datagram of a pattern's message."""
+        self._message_sequence += 1
+        return Message(
+            robot=self.robot,
+            instance=self._instance,
+            sequence=self._message_sequence,
+            channel=channel,
+            payload=payload,
+        )
+
+    def farewell(self, summary: Summary) -> Beacon:
+        """The last beacon of a robot that leaves in order."""
+        return self._beacon(summary, Flag.LEFT)
+
+    def advance(self, now: float, summary: Summary) -> Effects:
+        """Time passes; call it at `wake_at` and at least ten times a second."""
+        effects = Effects()
+        self._answers = min(MAX_ANSWERS, self._answers + (now - self._answers_at) * MAX_ANSWERS)
+        self._answers_at = now
+        if self._claim is not None and self._claim.is_won(now):
+            self._claim = None
+            self._beacon_at = now
+            effects.has_won = True
+            effects.sends.append((Solicit(echo=0), None))
+        effects.changed = self.membership.advance(now)
+        for instance, heard in list(self._duplicates.items()):
+            if now - heard > self._lease:
+                del self._duplicates[instance]
+        self._say_latches(now, summary, effects)
+        self._say_beacon(now, summary, effects)
+        effects.sends.extend((stop, None) for stop in self._relay.advance(now))
+        probe = Solicit(echo=0)
+        effects.sends.extend((probe, address) for address in self.membership.to_probe(now))
+        if now >= self._words_at:
+            self._words_at = now + self._random.uniform(0.5, 1.5) * WORD_PERIOD
+            alive = sorted(self.membership.alive_addresses())
+            if alive:
+                ask = Solicit(echo=0, wants_words=True)
+                effects.sends.append((ask, self._random.choice(alive)[1]))
+        return effects
+
+    def wake_at(self) -> float:
+        """When `advance` is due next."""
+        relay = self._relay.wake_at()
+        return min(self._beacon_at, *self._latches_due[:1], math.inf if relay is None else relay)
+
+    # Parts
+
+    def _on_beacon(
+        self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: Effects
+    ) -> None:
+        if beacon.instance == self._instance:
+            return
+        if beacon.robot == self.robot:
+            self._on_own_id(beacon, source, now, summary, effects)
+            return
+        if self.membership.on_beacon(beacon, source, now):
+            effects.changed.append(beacon.robot)
+        own = digest_of(summary.latches)
+        if not beacon.flags and self._sync.wants(beacon.instance, beacon.latches, own, now):
+            effects.sends.append((Solicit(echo=0, wants_latches=True), source))
+
+    def _on_own_id(
+        self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: Effects
+    ) -> None:
+        if self._claim is not None:
+            self._claim.on_beacon(beacon, now)
+        elif beacon.flags & Flag.JOINING:
+            if self._may_answer():
+                effects.sends.append((self._beacon(summary), source))
+        elif beacon.flags & Flag.LEFT:
+            self._duplicates.pop(beacon.instance, None)
+        elif len(self._duplicates) < MESSAGE_WINDOW:
+            if beacon.instance not in self._duplicates:
+                effects.duplicate = beacon.instance.hex()
+            self._duplicates[beacon.instance] = now
+
+    def _on_solicit(
+        self,
+        solicit: Solicit,
+        source: Address,
+        now: float,
+        summary: Summary,
+        effects: Effects,
+        *,
+        is_any: bool,
+    ) -> None:
+        if not self._may_answer():
+            return
+        if is_any:
+            effects.sends.append((self._swarm, source))
+            return
+        if self._claim is not None:
+            return
+        beacon = self._beacon(summary, echo=solicit.echo, version=self._version)
+        effects.sends.append((beacon, source))
+        if solicit.wants_words:
+            parts = in_parts(self.membership.told(now), roster=self._roster)
+            for number, (members, roster) in enumerate(parts):
+                word = Word(
+                    robot=self.robot,
+                    instance=self._instance,
+                    members=members,
+                    part=number,
+                    parts=len(parts),
+                    echo=solicit.echo,
+                    roster=roster,
+                )
+                effects.sends.append((word, source))
+        if solicit.wants_latches:
+            parts_ = latch_parts(self.robot, self._instance, summary.latches)
+            effects.sends.extend((latches, source) for latches in parts_)
+
+    def _on_message(self, message: Message, effects: Effects) -> None:
+        window = self._windows.get(message.robot)
+        if window is None or window.instance != message.instance:
+            self._windows.pop(message.robot, None)
+            while len(self._windows) >= 1024:
+                del self._windows[next(iter(self._windows))]
+            self._windows[message.robot] = _Window(message.instance, message.sequence)
+            effects.messages.append(message)
+            return
+        is_new, effects.lost = window.take(message.sequence)
+        if is_new:
+            effects.messages.append(message)
+
+    def _say_latches(self, now: float, summary: Summary, effects: Effects) -> None:
+        digest = digest_of(summary.latches)
+        if digest != self._digest:
+            self._digest = digest
+            self._latches_due = [now + delay for delay in LATCH_REPEATS] if digest else []
+            self._digest_since = now if digest else -math.inf
+            self._beacon_at = now
+        if self._latches_due and now >= self._latches_due[0] and self._claim is None:
+            self._latches_due.pop(0)
+            parts = latch_parts(self.robot, self._instance, summary.latches)
+            effects.sends.extend((latches, None) for latches in parts)
+
+    def _say_beacon(self, now: float, summary: Summary, effects: Effects) -> None:
+        shown = (summary.state, summary.revision, self._claim is None)
+        if shown != self._shown:
+            self._shown = shown
+            self._beacon_at = min(self._beacon_at, self._last_beacon + FAST_BEACON_PERIOD)
+        if now < self._beacon_at:
+            return
+        is_new = now - self._digest_since < NEW_LATCH_TIME
+        if self._claim is not None:
+            period = CLAIM_PERIOD
+        else:
+            period = FAST_BEACON_PERIOD if is_new else BEACON_PERIOD
+        self._last_beacon, self._beacon_at = now, now + period
+        flags = Flag(0) if self._claim is None else Flag.JOINING
+        effects.sends.append((self._beacon(summary, flags), None))
+
+    def _beacon(
+        self, summary: Summary, flags: Flag = Flag(0), *, echo: int = 0, version: str = ""
+    ) -> Beacon:
+        self._sequence += 1
+        return Beacon(
+            robot=self.robot,
+            instance=self._instance,
+            sequence=self._sequence,
+            wire=self._wire,
+            state=STATES.index(summary.state),
+            revision=summary.revision,
+            flags=int(flags),
+            latches=digest_of(summary.latches),
+            echo=echo,
+            version=version,
+        )
+
+    def _may_answer(self) -> bool:
+        if self._answers < 1.0:
+            return False
+        self._answers -= 1.0
+        return True

@@ -1,0 +1,152 @@
+"""Stops and emergency stops that a robot passes on to others. Pure: datagrams and times in.
+
+A stop that reaches one robot reaches all that this robot hears: it repeats the stop as the Trickle
+algorithm does (RFC 6206): at intervals that double, at a random moment of the second half of each,
+and not if REDUNDANCY others have sent it in that interval. So a hundred robots that all heard the
+operator say little, and a robot that only one of them reaches is told. It goes on for LIFETIME,
+or until all named targets have acked.
+
+Acks travel back the same way: a robot hands those that it gets to whoever sent it the stop, with
+its own name as `via`.
+"""
+
+from __future__ import annotations
+
+import random
+from dataclasses import dataclass, field
+
+from msgspec.structs import replace
+
+from swarmd.network.datagram import MAX_HOPS, Ack, Stop
+
+Address = tuple[str, int]
+Send = tuple[Stop | Ack, Address | None]  # None: to all
+
+FIRST_INTERVAL = 0.1  # s
+LAST_INTERVAL = 6.4
+LIFETIME = 60.0
+REDUNDANCY = 2
+MAX_STOPS = 64
+MAX_SOURCES = 4
+DIRECT_TIMEOUT = 2.0  # the operator is heard directly if it was within this time, in s
+ACK_PERIOD = 0.08  # between acks to one source, in s: an operator repeats at 10 Hz
+
+
+@dataclass(slots=True)
+class _Relayed:
+    """A stop under way. `issued`: on the own clock. `sources`: who sent it, and the last ack."""
+
+    stop: Stop
+    issued: float
+    interval: float
+    interval_ends: float
+    due: float
+    copies: int = 0
+    sources: dict[Address, float] = field(default_factory=dict)
+    heard_directly: float = -1e9
+    acks: dict[str, Ack] = field(default_factory=dict)
+    handed_on: set[tuple[str, Address]] = field(default_factory=set)
+
+
+class StopRelay:
+    """The stops that the robot `own` has heard lately."""
+
+    def __init__(self, own: str, seed: int) -> None:
+        self._own = own
+        self._random = random.Random(seed)
+        self._stops: dict[tuple[str, str], _Relayed] = {}
+
+    def on_stop(self, stop: Stop, source: Address, now: float) -> list[Send]:
+        """A stop arrived; the acks of others that its sender is to have.
+
+        `wants_ack` then tells whether the robot's own ack goes to this sender.
+        """
+        key = stop.id, stop.verb
+        relayed = self._stops.get(key)
+        issued = now - stop.age / 1000.0
+        if relayed is None:
+            while len(self._stops) >= MAX_STOPS:
+                del self._stops[next(iter(self._stops))]
+            relayed = _Relayed(stop, issued, FIRST_INTERVAL, now + FIRST_INTERVAL, 0.0)
+            relayed.due = now + self._random.uniform(0.2, 1.0) * FIRST_INTERVAL
+            self._stops[key] = relayed
+        relayed.issued = min(relayed.issued, issued)
+        relayed.stop = replace(relayed.stop, hops=min(relayed.stop.hops, stop.hops))
+        if stop.targets is not None and relayed.stop.targets is not None:
+            known = dict.fromkeys((*relayed.stop.targets, *stop.targets))
+            relayed.stop = replace(relayed.stop, targets=tuple(known))
+        if stop.hops == 0:
+            relayed.heard_directly = now
+        else:
+            relayed.copies += 1
+        if source not in relayed.sources and len(relayed.sources) < MAX_SOURCES:
+            relayed.sources[source] = -1e9
+        if stop.hops == 0 and source in relayed.sources:  # it repeats: it may lack these
+            return [(replace(ack, via=self._own), source) for ack in relayed.acks.values()]
+        return []
+
+    def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
+        """True if this sender of the stop is to have the own ack now.
+
+        A copy that a robot handed on is not acked while the operator itself is heard.
+        """
+        relayed = self._stops.get((stop.id, stop.verb))
+        if relayed is None or source not in relayed.sources:
+            return False
+        if stop.hops > 0 and now - relayed.heard_directly < DIRECT_TIMEOUT:
+            return False
+        if now - relayed.sources[source] < ACK_PERIOD:
+            return False
+        relayed.sources[source] = now
+        return True
+
+    def on_ack(self, ack: Ack, source: Address, now: float) -> list[Send]:
+        """Another robot acked a stop that this one handed on; whom to hand the ack to."""
+        found = [one for (id, _), one in self._stops.items() if id == ack.id]
+        sends: list[Send] = []
+        for relayed in found:
+            if ack.robot == self._own or len(relayed.acks) >= 1024:
+                continue
+            relayed.acks[ack.robot] = ack
+            handed = replace(ack, via=self._own)
+            for address in relayed.sources:
+                if address != source and (ack.robot, address) not in relayed.handed_on:
+                    relayed.handed_on.add((ack.robot, address))
+                    sends.append((handed, address))
+        return sends
+
+    def advance(self, now: float) -> list[Stop]:
+        """The stops to send to all now."""
+        due: list[Stop] = []
+        for key, relayed in list(self._stops.items()):
+            if now - relayed.issued > LIFETIME:
+                del self._stops[key]
+                continue
+            if now >= relayed.due and relayed.due >= 0.0:
+                relayed.due = -1.0
+                if relayed.copies < REDUNDANCY and self._is_needed(relayed):
+                    age = round((now - relayed.issued) * 1000)
+                    hops = min(relayed.stop.hops + 1, MAX_HOPS)
+                    due.append(replace(relayed.stop, age=age, hops=hops))
+            if now >= relayed.interval_ends:
+                relayed.interval = min(2.0 * relayed.interval, LAST_INTERVAL)
+                relayed.due = now + self._random.uniform(0.5, 1.0) * relayed.interval
+                relayed.interval_ends = now + relayed.interval
+                relayed.copies = 0
+        return due
+
+    def wake_at(self) -> float | None:
+        """When `advance` has something to do; None without a stop under way."""
+        times = [
+            relayed.due if relayed.due >= 0.0 else relayed.interval_ends
+            for relayed in self._stops.values()
+        ]
+        return min(times, default=None)
+
+    def _is_needed(self, relayed: _Relayed) -> bool:
+        stop = relayed.stop
+        if stop.hops >= MAX_HOPS:
+            return False
+        if stop.targets is None:
+            return True
+        return not {*stop.targets} - {self._own} <= relayed.acks.keys()
