@@ -164,17 +164,25 @@ class ForgetRequest(_EpochRequest, frozen=True, kw_only=True, tag="forget"):
 
 
 class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
-    """Stop. `targets` None: every robot; the epochs are not compared."""
+    """Stop. `targets` None: every robot; the epochs are not compared.
+
+    `age`: seconds since the operator issued it. A run that came later is not stopped by it.
+    """
 
     targets: Epochs | None = None
+    age: Seconds = 0.0
 
 
 class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
-    """Emergency stop. `scope` swarm: other robots take the latch over."""
+    """Emergency stop. `scope` swarm: other robots take the latch over.
+
+    `is_relayed`: another robot handed it on. Such a copy does not latch again what was reset.
+    """
 
     targets: Epochs | None = None
     scope: Literal["swarm", "robots"] = "swarm"
     reason: ReasonText = ""
+    is_relayed: bool = False
 
 
 Request = RunRequest | StopRequest | EstopRequest | ResetRequest | ParamRequest | ReloadRequest

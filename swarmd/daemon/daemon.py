@@ -1,8 +1,8 @@
 """The daemon owns the loop and connects driver, bus, pattern host and robot.
 
 It starts in this order: pattern host (before Zenoh opens), robot and tick, network, claim of the
-id, emergency stop, the latches of its peers, `run`, and the driver last, since the base may belong
-to another daemon until the id is claimed. Every exit path commands zero.
+id, the latches of its peers, requests, and the driver last, since the base may belong to another
+daemon until the id is claimed. Every exit path commands zero.
 """
 
 from __future__ import annotations
@@ -13,29 +13,29 @@ import logging
 import secrets
 import signal
 import socket
-from contextlib import suppress
-from functools import partial
+from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from typing import Any
 
 from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
-from swarmd.core.codec import Decoder, decode_value, encode, encode_value
+from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError, SwarmError
-from swarmd.core.keys import Key
-from swarmd.core.messages import Presence, Request, Status
+from swarmd.core.messages import Latch, Reply, Request, Status
 from swarmd.core.values import ZERO, Neighbor, Twist
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.daemon.driver_sink import DriverSink
 from swarmd.daemon.latchfile import LatchFile
+from swarmd.daemon.network import Network, NetworkHandlers
 from swarmd.daemon.request_server import RequestServer
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.network.bus import ZenohBus
-from swarmd.network.claim import Claim, claim_id
-from swarmd.network.session import open_in_thread, open_session
+from swarmd.network.datagram import Message, Stop
+from swarmd.network.membership import Address
+from swarmd.network.peer import Summary
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.robot.actions import Actions
 from swarmd.robot.lifecycle import RobotSettings
@@ -45,7 +45,6 @@ from swarmd.settings.settings import DaemonSettings
 
 log = logging.getLogger(__name__)
 
-PEER_STATUS_TIMEOUT = 0.5
 DRIVER_RETRY_PERIOD = 1.0
 NEIGHBORS_PERIOD = 10  # ticks
 
@@ -79,11 +78,27 @@ class Daemon:
         self._notify = Notifier()
         self._latches = LatchFile(settings.state_dir / settings.network.swarm / settings.id)
         self._runner = ProcessRunner(self._loop, settings.plugin_dir, self._on_host_events)
-        self._bus: ZenohBus | None = None
-        self._claim: Claim | None = None
-        self._requests = RequestServer(settings.id, self._on_request, self._on_audit)
+        self._network = Network(
+            settings.network,
+            settings.id,
+            self._instance,
+            settings.roster,
+            NetworkHandlers(
+                summary=self._summary,
+                on_stop=self._on_stop,
+                on_latches=self._on_latches,
+                on_message=self._on_message,
+                on_members=self._update_neighbors,
+                on_duplicate=self._on_duplicate,
+                serve=self._serve,
+            ),
+            version=version("swarmd"),
+        )
+        self._has_joined = False
+        self._requests = RequestServer(
+            settings.id, self._on_request, self._on_audit, forget=self._network.forget
+        )
         self._ticks = 0
-        self._status = Decoder(Status)
         self._robot = Robot(
             settings.id,
             settings.platform,
@@ -119,7 +134,7 @@ class Daemon:
                 raise self._crash
         finally:
             self._notify("STOPPING=1")
-            if self._claim is None:
+            if not self._has_joined:
                 await _end(living)  # it is still joining
             try:
                 self._leave()
@@ -168,39 +183,25 @@ class Daemon:
             self._crashed.set()
 
     async def _join(self) -> None:
-        settings = self._settings
-        network = settings.network
-        if network.profile == "field":
+        if self._settings.network.profile == "field":
             log.warning("no certificates: anyone on this network can drive this robot")
-        self._session = await open_in_thread(partial(open_session, network))
-        self._bus = bus = ZenohBus(self._session, swarm=network.swarm, robot=settings.id)
-        self._claim = await claim_id(
-            self._session,
-            swarm=network.swarm,
-            robot=settings.id,
-            instance=self._instance,
-            settle=network.settle,
-            lease=network.lease_seconds,
-            on_duplicate=self._on_duplicate,
-        )
-        self._requests.serve(bus, ("estop", "stop", "reset", "param", "forget"))
-        bus.serve_view(lambda: self._with_health(self._robot.status(boottime())), settings.roster)
-        bus.on_status(self._on_peer_status)
-        bus.listen("msg", "*/*", self._on_message)
-        bus.on_member(lambda member: self._update_neighbors())
-        for robot, payload in await bus.ask("state", "status", timeout=PEER_STATUS_TIMEOUT):
-            with suppress(CodecError):  # the bus counts the malformed statuses that are published
-                status = self._status(payload)
-                if status.robot == robot:
-                    self._on_peer_status(status)
-        self._requests.serve(bus, ("run", "reload"))
+        await self._network.join()
+        self._has_joined = True
         self._update_neighbors()
-        self._publish(self._robot.status(boottime()))
+
+    def _serve(self, bus: ZenohBus) -> None:
+        """Answer requests on a bus that was opened, the first one or a later one."""
+        self._requests.serve(bus, ("reset", "param", "forget", "run", "reload"))
+        bus.serve_view(
+            self._status,
+            lambda: tuple(self._network.members.values()),
+            self._settings.roster,
+        )
 
     def _leave(self) -> None:
-        """Command zero, publish `left` and close; the driver's own exit sends zero once more.
+        """Command zero, tell the peers and close; the driver's own exit sends zero once more.
 
-        After a crash `left` is not published, so that the peers list the robot as failed.
+        After a crash the last beacon is not sent, so that the peers list the robot as failed.
         """
         self._timer.stop()
         self._send(ZERO, -1, -1)
@@ -208,17 +209,9 @@ class Daemon:
             if self._crash is None:
                 self._carry_out(self._robot.on_leave(boottime()))
                 self._timer.stop()
-                self._publish_left()
         finally:
             self._runner.close()
-            if self._bus is not None:
-                if self._claim is not None:
-                    self._claim.release()
-                self._bus.close()
-                self._session.close()
-
-    def _publish_left(self) -> None:
-        self._publish(replace(self._robot.status(boottime()), has_left=True))
+            self._network.close(is_leaving=self._crash is None)
 
     # Inputs from the network
 
@@ -229,45 +222,46 @@ class Daemon:
         log.info("%s", line)
         self._robot.log(line, boottime())
 
-    def _on_peer_status(self, status: Status) -> None:
-        if status.latches:
-            self._carry_out(self._robot.on_latches(status.latches, boottime()))
+    def _on_stop(self, stop: Stop, source: Address, answer: Callable[[Reply], None]) -> None:
+        self._requests.stop(stop, f"{source[0]}:{source[1]}", answer)
 
-    def _on_message(self, key: Key, payload: bytes) -> None:
-        assert self._bus is not None
+    def _on_latches(self, latches: Mapping[str, Latch]) -> None:
+        self._carry_out(self._robot.on_latches(latches, boottime()))
+
+    def _on_message(self, message: Message) -> None:
         try:
-            value = decode_value(payload)
-            is_accepted = self._robot.on_message(key.robot, key.name, value, boottime())
+            value = decode_value(message.payload)
+            is_accepted = self._robot.on_message(message.robot, message.channel, value, boottime())
         except CodecError:
-            self._bus.drop("msg:malformed")
+            self._network.drop("msg:malformed")
             return
         if not is_accepted:
-            self._bus.drop("msg:not_a_neighbor")
+            self._network.drop("msg:not_a_neighbor")
 
-    def _on_duplicate(self, instance: str) -> None:
-        log.error("id %s is also held by instance %s", self._robot.id, instance)
-        self._carry_out(self._robot.on_duplicate(f"instance {instance}", boottime()))
+    def _on_duplicate(self, holder: str | None) -> None:
+        if holder is not None:
+            log.error("id %s is also held by %s", self._robot.id, holder)
+        self._carry_out(self._robot.on_duplicate(holder, boottime()))
 
     def _update_neighbors(self) -> None:
         """Unless the driver measures neighbors, every living member is one."""
-        if self._bus is None or self.sink.has_neighbors:
+        if not self._has_joined or self.sink.has_neighbors:
             return
-        alive = tuple(
-            Neighbor(member.robot, 0.0)
-            for member in self._bus.members.values()
-            if member.presence is Presence.ALIVE
-        )
+        alive = tuple(Neighbor(robot, 0.0) for robot in sorted(self._network.alive))
         self._robot.on_neighbors(alive, boottime())
+
+    def _summary(self) -> Summary:
+        robot = self._robot
+        return Summary(robot.state, robot.epoch.revision, robot.latches)
 
     # Ticks and actions
 
     def _on_tick(self) -> None:
         self._ticks += 1
         self._carry_out(self._robot.tick(boottime()))
+        self._network.advance()
         if self._ticks % NEIGHBORS_PERIOD == 0:
             self._update_neighbors()
-            if self._claim is not None and not self._claim.duplicates:
-                self._carry_out(self._robot.on_duplicate(None, boottime()))
             if self._notify.pings:
                 self._notify("WATCHDOG=1")
 
@@ -287,28 +281,28 @@ class Daemon:
         for command in (actions.trial, actions.host):
             if command is not None:
                 self._runner.send(command)
-        if self._bus is not None:
-            for name, value in actions.messages.items():
-                try:
-                    self._bus.publish("msg", name, encode_value(value))
-                except CodecError as error:
-                    log.debug("message on %s not sent: %s", name, error)
-                    self._bus.drop(f"msg/{name}:unsendable")
+        for name, value in actions.messages.items():
+            try:
+                self._network.say(name, encode_value(value))
+            except CodecError as error:
+                log.debug("message on %s not sent: %s", name, error)
+                self._network.drop(f"msg/{name}:unsendable")
         if actions.status is not None:
-            self._publish(actions.status)
+            self._network.publish_status(self._status)
         for reply in actions.replies:
             self._requests.reply(reply, is_stored=is_stored)
         wake_at = self._robot.wake_at(boottime())
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())
 
-    def _publish(self, status: Status) -> None:
-        if self._bus is not None and self._claim is not None:
-            self._bus.publish("state", "status", encode(self._with_health(status)), express=True)
-
-    def _with_health(self, status: Status) -> Status:
-        network = {} if self._bus is None else self._bus.dropped
+    def _status(self) -> Status:
+        status = self._robot.status(boottime())
         frames = {"host/frames": self._runner.dropped} if self._runner.dropped else {}
-        dropped = {**status.health.dropped, **network, **self.sink.drops, **frames}
+        dropped = {
+            **status.health.dropped,
+            **self._network.dropped,
+            **self.sink.drops,
+            **frames,
+        }
         health = replace(
             status.health, loop_p99=self._timer.p99, loop_stalls=self._timer.stalls, dropped=dropped
         )

@@ -58,6 +58,7 @@ class RequestServer:
     the reply of its id, now or once there is one. Only a stop or estop is carried out each time.
     Beyond MAX_PENDING requests without a reply further ones are dropped, never a stop or estop.
     `on_audit` takes one line for each request that was answered: who, from where, what, result.
+    `forget` removes a member, and returns False if that is alive.
     """
 
     def __init__(
@@ -65,8 +66,11 @@ class RequestServer:
         robot: str,
         on_request: Callable[[Request], None],
         on_audit: Callable[[str], None] = lambda line: None,
+        *,
+        forget: Callable[[str], bool],
     ) -> None:
         self._robot = robot
+        self._forget_member = forget
         self._on_request = on_request
         self._audit = Audit(on_audit)
         self._bus: ZenohBus | None = None
@@ -104,7 +108,12 @@ class RequestServer:
             return
         request: StopRequest | EstopRequest
         if stop.verb == "stop":
-            request = StopRequest(id=stop.id, operator=stop.operator or "unknown", targets=targets)
+            request = StopRequest(
+                id=stop.id,
+                operator=stop.operator or "unknown",
+                targets=targets,
+                age=stop.age / 1000.0,
+            )
         else:
             request = EstopRequest(
                 id=stop.id,
@@ -112,6 +121,7 @@ class RequestServer:
                 targets=targets,
                 scope=stop.scope,
                 reason=stop.reason,
+                is_relayed=stop.hops > 0,
             )
         self._pending[stop.id] = _Pending(request, answer, source)
         self._on_request(request)
@@ -179,9 +189,8 @@ class RequestServer:
             self._audit.record(verb, operator, source, reply, boottime())
 
     def _forget(self, request: ForgetRequest) -> None:
-        assert self._bus is not None
         name = request.name
-        if not self._bus.forget(name) and name in self._bus.members:
+        if not self._forget_member(name):
             code, refusal, text = Code.REFUSED, Refusal.MEMBER_ALIVE, f"{name} is alive"
         else:
             code, refusal, text = Code.APPLIED, None, f"forgot {name}"

@@ -98,7 +98,7 @@ class _Window:
 
 
 class Peer:
-    """One robot among the others; `instance` has 6 bytes, `wire` and `version` are shown to others."""
+    """One robot among the others; `instance` has 6 bytes."""
 
     def __init__(
         self,
@@ -354,11 +354,11 @@ class Peer:
         else:
             period = FAST_BEACON_PERIOD if is_new else BEACON_PERIOD
         self._last_beacon, self._beacon_at = now, now + period
-        flags = Flag(0) if self._claim is None else Flag.JOINING
+        flags = 0 if self._claim is None else Flag.JOINING
         effects.sends.append((self._beacon(summary, flags), None))
 
     def _beacon(
-        self, summary: Summary, flags: Flag = Flag(0), *, echo: int = 0, version: str = ""
+        self, summary: Summary, flags: int = 0, *, echo: int = 0, version: str = ""
     ) -> Beacon:
         self._sequence += 1
         return Beacon(
@@ -368,7 +368,7 @@ class Peer:
             wire=self._wire,
             state=STATES.index(summary.state),
             revision=summary.revision,
-            flags=int(flags),
+            flags=flags,
             latches=digest_of(summary.latches),
             echo=echo,
             version=version,

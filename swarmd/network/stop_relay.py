@@ -1,7 +1,7 @@
 """Stops and emergency stops that a robot passes on to others. Pure: datagrams and times in.
 
 A stop that reaches one robot reaches all that this robot hears: it repeats the stop as the Trickle
-algorithm does (RFC 6206): at intervals that double, at a random moment of the second half of each,
+algorithm does (RFC 6206): at intervals that double, at a random moment of each,
 and not if REDUNDANCY others have sent it in that interval. So a hundred robots that all heard the
 operator say little, and a robot that only one of them reaches is told. It goes on for LIFETIME,
 or until all named targets have acked.
@@ -22,7 +22,7 @@ from swarmd.network.datagram import MAX_HOPS, Ack, Stop
 Address = tuple[str, int]
 Send = tuple[Stop | Ack, Address | None]  # None: to all
 
-FIRST_INTERVAL = 0.1  # s
+FIRST_INTERVAL = 0.2  # s
 LAST_INTERVAL = 6.4
 LIFETIME = 60.0
 REDUNDANCY = 2
@@ -68,7 +68,7 @@ class StopRelay:
             while len(self._stops) >= MAX_STOPS:
                 del self._stops[next(iter(self._stops))]
             relayed = _Relayed(stop, issued, FIRST_INTERVAL, now + FIRST_INTERVAL, 0.0)
-            relayed.due = now + self._random.uniform(0.2, 1.0) * FIRST_INTERVAL
+            relayed.due = now + self._random.uniform(0.1, 1.0) * FIRST_INTERVAL
             self._stops[key] = relayed
         relayed.issued = min(relayed.issued, issued)
         relayed.stop = replace(relayed.stop, hops=min(relayed.stop.hops, stop.hops))
@@ -130,7 +130,7 @@ class StopRelay:
                     due.append(replace(relayed.stop, age=age, hops=hops))
             if now >= relayed.interval_ends:
                 relayed.interval = min(2.0 * relayed.interval, LAST_INTERVAL)
-                relayed.due = now + self._random.uniform(0.5, 1.0) * relayed.interval
+                relayed.due = now + self._random.uniform(0.1, 1.0) * relayed.interval
                 relayed.interval_ends = now + relayed.interval
                 relayed.copies = 0
         return due

@@ -59,6 +59,10 @@ class Latches:
             wanted = [latch_id for latch_id in wanted if latch_id in self._held]
         return tuple(latch_id for latch_id in wanted if self.add(latch_id, latches[latch_id]))
 
+    def is_cleared(self, latch_id: str) -> bool:
+        """True if a latch with this id was reset and is not held again."""
+        return latch_id in self._cleared and latch_id not in self._held
+
     def clear(self, latch_ids: Iterable[str]) -> None:
         """Reset the latches with these ids; ids that were never held are remembered, too."""
         for latch_id in latch_ids:

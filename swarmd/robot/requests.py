@@ -10,6 +10,7 @@ trial that fails, leaves everything as it is.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 from swarmd.core.errors import ConfigError
@@ -52,6 +53,7 @@ class RequestHandler:
         self._stop_text = stop_text
         self._trials = 0
         self._last_stop = ("", -1)  # its id, and the revision that it led to
+        self._last_run = -math.inf, ""  # when a run was begun, and by whom
 
     def answer(self, request: Request, effects: Effects) -> None:
         """Carry the request out or refuse it; no reply if it targets only other robots."""
@@ -75,7 +77,12 @@ class RequestHandler:
 
     def _stop(self, request: StopRequest, effects: Effects) -> None:
         lifecycle = self._lifecycle
-        # An operator repeats a stop on every new link; the repeats count as one change.
+        began, operator = self._last_run
+        if request.age > 0.0 and effects.now - request.age < began:
+            text = f"run again since, by {operator}"
+            lifecycle.refuse(effects, request, Refusal.OVERTAKEN, text)
+            return
+        # An operator repeats a stop until it is acked; the repeats count as one change.
         if self._last_stop != (request.id, lifecycle.revision):
             lifecycle.raise_revision(f"{request.operator} (stop)")
             self._last_stop = (request.id, lifecycle.revision)
@@ -84,6 +91,10 @@ class RequestHandler:
 
     def _estop(self, request: EstopRequest, effects: Effects) -> None:
         latch_id = request.id if is_id(request.id) else "unnamed"
+        if request.is_relayed and self._lifecycle.latches.is_cleared(latch_id):
+            lifecycle = self._lifecycle
+            lifecycle.refuse(effects, request, Refusal.OVERTAKEN, "reset since it was issued")
+            return
         latch = Latch(issuer=request.operator, scope=request.scope, reason=request.reason)
         self._lifecycle.latch(latch_id, latch, effects)
         self._lifecycle.applied(effects, request, self._stop_text(effects.now))
@@ -101,6 +112,7 @@ class RequestHandler:
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
         else:
             lifecycle.raise_revision(f"{request.operator} (run {request.pattern})")
+            self._last_run = effects.now, request.operator
             lifecycle.start_run(
                 request.pattern,
                 request.params,

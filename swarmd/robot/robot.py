@@ -81,6 +81,11 @@ class Robot:
         return self._lifecycle.epoch
 
     @property
+    def latches(self) -> Mapping[str, Latch]:
+        """The emergency stops that hold the robot, by id."""
+        return self._lifecycle.latches.held
+
+    @property
     def report(self) -> Mapping[str, Scalar]:
         """The last report of the pattern."""
         return self._lifecycle.report

@@ -1,0 +1,299 @@
+"""The network of one daemon: datagrams to all, and a Zenoh session that operators dial.
+
+`Network` owns the UDP carrier, the session and the watch of the interface. Sockets and session are
+opened again when the interface gets another address; the robot stands first. Everything runs on
+the loop; `advance` is called by the daemon's tick.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import partial
+
+import zenoh
+from msgspec.structs import replace
+
+from swarmd.core import codec
+from swarmd.core.clock import boottime
+from swarmd.core.errors import CodecError, IdHeldError, NetworkError
+from swarmd.core.messages import Latch, Member, Presence, Reply, Status
+from swarmd.network.bus import ZenohBus
+from swarmd.network.datagram import (
+    Ack,
+    Datagram,
+    Message,
+    Stop,
+    is_for_any_swarm,
+    pack,
+    tag_of,
+    unpack,
+)
+from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.membership import Address
+from swarmd.network.peer import Effects, Peer, Summary
+from swarmd.network.session import open_in_thread, open_session
+from swarmd.network.settings import FIELD_PORT, Endpoint, NetworkSettings, parse_endpoint
+from swarmd.network.udp import UdpCarrier
+
+log = logging.getLogger(__name__)
+
+MAX_PORT_TRIES = 5
+MAX_ACK_TEXT = 300
+
+
+@dataclass(frozen=True, slots=True)
+class NetworkHandlers:
+    """What the daemon does with what comes from other robots; all are called on the loop."""
+
+    summary: Callable[[], Summary]
+    on_stop: Callable[[Stop, Address, Callable[[Reply], None]], None]
+    on_latches: Callable[[Mapping[str, Latch]], None]
+    on_message: Callable[[Message], None]
+    on_members: Callable[[], None]
+    on_duplicate: Callable[[str | None], None]
+    serve: Callable[[ZenohBus], None]
+
+
+class Network:
+    """The network of the daemon `robot`; `instance` is that of this life of the daemon, in hex."""
+
+    def __init__(
+        self,
+        settings: NetworkSettings,
+        robot: str,
+        instance: str,
+        roster: tuple[str, ...],
+        handlers: NetworkHandlers,
+        *,
+        version: str,
+    ) -> None:
+        self._version = version
+        self._settings = settings
+        self._robot = robot
+        self._instance = bytes.fromhex(instance)
+        self._handlers = handlers
+        self._loop = asyncio.get_running_loop()
+        self._tag = tag_of(settings.profile, settings.swarm)
+        self._drops = DropCounter()
+        self._lost = 0
+        self._carrier: UdpCarrier | None = None
+        self._session: zenoh.Session | None = None
+        self.bus: ZenohBus | None = None
+        self._is_duplicate = False
+        self._roster = roster
+        self._peer: Peer | None = None
+
+    # State
+
+    @property
+    def owns_id(self) -> bool:
+        """True from the moment at which the id belongs to this daemon."""
+        return self._peer is not None and self._peer.owns_id
+
+    @property
+    def members(self) -> Mapping[str, Member]:
+        """The other robots that were ever heard and not forgotten, by id."""
+        return {} if self._peer is None else self._peer.membership.members(boottime())
+
+    @property
+    def alive(self) -> tuple[str, ...]:
+        """The other robots that are alive."""
+        if self._peer is None:
+            return ()
+        return tuple(robot for robot, _ in self._peer.membership.alive_addresses())
+
+    @property
+    def dropped(self) -> dict[str, int]:
+        """What was dropped or lost so far, by kind, such as `control/run:key` or `msg:lost`."""
+        counts = self._drops.counts()
+        if self._carrier is not None:
+            counts |= self._carrier.dropped
+        if self._lost > 0:
+            counts["msg:lost"] = self._lost
+        if self._peer is not None and self._peer.membership.ignored:
+            counts["members:full"] = self._peer.membership.ignored
+        return counts
+
+    # Life
+
+    async def join(self) -> None:
+        """Open the network and take the id. Raises NetworkError, IdHeldError in one line."""
+        await self._open()
+        settings = self._settings
+        self._peer = Peer(
+            robot=self._robot,
+            instance=self._instance,
+            swarm=settings.swarm,
+            profile=settings.profile,
+            lease=settings.lease_seconds,
+            settle=settings.settle,
+            wire=codec.VERSION,
+            version=self._version,
+            roster=self._roster,
+            now=boottime(),
+        )
+        while not self._peer.owns_id:
+            self.advance()
+            if holder := self._peer.holder:
+                raise IdHeldError(
+                    f"robot id {self._robot!r} is held by another daemon (instance {holder});"
+                    " stop it, or give this one another id"
+                )
+            await asyncio.sleep(max(0.0, min(self._peer.wake_at() - boottime(), 0.05)))
+        while not self._peer.is_in_sync(boottime()):
+            await asyncio.sleep(0.02)
+        assert self.bus is not None
+        self._handlers.serve(self.bus)
+
+    def advance(self) -> None:
+        """Send what is due; the daemon's tick calls this."""
+        peer = self._peer
+        if peer is None or self._carrier is None:
+            return
+        now = boottime()
+        self._carry_out(peer.advance(now, self._handlers.summary()))
+        if self._is_duplicate and not peer.duplicates:
+            self._is_duplicate = False
+            self._handlers.on_duplicate(None)
+
+    def say(self, channel: str, payload: bytes) -> None:
+        """Send a pattern's message to all robots."""
+        if self._peer is not None and self._peer.owns_id:
+            self._send(self._peer.message(channel, payload), None)
+
+    def publish_status(self, status: Callable[[], Status]) -> None:
+        """Publish the status to the viewers that subscribe to it."""
+        if self.bus is not None and self.owns_id:
+            self.bus.publish_status(status)
+
+    def drop(self, kind: str) -> None:
+        """Count what could not be read or sent."""
+        self._drops.add(kind)
+
+    def forget(self, robot: str) -> bool:
+        """Remove a robot from the members; False if it is alive."""
+        assert self._peer is not None
+        member = self._peer.membership.member(robot, boottime())
+        if member is not None and member.presence is Presence.ALIVE:
+            return False
+        self._peer.membership.forget(robot)
+        return True
+
+    def close(self, *, is_leaving: bool) -> None:
+        """Close at once; `is_leaving`: tell the others that this robot leaves in order."""
+        if is_leaving and self._peer is not None and self._peer.owns_id:
+            for _ in range(2):
+                self._send(self._peer.farewell(self._handlers.summary()), None)
+        self._close()
+
+    # Datagrams
+
+    def _on_datagram(self, payload: bytes, source: Address, by_group: bool) -> None:
+        peer = self._peer
+        if peer is None:
+            return
+        try:
+            body = unpack(self._tag, payload)
+        except CodecError:
+            self._drops.add("datagram:malformed")
+            return
+        if body is None:
+            return
+        is_any = is_for_any_swarm(payload)
+        now = boottime()
+        effects = peer.on_datagram(body, source, now, self._handlers.summary(), is_any=is_any)
+        for stop, sender in effects.stops:
+            self._handlers.on_stop(stop, sender, partial(self._ack, stop, sender))
+        self._carry_out(effects)
+
+    def _carry_out(self, effects: Effects) -> None:
+        for body, address in effects.sends:
+            self._send(body, address)
+        if self._carrier is not None:
+            for address in effects.heard_of:
+                self._carrier.recipients.on_word(address, boottime())
+        self._lost += effects.lost
+        if effects.latches:
+            self._handlers.on_latches(effects.latches)
+        for message in effects.messages:
+            self._handlers.on_message(message)
+        if effects.duplicate:
+            self._is_duplicate = True
+            self._handlers.on_duplicate(f"instance {effects.duplicate}")
+        if effects.changed:
+            self._handlers.on_members()
+
+    def _ack(self, stop: Stop, source: Address, reply: Reply) -> None:
+        """Send the robot's reply to the sender of the stop, if it is to have it now."""
+        peer = self._peer
+        if peer is None or not peer.owns_id or not peer.wants_ack(stop, source, boottime()):
+            return
+        ack = Ack(
+            id=reply.id,
+            robot=self._robot,
+            instance=self._instance,
+            revision=0 if reply.epoch is None else reply.epoch.revision,
+            code=reply.code,
+            refusal=reply.refusal,
+            text=reply.text[:MAX_ACK_TEXT],
+        )
+        self._send(ack, source)
+
+    def _send(self, body: Datagram, address: Address | None) -> None:
+        if self._carrier is None:
+            return
+        try:
+            payload = pack(self._tag, body)
+        except CodecError:
+            self._drops.add("datagram:oversized")
+            return
+        if address is None:
+            self._carrier.send(payload)
+        else:
+            self._carrier.send_to(payload, address)
+
+    # Sockets and session
+
+    async def _open(self) -> None:
+        settings = self._settings
+        listen = settings.listen or (_default_listen(settings),)
+        first = parse_endpoint(listen[0])
+        for trial in range(MAX_PORT_TRIES):
+            carrier = UdpCarrier(settings, self._tag, port=first.port)
+            endpoint = f"{first.protocol}/{_host(first)}:{carrier.port}{first.suffix}"
+            try:
+                session = await open_in_thread(
+                    partial(open_session, replace(settings, listen=(endpoint, *listen[1:])))
+                )
+                break
+            except BaseException as error:
+                carrier.close()
+                is_retried = isinstance(error, NetworkError) and not first.port
+                if not is_retried or trial == MAX_PORT_TRIES - 1:
+                    raise
+        self._carrier, self._session = carrier, session
+        self.bus = ZenohBus(session, swarm=settings.swarm, robot=self._robot, drops=self._drops)
+        carrier.attach(self._loop, self._on_datagram)
+
+    def _close(self) -> None:
+        if self.bus is not None:
+            self.bus.close()
+        if self._carrier is not None:
+            self._carrier.close()
+            self._carrier = None
+        if self._session is not None:
+            self._session.close()
+            self._session = None
+
+
+def _default_listen(settings: NetworkSettings) -> str:
+    if settings.profile == "dev":
+        return "tcp/127.0.0.1:0"
+    return f"tcp/0.0.0.0:{FIELD_PORT}"
+
+
+def _host(endpoint: Endpoint) -> str:
+    return f"[{endpoint.host}]" if ":" in endpoint.host else endpoint.host

@@ -1,0 +1,267 @@
+"""Peers in virtual time: membership, claims, latches, relayed stops and lost messages."""
+
+from __future__ import annotations
+
+import pytest
+
+from swarmd.core.messages import Latch, Presence, State
+from swarmd.network.datagram import Ack, Beacon, Solicit, Stop, Word
+from swarmd.network.peer import BEACON_PERIOD
+from tests.network.virtual_network import VirtualNetwork
+
+
+def presences(network: VirtualNetwork, name: str) -> dict[str, Presence]:
+    members = network.robots[name].peer.membership.members(network.now)
+    return {robot: member.presence for robot, member in members.items()}
+
+
+def all_know_each_other(network: VirtualNetwork) -> bool:
+    names = set(network.robots)
+    return all(
+        {other for other, is_in in presences(network, name).items() if is_in is Presence.ALIVE}
+        == names - {name}
+        for name in names
+    )
+
+
+# Membership
+
+
+@pytest.mark.parametrize(("delay", "loss"), [(0.005, 0.0), (0.25, 0.0), (0.5, 0.2), (0.01, 0.2)])
+def test_all_robots_know_each_other_on_any_link(delay: float, loss: float) -> None:
+    network = VirtualNetwork(8, joined=False)
+    network.delay, network.loss = delay, loss
+    assert network.until(lambda: all_know_each_other(network), cap=15.0) < 15.0
+
+
+def test_an_idle_robot_sends_one_datagram_a_second_and_few_for_words() -> None:
+    network = VirtualNetwork(20)
+    network.sent.clear()
+    network.run(60.0)
+    beacons = 60.0 / BEACON_PERIOD
+    for name in network.robots:
+        # A question for words every 10 s, and two datagrams to answer one.
+        assert beacons - 2 <= network.sent[name] <= beacons + 6 * 1.5 * 3
+
+
+def test_loss_of_a_fifth_of_all_datagrams_fails_nobody() -> None:
+    network = VirtualNetwork(6)
+    network.until(lambda: all_know_each_other(network))
+    network.loss = 0.2
+    for robot in network.robots.values():
+        robot.changes.clear()
+    network.run(300.0)
+    changes = sum(len(robot.changes) for robot in network.robots.values())
+    assert changes <= 2, "30 directed pairs for 5 minutes"
+
+
+def test_a_robot_that_vanishes_fails_after_its_lease_and_returns() -> None:
+    network = VirtualNetwork(3)
+    network.robots["r3"].is_up = False
+    network.run(1.8)  # its last beacon may have been up to 1 s old
+    assert presences(network, "r1")["r3"] is Presence.ALIVE
+    network.until(lambda: presences(network, "r1")["r3"] is Presence.FAILED, cap=1.3)
+    network.robots["r3"].is_up = True
+    network.until(lambda: presences(network, "r1")["r3"] is Presence.ALIVE, cap=1.5)
+
+
+def test_a_robot_that_leaves_is_listed_as_left() -> None:
+    network = VirtualNetwork(3)
+    robot = network.robots["r3"]
+    network._send("r3", robot.address, robot.peer.farewell(robot.summary), None)
+    robot.is_up = False
+    network.run(0.1)
+    assert presences(network, "r1")["r3"] is Presence.LEFT
+    network.run(10.0)
+    assert presences(network, "r1")["r3"] is Presence.LEFT
+
+
+def test_a_robot_that_restarts_is_no_duplicate_of_itself() -> None:
+    network = VirtualNetwork(2)
+    network.robots["r2"].is_up = False
+    network.run(0.3)
+    network.add("r2")
+    network.until(lambda: network.robots["r2"].peer.owns_id, cap=3.0)
+    network.run(0.2)
+    peer = network.robots["r1"].peer
+    assert peer.membership.duplicates(network.now) == {}
+    assert peer.membership.members(network.now)["r2"].instance == (3).to_bytes(6, "big").hex()
+
+
+def test_robots_beyond_reach_are_known_by_the_word_of_those_between() -> None:
+    network = VirtualNetwork(3)
+    line = {("r1", "r2"), ("r2", "r1"), ("r2", "r3"), ("r3", "r2"), ("operator", "r1"),
+            ("r1", "operator")}  # fmt: skip
+    network.robots.clear()
+    network.reaches = lambda sender, receiver: (sender, receiver) in line
+    for name in ("r1", "r2", "r3"):
+        network.add(name)
+    network.run(30.0)
+    network.solicit()
+    network.run(0.2)
+    words = [body for _, body in network.heard if isinstance(body, Word)]
+    told = {heard.robot: heard for word in words for heard in word.members}
+    assert {name: heard.hops for name, heard in told.items()} == {"r2": 0, "r3": 1}
+    assert told["r3"].age <= 20_000
+    assert set(presences(network, "r1")) == {"r2"}
+
+
+# Claims
+
+
+def test_second_owner_of_an_id_is_refused_and_sees_the_first() -> None:
+    network = VirtualNetwork(1)
+    second = network.add("r1", "other")
+    network.until(lambda: second.peer.holder is not None, cap=1.0)
+    assert second.peer.holder == (1).to_bytes(6, "big").hex()
+    assert not second.peer.owns_id
+
+
+def test_of_claimers_at_one_moment_exactly_one_wins() -> None:
+    network = VirtualNetwork(0)
+    robots = [network.add("r1", f"life{number}") for number in range(4)]
+    network.run(5.0)
+    assert [robot.peer.owns_id for robot in robots] == [True, False, False, False]
+
+
+def test_two_owners_that_meet_when_a_cut_heals_both_notice() -> None:
+    network = VirtualNetwork(0)
+    network.reaches = lambda sender, receiver: False
+    first, second = network.add("r1", "one"), network.add("r1", "two")
+    network.run(3.0)
+    assert first.peer.owns_id
+    assert second.peer.owns_id
+    network.reaches = lambda sender, receiver: True
+    network.until(lambda: bool(first.peer.duplicates and second.peer.duplicates), cap=2.0)
+    second.is_up = False
+    network.until(lambda: not first.peer.duplicates, cap=5.0)
+
+
+# Latches
+
+
+def test_a_latch_reaches_those_that_were_cut_off_and_those_that_join() -> None:
+    network = VirtualNetwork(6)
+    near = {"r1", "r2", "r3", "operator"}
+    network.reaches = lambda sender, receiver: (sender in near) == (receiver in near)
+    network.stop("estop", 0.5)
+    assert {name for name, robot in network.robots.items() if robot.latches} == near - {"operator"}
+    network.run(90.0)  # beyond the life of any relay
+    network.reaches = lambda sender, receiver: True
+    network.add("r7")
+    network.until(lambda: all(robot.latches for robot in network.robots.values()), cap=5.0)
+
+
+def test_forty_latches_are_taken_over_by_a_robot_that_joins() -> None:
+    network = VirtualNetwork(2)
+    held = {
+        f"latch-{number}": Latch(issuer="x" * 128, scope="swarm", reason="y" * 256)
+        for number in range(32)
+    }
+    network.robots["r1"].latches = dict(held)
+    network.until(lambda: network.robots["r2"].latches.keys() == held.keys(), cap=5.0)
+    network.add("r3")
+    network.until(lambda: network.robots["r3"].latches.keys() == held.keys(), cap=5.0)
+
+
+def test_a_robot_that_reset_its_latches_asks_its_peers_once_and_is_silent() -> None:
+    network = VirtualNetwork(2)
+    network.robots["r1"].latches["old"] = Latch(issuer="anna", scope="swarm")
+    network.until(lambda: bool(network.robots["r2"].latches), cap=5.0)
+    network.run(5.0)
+    network.robots["r2"].latches.clear()
+    network._carry_out = lambda name, effects: None  # type: ignore[method-assign]
+    peer, robot = network.robots["r2"].peer, network.robots["r1"]
+    beacon = robot.peer._beacon(robot.summary)
+    for second in range(5):
+        effects = peer.on_datagram(
+            beacon, robot.address, network.now + second, network.robots["r2"].summary
+        )
+        asked = [body for body, _ in effects.sends if isinstance(body, Solicit)]
+        assert not any(body.wants_latches for body in asked)
+
+
+# Stops
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.2])
+@pytest.mark.parametrize("delay", [0.005, 0.25, 0.5])
+def test_every_robot_acks_a_stop_on_any_link(delay: float, loss: float) -> None:
+    network = VirtualNetwork(6)
+    network.delay, network.loss = delay, loss
+    network.stop("stop", 4.0)
+    network.run(1.5)
+    assert network.acks().keys() == network.robots.keys()
+
+
+def test_a_hundred_robots_that_all_hear_the_operator_say_little() -> None:
+    network = VirtualNetwork(100)
+    network.sent_kinds.clear()
+    network.send(Stop(id="s", verb="stop", operator="anna"))
+    network.run(5.0)
+    assert len(network.acks()) == 100
+    assert network.sent_kinds[Ack] <= 110
+    assert 1 < network.sent_kinds[Stop] <= 40
+
+
+@pytest.mark.parametrize("targets", [None, ("r3",)])
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+def test_robots_pass_a_stop_on_and_the_ack_back(verb: str, targets: tuple[str] | None) -> None:
+    network = VirtualNetwork(3)
+    reach = {"operator": {"r1"}, "r1": {"operator", "r2"}, "r2": {"r1", "r3"}, "r3": {"r2"}}
+    network.reaches = lambda sender, receiver: receiver in reach[sender]
+    network.stop(verb, 3.0, targets)
+    wanted = {"r3"} if targets else {"r1", "r2", "r3"}
+    assert {name for name, robot in network.robots.items() if robot.stops} == wanted
+    assert network.acks().keys() == wanted
+    assert network.acks()["r3"].via == "r1"
+
+
+def test_a_named_stop_arrives_after_a_cut_of_half_a_minute_without_its_operator() -> None:
+    network = VirtualNetwork(2)
+    network.reaches = lambda sender, receiver: "r2" not in (sender, receiver)
+    network.stop("stop", 0.5, ("r2",))
+    network.run(30.0)
+    assert not network.robots["r2"].stops
+    network.reaches = lambda sender, receiver: "operator" not in (sender, receiver)
+    network.until(lambda: bool(network.robots["r2"].stops), cap=10.0)
+
+
+def test_a_stop_is_passed_on_for_a_minute_and_no_longer() -> None:
+    network = VirtualNetwork(2)
+    network.reaches = lambda sender, receiver: "r2" not in (sender, receiver)
+    network.stop("stop", 0.2, ("r2",))
+    network.run(70.0)
+    network.reaches = lambda sender, receiver: True
+    network.run(30.0)
+    assert not network.robots["r2"].stops
+
+
+# Messages
+
+
+def test_lost_messages_are_counted_and_copies_are_dropped() -> None:
+    network = VirtualNetwork(2)
+    sender, receiver = network.robots["r1"], network.robots["r2"]
+    sent = [sender.peer.message("vote/choice", bytes([number])) for number in range(6)]
+    order = [0, 1, 1, 3, 2, 5, 0]
+    lost = 0
+    for index in order:
+        effects = receiver.peer.on_datagram(
+            sent[index], sender.address, network.now, receiver.summary
+        )
+        lost += effects.lost
+        receiver.messages.extend(message.payload for message in effects.messages)
+    assert [payload[0] for payload in receiver.messages] == [0, 1, 3, 2, 5]
+    assert lost == 1
+
+
+def test_beacons_show_state_and_revision_at_once() -> None:
+    network = VirtualNetwork(2)
+    network.run(0.35)
+    robot = network.robots["r1"]
+    robot.state, robot.revision = State.RUNNING, 5
+    network.heard.clear()
+    network.run(0.15)
+    beacons = [body for _, body in network.heard if isinstance(body, Beacon)]
+    assert any(body.robot == "r1" and (body.state, body.revision) == (1, 5) for body in beacons)

@@ -1,0 +1,180 @@
+"""Peers on a network in virtual time, with delay, loss and cuts; no sockets, no clock."""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import random
+from collections import Counter
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from swarmd.core.messages import Code, Latch, State
+from swarmd.network.datagram import Ack, Datagram, Solicit, Stop, pack, tag_of, unpack
+from swarmd.network.peer import Effects, Peer, Summary
+
+Address = tuple[str, int]
+TAG = tag_of("field", "lab")
+OPERATOR: Address = ("10.0.0.250", 5000)
+TICK = 0.05
+
+
+@dataclass(eq=False)
+class Robot:
+    """A robot reduced to what its peer shows and does."""
+
+    peer: Peer
+    address: Address
+    state: State = State.IDLE
+    revision: int = 0
+    latches: dict[str, Latch] = field(default_factory=dict)
+    stops: list[str] = field(default_factory=list)
+    messages: list[bytes] = field(default_factory=list)
+    changes: list[str] = field(default_factory=list)
+    is_up: bool = True
+
+    @property
+    def summary(self) -> Summary:
+        return Summary(self.state, self.revision, self.latches)
+
+
+class VirtualNetwork:
+    """Robots `r1` to `r<count>`; `reaches(sender, receiver)` cuts, `loss` and `delay` disturb."""
+
+    def __init__(self, count: int, *, seed: int = 1, lease: float = 3.0, joined: bool = True):
+        self.now = 100.0
+        self.random = random.Random(seed)
+        self.loss = 0.0
+        self.delay = 0.005
+        self.reaches: Callable[[str, str], bool] = lambda sender, receiver: True
+        self.heard: list[tuple[float, Datagram]] = []
+        self.sent: dict[str, int] = {}
+        self.sent_kinds: Counter[type] = Counter()
+        self._queue: list[tuple[float, int, str, bytes, Address]] = []
+        self._order = itertools.count()
+        self._lease = lease
+        self._lives = 0
+        self.robots: dict[str, Robot] = {}
+        for number in range(1, count + 1):
+            self.add(f"r{number}")
+        if joined:
+            self.run(3.0)
+
+    def add(self, name: str, key: str = "") -> Robot:
+        """A robot that starts; `key`: its name in this network, if an id is used twice."""
+        self._lives += 1
+        peer = Peer(
+            robot=name,
+            instance=self._lives.to_bytes(6, "big"),
+            swarm="lab",
+            profile="field",
+            lease=self._lease,
+            settle=1.0,
+            wire=1,
+            version="1.0",
+            roster=(),
+            now=self.now,
+        )
+        key = key or name
+        number = self._lives
+        self.robots[key] = Robot(peer, (f"10.0.0.{number}", 7440))
+        return self.robots[key]
+
+    def send(self, body: Datagram, to: str | None = None) -> None:
+        """What the operator sends, to one robot or all."""
+        self._send("operator", OPERATOR, body, None if to is None else self.robots[to].address)
+
+    def acks(self) -> Mapping[str, Ack]:
+        """The last ack of each robot that the operator heard."""
+        return {body.robot: body for _, body in self.heard if isinstance(body, Ack)}
+
+    def stop(self, verb: str, seconds: float, targets: tuple[str, ...] | None = None) -> None:
+        """The operator repeats a stop at 10 Hz for a while."""
+        began = self.now
+        while self.now - began < seconds:
+            age = round((self.now - began) * 1000)
+            scope = "swarm" if targets is None else "robots"
+            stop = Stop(
+                id=f"{verb}-id", verb=verb, operator="anna", targets=targets, scope=scope, age=age
+            )  # type: ignore[arg-type]
+            self.send(stop)
+            self.run(0.1)
+
+    def run(self, seconds: float) -> None:
+        """Let virtual time pass."""
+        end = self.now + seconds
+        while self.now < end - 1e-9:
+            self.now += TICK
+            while self._queue and self._queue[0][0] <= self.now:
+                _, _, receiver, payload, source = heapq.heappop(self._queue)
+                self._deliver(receiver, payload, source)
+            for name, robot in list(self.robots.items()):
+                if robot.is_up:
+                    self._carry_out(name, robot.peer.advance(self.now, robot.summary))
+
+    def until(self, holds: Callable[[], bool], cap: float = 60.0) -> float:
+        """Let time pass until it holds; the seconds it took."""
+        began = self.now
+        while not holds():
+            assert self.now - began < cap, "never came true"
+            self.run(TICK)
+        return self.now - began
+
+    def solicit(self) -> None:
+        """The operator asks all for beacons and words."""
+        self.send(Solicit(echo=7, wants_words=True))
+
+    def _deliver(self, receiver: str, payload: bytes, source: Address) -> None:
+        body = unpack(TAG, payload)
+        assert body is not None
+        if receiver == "operator":
+            self.heard.append((self.now, body))
+            return
+        robot = self.robots.get(receiver)
+        if robot is None or not robot.is_up:
+            return
+        effects = robot.peer.on_datagram(body, source, self.now, robot.summary)
+        for stop, sender in effects.stops:
+            self._on_stop(receiver, robot, stop, sender)
+        self._carry_out(receiver, effects)
+
+    def _on_stop(self, name: str, robot: Robot, stop: Stop, sender: Address) -> None:
+        if stop.targets is not None and robot.peer.robot not in stop.targets:
+            return
+        robot.stops.append(stop.id)
+        if stop.verb == "estop":
+            robot.state = State.ESTOPPED
+            robot.latches[stop.id] = Latch(issuer=stop.operator, scope=stop.scope)
+        if robot.peer.wants_ack(stop, sender, self.now):
+            ack = Ack(
+                id=stop.id,
+                robot=robot.peer.robot,
+                instance=b"123456",
+                revision=1,
+                code=Code.APPLIED,
+            )
+            self._send(name, robot.address, ack, sender)
+
+    def _carry_out(self, name: str, effects: Effects) -> None:
+        robot = self.robots[name]
+        for body, address in effects.sends:
+            self._send(name, robot.address, body, address)
+        robot.latches.update(effects.latches)
+        if robot.latches:
+            robot.state = State.ESTOPPED
+        robot.messages.extend(message.payload for message in effects.messages)
+        robot.changes.extend(effects.changed)
+
+    def _send(self, name: str, source: Address, body: Datagram, to: Address | None) -> None:
+        payload = pack(TAG, body)
+        self.sent[name] = self.sent.get(name, 0) + 1
+        self.sent_kinds[type(body)] += 1
+        addresses = {robot.address: key for key, robot in self.robots.items()}
+        addresses[OPERATOR] = "operator"
+        receivers = list(addresses.values()) if to is None else [addresses.get(to, "")]
+        for receiver in receivers:
+            is_own = receiver == name and to is None
+            if is_own or not self.reaches(name, receiver) or self.random.random() < self.loss:
+                continue
+            at = self.now + self.delay * (1.0 + 0.2 * self.random.random())
+            heapq.heappush(self._queue, (at, next(self._order), receiver, payload, source))
