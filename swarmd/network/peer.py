@@ -29,7 +29,7 @@ from swarmd.network.datagram import (
 )
 from swarmd.network.latch_sync import LatchSync, digest_of, latch_parts
 from swarmd.network.membership import Membership
-from swarmd.network.stop_relay import StopRelay
+from swarmd.network.stop_relay import REDUNDANCY, StopRelay
 
 Address = tuple[str, int]
 
@@ -135,6 +135,7 @@ class Peer:
         self._digest = b""
         self._digest_since = -math.inf
         self._latches_due: list[float] = []
+        self._latch_copies = 0  # how often others have sent the same latches to all
         self._words_at = now + self._random.uniform(0.0, 1.0)
         self._began = now
         self._windows: dict[str, _Window] = {}
@@ -192,6 +193,7 @@ class Peer:
             case Ack():
                 effects.sends.extend(self._relay.on_ack(body, source, now))
             case Latches() if body.instance != self._instance:
+                self._latch_copies += body.digest == self._digest
                 self._sync.on_latches(body)
                 effects.latches = dict(body.held)
             case Message() if body.robot != self.robot:
@@ -333,13 +335,15 @@ class Peer:
         digest = digest_of(summary.latches)
         if digest != self._digest:
             self._digest = digest
+            self._latch_copies = 0
             self._latches_due = [now + delay for delay in LATCH_REPEATS] if digest else []
             self._digest_since = now if digest else -math.inf
             self._beacon_at = now
         if self._latches_due and now >= self._latches_due[0] and self._claim is None:
             self._latches_due.pop(0)
-            parts = latch_parts(self.robot, self._instance, summary.latches)
-            effects.sends.extend((latches, None) for latches in parts)
+            if self._latch_copies < REDUNDANCY:
+                parts = latch_parts(self.robot, self._instance, summary.latches)
+                effects.sends.extend((latches, None) for latches in parts)
 
     def _say_beacon(self, now: float, summary: Summary, effects: Effects) -> None:
         shown = (summary.state, summary.revision, self._claim is None)
