@@ -14,7 +14,7 @@ from swarmd.core.errors import ConfigError
 ROOT = "swarm"
 ANY = "*"
 _ID = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")
-_PLANES = frozenset({"alive", "claim", "state", "msg", "sense", "control", "safety", "hw"})
+_PLANES = frozenset({"state", "msg", "sense", "control", "net", "hw"})
 
 
 class Key(NamedTuple):

@@ -34,6 +34,7 @@ from swarmd.network.datagram import (
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.membership import Address
 from swarmd.network.peer import Effects, Peer, Summary
+from swarmd.network.routed import RoutedCarrier
 from swarmd.network.session import open_in_thread, open_session
 from swarmd.network.settings import FIELD_PORT, Endpoint, NetworkSettings, parse_endpoint
 from swarmd.network.udp import UdpCarrier
@@ -79,7 +80,7 @@ class Network:
         self._tag = tag_of(settings.profile, settings.swarm)
         self._drops = DropCounter()
         self._lost = 0
-        self._carrier: UdpCarrier | None = None
+        self._carrier: UdpCarrier | RoutedCarrier | None = None
         self._session: zenoh.Session | None = None
         self.bus: ZenohBus | None = None
         self._is_duplicate = False
@@ -259,24 +260,32 @@ class Network:
 
     async def _open(self) -> None:
         settings = self._settings
+        if settings.profile == "routed":
+            session = await open_in_thread(partial(open_session, settings))
+            self._carrier = RoutedCarrier(session, settings.swarm, self._robot)
+        else:
+            self._carrier, session = await self._open_udp()
+        self._session = session
+        self.bus = ZenohBus(session, swarm=settings.swarm, robot=self._robot, drops=self._drops)
+        self._carrier.attach(self._loop, self._on_datagram)
+
+    async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
+        """The sockets, and a session that listens on their port: beacons show where to dial."""
+        settings = self._settings
         listen = settings.listen or (_default_listen(settings),)
         first = parse_endpoint(listen[0])
         for trial in range(MAX_PORT_TRIES):
             carrier = UdpCarrier(settings, self._tag, port=first.port)
             endpoint = f"{first.protocol}/{_host(first)}:{carrier.port}{first.suffix}"
+            opening = replace(settings, listen=(endpoint, *listen[1:]))
             try:
-                session = await open_in_thread(
-                    partial(open_session, replace(settings, listen=(endpoint, *listen[1:])))
-                )
-                break
+                return carrier, await open_in_thread(partial(open_session, opening))
             except BaseException as error:
                 carrier.close()
                 is_retried = isinstance(error, NetworkError) and not first.port
                 if not is_retried or trial == MAX_PORT_TRIES - 1:
                     raise
-        self._carrier, self._session = carrier, session
-        self.bus = ZenohBus(session, swarm=settings.swarm, robot=self._robot, drops=self._drops)
-        carrier.attach(self._loop, self._on_datagram)
+        raise AssertionError("unreachable")
 
     def _close(self) -> None:
         if self.bus is not None:

@@ -1,0 +1,121 @@
+"""The datagrams of a swarm through Zenoh routers, for profile `routed`.
+
+The same bytes as on UDP travel as puts: `swarm/<swarm>/<sender>/net/all` to all, and
+`swarm/<swarm>/<sender>/net/<receiver>` to one. An address is the name of a robot or of an operator's
+session, with port 0. A router sends each put once over each link, so that a robot sends O(1) and
+hears O(N), wherever multicast does not reach.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections import Counter
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import zenoh
+
+from swarmd.core.keys import ANY, build, is_id, parse
+from swarmd.network.datagram import MAX_DATAGRAM, Kind
+from swarmd.network.recipients import Address, Recipients
+from swarmd.network.session import undeclare
+
+if TYPE_CHECKING:
+    from asyncio import AbstractEventLoop
+
+ALL = "all"
+PLANE = "net"
+_KIND_AT = 4
+_URGENT = (Kind.STOP, Kind.ACK, Kind.LATCHES)
+
+OnDatagram = Callable[[bytes, Address, bool], object]
+
+
+class RoutedCarrier:
+    """Sends and receives datagrams as `own`, on a session that is a client of routers."""
+
+    port = 0
+
+    def __init__(self, session: zenoh.Session, swarm: str, own: str) -> None:
+        self._session = session
+        self._swarm = swarm
+        self._own = own
+        self._on_datagram: OnDatagram = lambda payload, source, by_group: None
+        self._subscribers: tuple[Any, ...] = ()
+        self._close_queue: Callable[[], None] = lambda: None
+        self.recipients = Recipients(1.0, with_group=True)
+        self.unsent = 0
+        self.dropped: Counter[str] = Counter()
+
+    def send(self, payload: bytes) -> None:
+        """Send to all. Never raises or blocks."""
+        self._put(payload, ALL)
+
+    def send_to(self, payload: bytes, address: Address) -> None:
+        """Send to one robot or operator. Never raises or blocks."""
+        if is_id(address[0]):
+            self._put(payload, address[0])
+
+    def attach(self, loop: AbstractEventLoop, on_datagram: OnDatagram) -> None:
+        """Call `on_datagram(payload, source, by_group)` on a running loop until `close`."""
+        from swarmd.network.inbound_queue import DropCounter, InboundQueue
+
+        drops = DropCounter()
+        plain = InboundQueue(loop, drops, "datagram")
+        urgent = InboundQueue(loop, drops, "datagram", is_urgent=True)
+
+        def queue(payload: bytes, source: Address, by_group: bool) -> None:
+            chosen = urgent if payload[_KIND_AT] in _URGENT else plain
+            if not chosen.offer(on_datagram, payload, source, by_group):
+                self.dropped["full"] += 1
+
+        def close() -> None:
+            plain.close()
+            urgent.close()
+
+        self._close_queue = close
+        self.start_thread(queue)
+
+    def start_thread(self, on_datagram: OnDatagram) -> None:
+        """Call `on_datagram(payload, source, by_group)` on Zenoh's thread until `close`."""
+        self._on_datagram = on_datagram
+        self._subscribers = tuple(
+            self._session.declare_subscriber(
+                build(self._swarm, ANY, PLANE, name),
+                self._on_sample,
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+            for name in (ALL, self._own)
+        )
+
+    def rejoin(self) -> None:
+        """Nothing: Zenoh dials its routers again by itself."""
+
+    def close(self) -> None:
+        """Receive nothing more; the session stays open."""
+        self._close_queue()
+        undeclare(*self._subscribers)
+        self._subscribers = ()
+
+    def _put(self, payload: bytes, name: str) -> None:
+        is_urgent = payload[_KIND_AT] in _URGENT
+        try:
+            self._session.put(
+                build(self._swarm, self._own, PLANE, name),
+                payload,
+                congestion_control=zenoh.CongestionControl.DROP,
+                priority=zenoh.Priority.REAL_TIME if is_urgent else zenoh.Priority.DATA,
+                express=True,
+            )
+        except zenoh.ZError:
+            self.unsent += 1
+
+    def _on_sample(self, sample: zenoh.Sample) -> None:
+        key = parse(str(sample.key_expr))
+        if key is None or key.robot == self._own or not _KIND_AT < len(sample.payload):
+            self.dropped["key"] += 1
+        elif len(sample.payload) > MAX_DATAGRAM:
+            self.dropped["oversized"] += 1
+        else:
+            with contextlib.suppress(RuntimeError):  # the loop has ended
+                self._on_datagram(sample.payload.to_bytes(), (key.robot, 0), key.name == ALL)

@@ -1,0 +1,115 @@
+"""The bounds of a membership: a flood of names must not push living robots out."""
+
+from __future__ import annotations
+
+from swarmd.core.messages import Presence
+from swarmd.network.datagram import MAX_HOPS, Beacon, Flag, Heard, Word
+from swarmd.network.membership import MAX_MEMBERS, STRANGER_KEPT, Membership
+
+ADDRESS = ("10.0.0.1", 7440)
+LEASE = 3.0
+
+
+def beacon(robot: str, sequence: int = 1, instance: bytes = b"abcdef", flags: int = 0) -> Beacon:
+    return Beacon(
+        robot=robot,
+        instance=instance,
+        sequence=sequence,
+        wire=1,
+        state=0,
+        revision=0,
+        flags=flags,
+    )
+
+
+def word(*members: Heard, robot: str = "r2") -> Word:
+    return Word(robot=robot, instance=b"123456", members=members)
+
+
+def heard(robot: str, age: int = 0, hops: int = 0) -> Heard:
+    return Heard(robot=robot, instance=b"abcdef", presence=0, age=age, hops=hops)
+
+
+def test_living_members_beyond_the_bound_are_ignored_and_counted() -> None:
+    membership = Membership("me", LEASE)
+    for number in range(MAX_MEMBERS + 5):
+        membership.on_beacon(beacon(f"r{number}"), ADDRESS, 0.0)
+    assert len(membership.members(0.0)) == MAX_MEMBERS
+    assert membership.ignored == 5
+
+
+def test_a_new_robot_replaces_the_one_that_is_gone_the_longest() -> None:
+    membership = Membership("me", LEASE)
+    for number in range(MAX_MEMBERS):
+        membership.on_beacon(beacon(f"r{number}"), ADDRESS, float(number == 7))
+    membership.advance(LEASE + 0.5)  # all but r7 have failed
+    assert membership.on_beacon(beacon("new"), ADDRESS, 3.6)
+    members = membership.members(3.6)
+    assert len(members) == MAX_MEMBERS
+    assert {"r7", "new"} <= members.keys()
+
+
+def test_strangers_that_were_heard_briefly_are_dropped_and_members_stay() -> None:
+    membership = Membership("me", LEASE)
+    membership.on_beacon(beacon("ghost"), ADDRESS, 0.0)
+    for second in range(20):
+        membership.on_beacon(beacon("friend", second), ADDRESS, float(second))
+    membership.advance(30.0)
+    assert set(membership.members(30.0)) == {"friend", "ghost"}
+    membership.advance(30.0 + STRANGER_KEPT + 1.0)
+    members = membership.members(200.0)
+    assert {name: member.presence for name, member in members.items()} == {
+        "friend": Presence.FAILED
+    }
+
+
+def test_beacons_that_are_late_repeated_joining_or_own_change_nothing() -> None:
+    membership = Membership("me", LEASE)
+    membership.on_beacon(beacon("r1", 5), ADDRESS, 0.0)
+    membership.on_beacon(beacon("r1", 6, flags=Flag.LEFT), ADDRESS, 0.1)
+    assert not membership.on_beacon(beacon("r1", 5), ADDRESS, 0.2)
+    assert not membership.on_beacon(beacon("r2", 1, flags=Flag.JOINING), ADDRESS, 0.2)
+    assert not membership.on_beacon(beacon("r3", 1, flags=Flag.LEFT), ADDRESS, 0.2)
+    assert not membership.on_beacon(beacon("me"), ADDRESS, 0.2)
+    members = membership.members(0.2)
+    assert {name: one.presence for name, one in members.items()} == {"r1": Presence.LEFT}
+
+
+def test_forgotten_robots_return_when_they_are_heard() -> None:
+    membership = Membership("me", LEASE)
+    membership.on_beacon(beacon("r1"), ADDRESS, 0.0)
+    assert not membership.forget("r1"), "it is alive"
+    membership.advance(5.0)
+    assert membership.forget("r1")
+    assert membership.members(5.0) == {}
+    assert membership.on_beacon(beacon("r1", 2), ADDRESS, 6.0)
+
+
+def test_hearsay_is_bounded_in_number_distance_and_time() -> None:
+    membership = Membership("me", LEASE)
+    membership.on_beacon(beacon("r2"), ADDRESS, 0.0)
+    membership.on_word(word(heard("me"), heard("r2"), heard("far", hops=MAX_HOPS)), 0.0)
+    assert not membership.hearsay
+    membership.on_word(word(heard("r3", age=400)), 0.0)
+    membership.on_word(word(heard("r3", age=900), robot="r5"), 0.0)
+    assert membership.hearsay["r3"].by == "r2"
+    told = {one.robot: one for one in membership.told(1.0)}
+    assert (told["r3"].age, told["r3"].hops) == (1400, 1)
+    for number in range(MAX_MEMBERS + 5):
+        membership.on_word(word(heard(f"x{number}")), 0.0)
+    assert len(membership.hearsay) == MAX_MEMBERS
+    membership.advance(STRANGER_KEPT + 1.0)
+    assert not membership.hearsay
+
+
+def test_a_robot_that_is_heard_is_no_hearsay_and_is_probed_before_it_fails() -> None:
+    membership = Membership("me", LEASE)
+    membership.on_word(word(heard("r3")), 0.0)
+    membership.on_beacon(beacon("r3"), ADDRESS, 1.0)
+    assert not membership.hearsay
+    assert membership.to_probe(2.0) == []
+    assert membership.to_probe(2.6) == [ADDRESS]
+    assert membership.to_probe(2.7) == []
+    assert membership.to_probe(2.9) == [ADDRESS]
+    membership.advance(4.5)
+    assert membership.to_probe(4.6) == []
