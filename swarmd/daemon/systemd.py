@@ -21,3 +21,7 @@ class Notifier:
         if self._address:
             with socket.socket(socket.AF_UNIX, kind) as notify, suppress(OSError):
                 notify.sendto(message.encode(), self._address)
+
+    def status(self, text: str) -> None:
+        """Send the line that `systemctl status` shows."""
+        self(f"STATUS={' '.join(text.split())}")
