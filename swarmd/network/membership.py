@@ -143,7 +143,7 @@ class Membership:
         """End the leases that are over; the robots whose presence changed."""
         changed = [robot for robot, record in self._records.items() if self._settle(record, now)]
         for robot, record in list(self._records.items()):
-            is_stranger = record.since - record.first < STRANGER_TIME
+            is_stranger = record.latest.heard - record.first < STRANGER_TIME
             if _is_gone(record) and is_stranger and now - record.since > STRANGER_KEPT:
                 del self._records[robot]
         for robot, told in list(self._hearsay.items()):

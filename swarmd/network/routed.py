@@ -1,9 +1,9 @@
 """The datagrams of a swarm through Zenoh routers, for profile `routed`.
 
 The same bytes as on UDP travel as puts: `swarm/<swarm>/<sender>/net/all` to all, and
-`swarm/<swarm>/<sender>/net/<receiver>` to one. An address is the name of a robot or of an operator's
-session, with port 0. A router sends each put once over each link, so that a robot sends O(1) and
-hears O(N), wherever multicast does not reach.
+`swarm/<swarm>/<sender>/net/<receiver>` to one. An address is the name of a robot or of an
+operator's session, with port 0. A router sends each put once over each link, so that a robot sends
+O(1) and hears O(N), wherever multicast does not reach.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class RoutedCarrier:
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         key = parse(str(sample.key_expr))
-        if key is None or key.robot == self._own or not _KIND_AT < len(sample.payload):
+        if key is None or key.robot == self._own or not len(sample.payload) > _KIND_AT:
             self.dropped["key"] += 1
         elif len(sample.payload) > MAX_DATAGRAM:
             self.dropped["oversized"] += 1
