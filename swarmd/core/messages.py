@@ -263,7 +263,10 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
 
 
 class Health(Struct, frozen=True, kw_only=True):
-    """Measurements of the daemon itself. Rates in Hz, times in s."""
+    """Measurements of the daemon itself. Rates in Hz, times in s.
+
+    `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`.
+    """
 
     scan_rate: Rate = 0.0
     loop_p99: Seconds = 0.0
@@ -272,6 +275,7 @@ class Health(Struct, frozen=True, kw_only=True):
     dropped: dict[Word, Count] = {}
     driver: Line = ""
     driver_up: bool = False
+    network: Line = ""
 
 
 class Latch(Struct, frozen=True, kw_only=True):

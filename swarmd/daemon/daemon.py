@@ -34,6 +34,7 @@ from swarmd.daemon.tick_timer import TickTimer
 from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import Message, Stop
+from swarmd.network.interface_watch import InterfaceChange
 from swarmd.network.membership import Address
 from swarmd.network.peer import Summary
 from swarmd.pattern_host.runner import ProcessRunner
@@ -90,6 +91,7 @@ class Daemon:
                 on_message=self._on_message,
                 on_members=self._update_neighbors,
                 on_duplicate=self._on_duplicate,
+                on_interface=self._on_interface,
                 serve=self._serve,
             ),
             version=version("swarmd"),
@@ -243,6 +245,15 @@ class Daemon:
             log.error("id %s is also held by %s", self._robot.id, holder)
         self._carry_out(self._robot.on_duplicate(holder, boottime()))
 
+    def _on_interface(self, change: InterfaceChange) -> None:
+        """Tell of a change of the interface; with another address the robot stands."""
+        log.warning("%s", change.line)
+        self._notify.status(change.line)
+        if change.must_reopen:
+            self._carry_out(self._robot.on_network_changed(change.line, boottime()))
+        else:
+            self._robot.log(change.line, boottime())
+
     def _update_neighbors(self) -> None:
         """Unless the driver measures neighbors, every living member is one."""
         if not self._has_joined or self.sink.has_neighbors:
@@ -304,7 +315,11 @@ class Daemon:
             **frames,
         }
         health = replace(
-            status.health, loop_p99=self._timer.p99, loop_stalls=self._timer.stalls, dropped=dropped
+            status.health,
+            loop_p99=self._timer.p99,
+            loop_stalls=self._timer.stalls,
+            dropped=dropped,
+            network=self._network.interface_text,
         )
         return replace(status, health=health)
 

@@ -32,6 +32,7 @@ from swarmd.network.datagram import (
     unpack,
 )
 from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.interface_watch import InterfaceChange, InterfaceWatch
 from swarmd.network.membership import Address
 from swarmd.network.peer import Effects, Peer, Summary
 from swarmd.network.routed import RoutedCarrier
@@ -43,6 +44,8 @@ log = logging.getLogger(__name__)
 
 MAX_PORT_TRIES = 5
 MAX_ACK_TEXT = 300
+CLOSE_TIMEOUT = 1.0  # s
+REOPEN_PERIOD = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +58,7 @@ class NetworkHandlers:
     on_message: Callable[[Message], None]
     on_members: Callable[[], None]
     on_duplicate: Callable[[str | None], None]
+    on_interface: Callable[[InterfaceChange], None]
     serve: Callable[[ZenohBus], None]
 
 
@@ -83,6 +87,8 @@ class Network:
         self._carrier: UdpCarrier | RoutedCarrier | None = None
         self._session: zenoh.Session | None = None
         self.bus: ZenohBus | None = None
+        self._watch: InterfaceWatch | None = None
+        self._reopening: asyncio.Task[None] | None = None
         self._is_duplicate = False
         self._roster = roster
         self._peer: Peer | None = None
@@ -124,6 +130,10 @@ class Network:
         """Open the network and take the id. Raises NetworkError, IdHeldError in one line."""
         await self._open()
         settings = self._settings
+        if settings.profile == "field":
+            self._watch = InterfaceWatch(
+                self._loop, settings.interface_name, self._on_interface_change
+            )
         self._peer = Peer(
             robot=self._robot,
             instance=self._instance,
@@ -188,7 +198,13 @@ class Network:
         if is_leaving and self._peer is not None and self._peer.owns_id:
             for _ in range(2):
                 self._send(self._peer.farewell(self._handlers.summary()), None)
-        self._close()
+        if self._reopening is not None:
+            self._reopening.cancel()
+        if self._watch is not None:
+            self._watch.close()
+        session = self._release()
+        if session is not None:
+            session.close()
 
     # Datagrams
 
@@ -258,6 +274,41 @@ class Network:
 
     # Sockets and session
 
+    @property
+    def interface_text(self) -> str:
+        """The state of the interface in a few words; empty if it is not watched."""
+        if self._watch is None:
+            return ""
+        return f"{self._settings.interface_name}: {self._watch.state.text}"
+
+    def _on_interface_change(self, change: InterfaceChange) -> None:
+        """The interface changed; the robot stands before anything is opened again."""
+        self._handlers.on_interface(change)
+        if self._carrier is None:  # it is being opened again
+            return
+        if change.must_reopen:
+            self._reopening = self._loop.create_task(self._reopen())
+        elif change.must_rejoin:
+            self._carrier.rejoin()
+
+    async def _reopen(self) -> None:
+        """Close carrier and session, and open them again as soon as that is possible."""
+        old = self._release()
+        if old is not None:
+            # A close that waits for a vanished operator must not delay the new session.
+            closing = self._loop.run_in_executor(None, old.close)
+            await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT)
+        while True:
+            try:
+                await self._open()
+                break
+            except NetworkError as error:
+                log.warning("the network cannot be opened again yet: %s", error)
+                await asyncio.sleep(REOPEN_PERIOD)
+        assert self.bus is not None
+        self._handlers.serve(self.bus)
+        log.info("the network is open again")
+
     async def _open(self) -> None:
         settings = self._settings
         if settings.profile == "routed":
@@ -287,15 +338,16 @@ class Network:
                     raise
         raise AssertionError("unreachable")
 
-    def _close(self) -> None:
+    def _release(self) -> zenoh.Session | None:
+        """Stop receiving and sending at once; the session, which is still to be closed."""
         if self.bus is not None:
             self.bus.close()
+            self.bus = None
         if self._carrier is not None:
             self._carrier.close()
             self._carrier = None
-        if self._session is not None:
-            self._session.close()
-            self._session = None
+        session, self._session = self._session, None
+        return session
 
 
 def _default_listen(settings: NetworkSettings) -> str:
