@@ -18,6 +18,7 @@ from swarmd.daemon.latchfile import LatchFile
 from swarmd.driver_api.driver import Finding, Sink
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from tests.support.processes import unique_swarm
+from tests.support.viewer import Viewer
 
 pytestmark = pytest.mark.integration
 
@@ -161,19 +162,18 @@ async def test_a_driver_that_takes_no_commands_ends_the_daemon(
         await run(Daemon(settings, driver), stop, unplug)
 
 
-async def test_left_is_not_published_after_the_driver_raised(
-    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
+async def test_a_daemon_whose_driver_raised_does_not_leave_in_order(
+    settings: DaemonSettings,
 ) -> None:
     class Broken(RecordingDriver):
         async def run(self, sink: Sink) -> None:
             raise ZeroDivisionError("on purpose")
 
-    published: list[str] = []
-    daemon = Daemon(settings, Broken())
-    monkeypatch.setattr(daemon, "_publish_left", lambda: published.append("left"))
-    with pytest.raises(ZeroDivisionError, match="on purpose"):
-        await run(daemon)
-    assert published == []
+    with Viewer(settings.network) as viewer:
+        with pytest.raises(ZeroDivisionError, match="on purpose"):
+            await run(Daemon(settings, Broken()))
+        await asyncio.sleep(0.2)
+        assert viewer.beacons["tb3-01"].flags == 0
 
 
 async def test_a_daemon_stopped_while_joining_never_serves(tmp_path: Path) -> None:
@@ -183,5 +183,5 @@ async def test_a_daemon_stopped_while_joining_never_serves(tmp_path: Path) -> No
     slow = {"id": "tb3-01", "swarm": unique_swarm(), "state_dir": str(tmp_path), **values}
     daemon = Daemon(load_daemon_settings(None, slow), driver)
     await run(daemon, stop, stop.set)
-    assert daemon._claim is None
+    assert not daemon._network.owns_id
     assert all(twist.is_zero for twist in driver.sent)

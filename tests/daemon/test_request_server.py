@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import msgpack
@@ -44,6 +45,14 @@ class RecordingQuery:
         self.is_dropped = True
 
 
+def server_of(
+    robot: str,
+    on_request: Callable[[Request], None],
+    on_audit: Callable[[str], None] = lambda line: None,
+) -> RequestServer:
+    return RequestServer(robot, on_request, on_audit, forget=lambda name: True)
+
+
 def run_request(id: str = "r1") -> RunRequest:
     return RunRequest(id=id, operator="anna", targets={"tb3-01": EPOCH}, pattern="drive")
 
@@ -59,14 +68,14 @@ def test_a_request_arrives_as_it_was_sent(verb: str) -> None:
     targets: dict[str, Epoch | None] = {"tb3-01": EPOCH}
     request = REQUEST_TYPES[verb](id="r1", operator="anna", targets=targets, **fields[verb])
     taken: list[Request] = []
-    RequestServer("tb3-01", taken.append).handle(verb, RecordingQuery(encode(request)))
+    server_of("tb3-01", taken.append).handle(verb, RecordingQuery(encode(request)))
     assert request.verb == verb
     assert taken == [request]
 
 
 def test_a_stop_is_carried_out_by_the_robots_that_it_is_for() -> None:
     taken: list[Request] = []
-    server = RequestServer("tb3-01", taken.append)
+    server = server_of("tb3-01", taken.append)
     estop = Stop(id="e1", verb="estop", operator="", scope="robots", reason="drill")
     for stop in (
         estop,
@@ -94,7 +103,7 @@ def test_a_stop_is_carried_out_by_the_robots_that_it_is_for() -> None:
 )
 def test_a_malformed_request_is_not_carried_out(payload: bytes) -> None:
     taken: list[Request] = []
-    RequestServer("tb3-01", taken.append).handle("run", RecordingQuery(payload))
+    server_of("tb3-01", taken.append).handle("run", RecordingQuery(payload))
     assert taken == []
 
 
@@ -102,7 +111,7 @@ def test_a_malformed_request_is_not_carried_out(payload: bytes) -> None:
 def test_a_request_of_another_version_is_refused_by_name(version: int) -> None:
     lines: list[str] = []
     taken: list[Request] = []
-    server = RequestServer("tb3-01", taken.append, lines.append)
+    server = server_of("tb3-01", taken.append, lines.append)
     fields: dict[str, Any] = {"id": "r1", "operator": "anna", "verb": "run", "version": version}
     mine = RecordingQuery(raw(**fields, targets={"tb3-01": None}, novelty=[1, {"a": 2}]))
     other = RecordingQuery(raw(**fields, targets={"tb3-02": None}))
@@ -120,7 +129,7 @@ def test_a_request_of_another_version_is_refused_by_name(version: int) -> None:
 
 def test_a_malformed_request_is_refused_by_the_robots_that_it_targets() -> None:
     taken: list[Request] = []
-    server = RequestServer("tb3-01", taken.append)
+    server = server_of("tb3-01", taken.append)
     fields: dict[str, Any] = {"id": "r1", "operator": "a", "verb": "run", "pattern": 5}
     mine = RecordingQuery(raw(**fields, targets={"tb3-01": None}))
     other = RecordingQuery(raw(**fields, targets={"tb3-02": None}))
@@ -137,7 +146,7 @@ def test_a_malformed_request_is_refused_by_the_robots_that_it_targets() -> None:
 
 def test_pending_requests_are_bounded_and_a_stop_is_always_taken() -> None:
     taken: list[Request] = []
-    server = RequestServer("tb3-01", taken.append)
+    server = server_of("tb3-01", taken.append)
     for n in range(MAX_PENDING + 1):
         server.handle("run", RecordingQuery(encode(run_request(f"r{n}"))))
     assert len(taken) == MAX_PENDING
@@ -147,7 +156,7 @@ def test_pending_requests_are_bounded_and_a_stop_is_always_taken() -> None:
 
 def test_a_repeated_request_is_carried_out_once_and_gets_the_same_reply() -> None:
     taken: list[Request] = []
-    server = RequestServer("tb3-01", taken.append)
+    server = server_of("tb3-01", taken.append)
     payload = encode(run_request())
     first, waiting, late = (RecordingQuery(payload) for _ in range(3))
     server.handle("run", first)
@@ -162,7 +171,7 @@ def test_a_repeated_request_is_carried_out_once_and_gets_the_same_reply() -> Non
 def test_a_repeated_stop_is_carried_out_and_answered_each_time() -> None:
     taken: list[Request] = []
     answers: list[Reply] = []
-    server = RequestServer("tb3-01", taken.append)
+    server = server_of("tb3-01", taken.append)
     for _ in range(2):
         server.stop(Stop(id="s1", verb="stop", operator="anna"), "10.0.0.5", answers.append)
         server.reply(Reply(id="s1", robot="tb3-01", code=Code.APPLIED))
@@ -172,7 +181,7 @@ def test_a_repeated_stop_is_carried_out_and_answered_each_time() -> None:
 
 def test_a_reply_names_the_latches_that_are_not_on_disk() -> None:
     answers: list[Reply] = []
-    server = RequestServer("tb3-01", lambda request: None)
+    server = server_of("tb3-01", lambda request: None)
     server.stop(Stop(id="e1", verb="estop", operator="anna"), "10.0.0.5", answers.append)
     reply = Reply(id="e1", robot="tb3-01", code=Code.APPLIED, text="zero")
     server.reply(reply, is_stored=False)
@@ -188,7 +197,7 @@ def test_each_request_gives_one_line_also_when_it_is_repeated() -> None:
     def carry_out(request: Request) -> None:
         server.reply(Reply(id=request.id, robot="tb3-01", code=Code.APPLIED, text="fine"))
 
-    server = RequestServer("tb3-01", carry_out, lines.append)
+    server = server_of("tb3-01", carry_out, lines.append)
     for _ in range(3):
         stop = Stop(id="s1", verb="stop", operator="anna")
         server.stop(stop, "10.0.0.5", lambda reply: None)

@@ -20,14 +20,15 @@ from swarmd.core.keys import build
 from swarmd.core.messages import REQUEST_TYPES, Code, Epoch, Reason, Reply, State, Status
 from swarmd.core.values import Twist, Value
 from swarmd.network.operator import Operator
-from swarmd.network.session import open_session
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body, Commanded
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
+from tests.support.viewer import Viewer
 
 ROBOT = "tb3-01"
 ATTEMPTS = 4
+LOOK_PERIOD = 0.5  # s between two looks for a robot that has restarted
 PLUGINS = Path(__file__).parent / "plugins"
 
 
@@ -58,34 +59,33 @@ class Witness:
         self.heard: list[Heard] = []
         self._decode = Decoder(Status)
         self._news = threading.Condition()
-        self.session = open_session(NetworkSettings(swarm=swarm))
+        self.viewer = Viewer(NetworkSettings(swarm=swarm))
         self._key = build(swarm, ROBOT, "state", "status")
-        self._subscriber = self.session.declare_subscriber(self._key, self._on_status)
+        self.viewer.subscribe(self._key, self._on_status)
 
     def __enter__(self) -> Witness:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self.session.close()
+        self.viewer.close()
 
     def ask(self) -> Status | None:
         """The robot's status now; None if it does not answer within a second."""
-        for reply in self.session.get(self._key, timeout=1.0):
-            if reply.ok is not None:
-                return self._decode(reply.ok.payload.to_bytes())
+        for answer in self.viewer.get(self._key, timeout=1.0):
+            return self._decode(answer.payload.to_bytes())
         return None
 
     def wait(self, what: str, holds: Callable[[Status], bool], since: float = 0.0) -> Heard:
         """The first status published after `since` for which `holds`; AssertionError after 30 s."""
         deadline = time.monotonic() + CAP
-        with self._news:
-            while True:
+        while True:
+            self.viewer.look()
+            with self._news:
                 for heard in self.heard:
                     if heard.at > since and holds(heard.status):
                         return heard
-                left = deadline - time.monotonic()
-                assert left > 0.0, f"never {what}; at last {self._last()}"
-                self._news.wait(left)
+                assert time.monotonic() < deadline, f"never {what}; at last {self._last()}"
+                self._news.wait(LOOK_PERIOD)
 
     def _last(self) -> str:
         said = [f"{h.status.state} ({h.status.reason}) {h.status.detail}" for h in self.heard[-5:]]

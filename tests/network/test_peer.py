@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Literal
+
 import pytest
 
 from swarmd.core.messages import Latch, Presence, State
@@ -206,7 +208,9 @@ def test_a_hundred_robots_that_all_hear_the_operator_say_little() -> None:
 
 @pytest.mark.parametrize("targets", [None, ("r3",)])
 @pytest.mark.parametrize("verb", ["stop", "estop"])
-def test_robots_pass_a_stop_on_and_the_ack_back(verb: str, targets: tuple[str] | None) -> None:
+def test_robots_pass_a_stop_on_and_the_ack_back(
+    verb: Literal["stop", "estop"], targets: tuple[str] | None
+) -> None:
     network = VirtualNetwork(3)
     reach = {"operator": {"r1"}, "r1": {"operator", "r2"}, "r2": {"r1", "r3"}, "r3": {"r2"}}
     network.reaches = lambda sender, receiver: receiver in reach[sender]

@@ -8,6 +8,7 @@ import random
 from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from swarmd.core.messages import Code, Latch, State
 from swarmd.network.datagram import Ack, Datagram, Solicit, Stop, pack, tag_of, unpack
@@ -88,15 +89,21 @@ class VirtualNetwork:
         """The last ack of each robot that the operator heard."""
         return {body.robot: body for _, body in self.heard if isinstance(body, Ack)}
 
-    def stop(self, verb: str, seconds: float, targets: tuple[str, ...] | None = None) -> None:
+    def stop(
+        self, verb: Literal["stop", "estop"], seconds: float, targets: tuple[str, ...] | None = None
+    ) -> None:
         """The operator repeats a stop at 10 Hz for a while."""
         began = self.now
         while self.now - began < seconds:
             age = round((self.now - began) * 1000)
-            scope = "swarm" if targets is None else "robots"
             stop = Stop(
-                id=f"{verb}-id", verb=verb, operator="anna", targets=targets, scope=scope, age=age
-            )  # type: ignore[arg-type]
+                id=f"{verb}-id",
+                verb=verb,
+                operator="anna",
+                targets=targets,
+                scope="swarm" if targets is None else "robots",
+                age=age,
+            )
             self.send(stop)
             self.run(0.1)
 

@@ -14,9 +14,6 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Self
 
-import msgspec
-import zenoh
-
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import (
@@ -30,18 +27,19 @@ from swarmd.core.messages import (
     State,
     Status,
 )
+from swarmd.daemon.network import Network, NetworkHandlers
 from swarmd.network.bus import Query, ZenohBus
-from swarmd.network.claim import Claim, claim_id
-from swarmd.network.session import open_session
+from swarmd.network.datagram import Stop
+from swarmd.network.peer import Summary
 from swarmd.network.settings import NetworkSettings
 from tests.support.statuses import status
 
-VERBS = ("run", "stop", "reset", "param", "forget")
+VERBS = ("run", "reset", "param", "forget")
 
 
 _DECODERS = {verb: Decoder(kind) for verb, kind in REQUEST_TYPES.items()}
 # How to answer a request; None: not at all.
-Answer = Callable[[AnyRequest], Code | None]
+Answer = Callable[[AnyRequest | Stop], Code | None]
 
 
 def light_status(robot: str, instance: str, *, has_left: bool = False) -> Status:
@@ -52,7 +50,7 @@ def light_status(robot: str, instance: str, *, has_left: bool = False) -> Status
 
 
 class FakeDaemon:
-    """One peer that is a member, answers for itself, and acks what names it with `answer`."""
+    """One robot that is a member, answers for itself, and acks what names it with `answer`."""
 
     def __init__(
         self,
@@ -61,14 +59,17 @@ class FakeDaemon:
         *,
         answer: Answer = lambda _request: Code.APPLIED,
         roster: tuple[str, ...] = (),
+        version: str = "1.0",
     ) -> None:
         self.robot = robot
         self.instance = secrets.token_hex(6)
         self.settings = settings
-        self.requests: list[AnyRequest] = []
+        self.requests: list[AnyRequest | Stop] = []
+        self.network: Network
+        self._version = version
         self._answer = answer
         self._roster = roster
-        self._claim: Claim | None = None
+        self._advancing: asyncio.Task[None] | None = None
 
     async def __aenter__(self) -> Self:
         await self.start()
@@ -78,23 +79,28 @@ class FakeDaemon:
         self.leave()
 
     async def start(self) -> None:
-        """Open, serve and claim; NetworkError if the id is taken."""
-        self.session: zenoh.Session = await asyncio.to_thread(open_session, self.settings)
-        self.bus = ZenohBus(self.session, swarm=self.settings.swarm, robot=self.robot)
-        self.bus.serve_view(self.status, self._roster)
-        for verb in VERBS:
-            self.bus.serve("control", verb, partial(self._on_query, verb))
-        self.bus.serve("safety", "estop", partial(self._on_query, "estop"))
+        """Open, claim and serve; NetworkError if the id is taken."""
+        handlers = NetworkHandlers(
+            summary=lambda: Summary(State.IDLE, 0, {}),
+            on_stop=self._on_stop,
+            on_latches=lambda latches: None,
+            on_message=lambda message: None,
+            on_members=lambda: None,
+            on_duplicate=lambda holder: None,
+            on_interface=lambda change: None,
+            serve=self._serve,
+        )
+        self.network = Network(
+            self.settings,
+            self.robot,
+            self.instance,
+            self._roster,
+            handlers,
+            version=self._version,
+        )
+        self._advancing = asyncio.create_task(self._advance())
         try:
-            self._claim = await claim_id(
-                self.session,
-                swarm=self.settings.swarm,
-                robot=self.robot,
-                instance=self.instance,
-                settle=self.settings.settle,
-                lease=self.settings.lease_seconds,
-                on_duplicate=lambda instance: None,
-            )
+            await self.network.join()
         except BaseException:
             self.vanish()
             raise
@@ -103,33 +109,52 @@ class FakeDaemon:
         return light_status(self.robot, self.instance)
 
     def leave(self) -> None:
-        """Publish `left`, and go."""
-        left = msgspec.structs.replace(self.status(), has_left=True)
-        self.bus.publish("state", "status", encode(left))
-        self.vanish()
+        """Say so, and go."""
+        self._end(is_leaving=True)
 
     def vanish(self) -> None:
         """Go without a word. Idempotent."""
-        self._claim = None  # the session takes the token along
-        self.bus.close()
-        self.session.close()
+        self._end(is_leaving=False)
+
+    def _end(self, *, is_leaving: bool) -> None:
+        if self._advancing is not None:
+            self._advancing.cancel()
+            self._advancing = None
+            self.network.close(is_leaving=is_leaving)
+
+    async def _advance(self) -> None:
+        while True:
+            self.network.advance()
+            await asyncio.sleep(0.05)
+
+    def _serve(self, bus: ZenohBus) -> None:
+        bus.serve_view(self.status, lambda: tuple(self.network.members.values()), self._roster)
+        for verb in VERBS:
+            bus.serve("control", verb, partial(self._on_query, verb))
+
+    def _on_stop(self, stop: Stop, source: object, answer: Callable[[Reply], None]) -> None:
+        if stop.targets is None or self.robot in stop.targets:
+            self.requests.append(stop)
+            self._reply(stop, answer)
 
     def _on_query(self, verb: str, query: Query) -> None:
         try:
             request = _DECODERS[verb](query.payload)
         except CodecError:
-            self.bus.drop("request:malformed")
+            self.network.drop("request:malformed")
             query.drop()
             return
         if request.targets is not None and self.robot not in request.targets:
             query.drop()
             return
         self.requests.append(request)
+        self._reply(request, lambda reply: query.reply(encode(reply)))
+
+    def _reply(self, request: AnyRequest | Stop, answer: Callable[[Reply], None]) -> None:
         code, epoch = self._answer(request), self.status().epoch
         if code is not None:
             why = Refusal.BUSY if code is Code.REFUSED else None
-            reply = Reply(id=request.id, robot=self.robot, code=code, refusal=why, epoch=epoch)
-            query.reply(encode(reply))
+            answer(Reply(id=request.id, robot=self.robot, code=code, refusal=why, epoch=epoch))
 
 
 class FakeSwarm:

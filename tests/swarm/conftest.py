@@ -16,18 +16,18 @@ from typing import Any, TypeVar
 
 import msgspec
 import pytest
-import zenoh
 
 from swarmd.core.codec import Decoder
 from swarmd.core.keys import build
 from swarmd.core.messages import PeerView, Presence, State, Status
 from swarmd.core.values import Value
 from swarmd.network.operator import Operator
-from swarmd.network.session import MAX_WIRE, open_session
+from swarmd.network.session import MAX_WIRE
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
+from tests.support.viewer import Viewer
 
 SWARMCTL = (sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()")
 
@@ -74,7 +74,7 @@ class Swarm:
         self.config = config
         self._left = contextlib.ExitStack()
         self._lives = 0
-        self._session: zenoh.Session | None = None
+        self._viewer: Viewer | None = None
         self._operator: Operator | None = None
 
     def close(self) -> None:
@@ -115,12 +115,11 @@ class Swarm:
         return NetworkSettings(swarm=self.name)
 
     @property
-    def session(self) -> zenoh.Session:
-        """A session that is neither a robot's nor an operator's."""
-        if self._session is None:
-            self._session = open_session(self.settings)
-            self._left.callback(self._session.close)
-        return self._session
+    def viewer(self) -> Viewer:
+        """A visitor that is neither a robot nor an operator."""
+        if self._viewer is None:
+            self._viewer = self._left.enter_context(Viewer(self.settings))
+        return self._viewer
 
     @property
     def operator(self) -> Operator:
@@ -169,14 +168,9 @@ class Swarm:
 
     def look(self, robot: str, plane: str, name: str, kind: type[T]) -> list[T]:
         """The answers of every daemon with this id on a key; changes nothing."""
-        replies = self.session.get(
-            build(self.name, robot, plane, name),
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            timeout=5.0,
-        )
         decode = Decoder(kind, MAX_WIRE)
-        return [decode(reply.ok.payload.to_bytes()) for reply in replies if reply.ok is not None]
+        answers = self.viewer.get(build(self.name, robot, plane, name))
+        return [decode(answer.payload.to_bytes()) for answer in answers]
 
     def statuses(self, robot: str) -> list[Status]:
         return self.look(robot, "state", "status", Status)
