@@ -7,6 +7,7 @@ and so is what the bodies were commanded meanwhile.
 
 from __future__ import annotations
 
+import time
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
@@ -23,7 +24,9 @@ VERBS: dict[str, tuple[str, ...]] = {
     "estop": ("estop",),
     "reset": ("reset", "--all", "--yes"),
 }
+LATEST = 3.0  # s
 STANDING = ("idle", "stopped", "estopped", "faulted")
+_LEADS_TO = {"idle": ("stop", "reset"), "running": ("reset", "run"), "estopped": ("estop",)}
 # The states that an applied request leaves, as the near laptop sees them.
 _LEFT_BY = {"stop": STANDING, "estop": ("estopped",), "reset": ("idle",)}
 
@@ -90,13 +93,13 @@ def cell(swarm: FieldSwarm, rtt: float, loss: float) -> Iterator[Row]:
 
 def prepare(swarm: FieldSwarm, state: str) -> None:
     """Clear the radio, and bring all robots into a state by the near laptop."""
-    verb = {"idle": "reset", "running": "run", "estopped": "estop"}[state]
     swarm.field.clear()
 
     def try_it() -> bool:
         if swarm.states(NEAR) == dict.fromkeys(swarm.robots, state):
             return True
-        swarm.ctl(NEAR, *VERBS[verb])
+        for verb in _LEADS_TO[state]:
+            swarm.ctl(NEAR, *VERBS[verb])
         return False
 
     wait_until(try_it, f"all robots {state} by the near laptop")
@@ -105,14 +108,16 @@ def prepare(swarm: FieldSwarm, state: str) -> None:
 def judge(swarm: FieldSwarm, verb: str, answer: Answer, targets: Collection[str] = ()) -> Judged:
     """What an answer says beside what the near laptop sees, and the bodies are told, after it.
 
-    `targets`: the robots that are meant, none for all.
-    Call `swarm.moved()` before the request, for `run`.
+    `targets`: the robots that are meant, none for all. Call `swarm.moved()` before the request.
+    A robot that moves after its stop was counted makes the answer untrue. A state may reach the
+    near laptop `LATEST` s later.
     """
     moved_before = swarm.moved()
-    states = swarm.states(NEAR)
-    moved = swarm.moved()
     read = _members if verb == "members" else _outcome
     said, counted, named = read(answer.json)
+    meant = set(targets or swarm.robots)
+    states: dict[str, str] = {}
+    moved: set[str] = set()
 
     def is_true(robot: str) -> bool:
         state = states.get(robot)
@@ -122,8 +127,13 @@ def judge(swarm: FieldSwarm, verb: str, answer: Answer, targets: Collection[str]
             return state == "running" or robot in moved_before | moved
         return state in _LEFT_BY[verb] and not (verb in ("stop", "estop") and robot in moved)
 
-    wrong = [f"{robot} is {states.get(robot)}" for robot in sorted(counted) if not is_true(robot)]
-    meant = set(targets or swarm.robots)
+    began = time.monotonic()
+    while True:
+        states.update(swarm.states(NEAR))
+        moved |= swarm.moved()
+        wrong = [f"{r} is {states.get(r)}" for r in sorted(counted) if not is_true(r)]
+        if not wrong or time.monotonic() > began + LATEST:
+            break
     silent = sorted(meant - counted - named)
     if wrong:
         verdict = f"untrue: {', '.join(wrong)}"
