@@ -20,7 +20,7 @@ from swarmd.testing.driver_contract import DetachableRig, Rig, ScriptedRig
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = ROOT / "docs" / "robots"
-GENERAL = ("new_robot.md", "trouble.md")
+GENERAL = ("new_robot.md", "trouble.md", "last_word.md")
 BLOCK = re.compile(r"^```yaml\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -113,6 +113,22 @@ def test_each_page_explains_how_its_robot_is_stopped() -> None:
         (page.name, title) for page in robots for title in wanted if title not in page.read_text()
     ]
     assert not lacking
+
+
+def test_each_page_names_the_page_on_the_last_word_once() -> None:
+    pages = {page.name: page.read_text().count("](last_word.md)") for page in PAGES.glob("*.md")}
+    del pages["last_word.md"], pages["trouble.md"]
+    assert set(pages.values()) == {1}, pages
+
+
+def test_the_multiplexer_gives_swarmd_the_last_word() -> None:
+    """A lock masks the inputs of a lower priority (twist_mux)."""
+    (block,) = blocks("last_word.md")
+    mux = yaml.safe_load(block)
+    priorities = {name: topic["priority"] for name, topic in mux["topics"].items()}
+    assert priorities["swarmd"] == max(priorities.values())
+    (lock,) = mux["locks"].values()
+    assert priorities["swarmd"] >= lock["priority"] > priorities["joystick"]
 
 
 def test_methods_and_inputs_of_a_driver_are_explained() -> None:

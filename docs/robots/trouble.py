@@ -57,7 +57,8 @@ A running daemon reports another publisher as
 What follows depends on the state of the robot. A stopped, estopped or faulted robot is sent zero
 20 times per second, and at once after each command of the other node. To an idle or running robot
 the driver sends nothing for 2 s; its first command afterwards is zero. A running robot is held, and
-stopped after 2 s. Zeros of other nodes do not count.
+stopped after 2 s. Zeros of other nodes do not count. [The last word](last_word.md) shows how to
+share a base.
 """
 
 Row = tuple[str, str, str]
@@ -159,9 +160,9 @@ def ros2() -> Iterator[Row]:
         "start the base",
     )
     yield (
-        check("others", scans({}), foreign_commands=87),
+        check("last_word", scans({}), foreign_commands=87),
         "two publishers: a joystick, navigation, a second daemon",
-        "end it",
+        "end it, or give swarmd [the last word](last_word.md)",
     )
     yield (
         check("scan", scans({0.2 * i: 5.0 for i in range(12)})),
@@ -224,9 +225,9 @@ def ros1() -> Iterator[Row]:
         "`ip:` among the driver's options",
     )
     yield (
-        driven_by_others("/cmd_vel", ["/teleop"]),
+        driven_by_others("/cmd_vel", ["/teleop"], is_heard=False),
         "two publishers, active or not",
-        "end it, or `shared_cmd_vel: true`",
+        "end it, or share the base as [The last word](last_word.md) shows",
     )
 
 

@@ -17,6 +17,7 @@ from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.sensing.conditioning import ScanConditioner
 
+LAST_WORD = "docs/robots/last_word.md"
 ENOUGH_MESSAGES = 5
 MIN_CHECK_TIME = 1.0
 
@@ -78,6 +79,10 @@ class Graph:
     def publishers(self, topic: str) -> list[Endpoint]:
         """The publishers of a topic in the driver's domain."""
         return [end for end in self._here(is_publisher=True) if end.topic == topic]
+
+    def subscribers(self, topic: str) -> list[Endpoint]:
+        """The subscribers of a topic in the driver's domain."""
+        return [end for end in self._here(is_publisher=False) if end.topic == topic]
 
     def silence(self, stats: TopicStats) -> str:
         """Why no message arrives on a topic."""
@@ -209,13 +214,17 @@ def scan_conflict(graph: Graph, topics: Iterable[TopicStats]) -> str:
     return next(filter(None, (graph.rival(stats) for stats in topics if stats.is_scan)), "")
 
 
-def driven_by_others(topic: str, publishers: Iterable[str] = ()) -> str:
-    """Another node publishes commands. `publishers`: the nodes, where they are known."""
+def driven_by_others(topic: str, publishers: Iterable[str] = (), *, is_heard: bool = True) -> str:
+    """Another node publishes commands. `publishers`: the nodes, where they are known.
+
+    `is_heard`: commands of theirs have been heard.
+    """
     names = listed(publishers)
     if names:
         return (
-            f"someone else may drive: {topic} is also published by {names}; end that node, or set"
-            " driver_options.shared_cmd_vel if the base has a multiplexer"
+            f"someone else {'drives' if is_heard else 'may drive'}: {topic} is also published by"
+            f" {names}; end that node, or set driver_options.shared_cmd_vel if the base has a"
+            " multiplexer"
         )
     return (
         f"someone else drives: commands on {topic} that are not this driver's; stop what publishes"
@@ -261,7 +270,7 @@ class Report:
     is_exclusive: bool = False
 
     def findings(self) -> tuple[Finding, ...]:
-        """One line each: the hub, every topic, the subscriber of commands, other publishers."""
+        """One line each: the hub, every topic, the subscriber of commands, the last word on them."""
         if self.connection_fault:
             return (Finding("connection", False, self.connection_fault),)
         return tuple(self._findings())
@@ -277,7 +286,7 @@ class Report:
         )
         well = f"{self.cmd_vel} ({middleware.type_name(self.command_type)}) has a subscriber"
         yield Finding("cmd_vel", not fault, fault or well)
-        yield self._others()
+        yield self._last_word()
 
     def _topic(self, stats: TopicStats) -> Finding:
         fault = self._fault(stats)
@@ -304,21 +313,29 @@ class Report:
         scan = self.subscriptions.scan
         return too_slow(stats, self.spec) or (incomplete(stats, scan, self.spec) if scan else "")
 
-    def _others(self) -> Finding:
+    def _last_word(self) -> Finding:
+        """Who else may command the base, and how swarmd gets the last word."""
         topic, names = self.cmd_vel, sorted(self.foreign_publishers)
         if self.foreign_commands:
             return Finding(
-                "others",
+                "last_word",
                 False,
                 f"{self.foreign_commands} commands of another node on {topic}; stop what publishes"
-                " them, unless it is this robot's own daemon or watchdog",
+                f" them, or give swarmd the last word ({LAST_WORD}), unless it is this robot's own"
+                " daemon or watchdog",
             )
         if names and self.is_exclusive:
-            return Finding("others", False, driven_by_others(topic, names))
+            return Finding("last_word", False, driven_by_others(topic, names, is_heard=False))
+        takers = [end.node for end in self.graph.subscribers(topic)]
+        mux = listed(sorted({node for node in takers if "mux" in node}))
+        how = f": give swarmd the highest priority there ({LAST_WORD})" if mux else ""
         if names:
+            how = how or f"; then it has the last word, not swarmd ({LAST_WORD})"
             text = f"{listed(names)} may publish {topic} too, but does not now"
-            return Finding("others", True, text)
-        return Finding("others", True, f"no other node publishes {topic}")
+            return Finding("last_word", True, f"{text}; {mux} takes it{how}" if mux else text + how)
+        if mux:
+            return Finding("last_word", True, f"{mux} takes {topic}{how}")
+        return Finding("last_word", True, f"no other node publishes {topic}")
 
 
 def listed(names: Iterable[str]) -> str:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -113,12 +114,10 @@ def command_message(twist: Twist, message_type: type, frame: str) -> ros.Twist |
     return ros.TwistStamped(header=header, twist=message)
 
 
-def twist_of(message: object) -> Twist:
-    """The command of a Twist or TwistStamped."""
-    if isinstance(message, ros.TwistStamped):
-        message = message.twist
-    assert isinstance(message, ros.Twist)
-    return Twist(message.linear.x, message.angular.z, message.linear.y)
+def twist_of(message: Any) -> Twist:
+    """The command of a Twist or TwistStamped, of ROS 2 or ROS 1."""
+    twist: Any = getattr(message, "twist", message)
+    return Twist(twist.linear.x, twist.angular.z, twist.linear.y)
 
 
 class RangeRing:

@@ -6,7 +6,8 @@ it imports `master.py` alone, which lies beside it. The driver imports it for th
 are single packets:
 
     to the driver   D topic arrival bytes  a message of that index in `topics`; arrival in s on
-                                           CLOCK_MONOTONIC
+                                           CLOCK_MONOTONIC; the index after the last is a command
+                                           of another node, empty if it is of another type
                     J {...}                an event as JSON: state, foreign, end
                     H                      a sign of life
     to the adapter  C time bytes           a command, made at `time` on CLOCK_MONOTONIC
@@ -74,6 +75,7 @@ class Adapter:
         self._holds_until = float("inf")
         self._commanded_at = self._moved_at = self._stops_until = -COMMAND_TIMEOUT
         self._reported: Any = None
+        self._others: Any = None  # the subscription to other nodes' commands
 
     def run(self) -> None:
         """Serve until the driver sends a farewell or has ended, or the master was restarted."""
@@ -95,7 +97,9 @@ class Adapter:
                         self._join()
                     except OSError as error:  # rospy does not undo a partial registration
                         raise RuntimeError(f"it could not join the master: {error}") from error
-                self._report(self._state())
+                state = self._state()
+                self._report(state)
+                self._listen_to_others(bool(state["others"]))
             except OSError as error:
                 self._report({"event": "state", "master": False, "text": str(error)})
             self._wake.wait(_POLL_PERIOD if self._is_joined else _RETRY_PERIOD)
@@ -205,6 +209,24 @@ class Adapter:
             fields = {name: header.get(key, "") for name, key in names.items()}
             self._event({"event": "foreign", "topic": self._config["topics"][index], **fields})
 
+    def _listen_to_others(self, is_wanted: bool) -> None:
+        """Hear the commands of other nodes while there are any; also hears this node's own."""
+        if is_wanted and self._others is None:
+            self._others = self._rospy.Subscriber(
+                self._config["command_topic"], self._rospy.AnyMsg, self._on_other_command,
+                queue_size=1, tcp_nodelay=True,
+            )  # fmt: skip
+        elif not is_wanted and self._others is not None:
+            self._others.unregister()
+            self._others = None
+
+    def _on_other_command(self, message: Any) -> None:
+        header, arrival = message._connection_header, time.monotonic()
+        if header.get("callerid") != self._master.caller:
+            is_ours = header.get("md5sum") == self._config["command_md5sum"]
+            head = DATA_HEAD.pack(DATA, len(self._config["topics"]), arrival)
+            self._send(head, message._buff if is_ours else b"")
+
     def _state(self) -> Any:
         """What the master knows of our topics."""
         master = self._master
@@ -218,15 +240,17 @@ class Adapter:
         types = dict(master.call("getTopicTypes"))
         command = self._config["command_topic"]
         others = [n for n in publishes.get(command, ()) if n != master.caller]
-        listeners = [n for n in subscribes.get(command, ()) if master.is_alive(n)]
-        connected = 0 if self._publisher is None else self._publisher.get_num_connections()
+        listeners = [
+            n for n in subscribes.get(command, ()) if not _is_adapter(n) and master.is_alive(n)
+        ]
+        connected = 0 if self._publisher is None else self._bases()
         wants = {}
         if connected < len(listeners):
             wants = {node: master.wants(node, command) for node in listeners}
         return {
             "event": "state",
             "master": True,
-            "publishers": {topic: publishes.get(topic, []) for topic in topics},
+            "publishers": {topic: self._alive(publishes.get(topic, [])) for topic in topics},
             "types": {topic: types.get(topic, "") for topic in topics},
             "candidates": {
                 kind: sorted(t for t, k in types.items() if k == kind and publishes.get(t))
@@ -237,6 +261,16 @@ class Adapter:
             "connected": connected,
             "wants": wants,
         }
+
+    def _bases(self) -> int:
+        """How many nodes take commands, without the adapters that hear them."""
+        ends = getattr(self._publisher.impl, "connections", ())
+        adapters = sum(_is_adapter(end.endpoint_id) for end in ends)
+        return int(self._publisher.get_num_connections()) - adapters
+
+    def _alive(self, nodes: Any) -> Any:
+        """Of several publishers those that live; a single one is not asked."""
+        return [n for n in nodes if self._master.is_alive(n)] if len(nodes) > 1 else nodes
 
     # To the driver
 
@@ -314,6 +348,11 @@ class Adapter:
             while not self._rospy.is_shutdown() and time.monotonic() < deadline:
                 time.sleep(0.01)
         os._exit(0)
+
+
+def _is_adapter(node: str) -> bool:
+    """True for the node of a driver such as this one's."""
+    return node.rpartition("/")[2].startswith("swarmd_")
 
 
 class _Errors(io.TextIOBase):

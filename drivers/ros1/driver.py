@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from swarmd.core.errors import CodecError, DriverError
+from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Platform, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, Sink, ZeroSenderSpec
@@ -24,9 +25,11 @@ from swarmd.drivers.ros.diagnosis import (
     Report,
     driven_by_others,
     has_enough,
+    scan_conflict,
     unconnected,
     unreachable,
 )
+from swarmd.drivers.ros.from_ros import twist_of
 from swarmd.drivers.ros.options import Ros1Options, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros1 import adapter_process, serialization
@@ -50,6 +53,8 @@ velocity until the next adapter.
 TOPIC_TIMEOUT = 2.5
 """Seconds without a message after which a needed topic counts as lost; scans may come at 1 Hz."""
 
+_Reported = tuple[bool, str, Reason | None, bool]
+_NOTHING: _Reported = (False, "", None, False)
 _WATCH_PERIOD = 0.1
 _MIN_LOGGED_LOSS = 1.0  # s for which a base must have been lost for one reason that it is logged
 
@@ -69,7 +74,7 @@ class Ros1Driver:
         self._script = str(Path(adapter_process.__file__).resolve())
         self._sink: Sink | None = None
         self._child: AdapterProcess | None = None
-        self._reported: tuple[bool, str] = (False, "")
+        self._reported: _Reported = _NOTHING
         self._reported_at = math.inf
         self._logged = ""
         self._gate = CommandGate()
@@ -100,7 +105,7 @@ class Ros1Driver:
                 await asyncio.sleep(pause)
                 pause = min(2.0 * pause, MAX_RESTART_DELAY)
         finally:
-            self._sink, self._reported, self._logged = None, (False, ""), ""
+            self._sink, self._reported, self._logged = None, _NOTHING, ""
             self._gate.end()
 
     def send(
@@ -108,11 +113,12 @@ class Ros1Driver:
     ) -> None:
         """Send a safe command; dropped while the base is lost, zero the first time it is back.
 
+        A stopped robot is sent zero also while the base is lost: another node may command it.
         For the first 2 s of a loss each command is sent as zero. The adapter then knows that the
         base stands; after a moving command it would take the silence for that of a dead daemon and
         send zeros against the node that drives the base next.
         """
-        command = self._gate.filter(twist)
+        command = self._gate.filter(twist, is_stopped=is_stopped)
         if command is None and self._gate.repeats_zero(time.monotonic()):
             command = ZERO
         if command is not None:
@@ -143,6 +149,8 @@ class Ros1Driver:
         self._subscriptions = Subscriptions(self._options, self._platform, serialization.decode)
         self._master = MasterGraph(self._options, self._subscriptions.topics)
         self._end, self._is_planned_end, self._was_up = "", False, False
+        self._conflict = ""
+        self._foreign_commands, self._hears_motion = 0, False
 
     def _report(self) -> Report | None:
         """What a check has found out; None if the adapter told nothing yet."""
@@ -158,6 +166,7 @@ class Ros1Driver:
             cmd_vel=self._master.cmd_vel,
             command_type=self._options.command_type,
             has_subscriber=bool(state.listeners),
+            foreign_commands=self._foreign_commands,
             foreign_publishers=state.others,
             is_exclusive=self._master.blocks,
         )
@@ -209,6 +218,7 @@ class Ros1Driver:
             "types": [serialization.type_name(stats.message_type) for stats in topics],
             "md5sums": [serialization.definition(stats.message_type)[1] for stats in topics],
             "command_topic": self._master.cmd_vel,
+            "command_md5sum": md5sum,
             "command": None if is_check else command,
             "holds": not is_check and self._gate.has_sent,
         }
@@ -231,7 +241,10 @@ class Ros1Driver:
     def on_message(self, topic: int, data: bytes) -> None:
         """A serialised message."""
         topics = [*self._subscriptions.topics.values()]
-        if topic >= len(topics):
+        if topic == len(topics):
+            self._on_foreign_command(data)
+            return
+        if topic > len(topics):
             self.on_dropped("garbage")
             return
         stats = topics[topic]
@@ -244,8 +257,22 @@ class Ros1Driver:
             return
         if not self._gate.is_open:
             self._update_state()
-        if self._gate.is_open and self._sink is not None:
-            deliver(self._sink)
+        if (self._gate.is_open or self._master.blocks) and self._sink is not None:
+            deliver(self._sink)  # also while another node drives: a stop tells the measured speed
+
+    def _on_foreign_command(self, data: bytes) -> None:
+        """Another node publishes a command; a zero does not count as driving."""
+        self._foreign_commands += 1
+        try:
+            command: Any = serialization.decode(self._options.command_type, data)
+            is_zero = twist_of(command).is_zero
+        except CodecError:
+            is_zero = False  # of another type than ours: it may well move the robot
+        if is_zero:
+            return
+        if self._gate.is_stopped:
+            self._put(ZERO)
+        self._hears_motion = True
 
     def on_dropped(self, what: str) -> None:
         """Count one input that could not be read or used."""
@@ -256,14 +283,17 @@ class Ros1Driver:
         """Open or close the gate, and report it when that or the reason has changed."""
         if self._sink is None or self._child is None:
             return
+        state = self._master.state
+        self._hears_motion &= bool(state and state.others)
         fault = self._end or self._fault(asyncio.get_running_loop().time())
+        before = self._conflict
+        self._conflict = scan_conflict(self._master.graph(), self._subscriptions.topics.values())
         if fault:
             self._report_state(False, fault)
-        elif not self._gate.is_open:
-            state = self._master.state
+        elif not self._gate.is_open or self._conflict != before:
             others = f", as is {', '.join(state.others)}" if state and state.others else ""
             where = f"{self._master.cmd_vel} at {self._options.master_uri}"
-            self._report_state(True, f"drives on {where}{others}")
+            self._report_state(True, self._conflict or f"drives on {where}{others}")
 
     def _fault(self, now: float) -> str:
         """Why the base cannot be driven, and the next step; empty if it can."""
@@ -273,7 +303,7 @@ class Ros1Driver:
         if not state.master:
             return self._unreachable(state)
         if master.blocks:
-            return driven_by_others(master.cmd_vel, state.others)
+            return driven_by_others(master.cmd_vel, state.others, is_heard=self._hears_motion)
         graph = master.graph()
         for stats in self._subscriptions.silent(now, TOPIC_TIMEOUT):
             is_unreadable = bool(stats.recent_fault(now))
@@ -305,9 +335,15 @@ class Ros1Driver:
             self._gate.open()
         elif not is_up and self._gate.close(now):
             self._put(ZERO)
-        if self._sink is not None and self._reported != (is_up, text):
-            self._reported, self._reported_at = (is_up, text), now
-            self._sink.state(is_up, text)
+        state = self._master.state
+        gets_zero = self._child is not None and state is not None and state.connected > 0
+        hold = Reason.SCAN_CONFLICT if self._conflict else None
+        report = (is_up, text, hold, gets_zero)
+        if self._reported[:2] != report[:2]:
+            self._reported_at = now
+        if self._sink is not None and self._reported != report:
+            self._reported = report
+            self._sink.state(is_up, text, hold=hold, gets_zero=gets_zero)
         if is_up or was_up or now - self._reported_at > _MIN_LOGGED_LOSS:
             self._log(is_up, text)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Iterable
 from typing import Any
 
@@ -165,14 +166,27 @@ def test_two_publishers_of_a_needed_topic_are_a_fault(middleware: Middleware) ->
 def test_commands_of_another_node_are_a_fault_and_a_publisher_is_named(
     middleware: Middleware,
 ) -> None:
-    assert not found(middleware, received(), foreign_commands=1)["others"].is_well
+    assert not found(middleware, received(), foreign_commands=1)["last_word"].is_well
     others: dict[str, Any] = {"foreign_publishers": ["/teleop"]}
-    silent = found(middleware, received(), **others)["others"]
+    silent = found(middleware, received(), **others)["last_word"]
     assert silent.is_well
     assert "/teleop" in silent.text
-    exclusive = found(middleware, received(), is_exclusive=True, **others)["others"]
+    exclusive = found(middleware, received(), is_exclusive=True, **others)["last_word"]
     assert not exclusive.is_well
     assert "/teleop" in exclusive.text
+
+
+@both
+def test_a_multiplexer_that_takes_the_commands_is_named(middleware: Middleware) -> None:
+    base = end(middleware, messages.Twist, "/cmd_vel", is_publisher=False)
+    mux = dataclasses.replace(base, node="/twist_mux")
+    assert "mux" not in found(middleware, received(), [base])["last_word"].text
+    some: tuple[dict[str, Any], ...] = ({}, {"foreign_publishers": ["/teleop"]})
+    for more in some:
+        line = found(middleware, received(), [mux], **more)["last_word"]
+        assert line.is_well
+        assert "/twist_mux" in line.text
+        assert "priority" in line.text
 
 
 @both

@@ -22,19 +22,21 @@ from swarmd.drivers.ros1.adapter_process import (
     COMMAND,
     COMMAND_HEAD,
     DATA,
+    DATA_HEAD,
     EVENT,
     Adapter,
 )
 from tests.support.processes import CAP, wait_until
 
 COMMANDS = {"topic": "/cmd_vel", "type": "geometry_msgs/Twist", "md5sum": "0", "full_text": ""}
-CONFIG = {
+CONFIG: dict[str, Any] = {
     "master": "http://127.0.0.1:9",
     "name": "r",
     "topics": ["/scan"],
     "types": ["sensor_msgs/LaserScan"],
     "md5sums": ["1"],
     "command_topic": "/cmd_vel",
+    "command_md5sum": "0",
     "command": {**COMMANDS, "frame_id": ""},
     "holds": False,
 }
@@ -123,6 +125,33 @@ def test_a_message_of_another_type_is_reported_by_its_publisher_only(
         "type": "sensor_msgs/LaserScan",
         "md5sum": "2",
     }
+
+
+@pytest.mark.parametrize(
+    ("caller", "md5sum", "passed"),
+    [("/r_1", "0", None), ("/teleop", "0", b"\x00" * 1000), ("/teleop", "7", b"")],
+    ids=["its own", "another's", "of another type"],
+)
+def test_commands_of_other_nodes_are_passed_on(
+    ends: tuple[Adapter, socket.socket], caller: str, md5sum: str, passed: bytes | None
+) -> None:
+    adapter, mine = ends
+    adapter._master.caller = "/r_1"
+    command = message(md5sum)
+    command._connection_header["callerid"] = caller
+    adapter._on_other_command(command)
+    frames = [(*DATA_HEAD.unpack_from(frame)[:2], frame[DATA_HEAD.size :]) for frame in taken(mine)]
+    assert frames == ([] if passed is None else [(DATA, len(CONFIG["topics"]), passed)])
+
+
+def test_adapters_that_hear_commands_are_no_bases(ends: tuple[Adapter, socket.socket]) -> None:
+    adapter, _ = ends
+    ends_of = [
+        SimpleNamespace(endpoint_id=name) for name in ("/base", "/swarmd_r_1_2", "/swarmd_r")
+    ]
+    impl = SimpleNamespace(connections=ends_of)
+    adapter._publisher = SimpleNamespace(impl=impl, get_num_connections=lambda: len(ends_of))
+    assert adapter._bases() == 1
 
 
 @pytest.mark.parametrize(("linear", "arms"), [(0.0, False), (-0.0, False), (0.1, True)])

@@ -16,7 +16,8 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.values import Twist, Value
+from swarmd.core.messages import Reason
+from swarmd.core.values import ZERO, Twist, Value
 from swarmd.drivers.ros.options import Ros1Options, read_options
 from swarmd.drivers.ros1 import adapter as ros1_child
 from swarmd.drivers.ros1 import adapter_process as ros1_adapter
@@ -234,7 +235,7 @@ def test_unreadable_messages_and_other_types_are_counted_and_no_sign_of_life(
         listener = scene.adapter.listener
         listener.on_event(ForeignMessage("/odom", "/base", "nav_msgs/Odometry", "0" * 32))
         listener.on_message(0, scan(1.0)[:-1])
-        listener.on_message(2, odometry())
+        listener.on_message(3, odometry())
         assert scene.sink.lost == ["ros1/type", "ros1/scan", "ros1/garbage"]
         assert not scene.sink.is_up
 
@@ -284,6 +285,104 @@ def test_of_waiting_messages_only_the_newest_of_each_topic_is_delivered(
     asyncio.run(run())
     assert received == [(1, b"newest"), (2, b"late")]
     assert dropped == ["overtaken"] * 3
+
+
+CONTENDED = replace(WELL, others=["/teleop"])
+COMMAND_INDEX = 2  # after scan and odometry
+
+
+def test_a_stopped_robot_gets_zero_at_once_after_each_command_of_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        scene.connect()
+        scene.command()
+        scene.driver.send(ZERO, 2, 2, is_stopped=True)
+        scene.report(CONTENDED)
+        assert not scene.sink.is_up
+        for foreign in (encode_twist(MOVING), b"", b"of another type"):
+            scene.adapter.sent.clear()
+            scene.adapter.listener.on_message(COMMAND_INDEX, foreign)
+            assert scene.adapter.sent == FIRST[:1]
+        assert scene.sink.gets_zero
+        scene.report(CONTENDED)
+        assert scene.sink.states[-1][1].startswith("someone else drives: ")
+        scene.adapter.sent.clear()
+        scene.adapter.listener.on_message(COMMAND_INDEX, encode_twist(ZERO))
+        assert not scene.adapter.sent, "zeros do no harm"
+
+    play(monkeypatch, story)
+
+
+def test_a_stopped_robot_gets_each_zero_while_another_publishes(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        scene.connect()
+        scene.command()
+        scene.report(CONTENDED)
+        for _ in range(100):  # 5 s at 20 Hz
+            scene.adapter.sent.clear()
+            scene.driver.send(ZERO, 2, 2, is_stopped=True)
+            assert scene.adapter.sent == FIRST[:1]
+            await asyncio.sleep(0.05)
+
+    play(monkeypatch, story)
+
+
+def test_a_robot_that_need_not_stand_is_left_to_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        ros1, "time", SimpleNamespace(monotonic=lambda: asyncio.get_running_loop().time())
+    )
+
+    async def story(scene: Scene) -> None:
+        scene.connect()
+        scene.command()
+        scene.report(CONTENDED)
+        await asyncio.sleep(2.1)
+        scene.adapter.sent.clear()
+        scene.adapter.listener.on_message(COMMAND_INDEX, encode_twist(MOVING))
+        assert not scene.is_moved()
+        assert not scene.adapter.sent
+
+    play(monkeypatch, story)
+
+
+def test_odometry_arrives_while_another_publishes(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def story(scene: Scene) -> None:
+        scene.connect()
+        scene.report(CONTENDED)
+        known = len(scene.sink.odometries)
+        scene.adapter.listener.on_message(1, odometry(0.7))
+        assert len(scene.sink.odometries) == known + 1
+
+    play(monkeypatch, story)
+
+
+def test_zeros_are_not_promised_without_a_base(monkeypatch: pytest.MonkeyPatch) -> None:
+    async def story(scene: Scene) -> None:
+        scene.connect()
+        scene.report(replace(WELL, listeners=[], connected=0))
+        assert (scene.sink.is_up, scene.sink.gets_zero) == (False, False)
+
+    play(monkeypatch, story)
+
+
+def test_two_publishers_of_the_scan_hold_the_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    both = {**WELL.publishers, "/scan": ["/lidar", "/rival"]}
+
+    async def story(scene: Scene) -> None:
+        scene.connect()
+        assert scene.sink.hold is None
+        scene.report(replace(WELL, publishers=both))
+        assert scene.sink.hold is Reason.SCAN_CONFLICT
+        assert scene.sink.is_up
+        assert scene.sink.states[-1][1].startswith("2 publish /scan: /lidar, /rival; ")
+        scene.report()
+        assert scene.sink.hold is None
+        assert scene.sink.states[-1][1].startswith("drives on ")
+
+    play(monkeypatch, story)
 
 
 def test_the_adapters_environment_is_that_of_the_options(monkeypatch: pytest.MonkeyPatch) -> None:

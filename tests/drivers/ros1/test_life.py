@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import itertools
 import os
 import signal
 import socket
@@ -18,6 +19,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 
 import pytest
 
+from swarmd.core.messages import Reason
 from swarmd.core.values import Twist
 from swarmd.driver_api.command_gate import ZERO_REPEAT_TIME
 from swarmd.drivers.ros.messages import LaserScan
@@ -168,7 +170,7 @@ def test_a_killed_node_no_longer_counts_though_the_master_lists_it(roscore: RosC
         other = body.make({})
         second = asyncio.create_task(other.run(second_sink := CollectingSink()))
         await harness.until(lambda: not harness.sink.is_up)
-        await harness.until(lambda: bool(second_sink.states) and "another node" in why(second_sink))
+        await harness.until(lambda: bool(second_sink.states) and "someone else" in why(second_sink))
         os.kill(adapter(other), signal.SIGKILL)
         second.cancel()
         await asyncio.gather(second, return_exceptions=True)
@@ -246,9 +248,53 @@ def test_another_driver_gets_the_base_after_zeros_and_is_logged_once(
     with caplog.at_level("INFO", "swarmd.drivers.ros1.driver"):
         play(RosRobot(roscore), story)
     lines = [record.getMessage() for record in caplog.records]
-    named = [line for line in lines if "another node" in line and "is also published by" in line]
+    named = [line for line in lines if "someone else" in line and "is also published by" in line]
     assert 1 <= len(named) <= 2  # by each of the two
     assert lines[-1].startswith("driver ros1: drives on ")
+
+
+def test_a_stopped_robot_gets_zero_after_each_command_of_another_node(roscore: RosCore) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        await drive(harness, body)
+        other = body.make({"shared_cmd_vel": True})
+        second = asyncio.create_task(other.run(CollectingSink()))
+        taken: list[Twist] = []
+        polls = itertools.count()
+
+        def is_answered() -> bool:
+            """The last six alternate, though ten of the other node come for each zero of ours."""
+            count = next(polls)
+            if count % 50 == 0:
+                harness.driver.send(Twist(), 1, 1, is_stopped=True)
+            if count % 5 == 0:
+                other.send(Twist(0.3), 1, 1)
+            taken.extend(body.commands())
+            return [twist.linear for twist in taken[-6:]] in ([0.3, 0.0] * 3, [0.0, 0.3] * 3)
+
+        await harness.until(is_answered, publishing=True)
+        await harness.until(lambda: "someone else drives" in why(harness.sink))
+        assert harness.sink.gets_zero
+        second.cancel()
+        await asyncio.gather(second, return_exceptions=True)
+        await harness.until(lambda: harness.sink.is_up, publishing=True)
+
+    play(RosRobot(roscore), story)
+
+
+def test_a_second_lidar_holds_the_robot_until_its_node_is_killed(roscore: RosCore) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        def rival() -> RosRobot:
+            return RosRobot(roscore, "--name", "rival", "--no-base", namespace=body.namespace)
+
+        second = await asyncio.to_thread(rival)
+        try:
+            await harness.until(lambda: harness.sink.hold is Reason.SCAN_CONFLICT, publishing=True)
+            assert harness.sink.is_up
+        finally:
+            second.close()  # SIGKILL: the master still lists it
+        await harness.until(lambda: harness.sink.hold is None, publishing=True)
+
+    play(RosRobot(roscore), story)
 
 
 def test_a_node_that_connects_and_sends_nothing_blocks_no_base(roscore: RosCore) -> None:

@@ -86,8 +86,8 @@ def test_check_reports_commands_of_other_nodes() -> None:
         robot.put("cmd_vel", robots.command(0.0))
 
     found = check(robot, publish)
-    assert not found["others"].is_well
-    assert "commands of another node on /cmd_vel" in found["others"].text
+    assert not found["last_word"].is_well
+    assert "commands of another node on /cmd_vel" in found["last_word"].text
 
 
 def test_a_missing_topic_is_reported_while_the_driver_runs() -> None:
