@@ -270,7 +270,7 @@ class Report:
     is_exclusive: bool = False
 
     def findings(self) -> tuple[Finding, ...]:
-        """One line each: the hub, every topic, the subscriber of commands, the last word on them."""
+        """One line each: hub, topics, the subscriber of commands, who has the last word on them."""
         if self.connection_fault:
             return (Finding("connection", False, self.connection_fault),)
         return tuple(self._findings())
