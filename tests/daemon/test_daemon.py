@@ -10,12 +10,12 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.codec import Decoder, encode
-from swarmd.core.messages import AnyRequest, Code, EstopRequest, Reply
+from swarmd.core.messages import Code, Reply
 from swarmd.core.values import Twist
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.latchfile import LatchFile
 from swarmd.driver_api.driver import Finding, Sink
+from swarmd.network.datagram import Stop
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from tests.support.processes import unique_swarm
 from tests.support.viewer import Viewer
@@ -97,34 +97,23 @@ class Unplugged(RecordingDriver):
         super().send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
 
 
-class RecordingQuery:
-    """A query that keeps its replies."""
-
-    def __init__(self, request: AnyRequest) -> None:
-        self.payload = encode(request)
-        self.replies: list[Reply] = []
-
-    def reply(self, payload: bytes) -> None:
-        self.replies.append(Decoder(Reply)(payload))
-
-    def drop(self) -> None:
-        pass
+ESTOP = Stop(id="e1", verb="estop", operator="alice")
 
 
 async def test_an_estop_is_stored_and_acked_if_zero_cannot_be_sent(
     settings: DaemonSettings,
 ) -> None:
     driver = Unplugged()
-    query = RecordingQuery(EstopRequest(id="e1", operator="alice"))
+    replies: list[Reply] = []
     daemon = Daemon(settings, driver)
 
     def ask() -> None:
         driver.unplug()
-        daemon._requests.handle("estop", query)
+        daemon._requests.stop(ESTOP, "10.0.0.5", replies.append)
 
     with pytest.raises(OSError, match="unplugged"):
         await run(daemon, later=ask)
-    assert [reply.code for reply in query.replies] == [Code.APPLIED]
+    assert [reply.code for reply in replies] == [Code.APPLIED]
     assert LatchFile(settings.state_dir / settings.network.swarm / settings.id).read().held
 
 
@@ -132,12 +121,12 @@ async def test_a_request_is_in_the_log_and_in_the_events(
     settings: DaemonSettings, caplog: pytest.LogCaptureFixture
 ) -> None:
     caplog.set_level(logging.INFO)
-    query, stop = RecordingQuery(EstopRequest(id="e1", operator="alice")), asyncio.Event()
+    stop = asyncio.Event()
     daemon = Daemon(settings, RecordingDriver())
     events: list[str] = []
 
     def ask() -> None:
-        daemon._requests.handle("estop", query, "10.0.0.5")
+        daemon._requests.stop(ESTOP, "10.0.0.5", lambda reply: None)
         events.extend(event.text for event in daemon._robot.status(boottime()).events)
         stop.set()
 
