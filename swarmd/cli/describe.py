@@ -9,7 +9,7 @@ from swarmd.cli.arguments import check_known
 from swarmd.cli.explain import activity, obstacles, why
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
-from swarmd.cli.send import known_members
+from swarmd.cli.send import exit_code_of, known_members
 from swarmd.core.messages import Member, Presence, State, Status
 
 
@@ -19,16 +19,17 @@ from swarmd.core.messages import Member, Presence, State, Status
 def describe(options: CommonOptions, robot: str) -> None:
     """Print the whole status of ROBOT, and why it does not move."""
     with options.operator() as operator:
-        view = known_members(operator, options.timeout)
-    check_known(robot, view.members)
-    member = view.members[robot]
-    if options.is_json:
-        print_json("Member", {"member": to_builtins(member), "why": why(member)})
-        return
-    click.echo(printable(f"{robot}: {why(member)}"))
-    if member.status is not None:
-        for title, rows in sections(member, member.status):
-            print_section(title, rows)
+        view = known_members(options, operator)
+        check_known(robot, view.members)
+        member = view.members[robot]
+        if options.is_json:
+            print_json("Member", {"member": to_builtins(member), "why": why(member)})
+        else:
+            click.echo(printable(f"{robot}: {why(member)}"))
+            if member.status is not None:
+                for title, rows in sections(member, member.status):
+                    print_section(title, rows)
+        click.get_current_context().exit(exit_code_of(view, [robot]))
 
 
 def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, str]]]]:

@@ -6,7 +6,9 @@ import math
 from collections.abc import Iterable, Iterator
 
 from swarmd.cli.output import seconds
-from swarmd.core.messages import DecisionSummary, LimitingObstacle, Member, Presence, Reason, State
+from swarmd.core import codec
+from swarmd.core.messages import DecisionSummary, LimitingObstacle, Presence, Reason, State
+from swarmd.network.discovery import Contact, SeenMember
 
 _SAME_OBSTACLE = math.radians(10.0)
 _START = "start it with `swarmctl run PATTERN {robot}`"
@@ -51,15 +53,20 @@ _LASTING_HOLDS = {
 }
 
 
-def why(member: Member) -> str:
+def why(member: SeenMember) -> str:
     """One sentence: the state, and if the robot does not move, the reason and what to do."""
     status = member.status
+    if member.contact is Contact.UNREACHABLE:
+        return f"alive by {member.by}'s word, {seconds(member.age)} ago; not reachable from here"
+    if member.contact is Contact.OTHER_VERSION:
+        return f"{member.state}; it speaks {member.wire}, this swarmctl {codec.VERSION}"
     if member.presence is not Presence.ALIVE:
         last = f"; last known: {status.state}" if status is not None else ""
         forget = f"`swarmctl members forget {member.robot}` removes it from the list"
         return f"{member.presence} {seconds(member.age)} ago{last}; {forget}"
     if status is None:
-        return "alive, but it has sent no status yet; try again"
+        heard = f"heard {seconds(member.age)} ago"
+        return f"{heard}, {member.state or 'alive'}, but it sent no status; try again"
     reason = status.reason
     if reason is None:
         way = " around an obstacle" if status.decision.is_recovering else ""

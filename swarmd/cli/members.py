@@ -12,8 +12,10 @@ from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.explain import activity
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
-from swarmd.cli.send import known_members, report
-from swarmd.core.messages import ForgetRequest, Member, Presence, State
+from swarmd.cli.send import exit_code_of, known_members, report
+from swarmd.core import codec
+from swarmd.core.messages import ForgetRequest, Presence, State
+from swarmd.network.discovery import Contact, SeenMember
 from swarmd.network.outcome import REFUSED
 
 if TYPE_CHECKING:
@@ -21,9 +23,10 @@ if TYPE_CHECKING:
     from swarmd.network.discovery import MembersView
 
 HEADER = (
-    *("NAME", "STATE", "REASON", "PATTERN", "GEN", "PROTECTION", "SCAN", "LOOP99", "SEEN"),
-    "REPORT",
+    *("NAME", "STATE", "REASON", "PATTERN", "GEN", "PROTECTION", "SCAN", "LOOP99", "VERSION"),
+    *("SEEN", "REPORT"),
 )
+_NOW = 1.0  # figures that are newer than this are `now`, in s
 _MAX_REPORT = 60
 
 
@@ -37,16 +40,17 @@ def members(options: CommonOptions) -> None:
     if click.get_current_context().invoked_subcommand is not None:
         return
     with options.operator() as operator:
-        view = known_members(operator, options.timeout)
-    notes = tuple(health(view))
-    if options.is_json:
-        rows = [to_builtins(member) for member in view.members.values()]
-        roster = sorted(view.roster)
-        print_json("Members", {"members": rows, "roster": roster, "notes": list(notes)})
-        return
-    print_table(HEADER, [row(member) for member in view.members.values()])
-    for note in notes:
-        click.echo(printable(f"# {note}"))
+        view = known_members(options, operator)
+        notes = tuple(health(view))
+        if options.is_json:
+            rows = [to_builtins(member) for member in view.members.values()]
+            content = {"roster": sorted(view.roster), "missing": list(view.missing)}
+            print_json("Members", {"members": rows, **content, "notes": list(notes)})
+        else:
+            print_table(HEADER, [row(member) for member in view.members.values()])
+            for note in notes:
+                click.echo(printable(f"# {note}"))
+        click.get_current_context().exit(exit_code_of(view, view.expected))
 
 
 @members.command()
@@ -55,35 +59,44 @@ def members(options: CommonOptions) -> None:
 def forget(options: CommonOptions, name: str) -> None:
     """Remove a robot that failed or left from the lists of all robots."""
     with options.operator() as operator:
-        view = known_members(operator, options.timeout)
+        view = known_members(options, operator)
         check_known(name, view.members)
         if view.members[name].presence is Presence.ALIVE:
             text = f"{name} is alive; only robots that failed or left can be forgotten"
             raise Failure(text, REFUSED)
-        outcome = operator.request(ForgetRequest, view.epochs(view.alive), name=name)
-    report(options, outcome)
+        report(options, operator.request(ForgetRequest, view.epochs(view.alive), name=name))
 
 
-def row(member: Member) -> tuple[str, ...]:
-    """The line of a member; if it is not alive, its last pattern is marked `?`."""
-    status = member.status
-    if member.presence is not Presence.ALIVE:
-        pattern = f"{status.pattern}?" if status is not None and status.pattern else NOTHING
-        dashes = (NOTHING,) * 4
-        return (member.robot, member.presence, NOTHING, pattern, *dashes, _seen(member), NOTHING)
-    if status is None:
-        return (member.robot, "no answer", *(NOTHING,) * 6, _seen(member), NOTHING)
+def row(member: SeenMember) -> tuple[str, ...]:
+    """The line of a member."""
+    status, header = member.status, member.header
+    if member.contact is Contact.ANSWERED and status is not None:
+        return (
+            member.robot,
+            status.state,
+            status.reason or NOTHING,
+            status.pattern or NOTHING,
+            str(status.generation),
+            activity(status.decision),
+            f"{status.health.scan_rate:.1f} Hz",
+            seconds(status.health.loop_p99),
+            status.version or NOTHING,
+            _seen(member),
+            _report(status.report if status.state is State.RUNNING else {}),
+        )
+    states = {
+        Contact.GONE: member.presence.value,
+        Contact.OTHER_VERSION: member.state or "other version",
+    }
     return (
         member.robot,
-        status.state,
-        status.reason or NOTHING,
-        status.pattern or NOTHING,
-        str(status.generation),
-        activity(status.decision),
-        f"{status.health.scan_rate:.1f} Hz",
-        seconds(status.health.loop_p99),
+        states.get(member.contact, member.contact.value),
+        (header.reason if header else None) or NOTHING,
+        (header.pattern if header else None) or NOTHING,
+        *(NOTHING,) * 4,
+        member.version or NOTHING,
         _seen(member),
-        _report(status.report if status.state is State.RUNNING else {}),
+        NOTHING,
     )
 
 
@@ -95,8 +108,17 @@ def health(view: MembersView) -> Iterator[str]:
         gone = [m for m in members.values() if m.presence is presence]
         if gone:
             yield f"{presence}: " + ", ".join(f"{m.robot} ({seconds(m.age)} ago)" for m in gone)
-    if view.silent:
-        yield f"alive, but no answer: {', '.join(view.silent)}"
+    silent = [m for m in alive if m.contact is Contact.NO_ANSWER]
+    if silent:
+        heard = (f"{m.robot} (heard {seconds(m.age)} ago, {m.state})" for m in silent)
+        yield f"alive, but no answer: {', '.join(heard)}"
+    distant = [m for m in alive if m.contact is Contact.UNREACHABLE]
+    if distant:
+        words = (f"{m.robot} (alive by {m.by}'s word, {seconds(m.age)} ago)" for m in distant)
+        yield f"not reachable from here: {', '.join(words)}"
+    for m in alive:
+        if m.contact is Contact.OTHER_VERSION:
+            yield f"other version: {m.robot} speaks {m.wire}, this swarmctl {codec.VERSION}"
     if view.absent:
         yield f"in the roster and never seen: {', '.join(view.absent)}"
     if view.duplicates:
@@ -118,5 +140,9 @@ def _report(report: Mapping[str, Scalar]) -> str:
     return text if len(text) <= _MAX_REPORT else f"{text[: _MAX_REPORT - 3]}..."
 
 
-def _seen(member: Member) -> str:
-    return "now" if member.presence is Presence.ALIVE else f"{seconds(member.age)} ago"
+def _seen(member: SeenMember) -> str:
+    if member.contact is Contact.UNREACHABLE:
+        return f"{seconds(member.age)} ago by {member.by}"
+    if member.presence is Presence.ALIVE and member.age < _NOW:
+        return "now" if member.contact is not Contact.NO_ANSWER else f"{seconds(member.age)} ago"
+    return f"{seconds(member.age)} ago"

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING, NoReturn
+
 import click
 
 from swarmd.cli.arguments import (
@@ -13,9 +15,12 @@ from swarmd.cli.arguments import (
 )
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table
-from swarmd.cli.send import known_members, send_to
+from swarmd.cli.send import exit_code_of, known_members, send_to
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Member, Param, ParamRequest
+
+if TYPE_CHECKING:
+    from swarmd.network.discovery import MembersView
 
 
 @click.group(cls=VerbGroup)
@@ -30,7 +35,14 @@ def param() -> None:
 def get_params(options: CommonOptions, targets: Targets, keys: tuple[str, ...]) -> None:
     """Print the parameters in force on TARGETS, or on all robots, and the source of each."""
     with options.operator() as operator:
-        view = known_members(operator, options.timeout)
+        view = known_members(options, operator)
+        _show(options, view, targets, keys)
+
+
+def _show(
+    options: CommonOptions, view: MembersView, targets: Targets, keys: tuple[str, ...]
+) -> NoReturn:
+    """Print the parameters, and end with the exit code of the look."""
     found = {name: _params(view.members[name]) for name in targets.select(view.members)}
     known = {key for params in found.values() for key in params}
     for key in keys:
@@ -46,16 +58,17 @@ def get_params(options: CommonOptions, targets: Targets, keys: tuple[str, ...]) 
             for name, some in chosen.items()
         }
         print_json("Params", {"robots": robots})
-        return
-    rows = [
-        (name, _pattern(view.members[name]), key, number(one.value), one.source)
-        for name, params in chosen.items()
-        for key, one in params.items()
-    ]
-    print_table(("NAME", "PATTERN", "PARAMETER", "VALUE", "FROM"), rows)
-    idle = [name for name, params in found.items() if not params]
-    if idle:
-        click.echo(f"# no pattern is running on {', '.join(idle)}")
+    else:
+        rows = [
+            (name, _pattern(view.members[name]), key, number(one.value), one.source)
+            for name, params in chosen.items()
+            for key, one in params.items()
+        ]
+        print_table(("NAME", "PATTERN", "PARAMETER", "VALUE", "FROM"), rows)
+        idle = [name for name in found.keys() & view.answered if not found[name]]
+        if idle:
+            click.echo(f"# no pattern is running on {', '.join(sorted(idle))}")
+    click.get_current_context().exit(exit_code_of(view, found.keys() & view.expected))
 
 
 @param.command("set")

@@ -11,12 +11,11 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import warn
 from swarmd.cli.send import (
     REQUEST_TIMEOUT,
-    expected_of,
     known_members,
     report,
-    send,
     send_stop,
     send_to,
+    targets_of,
 )
 from swarmd.core.keys import is_id
 from swarmd.core.messages import ResetRequest, RunRequest
@@ -73,14 +72,19 @@ def stop(options: CommonOptions, targets: Targets) -> None:
 @click.command()
 @takes_targets(is_required=False)
 @click.option("--reason", default="", help="Kept with the latch, and shown by `describe`.")
+@click.option(
+    "--until-all",
+    is_flag=True,
+    help="Go on until every expected robot has acknowledged; Ctrl-C ends it with what was reached.",
+)
 @common_options
-def estop(options: CommonOptions, targets: Targets, reason: str) -> None:
+def estop(options: CommonOptions, targets: Targets, reason: str, until_all: bool) -> None:
     """Emergency-stop TARGETS, or all robots, without confirmation.
 
     The stop is latched: it survives restarts, and robots that join adopt a stop of the whole
     swarm, until `swarmctl reset`.
     """
-    send_stop(options, "estop", targets, reason)
+    send_stop(options, "estop", targets, reason, until_all=until_all)
 
 
 @click.command()
@@ -90,7 +94,7 @@ def estop(options: CommonOptions, targets: Targets, reason: str) -> None:
     "-y",
     "--yes",
     is_flag=True,
-    help="Do not ask for confirmation, which happens only on a terminal.",
+    help="Do not ask before more than one robot is reset; required without a terminal.",
 )
 @common_options
 def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> None:
@@ -99,17 +103,23 @@ def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> N
     Clears only the emergency stops that swarmctl sees now. A later one stays.
     """
     with options.operator() as operator:
-        view = known_members(operator)
-        expected = expected_of(view, targets)
-        statuses = [view.members[name].status for name in expected.asked]
+        view = known_members(options, operator)
+        names = targets_of(view, targets)
+        if len(names) > 1 and not yes and not sys.stdin.isatty():
+            raise click.UsageError(
+                f"reset of {len(names)} robots asks for confirmation, and there is no terminal;"
+                " nothing was sent; check that all of them may move again, and add --yes"
+            )
+        statuses = [view.members[name].status for name in names if name in view.members]
         latches = {key: latch for one in statuses if one for key, latch in one.latches.items()}
         for latch_id, latch in latches.items():
             text = f" ({latch.reason})" if latch.reason else ""
             warn(f"clears {latch_id}, by {latch.issuer}, for {latch.scope}{text}")
-        question = f"Reset {', '.join(expected.asked)}?"
-        if not yes and sys.stdin.isatty() and not click.confirm(question, err=True):
+        question = f"Reset {', '.join(names)}?"
+        if len(names) > 1 and not yes and not click.confirm(question, err=True):
             raise click.ClickException("nothing was sent")
+        ids = tuple(sorted(latches))
         timeout = options.timeout or REQUEST_TIMEOUT
-        fields = {"ids": tuple(sorted(latches)), "reason": reason}
-        outcome = send(operator, view, ResetRequest, expected, timeout, **fields)
-    report(options, outcome)
+        epochs = view.epochs(names)
+        outcome = operator.request(ResetRequest, epochs, timeout=timeout, ids=ids, reason=reason)
+        report(options, outcome)

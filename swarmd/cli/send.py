@@ -5,23 +5,17 @@ The outcome is a line for each robot, a count, and the exit code.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
 
 from swarmd.cli.arguments import Failure, Targets
-from swarmd.cli.output import NOTHING, print_json, print_table, warn
+from swarmd.cli.output import NOTHING, print_json, print_table, seconds, warn
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Refusal
-from swarmd.network.outcome import (
-    NO_TARGET,
-    UNREACHABLE,
-    USAGE,
-    Expected,
-    Outcome,
-    expected_to_run,
-)
+from swarmd.network.outcome import NO_TARGET, PARTIAL, TIMEOUT, UNREACHABLE, USAGE, Outcome
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
@@ -30,7 +24,6 @@ if TYPE_CHECKING:
     from swarmd.network.operator import Operator
 
 REQUEST_TIMEOUT = 5.0  # s
-STOP_TIMEOUT = 3.0  # s
 # Where the operator finds what all robots refused as a mistake.
 _HELP = {
     Refusal.UNKNOWN_PATTERN: "swarmctl patterns",
@@ -39,51 +32,69 @@ _HELP = {
 }
 
 
-def known_members(operator: Operator, timeout: float | None = None) -> MembersView:
-    """The swarm, once all have answered or after `timeout` s; None: 1 s.
+def known_members(options: CommonOptions, operator: Operator) -> MembersView:
+    """The swarm, once all have answered or after `--timeout`; says what is missing on stderr.
 
     Failure, naming the swarms that were found, if no daemon was reached.
     """
-    view = operator.members() if timeout is None else operator.members(timeout=timeout)
-    if view.members:
-        return view
+    view = operator.members(timeout=options.timeout)
+    if not view.members:
+        raise unreachable(operator)
+    warn_of_gaps(view, view.missing)
+    return view
+
+
+def unreachable(operator: Operator, sent: str = "") -> Failure:
+    """The error of a swarm in which nobody was reached; `sent`: what was sent nevertheless."""
     settings = operator.settings
-    text = f"no daemon of swarm {settings.swarm!r} can be reached"
+    text = f"no daemon of swarm {settings.swarm!r} can be reached{sent}"
     others = [name for name in operator.swarms() if name != settings.swarm]
     if others:
         text = f"{text}; there are the swarms: {', '.join(others)} (see --swarm)"
-        raise Failure(text, UNREACHABLE)
-    where = "on this machine" if settings.profile == "dev" else f"by {settings.interface}"
-    text = f"{text}, nor any other swarm {where}; start swarmd, or see --profile"
-    raise Failure(text, UNREACHABLE)
+        return Failure(text, UNREACHABLE)
+    text = f"{text}, nor any other swarm {_where(operator)}; start swarmd, or see --profile"
+    return Failure(text, UNREACHABLE)
 
 
-def expected_of(view: MembersView, targets: Targets) -> Expected:
+def warn_of_gaps(view: MembersView, missing: Iterable[str]) -> None:
+    """Say on stderr which of the expected robots did not answer, and what is known of them."""
+    lines = [gap(view, name) for name in missing]
+    if lines:
+        warn(f"view not complete: {'; '.join(lines)}")
+
+
+def gap(view: MembersView, name: str) -> str:
+    """What is known of a robot that did not answer."""
+    from swarmd.network.discovery import Contact
+
+    member = view.members.get(name)
+    if member is None:
+        return f"{name} not seen by any robot"
+    age = seconds(member.age)
+    if member.contact is Contact.UNREACHABLE:
+        return f"{name} alive by {member.by}'s word, {age} ago, not reachable from here"
+    if member.contact is Contact.GONE:
+        by = f" by {member.by}'s word" if member.by else ""
+        return f"{name} {member.presence}{by}, {age} ago"
+    return f"{name} heard {age} ago, no answer"
+
+
+def exit_code_of(view: MembersView, names: Collection[str]) -> int:
+    """The exit code of a look at the robots in `names`: 0, 3 if some answered, 5 if none."""
+    missing = set(names) - view.answered
+    if not missing:
+        return 0
+    return PARTIAL if missing < set(names) else TIMEOUT
+
+
+def targets_of(view: MembersView, targets: Targets) -> tuple[str, ...]:
     """The robots that must answer a request to `targets`; Failure if there are none."""
-    selected = targets.select(view.members.keys() | view.roster)
-    expected = expected_to_run(view.members, view.roster, selected)
-    if not expected.asked and not expected.absent:
-        raise _no_target(*expected.warnings)
-    return expected
-
-
-def send(
-    operator: Operator,
-    view: MembersView,
-    kind: type[AnyRequest],
-    expected: Expected,
-    timeout: float,
-    **fields: Any,
-) -> Outcome:
-    """Send a request with its fields to the expected robots, with their epochs in `view`."""
-    return operator.request(
-        kind,
-        view.epochs(expected.asked),
-        **fields,
-        timeout=timeout,
-        absent=expected.absent,
-        warnings=expected.warnings,
-    )
+    expected = view.expected
+    names = targets.select(view.members.keys() | view.roster)
+    chosen = tuple(name for name in names if name in expected)
+    if not chosen:
+        raise _no_target(*(f"{name} has left" for name in names))
+    return chosen
 
 
 def send_to(
@@ -96,37 +107,53 @@ def send_to(
 ) -> NoReturn:
     """Send a request to the targets and report; `--timeout` overrides `timeout` s."""
     with options.operator() as operator:
-        view = known_members(operator)
-        expected = expected_of(view, targets)
-        outcome = send(operator, view, kind, expected, options.timeout or timeout, **fields)
-    report(options, outcome)
+        view = known_members(options, operator)
+        names = targets_of(view, targets)
+        wait = options.timeout or timeout
+        report(options, operator.request(kind, view.epochs(names), timeout=wait, **fields))
 
 
 def send_stop(
-    options: CommonOptions, verb: Literal["stop", "estop"], targets: Targets, reason: str = ""
+    options: CommonOptions,
+    verb: Literal["stop", "estop"],
+    targets: Targets,
+    reason: str = "",
+    *,
+    until_all: bool = False,
 ) -> NoReturn:
     """Stop the targets at once and report; a full name that no robot has does not answer.
 
     Failure if no daemon was reached or no robot is targeted.
     """
-    select = None if targets.is_whole_swarm else targets.matching
+
     with options.operator() as operator:
-        timeout = options.timeout or STOP_TIMEOUT
-        outcome = operator.halt(verb, select=select, reason=reason, timeout=timeout)
-        names = set(targets.full_names)
-        if not outcome.targeted or not names <= {*outcome.replies, *outcome.missing}:
-            view = known_members(operator)
-            if not outcome.targeted:
-                targets.select(view.members.keys() | view.roster)
-                raise _no_target()
-            lost = sorted(names - view.members.keys())
-            warnings = (unknown("robot", name, view.members) for name in lost)
-            outcome = replace(
-                outcome,
-                missing=tuple(sorted({*outcome.missing, *lost})),
-                warnings=(*outcome.warnings, *warnings),
-            )
-    report(options, outcome)
+
+        def on_progress(missing: tuple[str, ...]) -> None:
+            view = operator.seen()
+            lines = [gap(view, name) for name in missing] or ["a robot to be heard"]
+            warn(f"waiting for {'; '.join(lines)}")
+
+        outcome = operator.halt(
+            verb,
+            select=None if targets.is_whole_swarm else targets.matching,
+            names=targets.full_names,
+            reason=reason,
+            timeout=options.timeout,
+            until_all=until_all,
+            on_progress=on_progress,
+        )
+        view = operator.seen()
+        if not outcome.reached and not outcome.replies and not view.roster:
+            how = f"`{verb}` was sent {_where(operator)} for {seconds(outcome.seconds)}"
+            raise unreachable(operator, f"; {how} and nobody answered")
+        known = view.members.keys() | view.roster | outcome.replies.keys()
+        lost = [name for name in outcome.missing if name not in known]
+        if not outcome.targeted or len(lost) == outcome.targeted:
+            names = targets.select(view.members.keys() | view.roster)
+            raise _no_target(*(f"{name} has left" for name in names))
+        warn_of_gaps(view, [name for name in outcome.missing if name not in lost])
+        warnings = (unknown("robot", name, view.members) for name in lost)
+        report(options, replace(outcome, warnings=(*outcome.warnings, *warnings)))
 
 
 def report(options: CommonOptions, outcome: Outcome) -> NoReturn:
@@ -155,8 +182,15 @@ def report(options: CommonOptions, outcome: Outcome) -> NoReturn:
     click.get_current_context().exit(outcome.exit_code)
 
 
+def _where(operator: Operator) -> str:
+    settings = operator.settings
+    if settings.profile == "routed":
+        return f"through {', '.join(settings.routers)}"
+    return "on this machine" if settings.profile == "dev" else f"by {settings.interface}"
+
+
 def _no_target(*reasons: str) -> Failure:
-    text = "; ".join(reasons) or "the targets have left, or are excluded"
+    text = "; ".join(reasons) or "all robots are excluded"
     return Failure(f"no robot is targeted: {text}", NO_TARGET)
 
 

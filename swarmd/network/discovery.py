@@ -1,39 +1,92 @@
-"""The members of a swarm as an operator finds them from tokens and daemons' views. Pure.
+"""The members of a swarm as an operator finds them. Pure: datagrams, views and times in.
 
-A fresh session's links are not complete when it opens: of 20 daemons one answers at once, all
-after 20 to 40 ms. So `Discovery` collects views and tokens until every robot that any view or
-token shows alive has answered for itself, and all views agree.
+Four sources are put together: beacons that the operator hears itself, the words of robots about
+the others, the robots' own statuses (`PeerView`, by Zenoh), and rosters. A look is complete once
+every expected robot has answered for itself and no news has come for a while, or all views agree.
+Until then it goes on for a time that follows from the measured round trip and loss.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import Annotated
 
-from msgspec.structs import replace
+from msgspec import Meta
 
-from swarmd.core.messages import Epoch, Member, PeerView, Presence
+from swarmd.core import codec
+from swarmd.core.messages import (
+    Epoch,
+    Member,
+    PeerView,
+    Presence,
+    Status,
+    StatusHeader,
+    Word,
+)
+from swarmd.network import datagram
+from swarmd.network.datagram import PRESENCES, STATES, Beacon, Flag
 
-# With one view, or views that do not agree yet, this long must pass without news, in s.
+Address = tuple[str, int]
+
+# Without two views that agree, this long must pass without news, in s; or two round trips.
 QUIET_TIME = 0.1
 MAX_ROBOTS = 1024
+MAX_INSTANCES = 8
+MAX_ECHOES = 256
+# A beacon counts for this long, in s; a robot that others hear, for so long after they did.
+FRESH_TIME = 3.0
+WORD_TIME = 10.0
 
-_RANK = {Presence.ALIVE: 0, Presence.LEFT: 1, Presence.FAILED: 2}
+# How long a look waits, in s, and in round trips.
+NOBODY_WAIT, DEV_WAIT = 3.0, 1.0  # nobody is heard; on loopback
+ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # since the last robot was found that is heard directly
+UNREACHABLE_WAIT, UNREACHABLE_TRIPS = 2.0, 6.0  # one that is alive by the word of others
+GONE_WAIT, GONE_TRIPS = 0.5, 4.0  # one that failed, or is on a roster and was not seen
+LOSS_WAIT = 15.0  # times the share of solicits without an answer: TCP repeats after 1, 3 and 7 s
+
+
+class Contact(StrEnum):
+    """How far an operator reached a member."""
+
+    ANSWERED = "answered"
+    NO_ANSWER = "no answer"  # heard, but without a status
+    OTHER_VERSION = "other version"  # heard; its beacon has the state
+    UNREACHABLE = "unreachable"  # alive by the word of another robot
+    GONE = "gone"  # it failed or left
+
+
+class SeenMember(Member, frozen=True, kw_only=True):
+    """A member as one operator sees it.
+
+    `age`: seconds since the figures were sent, or since it was heard last, or failed or left.
+    `by`: the robot by whose word it is known, if it was not heard here. `state` is that of its
+    beacon, `wire` the version of its requests, `header` what is read of another version's status.
+    """
+
+    contact: Contact = Contact.ANSWERED
+    by: Annotated[str, Meta(max_length=63)] = ""
+    state: Word = ""
+    wire: int | None = None
+    version: Word = ""
+    header: StatusHeader | None = None
 
 
 @dataclass(frozen=True, slots=True)
 class MembersView:
     """The swarm as one operator sees it.
 
-    `members`: all robots by id; those in `answered` with their own status. `silent` robots are
-    alive by a token or another robot's view, and did not answer. `absent` robots are on the roster
-    and nowhere else. `duplicates`: ids that several instances hold, with those instances.
+    `members`: all robots by id. `answered`: those that answered for themselves, in this version
+    with a status. `absent` robots are on the roster and nowhere else. `duplicates`: ids that
+    several instances hold, with those instances. `round_trip` in s.
     """
 
-    members: Mapping[str, Member]
+    members: Mapping[str, SeenMember]
     answered: frozenset[str] = frozenset()
     roster: frozenset[str] = frozenset()
     duplicates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    round_trip: float = 0.0
 
     @property
     def alive(self) -> tuple[str, ...]:
@@ -42,14 +95,31 @@ class MembersView:
         return tuple(name for name, one in members if one.presence is Presence.ALIVE)
 
     @property
-    def silent(self) -> tuple[str, ...]:
-        """The names of the robots that are alive and did not answer."""
-        return tuple(name for name in self.alive if name not in self.answered)
+    def absent(self) -> tuple[str, ...]:
+        """The names on the roster that no robot mentions."""
+        return tuple(sorted(self.roster - self.members.keys()))
 
     @property
-    def absent(self) -> tuple[str, ...]:
-        """The names on the roster that no view or token mentions."""
-        return tuple(sorted(self.roster - self.members.keys()))
+    def expected(self) -> frozenset[str]:
+        """The robots that must answer: the roster, and all that did not leave in order."""
+        members = self.members.items()
+        there = {name for name, one in members if one.presence is not Presence.LEFT}
+        return frozenset(there | self.roster)
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        """The expected robots that did not answer."""
+        return tuple(sorted(self.expected - self.answered))
+
+    def is_in_reach(self, name: str) -> bool:
+        """True if this operator hears the robot, or has its answer."""
+        member = self.members.get(name)
+        return member is not None and member.contact not in (Contact.UNREACHABLE, Contact.GONE)
+
+    def of_other_version(self) -> tuple[str, ...]:
+        """The robots that speak another version."""
+        members = self.members.items()
+        return tuple(name for name, one in members if one.contact is Contact.OTHER_VERSION)
 
     def epochs(self, names: Iterable[str]) -> dict[str, Epoch | None]:
         """The epoch seen of each robot, to quote in a request; None without an answer."""
@@ -57,137 +127,445 @@ class MembersView:
         return {name: one.status.epoch if one and one.status else None for name, one in members}
 
 
+@dataclass(slots=True)
+class _Heard:
+    """An instance that the operator hears itself."""
+
+    beacon: Beacon
+    address: Address
+    first: float
+    last: float
+    asked: int  # solicits that were sent before it was first heard
+    echoes: set[int] = field(default_factory=set)
+    version: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class _Said:
+    """What one robot says of another; `at`: when that was so."""
+
+    instance: str
+    presence: Presence
+    at: float
+    by: str
+    address: Address | None
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    status: Status | StatusHeader
+    members: tuple[Member, ...]
+    at: float
+
+
 class Discovery:
-    """Collects views; `tokens` (robot -> instances) is what the own links show from the start."""
+    """What one look of an operator has found; `roster`: robots that are expected in any case.
 
-    def __init__(self, now: float, roster: Iterable[str] = ()) -> None:
+    `nobody_wait`: how long to wait for a first robot, in s.
+    """
+
+    def __init__(
+        self, now: float, roster: Iterable[str] = (), *, nobody_wait: float = NOBODY_WAIT
+    ) -> None:
+        self.started = now
+        self._nobody_wait = nobody_wait
+        self.found_at = now  # when the last robot was found
         self._news = now
-        self._views: dict[str, dict[str, PeerView]] = {}
-        self._tokens: dict[str, set[str]] = {}
-        self._gone: set[tuple[str, str]] = set()
         self._roster = set(roster)
+        self._heard: dict[str, dict[str, _Heard]] = {}
+        self._gone: dict[tuple[str, str], float] = {}
+        self._answers: dict[str, dict[str, _Answer]] = {}
+        self._words: dict[str, dict[int, tuple[datagram.Word, float]]] = {}
+        self._said: dict[str, dict[str, list[_Said]]] = {}  # robot -> teller -> what it says
+        self._mentioned: dict[str, float] = {}
+        self._echoes: dict[int, float] = {}
+        self._solicits = 0
+        self._trips: dict[str, float] = {}
 
-    def on_token(self, robot: str, instance: str, is_there: bool, now: float) -> None:
-        """The own session saw a token come or go."""
-        if robot not in self._tokens and len(self._tokens) >= MAX_ROBOTS:
+    # Events
+
+    def on_solicit(self, echo: int, now: float) -> None:
+        """A `Solicit` with this number is sent now."""
+        self._solicits += 1
+        self._echoes[echo] = now
+        if len(self._echoes) > MAX_ECHOES:
+            del self._echoes[next(iter(self._echoes))]
+
+    def on_beacon(self, beacon: Beacon, address: Address, now: float) -> None:
+        """A robot's own beacon; one that does not own its id yet is no member."""
+        instance = beacon.instance.hex()
+        known = self._heard.get(beacon.robot, {})
+        if beacon.flags & Flag.LEFT:
+            if instance in known:
+                del known[instance]
+                self._gone[beacon.robot, instance] = now
+                self._answers.get(beacon.robot, {}).pop(instance, None)
+                self._news = now
             return
-        instances = self._tokens.setdefault(robot, set())
-        if is_there:
-            instances.add(instance)
-            self._gone.discard((robot, instance))
-        else:
-            instances.discard(instance)
-            self._gone.add((robot, instance))
-            self._views.get(robot, {}).pop(instance, None)
-        self._news = now
+        is_full = len(known) >= MAX_INSTANCES or not self._has_room(beacon.robot)
+        if beacon.flags & Flag.JOINING or (instance not in known and is_full):
+            return
+        if instance not in known:
+            known = self._heard.setdefault(beacon.robot, known)
+            known[instance] = _Heard(beacon, address, now, now, self._solicits)
+            self._mention(beacon.robot, now)
+            self._news = self.found_at = now
+        heard = known[instance]
+        heard.last, heard.address, heard.beacon = now, address, beacon
+        heard.version = beacon.version or heard.version
+        sent = self._echoes.get(beacon.echo)
+        if sent is not None and beacon.echo not in heard.echoes:
+            heard.echoes.add(beacon.echo)
+            trip = max(now - sent, 0.0)
+            self._trips[beacon.robot] = min(trip, self._trips.get(beacon.robot, trip))
 
-    def on_link(self, now: float) -> None:
-        """The own session got a link: more may follow."""
-        self._news = now
+    def on_word(self, word: datagram.Word, now: float) -> None:
+        """A robot's word about others; the parts of one come one by one."""
+        if not self._has_room(word.robot):
+            return
+        parts = self._words.setdefault(word.robot, {})
+        if not parts:
+            self._news = now
+        for number in [one for one in parts if one >= word.parts]:
+            del parts[number]
+        if word.part < word.parts:
+            parts[word.part] = (word, now)
+        self._roster.update(word.roster if len(self._roster) < MAX_ROBOTS else ())
+        said: dict[str, list[_Said]] = {}
+        for part, at in parts.values():
+            for one in part.members:
+                if one.presence < len(PRESENCES):
+                    found = _Said(
+                        one.instance.hex(),
+                        PRESENCES[one.presence],
+                        at - one.age / 1000.0,
+                        word.robot,
+                        (one.host, one.port) if one.host and one.port else None,
+                    )
+                    said.setdefault(one.robot, []).append(found)
+        self._take_word(word.robot, said, now)
 
     def on_view(self, view: PeerView, now: float) -> None:
-        """A daemon answered; only what is new counts as news."""
-        known = self._views.setdefault(view.robot, {})
-        if view.status.instance not in known:
-            self._news = now
-        known[view.status.instance] = view
-        self._roster.update(view.roster)
+        """A robot answered with its status and its members."""
+        self._take_answer(view.robot, _Answer(view.status, view.members, now), now)
+        self._roster.update(view.roster if len(self._roster) < MAX_ROBOTS else ())
+        if not self._has_told(view.robot):
+            said: dict[str, list[_Said]] = {}
+            for one in view.members:
+                at = now if one.presence is Presence.ALIVE else now - one.age
+                found = _Said(one.instance, one.presence, at, view.robot, None)
+                said.setdefault(one.robot, []).append(found)
+            self._take_word(view.robot, said, now)
 
-    def holders(self, robot: str) -> frozenset[str]:
-        """The instances whose tokens for this id the own links show now."""
-        return frozenset(self._tokens.get(robot, ()))
+    def on_header(self, header: StatusHeader, now: float) -> None:
+        """A robot of another version answered with its status."""
+        self._take_answer(header.robot, _Answer(header, (), now), now)
+
+    # What is known
 
     @property
-    def answered(self) -> frozenset[str]:
-        """The robots that have answered for themselves."""
-        return frozenset(robot for robot, views in self._views.items() if views)
+    def round_trip(self) -> float:
+        """The round trip to the robot that is the farthest away, in s; 0 if nobody answered."""
+        return max(self._trips.values(), default=0.0)
+
+    @property
+    def heard(self) -> frozenset[str]:
+        """The robots that the operator has heard itself."""
+        return frozenset(robot for robot, instances in self._heard.items() if instances)
+
+    @property
+    def known(self) -> frozenset[str]:
+        """Every name that was heard, mentioned or is on a roster."""
+        return frozenset(self._mentioned.keys() | self._roster)
+
+    @property
+    def of_other_version(self) -> frozenset[str]:
+        """The robots whose beacons show another version of requests."""
+        return frozenset(
+            robot
+            for robot, instances in self._heard.items()
+            if any(one.beacon.wire != codec.VERSION for one in instances.values())
+        )
 
     @property
     def settled(self) -> frozenset[str]:
         """The robots of which every living instance has answered: both, if two hold one id."""
-        alive = self._alive()
         return frozenset(
-            robot for robot in self.answered if alive[robot] <= self._views[robot].keys()
+            robot
+            for robot, answers in self._answers.items()
+            if answers and self.holders(robot) <= answers.keys()
         )
 
-    @property
-    def known(self) -> frozenset[str]:
-        """Every name that a token, a view or the roster mentions."""
-        said = {member.robot for view in self._all() for member in view.members}
-        return frozenset(said | self._tokens.keys() | self.answered | self._roster)
+    def holders(self, robot: str) -> frozenset[str]:
+        """The living instances of an id, by beacons and by the word of any one robot."""
+        heard = self._heard.get(robot, {})
+        newest = max((one.first for one in heard.values()), default=0.0)
+        latest = max((one.last for one in heard.values()), default=0.0)
+        # An older one counts if it was heard after the newest appeared: a restart is no duplicate.
+        living = {
+            instance
+            for instance, one in heard.items()
+            if one.first == newest or (one.last > newest and latest - one.last <= FRESH_TIME / 2)
+        }
+        for said in self._said.get(robot, {}).values():
+            alive = {
+                one.instance
+                for one in said
+                if one.presence is Presence.ALIVE and (robot, one.instance) not in self._gone
+            }
+            if len(alive) > 1:
+                living |= alive
+        return frozenset(living)
 
-    def is_complete(self, now: float) -> bool:
-        """True once all alive robots answered, and the views agree or QUIET_TIME passed."""
-        settled = self.settled
-        if not settled or not self._alive().keys() <= settled:
-            return False
-        return self._agree(settled) or now - self._news >= QUIET_TIME
+    def address(self, robot: str) -> Address | None:
+        """Where a robot is: the source of its beacons, else what others say."""
+        heard = self._heard.get(robot)
+        if heard:
+            return max(heard.values(), key=lambda one: one.last).address
+        said = [one for one in self._all_said(robot) if one.address is not None]
+        return max(said, key=lambda one: one.at).address if said else None
 
-    def result(self) -> MembersView:
-        """The members as known so far."""
-        members: dict[str, Member] = {}
-        for view in self._all():
-            for member in view.members:
-                known = members.get(member.robot)
-                members[member.robot] = member if known is None else _more_certain(known, member)
-        alive = self._alive()
-        for robot, member in members.items():
-            if member.presence is Presence.ALIVE and robot not in alive:
-                members[robot] = replace(member, presence=Presence.FAILED, age=0.0)
-        for robot in alive:
-            members[robot] = self._alive_member(robot, members.get(robot))
-        return MembersView(
-            members=dict(sorted(members.items())),
-            answered=self.answered,
-            roster=frozenset(self._roster),
-            duplicates={
-                robot: tuple(sorted(some)) for robot, some in sorted(alive.items()) if len(some) > 1
-            },
-        )
-
-    def _alive(self) -> dict[str, set[str]]:
-        """The living instances of each robot, by tokens, others' views and own answers."""
-        found: dict[str, set[str]] = {}
-        for robot, instances in self._tokens.items():
-            if instances:
-                found[robot] = set(instances)
-        for view in self._all():
-            found.setdefault(view.robot, set()).add(view.status.instance)
-            for member in view.members:
-                is_gone = (member.robot, member.instance) in self._gone
-                if member.presence is Presence.ALIVE and not is_gone:
-                    found.setdefault(member.robot, set()).add(member.instance)
+    def to_dial(self) -> dict[tuple[str, str], Address]:
+        """The addresses of all robots that are not known to be gone, by robot and instance."""
+        found: dict[tuple[str, str], Address] = {}
+        for robot in self._mentioned:
+            heard = self._heard.get(robot)
+            if heard:
+                for instance in self.holders(robot) & heard.keys():
+                    found[robot, instance] = heard[instance].address
+            elif (address := self.address(robot)) is not None:
+                best = self._best(robot)
+                if best is not None and best.presence is Presence.ALIVE:
+                    found[robot, best.instance] = address
         return found
 
-    def _all(self) -> list[PeerView]:
-        return [view for views in self._views.values() for view in views.values()]
+    def to_solicit(self) -> tuple[Address, ...]:
+        """The addresses of robots that are known by the word of others alone."""
+        names = (robot for robot in self._mentioned if not self._heard.get(robot))
+        found = {self.address(robot) for robot in names}
+        return tuple(sorted(one for one in found if one is not None))
 
-    def _agree(self, answered: frozenset[str]) -> bool:
-        if len(answered) < 2:
+    # When to end
+
+    @property
+    def quiet_time(self) -> float:
+        """How long no news must come, in s."""
+        return max(QUIET_TIME, 2.0 * self.round_trip)
+
+    def is_complete(self, now: float) -> bool:
+        """True once every expected robot answered, and the views agree or the quiet time passed."""
+        settled = self.settled
+        if not settled or not self.heard <= settled:
             return False
-        return all(answered <= _seen_alive(view) | {view.robot} for view in self._all())
+        if not self.result(now).expected <= settled:
+            return False
+        return self._views_agree(settled) or now - self._news >= self.quiet_time
 
-    def _alive_member(self, robot: str, known: Member | None) -> Member:
-        views = self._views.get(robot)
-        if not views and known is not None and known.presence is Presence.ALIVE:
-            return known
-        status = next(reversed(views.values())).status if views else None
-        instances = [status.instance] if status else sorted(self._tokens.get(robot, ()))
-        return Member(
-            robot=robot,
-            instance=instances[0] if instances else "unknown",
-            presence=Presence.ALIVE,
-            age=known.age if views and known else 0.0,
-            status=status,
+    def is_told(self, now: float) -> bool:
+        """True once all robots heard told whom they know, and agree or the quiet time passed."""
+        heard = self.heard
+        if not heard or not all(self._has_told(robot) for robot in heard):
+            return False
+        agree = len(heard) > 1 and all(
+            heard - {teller} <= self._alive_by(teller) for teller in heard
+        )
+        return agree or now - self._news >= self.quiet_time
+
+    def ends_at(self, now: float, lacking: Iterable[str]) -> float:
+        """When to stop waiting for the robots in `lacking`, as far as is known now."""
+        if not self._mentioned:
+            return self.started + self._nobody_wait
+        trip = self.round_trip
+        ends = [self._news + self.quiet_time]
+        for robot in lacking:
+            since = self._mentioned.get(robot, self.started)
+            best = self._best(robot)
+            if self._is_heard(robot, now):
+                wait = max(ANSWER_WAIT, ANSWER_TRIPS * trip) + LOSS_WAIT * self._loss(now)
+                since = max(since, self.found_at)
+            elif best is not None and best.presence is Presence.ALIVE:
+                wait = UNREACHABLE_WAIT + UNREACHABLE_TRIPS * trip
+            else:
+                wait = GONE_WAIT + GONE_TRIPS * trip
+            ends.append(since + wait)
+        if not self.heard:
+            ends.append(self.started + self._nobody_wait)
+        return max(ends)
+
+    def is_over(self, now: float) -> bool:
+        """True once a look has waited long enough for those that have not answered."""
+        if now - self.started < GONE_WAIT:
+            return False
+        lacking = self.result(now).expected - self.settled
+        return now >= self.ends_at(now, lacking)
+
+    # The result
+
+    def result(self, now: float) -> MembersView:
+        """The members as known so far."""
+        members = {robot: self._member(robot, now) for robot in sorted(self._mentioned)}
+        seen = {robot: member for robot, member in members.items() if member is not None}
+        others = {name for name, one in seen.items() if one.contact is Contact.OTHER_VERSION}
+        alive = {name for name, one in seen.items() if one.presence is Presence.ALIVE}
+        holders = {robot: self.holders(robot) for robot in alive}
+        return MembersView(
+            members=seen,
+            answered=frozenset((self.settled & alive) | others),
+            roster=frozenset(self._roster),
+            duplicates={
+                robot: tuple(sorted(some)) for robot, some in holders.items() if len(some) > 1
+            },
+            round_trip=self.round_trip,
         )
 
+    def _member(self, robot: str, now: float) -> SeenMember | None:
+        answer = self._answer_of(robot)
+        if self._is_heard(robot, now) or (answer is not None and not self._heard.get(robot)):
+            return self._present(robot, answer, now)
+        best = self._best(robot)
+        heard = self._heard.get(robot)
+        if heard:  # it was heard, and is silent now
+            last = max(one.last for one in heard.values())
+            if best is None or best.at <= last:
+                instance = max(heard, key=lambda name: heard[name].last)
+                best = _Said(instance, Presence.FAILED, last, "", None)
+        if best is None:
+            return None
+        is_alive = best.presence is Presence.ALIVE and now - best.at <= WORD_TIME
+        presence = Presence.FAILED if best.presence is Presence.ALIVE else best.presence
+        return SeenMember(
+            robot=robot,
+            instance=best.instance,
+            presence=Presence.ALIVE if is_alive else presence,
+            age=max(now - best.at, 0.0),
+            status=answer.status if answer and isinstance(answer.status, Status) else None,
+            contact=Contact.UNREACHABLE if is_alive else Contact.GONE,
+            by=best.by,
+        )
 
-def _seen_alive(view: PeerView) -> frozenset[str]:
-    return frozenset(member.robot for member in view.members if member.presence is Presence.ALIVE)
+    def _present(self, robot: str, answer: _Answer | None, now: float) -> SeenMember:
+        heard = max(self._heard.get(robot, {}).values(), key=lambda one: one.last, default=None)
+        status = answer.status if answer is not None else None
+        at = answer.at if answer is not None else heard.last if heard is not None else now
+        beacon = heard.beacon if heard is not None else None
+        contact = Contact.ANSWERED if isinstance(status, Status) else Contact.NO_ANSWER
+        if isinstance(status, StatusHeader) or (beacon and beacon.wire != codec.VERSION):
+            contact = Contact.OTHER_VERSION
+        shown = STATES[beacon.state] if beacon and beacon.state < len(STATES) else ""
+        return SeenMember(
+            robot=robot,
+            instance=status.instance if status else beacon.instance.hex() if beacon else "unknown",
+            presence=Presence.ALIVE,
+            age=max(now - at, 0.0),
+            status=status if isinstance(status, Status) else None,
+            contact=contact,
+            state=status.state if status else shown,
+            wire=beacon.wire if beacon else None,
+            version=status.version if status else heard.version if heard else "",
+            header=status if isinstance(status, StatusHeader) else None,
+        )
+
+    # Parts
+
+    def _has_room(self, robot: str) -> bool:
+        return robot in self._mentioned or len(self._mentioned) < MAX_ROBOTS
+
+    def _mention(self, robot: str, now: float) -> bool:
+        """Note that a name is known; True if it is new."""
+        if robot in self._mentioned or len(self._mentioned) >= MAX_ROBOTS:
+            return False
+        self._mentioned[robot] = now
+        return True
+
+    def _take_word(self, teller: str, said: Mapping[str, list[_Said]], now: float) -> None:
+        """Replace what a robot said before."""
+        for known in self._said.values():
+            known.pop(teller, None)
+        for robot, some in said.items():
+            if robot == teller:
+                continue
+            if self._mention(robot, now):
+                self._news = self.found_at = now
+            if robot in self._mentioned:
+                self._said.setdefault(robot, {})[teller] = some[:MAX_INSTANCES]
+
+    def _take_answer(self, robot: str, answer: _Answer, now: float) -> None:
+        if not self._has_room(robot):
+            return
+        known = self._answers.setdefault(robot, {})
+        instance = answer.status.instance
+        if instance not in known:
+            self._news = now
+            if len(known) >= MAX_INSTANCES:
+                return
+        known[instance] = answer
+        self._mention(robot, now)
+
+    def _answer_of(self, robot: str) -> _Answer | None:
+        """The newest answer of a robot, of a living instance if one is heard."""
+        answers, living = self._answers.get(robot, {}), self.holders(robot)
+        some = [one for one in answers.values() if not living or one.status.instance in living]
+        return max(some, key=lambda one: one.at, default=None)
+
+    def _is_heard(self, robot: str, now: float) -> bool:
+        return any(now - one.last <= FRESH_TIME for one in self._heard.get(robot, {}).values())
+
+    def _all_said(self, robot: str) -> list[_Said]:
+        found = [one for some in self._said.get(robot, {}).values() for one in some]
+        left = [
+            _Said(instance, Presence.LEFT, at, "", None)
+            for (name, instance), at in self._gone.items()
+            if name == robot
+        ]
+        gone = {one.instance for one in left}
+        return [*left, *(one for one in found if one.instance not in gone)]
+
+    def _best(self, robot: str) -> _Said | None:
+        """The most certain word on a robot: alive first, then the newest, `left` before failed."""
+        said = self._all_said(robot)
+        alive = [one for one in said if one.presence is Presence.ALIVE]
+        if alive:
+            return max(alive, key=lambda one: one.at)
+        newest = max(said, key=lambda one: one.at, default=None)
+        if newest is None:
+            return None
+        same = [one for one in said if one.instance == newest.instance]
+        return max(same, key=lambda one: (one.presence is Presence.LEFT, one.at))
+
+    def _has_told(self, robot: str) -> bool:
+        parts = self._words.get(robot, {})
+        total = next((word.parts for word, _ in parts.values()), None)
+        return total is not None and len(parts) >= total
+
+    def _alive_by(self, teller: str) -> frozenset[str]:
+        return frozenset(
+            robot
+            for robot, tellers in self._said.items()
+            if any(one.presence is Presence.ALIVE for one in tellers.get(teller, ()))
+        )
+
+    def _views_agree(self, settled: frozenset[str]) -> bool:
+        views = [
+            (robot, one)
+            for robot, answers in self._answers.items()
+            for one in answers.values()
+            if isinstance(one.status, Status)
+        ]
+        if len(settled) < 2 or len(views) < 2:
+            return False
+        return all(settled <= _seen_alive(one.members) | {robot} for robot, one in views)
+
+    def _loss(self, now: float) -> float:
+        """The largest share of solicits that a robot which is heard left unanswered, 0 to 1."""
+        trip, worst = self.round_trip, 0.0
+        recent = sum(1 for at in self._echoes.values() if now - at <= trip + QUIET_TIME)
+        for instances in self._heard.values():
+            for one in instances.values():
+                asked = self._solicits - recent - max(one.asked - 1, 0)
+                if asked >= 4 and now - one.last <= FRESH_TIME:
+                    worst = max(worst, 1.0 - len(one.echoes) / asked)
+        return min(max(worst, 0.0), 1.0)
 
 
-def _more_certain(one: Member, other: Member) -> Member:
-    """Of two views of a robot: alive first, then `left` of the same instance, then the newer."""
-    if Presence.ALIVE in (one.presence, other.presence) or one.instance == other.instance:
-        return min(one, other, key=lambda member: (_RANK[member.presence], member.age))
-    return min(one, other, key=lambda member: member.age)
+def _seen_alive(members: tuple[Member, ...]) -> frozenset[str]:
+    return frozenset(one.robot for one in members if one.presence is Presence.ALIVE)

@@ -7,9 +7,9 @@ Synchronous, without asyncio and numpy, since a command must start fast::
         outcome = operator.request(RunRequest, view.epochs(names), pattern="attraction")
         outcome = operator.halt("estop", reason="...")
 
-Zenoh's threads only put what they receive into tables under one lock; the caller's thread waits.
-Queries use DROP, since a reply inherits the query's congestion control and must not block a
-daemon's loop; a query that may get lost is repeated.
+Robots are found, stopped and emergency-stopped by datagrams. Everything else goes by Zenoh, on
+links that the operator dials to the addresses of the robots that it found. Zenoh's threads and the
+carrier's thread only put what they receive into tables under one lock; the caller's thread waits.
 """
 
 from __future__ import annotations
@@ -20,47 +20,92 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Literal, Self, TypeVar
+from collections.abc import Callable, Collection, Iterable, Mapping
+from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
 
-import zenoh
-from zenoh.handlers import Callback
-
-from swarmd.core.codec import MAX_CONTROL, Decoder, encode
+from swarmd.core import codec
+from swarmd.core.codec import MAX_CONTROL, Decoder, encode, version_of
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import ANY, build, parse
 from swarmd.core.messages import (
     AnyRequest,
+    Code,
     Epoch,
-    EstopRequest,
     MembersQuery,
     PeerView,
+    Refusal,
     Reply,
-    StopRequest,
+    ReplyHeader,
+    StatusHeader,
 )
-from swarmd.network.discovery import Discovery, MembersView
+from swarmd.network.datagram import (
+    ANY_SWARM,
+    Ack,
+    Beacon,
+    Datagram,
+    Solicit,
+    Stop,
+    Swarm,
+    Word,
+    pack,
+    tag_of,
+    unpack,
+)
+from swarmd.network.discovery import DEV_WAIT, NOBODY_WAIT, Address, Discovery, MembersView
 from swarmd.network.outcome import Acks, Outcome
-from swarmd.network.session import MAX_WIRE, open_operator_session, undeclare
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.stop_request import DISCOVERY_TIMEOUT, PendingStop, Select
+from swarmd.network.stop_request import PendingStop, Select
 
-STOP_TIMEOUT = 3.0
-# Polls are frequent while links come up, then spare the network, in s.
-FAST_POLL_PERIOD = 0.015
-SLOW_POLL_PERIOD = 0.1
-FAST_POLL_TIME = 0.2
+if TYPE_CHECKING:
+    import zenoh
+
+# (until, period) in s since the start: often at first, then sparing the network.
+SOLICIT_PACE = ((0.5, 0.1), (float("inf"), 0.5))
+STOP_PACE = ((1.0, 0.1), (float("inf"), 0.25))
+POLL_PACE = ((0.2, 0.015), (float("inf"), 0.1))
 # A request without a reply is repeated after this time, in s: a congested or closing link loses it.
 REPEAT_PERIOD = 0.5
-# What a request may hold, in characters.
-MAX_OPERATOR = 128
-MAX_REASON = 256
+REQUEST_TIMEOUT = 5.0
+# Robots found within this time of each other are dialled together, in s.
+GATHER_TIME = 0.004
+# Sessions at a time, and the time before a second one, in s; it doubles with each.
+MAX_SESSIONS, DIAL_PERIOD = 8, 0.01
+# A robot that is heard and does not answer is dialled again after this time, in s and round trips.
+REDIAL_WAIT, REDIAL_TRIPS = 1.5, 5.0
+CLOSE_TIMEOUT = 0.2
+MAX_SWARMS = 256
+SWARMS_TIME = 0.3
+PROGRESS_PERIOD = 3.0
+# What a request may hold, in characters, and in bytes where it must fit a datagram.
+MAX_OPERATOR, MAX_OPERATOR_BYTES = 128, 256
+MAX_REASON, MAX_REASON_BYTES = 256, 512
+CLOSING = "swarmd-closing"
+"""The name of the threads that close sessions."""
 
 R = TypeVar("R", bound=AnyRequest)
 
 StopVerb = Literal["stop", "estop"]
+OnDatagram = Callable[[bytes, Address, bool], object]
 
-_view = Decoder(PeerView, MAX_WIRE)
+_header = Decoder(StatusHeader, any_version=True)
+_reply_header = Decoder(ReplyHeader, any_version=True)
 _reply = Decoder(Reply, MAX_CONTROL)
+
+
+class Carrier(Protocol):
+    """What carries datagrams; see `udp.UdpCarrier`."""
+
+    def send(self, payload: bytes) -> None:
+        """Send to all."""
+
+    def send_to(self, payload: bytes, address: Address) -> None:
+        """Send to one address."""
+
+    def start_thread(self, on_datagram: OnDatagram) -> None:
+        """Hand what arrives to `on_datagram`."""
+
+    def close(self) -> None:
+        """End."""
 
 
 def operator_name() -> str:
@@ -69,37 +114,51 @@ def operator_name() -> str:
         user = getpass.getuser()
     except (OSError, KeyError):
         user = f"uid{os.getuid()}"
-    return _sendable(f"{user}@{socket.gethostname()}", MAX_OPERATOR)
+    return _sendable(f"{user}@{socket.gethostname()}", MAX_OPERATOR, MAX_OPERATOR_BYTES)
 
 
-def _sendable(text: str, length: int) -> str:
-    """The first `length` characters of a text; a character that UTF-8 cannot carry becomes `?`.
+def _sendable(text: str, length: int, room: int) -> str:
+    """The first `length` characters and `room` bytes; what UTF-8 cannot carry becomes `?`.
 
     A stop must not fail because of its reason, so the reason is mended and not refused.
     """
-    return text.encode("utf-8", "replace").decode()[:length]
+    whole = text.encode("utf-8", "replace").decode()[:length]
+    return whole.encode()[:room].decode(errors="ignore")
 
 
 class Operator:
-    """An operator's session in a swarm; a context manager.
+    """An operator in a swarm; a context manager.
 
-    `settings` are those of the swarm; the session takes any free port. `roster` names robots
-    that are expected even if no daemon has seen them. Raises NetworkError without a session.
+    `settings` are those of the swarm. `roster` names robots that are expected even if no daemon
+    has seen them. Raises NetworkError in one line if the network cannot be used.
     """
 
     def __init__(
-        self, settings: NetworkSettings, *, name: str | None = None, roster: Iterable[str] = ()
+        self,
+        settings: NetworkSettings,
+        *,
+        name: str | None = None,
+        roster: Iterable[str] = (),
+        carrier: Carrier | None = None,
     ) -> None:
+        settings.check()
         self.settings = settings
-        self.name = _sendable(name, MAX_OPERATOR) if name else operator_name()
+        whole = name or operator_name()
+        self.name = _sendable(whole, MAX_OPERATOR, MAX_OPERATOR_BYTES)
         self._roster = frozenset(roster)
+        self._tag = tag_of(settings.profile, settings.swarm)
         self._news = threading.Condition()
-        self._tokens: set[tuple[str, str]] = set()
-        self._links = 0
-        self._discovery: Discovery | None = None
         self._version = 0
-        self._session = open_operator_session(self.settings, ())
-        self._listeners = self._watch()
+        self._discovery: Discovery | None = None
+        self._stop: PendingStop | None = None
+        self._swarms: set[str] = set()
+        self._echo = int.from_bytes(os.urandom(4), "big")
+        self._sessions: list[zenoh.Session] = []
+        self._dial_at = 0.0
+        self._wanted_at: float | None = None
+        self._dialled: dict[tuple[str, str], tuple[Address, float]] = {}
+        self._carrier = carrier or self._open_carrier()
+        self._carrier.start_thread(self._on_datagram)
 
     def __enter__(self) -> Self:
         return self
@@ -108,137 +167,295 @@ class Operator:
         self.close()
 
     def close(self) -> None:
-        """Leave the network."""
-        undeclare(*self._listeners)
-        self._session.close()
+        """Leave the network, within 0.2 s: sessions that take longer are closed on a thread."""
+        with contextlib.suppress(Exception):
+            self._carrier.close()
+        closing = self._close_sessions()
+        deadline = time.monotonic() + CLOSE_TIMEOUT
+        for thread in closing:
+            thread.join(max(0.0, deadline - time.monotonic()))
 
-    def members(self, *, timeout: float = DISCOVERY_TIMEOUT) -> MembersView:
-        """The members, as soon as all that are alive have answered; takes at most `timeout` s."""
-        discovery = self._new_discovery()
-        pace = PollSchedule(time.monotonic(), timeout)
+    # Looks
+
+    def members(self, *, timeout: float | None = None) -> MembersView:
+        """The members, once all that are expected have answered.
+
+        Else after `timeout` s, or after a time that follows from the round trip.
+        """
+        now = time.monotonic()
+        discovery = self._new_discovery(now)
+        solicit, poll = Pace(now, SOLICIT_PACE), Pace(now, POLL_PACE)
+        until = None if timeout is None else now + timeout
+        over = Pace(now, ((float("inf"), 0.02),))
         while True:
             with self._news:
                 now, version = time.monotonic(), self._version
-                if discovery.is_complete(now) or pace.is_over(now):
-                    return discovery.result()
-            if pace.is_due(now):
+                is_complete = discovery.is_complete(now)
+                is_late = until is not None and now >= until
+                is_over = until is None and over.is_due(now) and discovery.is_over(now)
+                if is_complete or is_late or is_over:
+                    return discovery.result(now)
+            if solicit.is_due(now):
+                self._solicit(discovery, now)
+            wait = self._dial(discovery, now)
+            if poll.is_due(now):
                 self._ask_members(discovery)
-            self._wait(version, pace.pause(now))
+            ends = [0.02 if until is None else until - now, wait]
+            self._wait(version, min(solicit.pause(now), poll.pause(now), *ends))
+
+    def seen(self) -> MembersView:
+        """The members as the last look or stop has found them by now."""
+        now = time.monotonic()
+        with self._news:
+            return (self._discovery or Discovery(now, self._roster)).result(now)
+
+    def swarms(self, *, timeout: float = SWARMS_TIME) -> tuple[str, ...]:
+        """The names of all swarms within reach, for an operator who finds no member of this one."""
+        pace = Pace(time.monotonic(), ((float("inf"), 0.1),))
+        while pace.age(now := time.monotonic()) < timeout:
+            if pace.is_due(now):
+                self._carrier.send(pack(ANY_SWARM, Solicit(echo=0)))
+            time.sleep(pace.pause(now))
+        with self._news:
+            return tuple(sorted(self._swarms))
+
+    # Requests
 
     def request(
         self,
         kind: type[AnyRequest],
         targets: Mapping[str, Epoch | None],
         *,
-        timeout: float = 5.0,
-        absent: Iterable[str] = (),
-        warnings: Iterable[str] = (),
+        view: MembersView | None = None,
+        timeout: float = REQUEST_TIMEOUT,
         **fields: Any,
     ) -> Outcome:
         """Send a request to the robots in `targets`, with the epoch that was seen of each.
 
         `fields` are those of `kind`. Repeated under one id to each robot without a reply. Returns
-        as soon as all have answered. `absent` count as silent without being asked.
+        as soon as all have answered. Robots that `view`, the last look without one, shows
+        unreachable or gone count as missing and are not waited for.
         """
-        request = self._new(kind, targets=dict(targets), **fields)
+        view = self.seen() if view is None else view
+        asked = {name: epoch for name, epoch in targets.items() if view.is_in_reach(name)}
+        others = asked.keys() & set(view.of_other_version())
+        request = self._new(kind, targets=asked, **fields)
         payload, acks = encode(request), Acks(request.id)
+        patience = min(timeout, 1.0 + 6.0 * view.round_trip)
         started = now = time.monotonic()
-        robots: tuple[str, ...] = (ANY,) if targets else ()
+        robots: tuple[str, ...] = (ANY,) if asked else ()
         while robots and (left := started + timeout - now) > 0:
             for robot in robots:
                 self._get(robot, "control", request.verb, payload, left, _collect(acks))
             with self._news:
-                self._news.wait_for(lambda: not acks.missing(targets), min(left, REPEAT_PERIOD))
-                robots, now = acks.missing(targets), time.monotonic()
+                self._news.wait_for(lambda: not acks.missing(asked), min(left, REPEAT_PERIOD))
+                robots, now = acks.missing(asked), time.monotonic()
+            if now - started >= patience and others.issuperset(robots):
+                break  # they may not know how to refuse it
         with self._news:
-            return acks.outcome(
-                {*targets, *absent}, warnings=tuple(warnings), seconds=now - started
-            )
+            for name in acks.missing(others):
+                acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
+            return acks.outcome(targets, seconds=now - started, reached=len(asked))
 
     def halt(
         self,
         verb: StopVerb,
         *,
         select: Select | None = None,
+        names: Collection[str] = (),
         reason: str = "",
-        timeout: float = STOP_TIMEOUT,
+        timeout: float | None = None,
+        until_all: bool = False,
+        on_progress: Callable[[tuple[str, ...]], None] = lambda missing: None,
     ) -> Outcome:
-        """Stop or estop: sent at once on every link, and repeated to each robot without an ack.
+        """Stop or estop by datagrams: sent at once, repeated until each expected robot has acked.
 
-        `select` picks robots from the names known so far and is called again as more appear;
-        None: all. An estop of all is swarm-wide: robots that join take it over. `reason` is kept
-        with an estop. Returns when every robot that must ack has, else after `timeout` s.
+        `select` picks robots from the names known so far and is called again as more appear, beside
+        `names`; None: all. An estop of all is swarm-wide: robots that join take it over. `reason`
+        is kept with an estop. It ends after `timeout` s, or after a time that follows from the
+        round trip; with `until_all` only when all have acked, or at a KeyboardInterrupt, which is
+        an end like any other. `on_progress` takes the robots without an ack, when they change.
         """
-        targets: dict[str, Epoch | None] | None = None if select is None else {}
-        request: StopRequest | EstopRequest
-        if verb == "stop":
-            request = self._new(StopRequest, targets=targets)
-        else:
-            scope = "swarm" if select is None else "robots"
-            request = self._new(EstopRequest, targets=targets, scope=scope, reason=reason)
-        discovery = self._new_discovery()
-        pace = PollSchedule(time.monotonic(), timeout)
-        pending_stop = PendingStop(request, select, discovery, pace.started)
-        links = -1
+        now = time.monotonic()
+        discovery = self._new_discovery(now)
+        stop = Stop(
+            id=os.urandom(6).hex(),
+            verb=verb,
+            operator=self.name,
+            scope="swarm" if select is None else "robots",
+            reason=_sendable(reason, MAX_REASON, MAX_REASON_BYTES) if verb == "estop" else "",
+        )
+        pending = PendingStop(stop, discovery, now, select=select, names=names)
+        with self._news:
+            self._stop = pending
+        until = None if timeout is None or until_all else now + timeout
+        try:
+            self._repeat(pending, discovery, until, until_all=until_all, on_progress=on_progress)
+        except KeyboardInterrupt:
+            if not until_all:
+                raise
+        with self._news:
+            self._stop = None
+            return pending.outcome(time.monotonic())
+
+    def _repeat(
+        self,
+        pending: PendingStop,
+        discovery: Discovery,
+        until: float | None,
+        *,
+        until_all: bool,
+        on_progress: Callable[[tuple[str, ...]], None],
+    ) -> None:
+        """Send until it is done or over."""
+        now = time.monotonic()
+        solicit, repeat = Pace(now, SOLICIT_PACE), Pace(now, STOP_PACE)
+        progress = Pace(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
+        selected: frozenset[str] = frozenset()
+        shown: tuple[str, ...] | None = None
         while True:
             with self._news:
                 now, version = time.monotonic(), self._version
-                if pending_stop.is_done(now) or pace.is_over(now):
-                    return pending_stop.outcome(now)
-                news, links = self._links != links, self._links
-            if news or pace.is_due(now):
-                self._send_halt(pending_stop, verb, to_all=news and pending_stop.is_for_all)
-                self._ask_members(discovery)
-            self._wait(version, pace.pause(now))
+                is_over = until is not None and now >= until
+                if until is None and not until_all:
+                    is_over = pending.is_over(now)
+                if is_over or pending.is_done(now):
+                    return
+                before, selected = selected, pending.selected()
+                lacking = pending.lacking(now)
+                is_due = repeat.is_due(now) or before < selected
+                stops = tuple(pending.datagrams(now)) if is_due else ()
+                addresses = pending.addresses(now) if is_due else ()
+            for one in stops:
+                payload = pack(self._tag, one)
+                self._carrier.send(payload)
+                for address in addresses:
+                    self._carrier.send_to(payload, address)
+                pending.sent += 1
+            if solicit.is_due(now):
+                self._solicit(discovery, now)
+            if until_all and lacking != shown and progress.is_due(now):
+                shown = lacking
+                on_progress(lacking)
+            pause = min(solicit.pause(now), repeat.pause(now))
+            self._wait(version, min(pause, 0.05 if until is None else until - now))
 
-    def swarms(self, *, timeout: float = 0.3) -> tuple[str, ...]:
-        """The names of all swarms within reach, for an operator who finds no member of this one."""
-        return ()
+    # Parts
+
+    def _open_carrier(self) -> Carrier:
+        settings = self.settings
+        if settings.profile != "routed":
+            from swarmd.network.udp import UdpCarrier
+
+            return UdpCarrier(settings, self._tag)
+        from swarmd.network.routed import RoutedCarrier
+        from swarmd.network.session import open_operator_session
+
+        session = open_operator_session(settings, ())
+        self._sessions.append(session)
+        return RoutedCarrier(session, settings.swarm, f"operator-{os.urandom(6).hex()}")
 
     def _new(self, kind: type[R], **fields: Any) -> R:
         if "reason" in fields:
-            fields["reason"] = _sendable(fields["reason"], MAX_REASON)
+            fields["reason"] = _sendable(fields["reason"], MAX_REASON, 4 * MAX_REASON)
         return kind(id=os.urandom(6).hex(), operator=self.name, **fields)
 
-    def _new_discovery(self) -> Discovery:
-        now = time.monotonic()
-        discovery = Discovery(now, self._roster)
+    def _new_discovery(self, now: float) -> Discovery:
+        wait = DEV_WAIT if self.settings.profile == "dev" else NOBODY_WAIT
+        discovery = Discovery(now, self._roster, nobody_wait=wait)
         with self._news:
-            for robot, instance in self._tokens:
-                discovery.on_token(robot, instance, True, now)
             self._discovery = discovery
         return discovery
 
+    def _solicit(self, discovery: Discovery, now: float) -> None:
+        self._echo += 1
+        with self._news:
+            discovery.on_solicit(self._echo, now)
+            addresses = discovery.to_solicit()
+        payload = pack(self._tag, Solicit(echo=self._echo, wants_words=True))
+        self._carrier.send(payload)
+        for address in addresses:
+            self._carrier.send_to(payload, self._reachable(address))
+
+    def _dial(self, discovery: Discovery, now: float) -> float:
+        """Dial the robots that were found; the time until it is to be called again, in s."""
+        with self._news:
+            found = discovery.to_dial()
+            answered = discovery.settled
+            trip = discovery.round_trip
+        again = REDIAL_WAIT + REDIAL_TRIPS * trip
+        wanted: dict[tuple[str, str], Address] = {}
+        for who, address in found.items():
+            known, at = self._dialled.get(who, (None, 0.0))
+            is_late = who[0] not in answered and now - max(at, discovery.started) >= again
+            if known != address or is_late:
+                wanted[who] = address
+        if not wanted or self.settings.profile == "routed":
+            self._wanted_at = None
+            return float("inf")
+        self._wanted_at = now if self._wanted_at is None else self._wanted_at
+        gathered = min(discovery.found_at + GATHER_TIME, self._wanted_at + 10 * GATHER_TIME)
+        due = max(gathered, self._dial_at)
+        if now < due:
+            return due - now
+        from swarmd.network.session import open_operator_session
+
+        if len(self._sessions) >= MAX_SESSIONS:
+            self._close_sessions()
+            wanted = dict(found)
+        endpoints = sorted({_endpoint(self._reachable(one)) for one in wanted.values()})
+        self._sessions.append(open_operator_session(self.settings, endpoints))
+        self._dialled.update({who: (address, now) for who, address in wanted.items()})
+        self._dial_at = now + DIAL_PERIOD * 2 ** len(self._sessions)
+        return float("inf")
+
+    def _close_sessions(self) -> list[threading.Thread]:
+        closing = [
+            threading.Thread(target=_close, args=(session,), name=CLOSING, daemon=True)
+            for session in self._sessions
+        ]
+        self._sessions.clear()
+        self._dialled.clear()
+        for thread in closing:
+            thread.start()
+        return closing
+
+    def _reachable(self, address: Address) -> Address:
+        """The address, with the scope of this machine if it is local to the link."""
+        host, port = address
+        if not host.lower().startswith("fe80:"):
+            return address
+        try:
+            index = socket.if_nametoindex(self.settings.interface_name)
+        except OSError:
+            return address
+        return f"{host.partition('%')[0]}%{index}", port
+
     def _ask_members(self, discovery: Discovery) -> None:
+        if not self._sessions:
+            return
         with self._news:
             known = sorted(discovery.settled)
+        decode = _view_decoder()
 
         def on_view(robot: str, payload: bytes) -> None:
-            view = _view(payload)
+            if version_of(payload) != codec.VERSION:
+                return
+            view = decode(payload)
             if view.robot == robot:
                 discovery.on_view(view, time.monotonic())
 
-        query = encode(MembersQuery(answered=tuple(known)))
-        self._get(ANY, "control", "members", query, DISCOVERY_TIMEOUT, on_view)
+        def on_status(robot: str, payload: bytes) -> None:
+            header = _header(payload)
+            if header.robot == robot and version_of(payload) != codec.VERSION:
+                discovery.on_header(header, time.monotonic())
 
-    def _send_halt(self, pending_stop: PendingStop, verb: StopVerb, *, to_all: bool) -> None:
-        """Send it to each known robot without an ack, and on new links to all robots."""
-        plane = "safety" if verb == "estop" else "control"
+        query = encode(MembersQuery(answered=tuple(known)))
+        self._get(ANY, "control", "members", query, 10.0, on_view)
         with self._news:
-            payload, names = pending_stop.payload(), pending_stop.pending()
-        on_ack = _collect(pending_stop.acks)
-        if to_all:
-            self._get(ANY, plane, verb, payload, STOP_TIMEOUT, on_ack)
-        for name in names:
-            if verb == "estop":
-                self._session.put(
-                    build(self.settings.swarm, name, plane, verb),
-                    payload,
-                    congestion_control=zenoh.CongestionControl.DROP,
-                    priority=zenoh.Priority.REAL_TIME,
-                    express=True,
-                )
-            self._get(name, plane, verb, payload, STOP_TIMEOUT, on_ack)
+            others = discovery.of_other_version - set(known)
+        for robot in sorted(others):
+            self._get(robot, "state", "status", b"", 10.0, on_status)
 
     def _get(
         self,
@@ -249,7 +466,15 @@ class Operator:
         timeout: float,
         handler: Callable[[str, bytes], object],
     ) -> None:
-        """Query a key; `handler` takes each reply's robot and payload, under the lock."""
+        """Query a key in every session; `handler` takes each reply's robot and payload, locked.
+
+        Queries use DROP, since a reply inherits the query's congestion control and must not block
+        a daemon's loop; a query that may get lost is repeated.
+        """
+        import zenoh
+        from zenoh.handlers import Callback
+
+        from swarmd.network.session import MAX_WIRE
 
         def on_reply(reply: zenoh.Reply) -> None:
             sample = reply.ok
@@ -262,49 +487,54 @@ class Operator:
                 name,
             ):
                 return
-            payload = sample.payload.to_bytes()
+            answer = sample.payload.to_bytes()
             with self._news, contextlib.suppress(CodecError):
-                handler(key.robot, payload)
+                handler(key.robot, answer)
                 self._notify()
 
-        self._session.get(
-            build(self.settings.swarm, robot, plane, name),
-            Callback(on_reply, indirect=False),
-            target=zenoh.QueryTarget.ALL,
-            consolidation=zenoh.ConsolidationMode.NONE,
-            congestion_control=zenoh.CongestionControl.DROP,
-            priority=zenoh.Priority.INTERACTIVE_HIGH,
-            express=True,
-            timeout=timeout,
-            payload=payload,
-        )
+        for session in self._sessions:
+            with contextlib.suppress(zenoh.ZError):
+                session.get(
+                    build(self.settings.swarm, robot, plane, name),
+                    Callback(on_reply, indirect=False),
+                    target=zenoh.QueryTarget.ALL,
+                    consolidation=zenoh.ConsolidationMode.NONE,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.INTERACTIVE_HIGH,
+                    express=True,
+                    timeout=timeout,
+                    payload=payload,
+                )
 
-    def _watch(self) -> tuple[Any, ...]:
-        def on_link(event: zenoh.LinkEvent) -> None:
-            if event.kind == zenoh.SampleKind.PUT:
-                with self._news:
-                    self._links += 1
-                    if self._discovery is not None:
-                        self._discovery.on_link(time.monotonic())
-                    self._notify()
+    def _on_datagram(self, payload: bytes, source: Address, by_group: bool) -> None:
+        """A datagram came, on the carrier's thread."""
+        try:
+            body = unpack(self._tag, payload)
+        except CodecError:
+            return
+        if body is None:
+            return
+        with self._news:
+            if self._take(body, source, time.monotonic()):
+                self._notify()
 
-        def on_token(sample: zenoh.Sample) -> None:
-            key = parse(str(sample.key_expr))
-            if key is not None:
-                with self._news:
-                    is_there = sample.kind == zenoh.SampleKind.PUT
-                    change = self._tokens.add if is_there else self._tokens.discard
-                    change((key.robot, key.name))
-                    if self._discovery is not None:
-                        now = time.monotonic()
-                        self._discovery.on_token(key.robot, key.name, is_there, now)
-                    self._notify()
-
-        links = self._session.info.declare_link_events_listener(on_link, history=True)
-        tokens = self._session.liveliness().declare_subscriber(
-            build(self.settings.swarm, ANY, "alive", ANY), on_token, history=True
-        )
-        return tokens, links
+    def _take(self, body: Datagram, source: Address, now: float) -> bool:
+        """Note what a datagram says; False if nobody waits for it."""
+        if isinstance(body, Swarm):
+            if len(self._swarms) < MAX_SWARMS:
+                self._swarms.add(body.swarm)
+            return False
+        if isinstance(body, Ack):
+            return self._stop is not None and self._stop.on_ack(body)
+        if self._discovery is None:
+            return False
+        if isinstance(body, Beacon):
+            self._discovery.on_beacon(body, source, now)
+        elif isinstance(body, Word):
+            self._discovery.on_word(body, now)
+        else:
+            return False
+        return True
 
     def _notify(self) -> None:
         self._version += 1
@@ -312,34 +542,80 @@ class Operator:
 
     def _wait(self, version: int, timeout: float) -> None:
         with self._news:
-            self._news.wait_for(lambda: self._version != version, timeout)
+            self._news.wait_for(lambda: self._version != version, max(0.001, timeout))
+
+
+def is_closing() -> bool:
+    """True while a session of an operator that was closed is not closed yet."""
+    return any(thread.name == CLOSING for thread in threading.enumerate())
+
+
+def _view_decoder() -> Decoder[PeerView]:
+    from swarmd.network.session import MAX_WIRE
+
+    return Decoder(PeerView, MAX_WIRE)
 
 
 def _collect(acks: Acks) -> Callable[[str, bytes], object]:
-    return lambda robot, payload: acks.on_reply(robot, _reply(payload))
+    """Take a reply of this version, and what can be read of another version's."""
+
+    def take(robot: str, payload: bytes) -> None:
+        if version_of(payload) == codec.VERSION:
+            acks.on_reply(robot, _reply(payload))
+            return
+        header = _reply_header(payload)
+        reply = Reply(
+            id=header.id,
+            robot=header.robot,
+            code=Code.REFUSED,
+            refusal=Refusal.OTHER_VERSION,
+            text=header.text,
+        )
+        acks.on_reply(robot, reply)
+
+    return take
 
 
-class PollSchedule:
-    """When to send again: often while links come up, then less often, until `timeout`."""
+def _refused(request: str, robot: str, wire: int | None) -> Reply:
+    """The refusal of a robot of another version that did not refuse the request itself."""
+    return Reply(
+        id=request,
+        robot=robot,
+        code=Code.REFUSED,
+        refusal=Refusal.OTHER_VERSION,
+        text=f"{robot} speaks {'another' if wire is None else wire}, this swarmctl {codec.VERSION}",
+    )
 
-    def __init__(self, now: float, timeout: float) -> None:
-        self.started = now
-        self._end = now + timeout
-        self._next = now
 
-    def is_over(self, now: float) -> bool:
-        """True once the timeout has passed."""
-        return now >= self._end
+def _endpoint(address: Address) -> str:
+    host, port = address
+    return f"tcp/[{host}]:{port}" if ":" in host else f"tcp/{host}:{port}"
+
+
+def _close(session: zenoh.Session) -> None:
+    with contextlib.suppress(Exception):  # whatever it is, the answer is out already
+        session.close()
+
+
+class Pace:
+    """When to do something again; `steps`: (until, period) in s since the start."""
+
+    def __init__(self, now: float, steps: tuple[tuple[float, float], ...]) -> None:
+        self._started = self._next = now
+        self._steps = steps
+
+    def age(self, now: float) -> float:
+        """Seconds since the start."""
+        return now - self._started
 
     def is_due(self, now: float) -> bool:
         """True once a period."""
         if now < self._next:
             return False
-        self._next = now + (
-            FAST_POLL_PERIOD if now - self.started < FAST_POLL_TIME else SLOW_POLL_PERIOD
-        )
+        age = now - self._started
+        self._next = now + next(period for until, period in self._steps if age < until)
         return True
 
     def pause(self, now: float) -> float:
-        """Seconds to wait for news before the next look."""
-        return max(0.001, min(self._next, self._end) - now)
+        """Seconds until it is due."""
+        return max(0.001, self._next - now)

@@ -4,12 +4,12 @@ An empty list of acks is never success. The exit codes of swarmctl:
 
 ====  ==========================================================================
 0     every targeted robot applied it
-1     every one failed
+1     none applied it, and at least one failed
 2     usage: nothing was sent, or every robot refused the request as a mistake in it
-3     partial: some applied it and some did not, or refusals, failures and no answers mixed
+3     partial: some applied it and some did not
 4     no robot was targeted
-5     no robot answered in time
-6     no daemon could be reached (decided before anything is sent)
+5     none applied it, none failed, and at least one did not answer in time
+6     no daemon could be reached
 7     every one refused
 ====  ==========================================================================
 """
@@ -19,7 +19,8 @@ from __future__ import annotations
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 
-from swarmd.core.messages import Code, Member, Presence, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.network.datagram import Ack
 
 # Refusals that the operator corrects by writing another command line.
 MISTAKES = frozenset(
@@ -31,33 +32,24 @@ MISTAKES = frozenset(
     }
 )
 APPLIED, FAILED, USAGE, PARTIAL, NO_TARGET, TIMEOUT, UNREACHABLE, REFUSED = range(8)
-# A robot that failed this recently counts as targeted by `--all`, in s.
-RECENT_FAILURE = 60.0
+MAX_ROBOTS, MAX_INSTANCES = 1024, 8
 
 _SEVERITY = {Code.APPLIED: 0, Code.REFUSED: 1, Code.FAILED: 2}
 
 
 @dataclass(frozen=True, slots=True)
-class Expected:
-    """The robots that a request is for: it is sent to `asked`; `absent` cannot answer.
-
-    `warnings` are lines for the operator about robots that are not counted.
-    """
-
-    asked: tuple[str, ...]
-    absent: tuple[str, ...] = ()
-    warnings: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class Outcome:
-    """The replies to a request by robot, and the robots that did not answer (`missing`)."""
+    """The replies to a request by robot, and the robots that did not answer (`missing`).
+
+    `reached`: how many robots were heard at all, whether or not they answered.
+    """
 
     replies: Mapping[str, Reply]
     missing: tuple[str, ...] = ()
     warnings: tuple[str, ...] = ()
     seconds: float = 0.0
     duplicates: tuple[str, ...] = ()
+    reached: int = 0
 
     @property
     def targeted(self) -> int:
@@ -109,13 +101,13 @@ class Outcome:
             return NO_TARGET
         if self.mistake:
             return USAGE
-        counts = {
-            APPLIED: len(self.applied),
-            REFUSED: len(self.refused),
-            FAILED: len(self.failed),
-            TIMEOUT: len(self.missing),
-        }
-        return next((code for code, n in counts.items() if n == self.targeted), PARTIAL)
+        if len(self.applied) == self.targeted:
+            return APPLIED
+        if self.applied:
+            return PARTIAL
+        if self.failed:
+            return FAILED
+        return TIMEOUT if self.missing else REFUSED
 
     def _with(self, code: Code) -> tuple[str, ...]:
         return tuple(sorted(name for name, reply in self.replies.items() if reply.code is code))
@@ -131,14 +123,38 @@ class Acks:
     def __init__(self, request_id: str) -> None:
         self._request_id = request_id
         self._replies: dict[str, dict[str, Reply]] = {}
+        self._direct: set[tuple[str, str]] = set()
 
     def on_reply(self, robot: str, reply: Reply) -> bool:
         """Take a reply that came on `robot`'s key; False if it answers another request."""
         if reply.robot != robot or reply.id != self._request_id:
             return False
+        if robot not in self._replies and len(self._replies) >= MAX_ROBOTS:
+            return False
+        instances = self._replies.setdefault(robot, {})
         instance = reply.epoch.instance if reply.epoch is not None else ""
-        self._replies.setdefault(robot, {})[instance] = reply
+        if instance not in instances and len(instances) >= MAX_INSTANCES:
+            return False
+        instances[instance] = reply
         return True
+
+    def on_ack(self, ack: Ack) -> bool:
+        """Take the ack of a stop; one that another robot handed on yields to the robot's own."""
+        instance = ack.instance.hex()
+        text = f"{ack.text} (by {ack.via}'s word)".lstrip() if ack.via else ack.text
+        reply = Reply(
+            id=ack.id,
+            robot=ack.robot,
+            code=ack.code,
+            refusal=ack.refusal,
+            text=text[:1000],
+            epoch=Epoch(instance, ack.revision),
+        )
+        if not ack.via:
+            self._direct.add((ack.robot, instance))
+        elif (ack.robot, instance) in self._direct:
+            return False
+        return self.on_reply(ack.robot, reply)
 
     def lacks(self, robot: str, instances: Collection[str]) -> bool:
         """True unless the robot answered; if it has several instances, unless each did."""
@@ -154,8 +170,8 @@ class Acks:
         expected: Iterable[str],
         *,
         silent: Collection[str] = (),
-        warnings: tuple[str, ...] = (),
         seconds: float = 0.0,
+        reached: int = 0,
     ) -> Outcome:
         """The outcome; a robot that answered without being expected counts as targeted.
 
@@ -169,47 +185,7 @@ class Acks:
         return Outcome(
             replies=worst,
             missing=tuple(sorted({*self.missing(expected), *silent})),
-            warnings=warnings,
             seconds=seconds,
+            reached=reached,
             duplicates=tuple(sorted(name for name, all_ in self._replies.items() if len(all_) > 1)),
         )
-
-
-def expected_to_run(
-    members: Mapping[str, Member], roster: Collection[str], selected: Collection[str]
-) -> Expected:
-    """The robots that `run`, `reset` and `param` are for, of those that the operator `selected`.
-
-    Robots that are alive are asked. A robot that failed within the last minute, or that the
-    roster names, is absent, so that the outcome is partial. Other failed robots cause a warning.
-    Robots that left do not count unless the roster names them.
-    """
-    asked, absent, warnings = [], [], []
-    for name in sorted(set(selected)):
-        member = members.get(name)
-        presence = member.presence if member is not None else None
-        has_failed = presence is Presence.FAILED
-        if presence is Presence.ALIVE:
-            asked.append(name)
-        elif name in roster or (member and has_failed and member.age <= RECENT_FAILURE):
-            absent.append(name)
-        elif member and has_failed:
-            warnings.append(
-                f"{name} failed {member.age:.0f} s ago and is not counted;"
-                f" `swarmctl members forget {name}` removes it"
-            )
-    return Expected(tuple(asked), tuple(absent), tuple(warnings))
-
-
-def expected_to_stop(
-    members: Mapping[str, Member], roster: Collection[str], selected: Collection[str]
-) -> frozenset[str]:
-    """The robots that must ack a stop or estop, of those `selected`: all but those that left.
-
-    Failed robots count, and so does the whole roster: a robot that cannot be reached may move.
-    """
-    return frozenset(
-        name
-        for name in selected
-        if name in roster or (name in members and members[name].presence is not Presence.LEFT)
-    )

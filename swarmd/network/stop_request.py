@@ -2,76 +2,111 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Iterator
 
-import msgspec
+from msgspec.structs import replace
 
-from swarmd.core.codec import encode
-from swarmd.core.messages import EstopRequest, StopRequest
-from swarmd.network.discovery import Discovery
-from swarmd.network.outcome import Acks, Outcome, expected_to_stop
+from swarmd.core.messages import Presence
+from swarmd.network.datagram import Ack, Stop
+from swarmd.network.discovery import Address, Discovery
+from swarmd.network.outcome import Acks, Outcome
 
 Select = Callable[[Collection[str]], Collection[str]]
-# After this many seconds the views that came count as the membership.
-DISCOVERY_TIMEOUT = 1.0
+# Names in one datagram, in bytes: beside an operator's name and a reason of full length.
+_ROOM = 400
+# By default it goes on for this long, in s, and for so many round trips since the last news.
+STOP_WAIT, STOP_TRIPS = 3.0, 8.0
 
 
 class PendingStop:
-    """One stop or estop that is repeated until every robot acked.
+    """One stop or estop that is repeated until every expected robot acked.
 
-    `select` picks from the names known so far; None: all. A request to all has `targets` None,
-    which needs no membership; a selection names its targets. Every repetition has the same id.
+    `select` picks from the names known so far; None: all. `names` are targets from the start, known
+    or not. A stop of all has no targets, and needs no membership. Every repeat has the same id.
     """
 
     def __init__(
         self,
-        request: StopRequest | EstopRequest,
-        select: Select | None,
+        stop: Stop,
         discovery: Discovery,
         started: float,
+        *,
+        select: Select | None = None,
+        names: Collection[str] = (),
     ) -> None:
-        self.acks = Acks(request.id)
-        self.is_for_all = select is None
-        self._request = request
-        self._select = select
+        self.acks = Acks(stop.id)
+        self.sent = 0
+        self._stop = stop
         self._discovery = discovery
         self._started = started
+        self._select = select
+        self._names = frozenset(names)
 
-    def payload(self) -> bytes:
-        """The bytes to send now."""
+    def datagrams(self, now: float) -> Iterator[Stop]:
+        """What to send to all now; nothing while no target is known."""
+        stop = replace(self._stop, age=round((now - self._started) * 1000))
         if self._select is None:
-            return encode(self._request)
-        targets = dict.fromkeys(sorted(self._selected()), None)
-        return encode(msgspec.structs.replace(self._request, targets=targets))
+            yield stop
+            return
+        part: list[str] = []
+        for name in sorted(self.selected()):
+            if part and sum(len(one) + 2 for one in (*part, name)) > _ROOM:
+                yield replace(stop, targets=tuple(part))
+                part = []
+            part.append(name)
+        if part:
+            yield replace(stop, targets=tuple(part))
 
-    def pending(self) -> tuple[str, ...]:
-        """The targeted robots without an ack: the request is sent to each once more."""
-        return self._lacking(self._selected())
+    def addresses(self, now: float) -> tuple[Address, ...]:
+        """Where the robots without an ack are: it is also sent there."""
+        found = {self._discovery.address(name) for name in self.lacking(now)}
+        return tuple(sorted(one for one in found if one is not None))
+
+    def on_ack(self, ack: Ack) -> bool:
+        """Take an ack; False if it is of another request."""
+        return self.acks.on_ack(ack)
+
+    def selected(self) -> frozenset[str]:
+        """The targets among the names known so far."""
+        known = self._discovery.known
+        return known if self._select is None else self._names | frozenset(self._select(known))
+
+    def lacking(self, now: float) -> tuple[str, ...]:
+        """The expected robots without an ack; of an id that two daemons hold, both must ack."""
+        return tuple(
+            name
+            for name in sorted(self._expected(now))
+            if self.acks.lacks(name, self._discovery.holders(name))
+        )
 
     def is_done(self, now: float) -> bool:
-        """True once the membership is known and every robot that must ack has."""
-        if not self._discovery.known:
+        """True once the membership is known and every expected robot has acked."""
+        is_known = self._discovery.is_told(now) and bool(self._expected(now))
+        return is_known and not self.lacking(now)
+
+    def is_over(self, now: float) -> bool:
+        """True once it has waited long enough, by the round trip, for those without an ack."""
+        trip = self._discovery.round_trip
+        least = self._started + STOP_WAIT + STOP_TRIPS * trip
+        if now < least:
             return False
-        is_known = self._discovery.is_complete(now) or now - self._started >= DISCOVERY_TIMEOUT
-        return is_known and not self._lacking(self._expected())
+        is_bare = not self._discovery.heard or not self._expected(now)
+        return is_bare or now >= self._discovery.ends_at(now, self.lacking(now))
 
     def outcome(self, now: float) -> Outcome:
         """The outcome if it ended now."""
-        expected = self._expected()
         return self.acks.outcome(
-            expected, silent=self._lacking(expected), seconds=now - self._started
+            self._expected(now),
+            silent=self.lacking(now),
+            seconds=now - self._started,
+            reached=len(self._discovery.heard),
         )
 
-    def _lacking(self, names: frozenset[str]) -> tuple[str, ...]:
-        """Those without an ack; of an id that two daemons hold, both must ack."""
-        return tuple(
-            sorted(name for name in names if self.acks.lacks(name, self._discovery.holders(name)))
-        )
+    def _expected(self, now: float) -> frozenset[str]:
+        """The robots that must ack: all that are selected but those that left.
 
-    def _selected(self) -> frozenset[str]:
-        known = self._discovery.known
-        return known if self._select is None else frozenset(self._select(known))
-
-    def _expected(self) -> frozenset[str]:
-        view = self._discovery.result()
-        return expected_to_stop(view.members, view.roster, self._selected())
+        Failed robots count, and so does the whole roster: a robot that cannot be reached may move.
+        """
+        view = self._discovery.result(now)
+        left = {name for name, one in view.members.items() if one.presence is Presence.LEFT}
+        return self.selected() - (left - view.roster)
