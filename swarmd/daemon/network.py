@@ -22,10 +22,12 @@ from swarmd.core.errors import CodecError, IdHeldError, NetworkError
 from swarmd.core.messages import Latch, Member, Presence, Reply, Status
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import (
+    ANY_SWARM,
     Ack,
     Datagram,
     Message,
     Stop,
+    Swarm,
     is_for_any_swarm,
     pack,
     tag_of,
@@ -263,7 +265,7 @@ class Network:
         if self._carrier is None:
             return
         try:
-            payload = pack(self._tag, body)
+            payload = pack(ANY_SWARM if isinstance(body, Swarm) else self._tag, body)
         except CodecError:
             self._drops.add("datagram:oversized")
             return
