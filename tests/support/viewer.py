@@ -30,6 +30,7 @@ class Viewer:
         self._entities: list[object] = []
         self._lock = threading.Lock()
         self.beacons: dict[str, Beacon] = {}
+        self._robots: dict[str, Address] = {}
         self._addresses: set[Address] = set()
         self.carrier = UdpCarrier(settings, self._tag)
         self.carrier.start_thread(self._on_datagram)
@@ -61,6 +62,11 @@ class Viewer:
                 for key, handler in self._subscriptions:
                     self._entities.append(session.declare_subscriber(key, handler))
             return [session for session, _ in self._sessions.values()]
+
+    def sessions(self, robot: str) -> list[zenoh.Session]:
+        """The session to a robot that was heard."""
+        found = self._robots.get(robot)
+        return [session for address, (session, _) in self._sessions.items() if address == found]
 
     def get(self, key: str, payload: bytes = b"", *, timeout: float = 5.0) -> list[zenoh.Sample]:
         """The answers to a query; again for as long as a link is new and none has come."""
@@ -99,6 +105,7 @@ class Viewer:
             return
         if isinstance(body, Beacon) and not body.flags & Flag.JOINING:
             self.beacons[body.robot] = body
+            self._robots[body.robot] = source
             with self._lock:
                 if body.flags & Flag.LEFT:
                     self._addresses.discard(source)
