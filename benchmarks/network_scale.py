@@ -3,6 +3,11 @@
 Each robot is a daemon with a fake body in a network namespace of its own, on a bridge of the
 kernel; its interface counts what it sends. Needs root. Group packets are multicast and broadcast,
 IPv4 only; the rest is unicast. Bytes are those of Ethernet frames without preamble and checksum.
+
+Air time is that of one channel with one access point, which every frame passes twice: a frame to
+or from a station takes `SMALL_FRAME` (`AGGREGATED_FRAME` where frames are aggregated), and what the
+access point sends to a group `GROUP_OVERHEAD` and its bits at 6 Mbit/s. The second table fits each
+quantity by a constant and a term a peer, and extrapolates.
 """
 
 from __future__ import annotations
@@ -14,9 +19,11 @@ import statistics
 import sys
 import tempfile
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+
+import numpy as np
 
 from benchmarks.resources import cpu_seconds, memory
 from benchmarks.swarm import PLUGINS
@@ -32,6 +39,9 @@ LOADS: dict[str, tuple[str, ...]] = {
 }
 ETHERNET = 14  # bytes of a frame's header
 READY_TIMEOUT = 180.0
+SMALL_FRAME, AGGREGATED_FRAME, GROUP_OVERHEAD = 200e-6, 60e-6, 100e-6  # s of air time
+GROUP_RATE = 6e6  # bit/s
+LARGE = (100, 300)  # robots
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,6 +86,47 @@ class Measured:
             *(f"{self.daemon_cpu:.2f}", f"{self.host_cpu:.2f}"),
             *(f"{self.daemon_rss:.0f}", f"{self.host_rss:.0f}", f"{self.machine_load:.0f}"),
         )
+
+
+def air_time(robots: float, unicast: float, group: float, group_size: float, frame: float) -> float:
+    """% of a channel that robots take which each send so many frames and bytes a second."""
+    to_group = group * (frame + GROUP_OVERHEAD) + 8.0 * group_size / GROUP_RATE
+    return 100.0 * robots * (2.0 * unicast * frame + to_group)
+
+
+LAW_HEAD = ("load", "a robot", "alone", "a peer", *(f"at {robots} robots" for robots in LARGE))
+
+
+def laws(found: Sequence[Measured]) -> Iterator[tuple[str, ...]]:
+    """Rows of the second table: the law of each quantity, and the air time at `LARGE`."""
+    for load in LOADS:
+        some = [one for one in found if one.load == load]
+        if len({one.robots for one in some}) < 2:
+            continue
+
+        def fitted(values: Sequence[float], some: Sequence[Measured] = some) -> tuple[float, float]:
+            slope, alone = np.polyfit([one.robots - 1.0 for one in some], values, 1)
+            return float(alone), float(slope)
+
+        quantities = {
+            "unicast packets/s": fitted([one.packets - one.group_packets for one in some]),
+            "group packets/s": fitted([one.group_packets for one in some]),
+            "bytes/s": fitted([one.size for one in some]),
+            "group bytes/s": fitted([one.group_size for one in some]),
+            "CPU daemon %": fitted([one.daemon_cpu for one in some]),
+            "RSS daemon MB": fitted([one.daemon_rss for one in some]),
+        }
+        at = {
+            name: [alone + slope * (robots - 1) for robots in LARGE]
+            for name, (alone, slope) in quantities.items()
+        }
+        for name, (alone, slope) in quantities.items():
+            yield (load, name, f"{alone:.3g}", f"{slope:.3g}", *(f"{one:.3g}" for one in at[name]))
+        for frame in (SMALL_FRAME, AGGREGATED_FRAME):
+            sent = [at[name] for name in ("unicast packets/s", "group packets/s", "group bytes/s")]
+            taken = [air_time(*one, frame) for one in zip(LARGE, *sent, strict=True)]
+            shares = [f"{one:.3g} %" for one in taken]
+            yield (load, f"air time at {1e6 * frame:.0f} us a frame", "", "", *shares)
 
 
 HEAD = (
@@ -190,6 +241,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         for one in measured(robots, options.loads, options.seconds, options.settle)
     ]
     print(markdown([HEAD, *(one.cells for one in found)]))
+    if law := list(laws(found)):
+        print("\n" + markdown([LAW_HEAD, *law]))
     if options.json:
         options.json.write_text("".join(json.dumps(asdict(one)) + "\n" for one in found))
 

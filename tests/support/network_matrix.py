@@ -31,7 +31,7 @@ _LEADS_TO = {"idle": ("stop", "reset"), "running": ("reset", "run"), "estopped":
 _LEFT_BY = {"stop": STANDING, "estop": ("estopped",), "reset": ("idle",)}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, repr=False)
 class Judged:
     """An answer beside the truth. `verdict` is `true`, or what is wrong.
 
@@ -44,6 +44,12 @@ class Judged:
     named: set[str]
     states: dict[str, str]
     verdict: str
+
+    def __repr__(self) -> str:
+        """Exit code, counts, seconds, states and what was printed, without the JSON."""
+        counts = f"{len(self.counted)} counted, not {sorted(self.named)}"
+        answer = f"exit code {self.answer.code} after {self.answer.seconds:.1f} s: {self.text}"
+        return f"{self.verdict}; {counts}; {answer}; truth: {self.states}"
 
     @property
     def text(self) -> str:
