@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import math
+import re
 import threading
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
@@ -20,7 +21,15 @@ from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Rig, is_running
 from tests.drivers.ros1.rig import RosRobot
 from tests.drivers.ros2.dds_rig import DdsRobot
-from tests.drivers.ros2.robots import RAYS, BridgedRobot, Robot, ZenohRobot, odometry, scan
+from tests.drivers.ros2.robots import (
+    RAYS,
+    BridgedRobot,
+    Robot,
+    ZenohRobot,
+    command,
+    odometry,
+    scan,
+)
 from tests.support import ros2_types as dds
 from tests.support.drive_daemon import ROBOT, drive, status
 from tests.support.processes import (
@@ -36,6 +45,7 @@ pytestmark = pytest.mark.integration
 
 NO_BRIDGE = pytest.mark.skipif(bool(why_no_bridge()), reason=why_no_bridge())
 NAMESPACE = ROBOT.replace("-", "_")
+RIVAL_SPEED = 0.3
 FRONT = ("left", "center_left", "center", "center_right", "right")
 
 
@@ -187,6 +197,50 @@ def test_the_robot_of_a_frozen_daemon_stops(moving: tuple[Course, DaemonProcess]
     assert is_running(daemon.process.pid)
     late = [t - thawed for t, twist in course.commands if t > thawed + 0.2 and not twist.is_zero]
     assert not late, "the stall has ended the run"
+
+
+class Rival:
+    """Another node that commands the robot 50 times a second."""
+
+    def __init__(self, robot: Robot) -> None:
+        self._robot = robot
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def close(self) -> None:
+        self._ending.set()
+        self._thread.join(30.0)
+
+    def _run(self) -> None:
+        while not self._ending.wait(0.02):
+            self._robot.put("cmd_vel", command(RIVAL_SPEED))
+
+
+@pytest.mark.parametrize(("driver", "make"), [("ros2dds", BridgedRobot), ("rmw_zenoh", ZenohRobot)])
+def test_an_estopped_robot_gets_zero_after_each_command_of_another_node(
+    driver: str, make: Callable[[], Robot], tmp_path: Path
+) -> None:
+    robot = make()
+
+    def shows(operator: Operator, text: str) -> bool:
+        now = status(operator)
+        return now is not None and now.health.driver.startswith(text)
+
+    with driven(ros2(driver, robot), tmp_path) as (course, _, operator):
+        with contextlib.closing(Rival(robot)):
+            wait_until(lambda: shows(operator, "someone else drives"), "its status says so")
+            reply = operator.halt("estop", reason="test").replies[ROBOT]
+            assert reply.text.startswith("commanded zero; someone else drives: ")
+            assert re.search(r"measured 0\.10 m/s, 0\.30 rad/s, \d\.\d s ago$", reply.text), reply
+            since = boottime()
+            wait_until(lambda: course.commands[-1][0] > since + 2.0, "two seconds of commands")
+            speeds = [twist.linear for t, twist in course.commands if t > since]
+            zeros = speeds.count(0.0)
+            assert {*speeds} == {0.0, RIVAL_SPEED}
+            assert zeros > 0.9 * speeds.count(RIVAL_SPEED)
+        wait_until(lambda: not shows(operator, "someone else drives"), "it is over")
+        course.gets_only_zeros(boottime(), 1.0)
 
 
 class Thymio(BridgedRobot):
