@@ -61,9 +61,8 @@ def why(member: SeenMember) -> str:
     if member.contact is Contact.OTHER_VERSION:
         return f"{member.state}; it speaks {member.wire}, this swarmctl {codec.VERSION}"
     if member.presence is not Presence.ALIVE:
-        last = f"; last known: {status.state}" if status is not None else ""
         forget = f"`swarmctl members forget {member.robot}` removes it from the list"
-        return f"{member.presence} {seconds(member.age)} ago{last}; {forget}"
+        return f"{member.presence} {seconds(member.age)} ago; {forget}"
     if status is None:
         heard = f"heard {seconds(member.age)} ago"
         return f"{heard}, {member.state or 'alive'}, but it sent no status; try again"

@@ -176,7 +176,9 @@ class Discovery:
         self._gone: dict[tuple[str, str], float] = {}
         self._answers: dict[str, dict[str, _Answer]] = {}
         self._words: dict[str, dict[int, tuple[datagram.Word, float]]] = {}
-        self._said: dict[str, dict[str, list[_Said]]] = {}  # robot -> teller -> what it says
+        # What each robot says of a robot, by word and in its view, of which the word is the better:
+        # it says when a living robot was heard.
+        self._said: dict[str, dict[tuple[str, str], list[_Said]]] = {}
         self._mentioned: dict[str, float] = {}
         self._echoes: dict[int, float] = {}
         self._solicits = 0
@@ -223,6 +225,7 @@ class Discovery:
         """A robot's word about others; the parts of one come one by one."""
         if not self._has_room(word.robot):
             return
+        self._mention(word.robot, now)
         parts = self._words.setdefault(word.robot, {})
         if not parts:
             self._news = now
@@ -249,13 +252,12 @@ class Discovery:
         """A robot answered with its status and its members."""
         self._take_answer(view.robot, _Answer(view.status, view.members, now), now)
         self._roster.update(view.roster if len(self._roster) < MAX_ROBOTS else ())
-        if not self._has_told(view.robot):
-            said: dict[str, list[_Said]] = {}
-            for one in view.members:
-                at = now if one.presence is Presence.ALIVE else now - one.age
-                found = _Said(one.instance, one.presence, at, view.robot, None)
-                said.setdefault(one.robot, []).append(found)
-            self._take_word(view.robot, said, now)
+        said: dict[str, list[_Said]] = {}
+        for one in view.members:
+            at = now if one.presence is Presence.ALIVE else now - one.age
+            found = _Said(one.instance, one.presence, at, view.robot, None)
+            said.setdefault(one.robot, []).append(found)
+        self._take_word(view.robot, said, now, way="view")
 
     def on_header(self, header: StatusHeader, now: float) -> None:
         """A robot of another version answered with its status."""
@@ -477,17 +479,19 @@ class Discovery:
         self._mentioned[robot] = now
         return True
 
-    def _take_word(self, teller: str, said: Mapping[str, list[_Said]], now: float) -> None:
+    def _take_word(
+        self, teller: str, said: Mapping[str, list[_Said]], now: float, way: str = "word"
+    ) -> None:
         """Replace what a robot said before."""
         for known in self._said.values():
-            known.pop(teller, None)
+            known.pop((teller, way), None)
         for robot, some in said.items():
             if robot == teller:
                 continue
             if self._mention(robot, now):
                 self._news = self.found_at = now
             if robot in self._mentioned:
-                self._said.setdefault(robot, {})[teller] = some[:MAX_INSTANCES]
+                self._said.setdefault(robot, {})[teller, way] = some[:MAX_INSTANCES]
 
     def _take_answer(self, robot: str, answer: _Answer, now: float) -> None:
         if not self._has_room(robot):
@@ -511,7 +515,13 @@ class Discovery:
         return any(now - one.last <= FRESH_TIME for one in self._heard.get(robot, {}).values())
 
     def _all_said(self, robot: str) -> list[_Said]:
-        found = [one for some in self._said.get(robot, {}).values() for one in some]
+        tellers = self._said.get(robot, {})
+        found = [
+            one
+            for (teller, way), some in tellers.items()
+            if way == "word" or (teller, "word") not in tellers
+            for one in some
+        ]
         left = [
             _Said(instance, Presence.LEFT, at, "", None)
             for (name, instance), at in self._gone.items()
@@ -541,7 +551,7 @@ class Discovery:
         return frozenset(
             robot
             for robot, tellers in self._said.items()
-            if any(one.presence is Presence.ALIVE for one in tellers.get(teller, ()))
+            if any(one.presence is Presence.ALIVE for one in tellers.get((teller, "word"), ()))
         )
 
     def _views_agree(self, settled: frozenset[str]) -> bool:

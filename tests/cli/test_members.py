@@ -5,14 +5,16 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from swarmd.cli.members import HEADER, health, row
-from swarmd.core.messages import DecisionSummary, Health, Member, Presence, Reason, State
-from swarmd.network.discovery import MembersView
+from swarmd.core import codec
+from swarmd.core.messages import DecisionSummary, Health, Presence, Reason, State, StatusHeader
+from swarmd.network.discovery import Contact, MembersView, SeenMember
 from tests.support.statuses import make_member
 
 
-def line(member: Member) -> dict[str, str]:
+def line(member: SeenMember) -> dict[str, str]:
     return dict(zip(HEADER, row(member), strict=True))
 
 
@@ -26,6 +28,7 @@ def test_shows_a_running_robot() -> None:
         "PROTECTION": "active",
         "SCAN": "5.0 Hz",
         "LOOP99": "4 ms",
+        "VERSION": "1.2.3",
         "SEEN": "now",
         "REPORT": "opinion 2",
     }
@@ -48,7 +51,7 @@ def test_shows_the_report_of_the_pattern_cut_to_its_column() -> None:
         ({"decision": DecisionSummary()}, {"PROTECTION": "clear"}),
         (
             {"presence": Presence.FAILED, "age": 38.0},
-            {"STATE": "failed", "PATTERN": "drive?", "SCAN": "-", "SEEN": "38.0 s ago"},
+            {"STATE": "failed", "PATTERN": "-", "SCAN": "-", "SEEN": "38.0 s ago"},
         ),
         ({"presence": Presence.LEFT, "pattern": None}, {"STATE": "left", "PATTERN": "-"}),
     ],
@@ -57,12 +60,55 @@ def test_shows_a_robot_in_each_presence(changes: dict[str, Any], cells: dict[str
     assert cells.items() <= line(make_member(**changes)).items()
 
 
-def test_lists_a_robot_without_a_status() -> None:
-    member = Member(robot="r1", instance="x", presence=Presence.ALIVE, age=0.0)
-    assert line(member)["STATE"] == "no answer"
+HEARD = SeenMember(
+    robot="r1",
+    instance="x",
+    presence=Presence.ALIVE,
+    age=0.3,
+    contact=Contact.NO_ANSWER,
+    state="running",
+)
+DISTANT = replace(HEARD, robot="r2", age=0.4, contact=Contact.UNREACHABLE, state="", by="r1")
+OTHER = replace(
+    HEARD, robot="r3", contact=Contact.OTHER_VERSION, wire=codec.VERSION + 1, version="9.9"
+)
 
 
-def notes(*members: Member) -> list[str]:
+@pytest.mark.parametrize(
+    ("member", "cells"),
+    [
+        (HEARD, {"STATE": "no answer", "SEEN": "300 ms ago"}),
+        (DISTANT, {"STATE": "unreachable", "SEEN": "400 ms ago by r1"}),
+        (OTHER, {"STATE": "running", "VERSION": "9.9", "SEEN": "now", "REASON": "-"}),
+        (
+            replace(
+                OTHER,
+                header=StatusHeader(
+                    robot="r3", instance="x", state="stopped", reason="operator", pattern="drive"
+                ),
+            ),
+            {"REASON": "operator", "PATTERN": "drive"},
+        ),
+    ],
+    ids=["no answer", "unreachable", "other version", "other version with a status"],
+)
+def test_shows_how_far_a_robot_was_reached(member: SeenMember, cells: dict[str, str]) -> None:
+    assert cells.items() <= line(member).items()
+
+
+def test_figures_that_are_old_say_so() -> None:
+    assert line(make_member(age=2.5))["SEEN"] == "2.5 s ago"
+
+
+def test_names_robots_that_did_not_answer_as_they_should() -> None:
+    assert notes(HEARD, DISTANT, OTHER)[1:] == [
+        "alive, but no answer: r1 (heard 300 ms ago, running)",
+        "not reachable from here: r2 (alive by r1's word, 400 ms ago)",
+        f"other version: r3 speaks {codec.VERSION + 1}, this swarmctl {codec.VERSION}",
+    ]
+
+
+def notes(*members: SeenMember) -> list[str]:
     by_name = {member.robot: member for member in members}
     return list(health(MembersView(members=by_name, answered=frozenset(by_name))))
 
@@ -70,7 +116,7 @@ def notes(*members: Member) -> list[str]:
 def test_names_robots_with_problems() -> None:
     lost = Health(driver="no odometry for 2 s", driver_up=False)
     members = {
-        "r1": make_member("r1"),
+        "r1": HEARD,
         "r2": make_member("r2", presence=Presence.FAILED, age=5.0),
         "r3": make_member("r3", presence=Presence.LEFT, age=600.0),
         "r5": make_member("r5", health=lost),
@@ -85,7 +131,7 @@ def test_names_robots_with_problems() -> None:
         "2/5 alive",
         "failed: r2 (5.0 s ago)",
         "left: r3 (10 min ago)",
-        "alive, but no answer: r1",
+        "alive, but no answer: r1 (heard 300 ms ago, running)",
         "in the roster and never seen: r4",
         "two daemons have one id: r1",
         "driver lost: r5 (no odometry for 2 s)",

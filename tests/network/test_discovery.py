@@ -1,133 +1,325 @@
-"""Putting the swarm together from what each daemon says."""
+"""Putting the swarm together from what is heard, what others say, and what robots answer."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from typing import Any
 
 import pytest
 
-from swarmd.core.messages import Member, PeerView, Presence
-from swarmd.network.discovery import QUIET_TIME, Discovery
+from swarmd.core import codec
+from swarmd.core.messages import Member, PeerView, Presence, State, StatusHeader
+from swarmd.network.datagram import PRESENCES, STATES, Beacon, Flag, Heard, Word
+from swarmd.network.discovery import (
+    ANSWER_WAIT,
+    GONE_WAIT,
+    MAX_ROBOTS,
+    NOBODY_WAIT,
+    QUIET_TIME,
+    UNREACHABLE_WAIT,
+    Contact,
+    Discovery,
+)
 from tests.support.fake_daemon import light_status
 
 ALIVE, LEFT, FAILED = Presence.ALIVE, Presence.LEFT, Presence.FAILED
 
 
-def member(robot: str, presence: Presence = ALIVE, *, instance: str = "1", age: float = 5.0):  # type: ignore[no-untyped-def]
-    return Member(robot=robot, instance=instance, presence=presence, age=age)
+def life(instance: int = 1) -> bytes:
+    return bytes([instance] * 6)
 
 
-def view(
-    robot: str, *others: Member, instance: str = "1", roster: tuple[str, ...] = ()
-) -> PeerView:
-    return PeerView(
-        robot=robot, status=light_status(robot, instance), members=others, roster=roster
+def beacon(robot: str, *, instance: int = 1, sequence: int = 1, **changes: Any) -> Beacon:
+    fields = {"wire": codec.VERSION, "state": STATES.index(State.RUNNING), "revision": 0} | changes
+    return Beacon(robot=robot, instance=life(instance), sequence=sequence, **fields)
+
+
+def heard(robot: str, presence: Presence = ALIVE, *, instance: int = 1, age: int = 0) -> Heard:
+    return Heard(
+        robot=robot,
+        instance=life(instance),
+        presence=PRESENCES.index(presence),
+        age=age,
+        host="10.0.0.9",
+        port=7440,
     )
 
 
+def word(robot: str, *others: Heard, part: int = 0, parts: int = 1, roster: Any = ()) -> Word:
+    return Word(robot=robot, instance=life(), members=others, part=part, parts=parts, roster=roster)
+
+
+def view(robot: str, *others: str, instance: int = 1, roster: tuple[str, ...] = ()) -> PeerView:
+    members = tuple(
+        Member(robot=name, instance=life().hex(), presence=ALIVE, age=9.0) for name in others
+    )
+    status = light_status(robot, life(instance).hex())
+    return PeerView(robot=robot, status=status, members=members, roster=roster)
+
+
+def address(robot: str) -> tuple[str, int]:
+    return (f"10.0.0.{ord(robot[0])}", 7440)
+
+
+class Rig:
+    """A look that began at 0."""
+
+    def __init__(self, *roster: str) -> None:
+        self.found = Discovery(0.0, roster)
+
+    def hear(self, *robots: str, at: float = 0.01, **changes: Any) -> None:
+        for robot in robots:
+            self.found.on_beacon(beacon(robot, **changes), address(robot), at)
+
+    def tell(self, robot: str, *others: Heard, at: float = 0.01, **changes: Any) -> None:
+        self.found.on_word(word(robot, *others, **changes), at)
+
+    def answer(self, robot: str, *others: str, at: float = 0.02, **changes: Any) -> None:
+        self.found.on_view(view(robot, *others, **changes), at)
+
+    def contact(self, robot: str, now: float = 0.1) -> Contact:
+        return self.found.result(now).members[robot].contact
+
+
 @pytest.fixture
-def discovery() -> Discovery:
-    return Discovery(0.0)
+def rig() -> Rig:
+    return Rig()
 
 
-def test_an_empty_discovery_is_never_complete(discovery: Discovery) -> None:
-    assert not discovery.is_complete(10.0)
-    assert discovery.result().members == {}
+def test_nobody_is_never_complete_and_over_after_a_while(rig: Rig) -> None:
+    assert not rig.found.is_complete(2.9)
+    assert not rig.found.is_over(NOBODY_WAIT - 0.01)
+    assert rig.found.is_over(NOBODY_WAIT)
+    assert rig.found.result(3.0).members == {}
 
 
-def test_one_view_is_complete_only_after_the_quiet_time(discovery: Discovery) -> None:
-    discovery.on_view(view("a"), 0.02)
-    assert not discovery.is_complete(0.02 + QUIET_TIME / 2)
-    assert discovery.is_complete(0.021 + QUIET_TIME)
-
-
-@pytest.mark.parametrize(
-    "news", [lambda found: found.on_link(0.1), lambda found: found.on_token("a", "1", True, 0.1)]
-)
-def test_news_restarts_the_quiet_time(
-    discovery: Discovery, news: Callable[[Discovery], None]
-) -> None:
-    discovery.on_view(view("a"), 0.02)
-    news(discovery)
-    assert not discovery.is_complete(0.15)
-    assert discovery.is_complete(0.101 + QUIET_TIME)
+def test_one_robot_that_answered_is_complete_only_after_the_quiet_time(rig: Rig) -> None:
+    rig.hear("a")
+    rig.answer("a")
+    assert not rig.found.is_complete(0.02 + QUIET_TIME / 2)
+    assert rig.found.is_complete(0.021 + QUIET_TIME)
 
 
 @pytest.mark.parametrize("do_agree", [True, False])
-def test_views_that_agree_are_complete_at_once(discovery: Discovery, do_agree: bool) -> None:
-    discovery.on_view(view("a", member("b")), 0.01)
-    discovery.on_view(view("b", *([member("a")] if do_agree else [])), 0.02)
-    assert discovery.is_complete(0.02) is do_agree
-    assert discovery.is_complete(0.021 + QUIET_TIME)
+def test_views_that_agree_are_complete_at_once(rig: Rig, do_agree: bool) -> None:
+    rig.hear("a", "b")
+    rig.answer("a", "b")
+    rig.answer("b", *(["a"] if do_agree else []))
+    assert rig.found.is_complete(0.02) is do_agree
+    assert rig.found.is_complete(0.021 + QUIET_TIME)
 
 
-@pytest.mark.parametrize("source", ["view", "token"])
-def test_a_robot_that_a_view_or_token_shows_must_answer(discovery: Discovery, source: str) -> None:
-    discovery.on_view(view("a", *([member("b")] if source == "view" else [])), 0.01)
-    if source == "token":
-        discovery.on_token("b", "1", True, 0.02)
-    assert not discovery.is_complete(10.0)
-    result = discovery.result()
-    assert (result.alive, result.silent) == (("a", "b"), ("b",))
+def test_the_quiet_time_is_two_round_trips_of_the_slowest(rig: Rig) -> None:
+    rig.found.on_solicit(7, 0.0)
+    rig.hear("a", at=0.4, echo=7)
+    rig.hear("a", at=0.5, echo=7, sequence=2)  # a copy of the same answer
+    assert rig.found.round_trip == pytest.approx(0.4)
+    rig.answer("a", at=2.0)
+    assert not rig.found.is_complete(2.7)
+    assert rig.found.is_complete(2.81)
 
 
-def test_a_robot_whose_token_vanished_need_not_answer(discovery: Discovery) -> None:
-    discovery.on_view(view("a", member("b")), 0.01)
-    discovery.on_token("b", "1", True, 0.02)
-    discovery.on_token("b", "1", False, 0.03)
-    assert discovery.is_complete(0.031 + QUIET_TIME)
-    assert discovery.result().members["b"].presence is FAILED
+@pytest.mark.parametrize("source", ["beacon", "word", "view", "roster"])
+def test_a_robot_that_anything_names_must_answer(source: str) -> None:
+    rig = Rig(*(["b"] if source == "roster" else []))
+    rig.hear("a", *(["b"] if source == "beacon" else []))
+    rig.tell("a", *([heard("b")] if source == "word" else []))
+    rig.answer("a", *(["b"] if source == "view" else []))
+    assert not rig.found.is_complete(1.0)
+    assert rig.found.result(1.0).missing == ("b",)
+    rig.hear("b", at=1.0)
+    rig.answer("b", "a", at=1.0)
+    assert rig.found.is_complete(1.01 + QUIET_TIME)
 
 
-def test_a_robots_own_status_wins_over_views_of_others(discovery: Discovery) -> None:
-    discovery.on_view(view("a", member("b", age=7.0)), 0.01)
-    discovery.on_view(view("b", member("a", FAILED), instance="9"), 0.02)
-    result = discovery.result()
-    assert result.members["b"].status == light_status("b", "9")
-    assert result.members["b"].age == 7.0
-    assert result.members["a"].presence is ALIVE
-    assert result.epochs(["b", "zz"]) == {"b": light_status("b", "9").epoch, "zz": None}
+def test_a_robot_is_heard_or_known_by_the_word_of_others(rig: Rig) -> None:
+    rig.hear("a", "b")
+    others = [heard("c", age=400), heard("d", FAILED, age=5000), heard("e", LEFT)]
+    rig.tell("a", *others, at=0.1)
+    rig.answer("a")
+    members = rig.found.result(0.2).members
+    assert {name: one.contact for name, one in members.items()} == {
+        "a": Contact.ANSWERED,
+        "b": Contact.NO_ANSWER,
+        "c": Contact.UNREACHABLE,
+        "d": Contact.GONE,
+        "e": Contact.GONE,
+    }
+    assert (members["b"].state, round(members["b"].age, 3)) == ("running", 0.19)
+    assert (members["c"].by, members["c"].presence) == ("a", ALIVE)
+    assert members["c"].age == pytest.approx(0.5)
+    assert (members["d"].presence, round(members["d"].age, 3)) == (FAILED, 5.1)
+    assert rig.found.result(0.2).missing == ("b", "c", "d")  # `e` left in order
+
+
+def test_an_old_word_does_not_make_a_robot_alive(rig: Rig) -> None:
+    rig.hear("a")
+    rig.tell("a", heard("c", age=60_000))
+    member = rig.found.result(0.1).members["c"]
+    assert (member.presence, round(member.age)) == (FAILED, 60)
 
 
 @pytest.mark.parametrize(
     ("words", "truth"),
     [
-        ((member("x", FAILED, age=1.0), member("x", ALIVE, age=9.0)), ALIVE),
-        ((member("x", FAILED, age=1.0), member("x", LEFT, age=9.0)), LEFT),
-        ((member("x", FAILED, age=1.0), member("x", LEFT, instance="0", age=9.0)), FAILED),
-        ((member("x", FAILED, age=9.0), member("x", LEFT, instance="0", age=1.0)), LEFT),
+        ((heard("x", FAILED, age=1), heard("x", ALIVE, age=9)), ALIVE),
+        ((heard("x", FAILED, age=1), heard("x", LEFT, age=9)), LEFT),
+        ((heard("x", FAILED, age=1), heard("x", LEFT, instance=2, age=9)), FAILED),
+        ((heard("x", FAILED, age=9), heard("x", LEFT, instance=2, age=1)), LEFT),
     ],
 )
-def test_the_more_certain_of_two_views_of_a_robot_counts(
-    discovery: Discovery, words: tuple[Member, Member], truth: Presence
+def test_the_more_certain_of_two_words_counts(
+    rig: Rig, words: tuple[Heard, Heard], truth: Presence
 ) -> None:
-    discovery.on_view(view("a", words[0]), 0.01)
-    discovery.on_view(view("b", words[1]), 0.02)
-    assert discovery.result().members["x"].presence is truth
+    rig.hear("a", "b")
+    rig.tell("a", words[0])
+    rig.tell("b", words[1])
+    assert rig.found.result(0.1).members["x"].presence is truth
 
 
-def test_the_rosters_of_all_views_are_merged(discovery: Discovery) -> None:
-    discovery.on_view(view("a", roster=("a", "b")), 0.01)
-    discovery.on_view(view("b", roster=("c",)), 0.01)
-    result = discovery.result()
-    assert result.roster == {"a", "b", "c"}
-    assert result.absent == ("c",)
-    assert discovery.known == {"a", "b", "c"}
+def test_a_robot_that_changes_its_word_is_believed(rig: Rig) -> None:
+    rig.hear("a")
+    rig.tell("a", heard("b", ALIVE))
+    rig.tell("a", heard("b", FAILED), at=1.0)
+    assert rig.found.result(1.0).members["b"].presence is FAILED
 
 
-def test_both_daemons_of_one_id_must_answer(discovery: Discovery) -> None:
-    discovery.on_view(view("a", member("b"), instance="1"), 0.01)
-    discovery.on_view(view("b", member("a")), 0.01)
-    discovery.on_token("a", "1", True, 0.01)
-    discovery.on_token("a", "2", True, 0.01)
-    assert not discovery.is_complete(10.0)
-    assert discovery.result().duplicates == {"a": ("1", "2")}
-    discovery.on_view(view("a", member("b"), instance="2"), 0.02)
-    assert discovery.is_complete(0.02)
+def test_words_come_in_parts(rig: Rig) -> None:
+    rig.hear("a")
+    rig.tell("a", heard("b", LEFT), parts=2)
+    assert not rig.found.is_told(5.0)
+    rig.tell("a", heard("c", LEFT), part=1, parts=2, roster=("z",))
+    assert rig.found.known == {"a", "b", "c", "z"}
+    assert rig.found.is_told(5.0)
 
 
-def test_both_instances_in_a_peers_view_must_answer(discovery: Discovery) -> None:
-    discovery.on_view(view("a", member("b"), instance="1"), 0.01)
-    discovery.on_view(view("b", member("a", instance="1"), member("a", instance="2")), 0.01)
-    assert not discovery.is_complete(10.0)
-    assert discovery.result().duplicates == {"a": ("1", "2")}
+def test_a_robot_that_says_that_it_leaves_has_left(rig: Rig) -> None:
+    rig.hear("a", "b")
+    rig.tell("a", heard("b"))
+    rig.answer("b")
+    rig.hear("b", flags=int(Flag.LEFT), at=0.05)
+    assert rig.found.result(0.1).members["b"].presence is LEFT
+    assert rig.found.result(0.1).expected == {"a"}
+
+
+def test_a_robot_that_does_not_own_its_id_yet_is_no_member(rig: Rig) -> None:
+    rig.hear("a", flags=int(Flag.JOINING))
+    assert rig.found.known == set()
+
+
+def test_a_robot_that_fell_silent_has_failed(rig: Rig) -> None:
+    rig.hear("a")
+    assert rig.contact("a", 3.0) is Contact.NO_ANSWER
+    member = rig.found.result(4.01).members["a"]
+    assert (member.presence, round(member.age, 2)) == (FAILED, 4.0)
+
+
+def test_the_epochs_are_those_that_robots_showed(rig: Rig) -> None:
+    rig.hear("a")
+    rig.answer("a", instance=9)
+    rig.hear("a", instance=9, at=0.03)
+    rig.hear("b")
+    epochs = rig.found.result(0.1).epochs(["a", "b", "zz"])
+    assert epochs == {"a": light_status("a", life(9).hex()).epoch, "b": None, "zz": None}
+
+
+def test_both_daemons_of_one_id_must_answer(rig: Rig) -> None:
+    rig.hear("b")
+    for at in (0.01, 0.05):
+        rig.hear("a", instance=1, at=at)
+        rig.hear("a", instance=2, at=at + 0.01)
+    rig.answer("a", "b", instance=1)
+    rig.answer("b", "a")
+    assert not rig.found.is_complete(0.5)
+    assert rig.found.result(0.1).duplicates == {"a": (life(1).hex(), life(2).hex())}
+    rig.answer("a", "b", instance=2)
+    assert rig.found.is_complete(0.1)
+
+
+def test_a_restart_is_no_duplicate(rig: Rig) -> None:
+    rig.hear("a", instance=1, at=0.01)
+    rig.answer("a", instance=1)
+    rig.hear("a", instance=2, at=1.5)
+    assert rig.found.holders("a") == {life(2).hex()}
+    assert rig.contact("a", 1.5) is Contact.NO_ANSWER  # the answer was that of the first
+
+
+def test_a_robot_of_another_version_answers_by_its_beacon(rig: Rig) -> None:
+    rig.hear("a", wire=codec.VERSION + 1, version="9.1")
+    assert rig.found.of_other_version == {"a"}
+    member = rig.found.result(0.1).members["a"]
+    assert (member.contact, member.state) == (Contact.OTHER_VERSION, "running")
+    assert (member.wire, member.version) == (codec.VERSION + 1, "9.1")
+    assert rig.found.result(0.1).missing == ()
+    header = StatusHeader(robot="a", instance=life().hex(), state="idle", reason="finished")
+    rig.found.on_header(header, 0.1)
+    assert rig.found.result(0.2).members["a"].header == header
+    assert rig.found.is_complete(0.3)
+
+
+# How long to wait
+
+
+def over_at(rig: Rig, now: float = 0.0) -> float:
+    """When the look is over, in steps of 10 ms."""
+    while not rig.found.is_over(now):
+        now = round(now + 0.01, 2)
+    return now
+
+
+def test_one_that_is_heard_is_worth_waiting_for(rig: Rig) -> None:
+    rig.hear("a", "b", at=0.5)
+    rig.answer("a")
+    assert over_at(rig) == pytest.approx(0.5 + ANSWER_WAIT, abs=0.02)
+
+
+def test_the_wait_grows_with_the_round_trip_and_the_loss(rig: Rig) -> None:
+    rig.found.on_solicit(1, 0.0)
+    rig.hear("a", at=0.4, echo=1)
+    assert rig.found.ends_at(0.5, ["a"]) == pytest.approx(0.4 + 14 * 0.4)
+    for echo in range(2, 12):  # and none of these is answered
+        rig.found.on_solicit(echo, 0.4)
+    rig.hear("a", at=2.0, sequence=2)
+    assert rig.found.ends_at(2.0, ["a"]) > 0.4 + 14 * 0.4 + 10.0
+
+
+@pytest.mark.parametrize(
+    ("presence", "wait"), [(ALIVE, UNREACHABLE_WAIT), (FAILED, GONE_WAIT), (None, GONE_WAIT)]
+)
+def test_one_that_is_not_heard_is_waited_for_less(presence: Presence | None, wait: float) -> None:
+    rig = Rig(*([] if presence else ["b"]))
+    rig.hear("a")
+    rig.answer("a")
+    if presence is not None:
+        rig.tell("a", heard("b", presence))
+    assert over_at(rig) == pytest.approx(wait, abs=0.02)
+
+
+# Whom to ask
+
+
+def test_robots_are_dialled_where_they_are_heard_or_said_to_be(rig: Rig) -> None:
+    rig.hear("a")
+    rig.tell("a", heard("b"), heard("c", FAILED))
+    assert rig.found.to_dial() == {
+        ("a", life().hex()): address("a"),
+        ("b", life().hex()): ("10.0.0.9", 7440),
+    }
+    assert rig.found.to_solicit() == (("10.0.0.9", 7440),)
+    rig.hear("b", at=0.1)
+    assert rig.found.to_dial()["b", life().hex()] == address("b")
+
+
+def test_a_robot_that_moved_is_found_at_its_new_address(rig: Rig) -> None:
+    rig.hear("a")
+    rig.found.on_beacon(beacon("a", sequence=2), ("10.0.1.1", 7440), 0.1)
+    assert rig.found.address("a") == ("10.0.1.1", 7440)
+
+
+def test_strangers_are_bounded() -> None:
+    rig = Rig("own")
+    for number in range(2 * MAX_ROBOTS):
+        rig.hear(f"r{number}")
+        rig.tell(f"t{number}", heard(f"x{number}"))
+        rig.answer(f"v{number}")
+    assert len(rig.found.known) <= MAX_ROBOTS + 1
+    assert "own" in rig.found.result(0.1).missing

@@ -7,20 +7,17 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
-import zenoh
 from msgspec.structs import replace
 
-from swarmd.core.codec import Decoder
-from swarmd.core.messages import Code, Epoch, EstopRequest, Presence, ResetRequest, RunRequest
-from swarmd.network.operator import Operator, StopVerb, operator_name
+from swarmd.core.messages import Code, Epoch, Presence, ResetRequest, RunRequest
+from swarmd.network.datagram import Stop
+from swarmd.network.operator import Operator, StopVerb, is_closing, operator_name
 from swarmd.network.outcome import NO_TARGET, PARTIAL
-from swarmd.network.session import open_session
 from swarmd.network.settings import NetworkSettings
 from tests.support.fake_daemon import FakeSwarm
+from tests.support.processes import wait_until
 
 Robots = Callable[..., FakeSwarm]
-
-decode = Decoder(EstopRequest)
 
 
 @pytest.fixture
@@ -49,16 +46,26 @@ def test_members_come_with_their_own_status(settings: NetworkSettings, robots: R
 
 def test_a_swarm_without_daemons_is_an_empty_view(settings: NetworkSettings) -> None:
     with Operator(settings) as operator:
-        assert operator.members().members == {}
+        assert operator.members(timeout=0.2).members == {}
         assert operator.request(RunRequest, {}, pattern="x").exit_code == NO_TARGET
-        assert operator.halt("stop", timeout=0.2).exit_code == NO_TARGET
+        outcome = operator.halt("stop", timeout=0.2)
+    assert (outcome.exit_code, outcome.reached) == (NO_TARGET, 0)
+
+
+def test_robots_that_join_are_dialled_by_an_operator_that_stays(
+    settings: NetworkSettings, robots: Robots
+) -> None:
+    with Operator(settings) as operator:
+        for number, name in enumerate("abc", 1):
+            robots(name)
+            assert len(operator.members().answered) == number
 
 
 def test_those_that_left_or_failed_are_listed(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "polite", "rude")
     swarm.call(swarm["polite"].leave)
     swarm.call(swarm["rude"].vanish)
-    swarm.until(lambda: swarm["a"].bus.members["rude"].presence is Presence.FAILED)
+    swarm.until(lambda: swarm["a"].network.members["rude"].presence is Presence.FAILED)
     with Operator(settings) as operator:
         members = operator.members().members
     assert {name: member.presence for name, member in members.items()} == {
@@ -88,7 +95,7 @@ def test_refusals_and_silence_are_named(settings: NetworkSettings, robots: Robot
     robots("c", answer=lambda request: None)
     with Operator(settings) as operator:
         targets = operator.members().epochs(["a", "b", "c"])
-        outcome = operator.request(RunRequest, targets, pattern="x", timeout=0.3, absent=["d"])
+        outcome = operator.request(RunRequest, {**targets, "d": None}, pattern="x", timeout=0.5)
     assert outcome.line == "4 targeted, 1 applied, 1 refused (b), 2 no answer (c, d)"
     assert outcome.exit_code == PARTIAL
 
@@ -122,28 +129,8 @@ def test_a_stop_reaches_all_without_waiting_for_members(
         heard = swarm[name].requests
         assert {(one.verb, one.targets) for one in heard} == {(verb, None)}
         assert len({one.id for one in heard}) == 1
-        assert all(one.reason == "test" for one in heard if isinstance(one, EstopRequest))
-
-
-def test_an_estop_is_also_put_on_each_robots_own_key(
-    settings: NetworkSettings, robots: Robots
-) -> None:
-    swarm = robots("a", "b")
-    ear = open_session(settings)
-    heard = ear.declare_subscriber(
-        f"swarm/{settings.swarm}/*/safety/estop", zenoh.handlers.FifoChannel(64)
-    )
-    try:
-        with Operator(settings, roster=["a", "b", "lost"]) as operator:
-            operator.halt("estop", timeout=1.0)
-        keys: dict[str, str] = {}
-        while keys.keys() != {"a", "b", "lost"}:
-            sample = heard.recv()
-            request = decode(sample.payload.to_bytes())
-            keys[str(sample.key_expr).split("/")[2]] = request.id
-    finally:
-        ear.close()
-    assert set(keys.values()) == {swarm["a"].requests[0].id}
+        reason = "test" if verb == "estop" else ""
+        assert all(one.reason == reason for one in heard if isinstance(one, Stop))
 
 
 def test_a_stop_is_repeated_until_all_acked(settings: NetworkSettings, robots: Robots) -> None:
@@ -156,7 +143,8 @@ def test_a_stop_is_repeated_until_all_acked(settings: NetworkSettings, robots: R
     with Operator(settings) as operator:
         outcome = operator.halt("stop", timeout=20.0)
     assert outcome.line == "2 targeted, 2 applied"
-    assert len(swarm["a"].requests) < count()
+    assert count() > 5
+    assert len({one.id for one in (*swarm["a"].requests, *deaf["deaf"].requests)}) == 1
 
 
 def test_deaf_and_failed_robots_are_named_by_a_stop(
@@ -165,7 +153,7 @@ def test_deaf_and_failed_robots_are_named_by_a_stop(
     swarm = robots("a", "lost")
     robots("deaf", answer=lambda request: None)
     swarm.call(swarm["lost"].vanish)
-    swarm.until(lambda: swarm["a"].bus.members["lost"].presence is Presence.FAILED)
+    swarm.until(lambda: swarm["a"].network.members["lost"].presence is Presence.FAILED)
     with Operator(settings) as operator:
         outcome = operator.halt("estop", timeout=0.5)
     assert outcome.line == "3 targeted, 1 applied, 2 no answer (deaf, lost)"
@@ -188,6 +176,74 @@ def test_other_swarms_can_be_seen(settings: NetworkSettings, robots: Robots) -> 
     robots("a")
     with Operator(replace(settings, swarm="another")) as operator:
         assert settings.swarm in operator.swarms()
+
+
+def test_a_named_stop_is_for_named_robots(settings: NetworkSettings, robots: Robots) -> None:
+    swarm = robots("a", "b")
+    with Operator(settings) as operator:
+        picked = operator.halt("stop", select=lambda known: [n for n in known if n == "b"])
+        named = operator.halt("estop", select=lambda known: (), names=("b",))
+    assert (picked.line, named.line) == ("1 targeted, 1 applied", "1 targeted, 1 applied")
+    assert swarm["a"].requests == []
+    scopes = {(one.verb, one.scope) for one in swarm["b"].requests if isinstance(one, Stop)}
+    assert ("estop", "robots") in scopes
+
+
+def test_until_all_goes_on_until_the_last_robot_has_acked(
+    settings: NetworkSettings, robots: Robots
+) -> None:
+    robots("a")
+    shown: list[tuple[str, ...]] = []
+    starting: list[threading.Thread] = []
+
+    def on_progress(missing: tuple[str, ...]) -> None:
+        shown.append(missing)
+        if not starting:
+            starting.append(threading.Thread(target=lambda: robots("late")))
+            starting[0].start()
+
+    with Operator(settings, roster=["late"]) as operator:
+        outcome = operator.halt("estop", until_all=True, timeout=0.1, on_progress=on_progress)
+        starting[0].join()
+    assert outcome.line == "2 targeted, 2 applied"
+    assert shown[0] == ("late",)
+
+
+def test_an_interrupt_of_until_all_gives_what_was_reached(
+    settings: NetworkSettings, robots: Robots
+) -> None:
+    robots("a")
+
+    def interrupt(missing: tuple[str, ...]) -> None:
+        raise KeyboardInterrupt
+
+    with Operator(settings, roster=["lost"]) as operator:
+        outcome = operator.halt("estop", until_all=True, on_progress=interrupt)
+    assert outcome.line == "2 targeted, 1 applied, 1 no answer (lost)"
+
+
+class Stubborn:
+    """A session whose end takes long, or fails."""
+
+    def __init__(self, act: Callable[[], object]) -> None:
+        self.close = act
+
+
+def test_a_close_that_hangs_or_fails_holds_nobody_up(
+    settings: NetworkSettings, robots: Robots
+) -> None:
+    robots("a")
+    go_on = threading.Event()
+
+    def fail() -> None:
+        raise RuntimeError("close operation timed out!")
+
+    with Operator(settings) as operator:
+        assert operator.members().answered == {"a"}
+        operator._sessions += [Stubborn(go_on.wait), Stubborn(fail)]  # type: ignore[list-item]
+    assert is_closing()
+    go_on.set()
+    wait_until(lambda: not is_closing(), "all sessions are closed")
 
 
 def test_an_operator_name_that_is_no_utf8_is_mended(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,5 +269,5 @@ def test_a_reason_that_cannot_be_sent_is_mended_and_never_refused(
             outcome = operator.halt("estop", reason=reason)
     assert outcome.line == "1 targeted, 1 applied"
     request = swarm["a"].requests[-1]
-    assert isinstance(request, EstopRequest | ResetRequest)
+    assert isinstance(request, Stop | ResetRequest)
     assert (request.operator, request.reason) == ("?" * 128, kept)

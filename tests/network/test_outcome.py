@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.core.messages import Code, Epoch, Member, Presence, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.network.datagram import Ack
 from swarmd.network.outcome import (
     FAILED,
     NO_TARGET,
@@ -13,17 +14,11 @@ from swarmd.network.outcome import (
     TIMEOUT,
     USAGE,
     Acks,
-    expected_to_run,
-    expected_to_stop,
 )
 
 
 def reply(robot: str, code: Code = Code.APPLIED, *, instance: str = "b", id: str = "q") -> Reply:
     return Reply(id=id, robot=robot, code=code, epoch=Epoch(instance=instance, revision=1))
-
-
-def member(robot: str, presence: Presence, age: float = 0.0) -> Member:
-    return Member(robot=robot, instance="i", presence=presence, age=age)
 
 
 def acks(**codes: Code) -> Acks:
@@ -48,9 +43,11 @@ BAD = Code.FAILED
         ({"a": NO, "b": NO}, ("a", "b"), REFUSED),
         ({"a": BAD, "b": BAD}, ("a", "b"), FAILED),
         ({"a": NO, "b": APPLIED}, ("a", "b"), PARTIAL),
-        ({"a": NO, "b": BAD}, ("a", "b"), PARTIAL),
-        ({"a": NO}, ("a", "b"), PARTIAL),
-        ({"a": BAD}, ("a", "b"), PARTIAL),
+        ({"a": BAD, "b": APPLIED}, ("a", "b"), PARTIAL),
+        ({"a": NO, "b": BAD}, ("a", "b"), FAILED),
+        ({"a": BAD}, ("a", "b"), FAILED),
+        ({"a": NO}, ("a", "b"), TIMEOUT),
+        ({"a": NO, "b": BAD}, ("a", "b", "c"), FAILED),
     ],
 )
 def test_the_exit_code(codes: dict[str, Code], expected: tuple[str, ...], exit_code: int) -> None:
@@ -110,31 +107,49 @@ def test_the_worse_reply_of_a_duplicate_id_counts() -> None:
     assert outcome.duplicates == ("a",)
 
 
-MEMBERS = {
-    "alive": member("alive", Presence.ALIVE),
-    "just-failed": member("just-failed", Presence.FAILED, 60.0),
-    "long-failed": member("long-failed", Presence.FAILED, 60.1),
-    "left": member("left", Presence.LEFT),
-}
+def ack(robot: str, *, via: str = "", text: str = "zero", instance: int = 1) -> Ack:
+    return Ack(
+        id="q",
+        robot=robot,
+        instance=bytes([instance] * 6),
+        revision=3,
+        code=APPLIED,
+        text=text,
+        via=via,
+    )
 
 
-def test_run_counts_robots_that_failed_recently_and_warns_of_others() -> None:
-    expected = expected_to_run(MEMBERS, (), MEMBERS)
-    assert expected.asked == ("alive",)
-    assert expected.absent == ("just-failed",)
-    assert len(expected.warnings) == 1
-    assert "long-failed failed 60 s ago" in expected.warnings[0]
+def test_an_ack_that_another_robot_handed_on_counts_and_says_so() -> None:
+    found = Acks("q")
+    assert found.on_ack(ack("a", via="b"))
+    outcome = found.outcome(("a",))
+    assert outcome.exit_code == 0
+    assert outcome.replies["a"].text == "zero (by b's word)"
 
 
-def test_run_counts_robots_on_the_roster() -> None:
-    roster = ("long-failed", "left", "unseen", "not-selected")
-    expected = expected_to_run(MEMBERS, roster, {*MEMBERS, "unseen"})
-    assert expected.asked == ("alive",)
-    assert expected.absent == ("just-failed", "left", "long-failed", "unseen")
-    assert expected.warnings == ()
+@pytest.mark.parametrize("order", [("", "b"), ("b", "")])
+def test_a_robots_own_ack_comes_before_one_that_was_handed_on(order: tuple[str, str]) -> None:
+    found = Acks("q")
+    for via in order:
+        found.on_ack(ack("a", via=via))
+    assert found.outcome(("a",)).replies["a"].text == "zero"
 
 
-def test_stop_counts_failed_robots() -> None:
-    selected = {*MEMBERS, "unseen"}
-    assert expected_to_stop(MEMBERS, (), selected) == {"alive", "just-failed", "long-failed"}
-    assert expected_to_stop(MEMBERS, ("unseen",), selected) >= {"unseen"}
+def test_the_newest_ack_counts_and_two_instances_are_a_duplicate() -> None:
+    found = Acks("q")
+    found.on_ack(ack("a", text="0.2 m/s"))
+    found.on_ack(ack("a", text="0.0 m/s"))
+    assert found.outcome(("a",)).replies["a"].text == "0.0 m/s"
+    assert not found.lacks("a", {"01" * 6})
+    assert found.lacks("a", {"01" * 6, "02" * 6})
+    found.on_ack(ack("a", instance=2))
+    assert found.outcome(("a",)).duplicates == ("a",)
+
+
+def test_forged_acks_are_bounded() -> None:
+    found = Acks("q")
+    for number in range(3000):
+        found.on_ack(ack(f"r{number}"))
+        found.on_ack(ack("r0", instance=number % 250))
+    outcome = found.outcome(())
+    assert outcome.targeted == 1024

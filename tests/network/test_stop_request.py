@@ -1,116 +1,146 @@
-"""Whom a stop must still reach."""
+"""Whom a stop must still reach, and what is sent."""
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from typing import Any
+
 import pytest
 
-from swarmd.core.codec import Decoder
-from swarmd.core.messages import Code, Epoch, EstopRequest, Member, PeerView, Presence, Reply
-from swarmd.network.discovery import Discovery
+from swarmd.core.messages import Code, Presence
+from swarmd.network.datagram import Ack, Stop, pack, tag_of
 from swarmd.network.outcome import PARTIAL, TIMEOUT
-from swarmd.network.stop_request import DISCOVERY_TIMEOUT, PendingStop
-from tests.support.fake_daemon import light_status
+from swarmd.network.stop_request import STOP_WAIT, PendingStop
+from tests.network.test_discovery import Rig, heard, life
 
-decode = Decoder(EstopRequest)
-REQUEST = EstopRequest(id="q", operator="anna@laptop")
+REQUEST = Stop(id="q", verb="estop", operator="anna@laptop")
 
 
-def view(robot: str, *others: tuple[str, Presence]) -> PeerView:
-    members = tuple(
-        Member(robot=name, instance="1", presence=presence, age=1.0) for name, presence in others
+def ack(pending: PendingStop, robot: str, *, instance: int = 1, via: str = "") -> None:
+    code = Code.APPLIED
+    pending.on_ack(
+        Ack(id="q", robot=robot, instance=life(instance), revision=0, code=code, via=via)
     )
-    return PeerView(robot=robot, status=light_status(robot, "1"), members=members)
 
 
-def ack(pending_stop: PendingStop, robot: str, instance: str = "1") -> None:
-    epoch = Epoch(instance=instance, revision=0)
-    pending_stop.acks.on_reply(robot, Reply(id="q", robot=robot, code=Code.APPLIED, epoch=epoch))
-
-
-@pytest.fixture
-def discovery() -> Discovery:
-    found = Discovery(0.0)
-    found.on_view(view("a", ("b", Presence.ALIVE)), 0.01)
-    found.on_view(view("b", ("a", Presence.ALIVE)), 0.01)
-    return found
+def make(rig: Rig, **options: Any) -> PendingStop:
+    return PendingStop(REQUEST, rig.found, 0.0, **options)
 
 
 @pytest.fixture
-def pending_stop(discovery: Discovery) -> PendingStop:
-    return PendingStop(REQUEST, None, discovery, 0.0)
+def rig() -> Rig:
+    """Two robots that know each other."""
+    made = Rig()
+    made.hear("a", "b")
+    made.tell("a", heard("b"))
+    made.tell("b", heard("a"))
+    return made
 
 
-def test_a_stop_of_all_names_no_targets(pending_stop: PendingStop) -> None:
-    assert decode(pending_stop.payload()) == REQUEST
+def test_a_stop_of_all_names_no_targets_and_grows_older(rig: Rig) -> None:
+    (sent,) = make(rig).datagrams(1.5)
+    assert (sent.id, sent.targets, sent.age) == ("q", None, 1500)
 
 
-def test_it_is_done_when_all_have_acked(pending_stop: PendingStop) -> None:
-    assert pending_stop.pending() == ("a", "b")
-    ack(pending_stop, "a")
-    assert pending_stop.pending() == ("b",)
-    assert not pending_stop.is_done(0.02)
-    ack(pending_stop, "b")
-    assert pending_stop.is_done(0.02)
-    assert pending_stop.outcome(0.02).exit_code == 0
+def test_it_is_done_when_all_have_acked(rig: Rig) -> None:
+    pending = make(rig)
+    assert pending.lacking(0.02) == ("a", "b")
+    assert len(pending.addresses(0.02)) == 2
+    ack(pending, "a")
+    assert (pending.lacking(0.02), pending.is_done(0.02)) == (("b",), False)
+    ack(pending, "b", via="a")
+    assert pending.is_done(0.02)
+    outcome = pending.outcome(0.02)
+    assert (outcome.exit_code, outcome.reached) == (0, 2)
 
 
-def test_acks_do_not_suffice_before_the_membership_is_known() -> None:
-    discovery = Discovery(0.0)
-    pending_stop = PendingStop(REQUEST, None, discovery, 0.0)
-    discovery.on_token("a", "1", True, 0.01)
-    ack(pending_stop, "a")
-    assert not pending_stop.is_done(0.02)
-    assert pending_stop.is_done(DISCOVERY_TIMEOUT)
+def test_acks_do_not_suffice_before_robots_have_told_whom_they_know() -> None:
+    rig = Rig()
+    rig.hear("a")
+    pending = make(rig)
+    ack(pending, "a")
+    assert not pending.is_done(2.0)
+    rig.tell("a", heard("b"), at=2.0)
+    assert not pending.is_done(2.5)
+    ack(pending, "b")
+    assert pending.is_done(2.5)
 
 
-def test_without_members_it_is_never_done() -> None:
-    pending_stop = PendingStop(REQUEST, None, Discovery(0.0), 0.0)
-    assert not pending_stop.is_done(2.9)
-    assert pending_stop.outcome(3.0).targeted == 0
+def test_without_members_it_is_never_done_and_over_after_a_while() -> None:
+    pending = make(Rig())
+    assert not pending.is_done(2.9)
+    assert (pending.is_over(STOP_WAIT - 0.01), pending.is_over(STOP_WAIT)) == (False, True)
+    outcome = pending.outcome(3.0)
+    assert (outcome.targeted, outcome.reached) == (0, 0)
 
 
 @pytest.mark.parametrize(("presence", "missing"), [(Presence.FAILED, ("c",)), (Presence.LEFT, ())])
 def test_a_failed_robot_must_ack_too_and_one_that_left_need_not(
-    pending_stop: PendingStop, discovery: Discovery, presence: Presence, missing: tuple[str, ...]
+    rig: Rig, presence: Presence, missing: tuple[str, ...]
 ) -> None:
-    discovery.on_view(view("a", ("b", Presence.ALIVE), ("c", presence)), 0.02)
-    ack(pending_stop, "a")
-    ack(pending_stop, "b")
-    assert pending_stop.is_done(2.0) is (not missing)
-    outcome = pending_stop.outcome(3.0)
+    rig.tell("a", heard("b"), heard("c", presence), at=0.02)
+    pending = make(rig)
+    ack(pending, "a")
+    ack(pending, "b")
+    assert pending.is_done(2.0) is (not missing)
+    outcome = pending.outcome(3.0)
     assert outcome.missing == missing
     assert outcome.exit_code == (PARTIAL if missing else 0)
 
 
 def test_the_roster_must_ack_before_any_robot_is_found() -> None:
-    pending_stop = PendingStop(REQUEST, None, Discovery(0.0, ["a"]), 0.0)
-    assert pending_stop.pending() == ("a",)
-    assert pending_stop.outcome(3.0).exit_code == TIMEOUT
+    pending = make(Rig("a"))
+    assert pending.lacking(0.0) == ("a",)
+    assert pending.outcome(3.0).exit_code == TIMEOUT
 
 
-def test_a_selection_names_its_targets_and_grows(discovery: Discovery) -> None:
-    def picked(names: object) -> set[str]:
-        return {name for name in names if name != "a"}  # type: ignore[attr-defined]
+def test_a_selection_names_its_targets_and_grows(rig: Rig) -> None:
+    def picked(names: Collection[str]) -> set[str]:
+        return {name for name in names if name != "a"}
 
-    pending_stop = PendingStop(REQUEST, picked, discovery, 0.0)
-    assert pending_stop.pending() == ("b",)
-    discovery.on_token("c", "1", True, 0.02)
-    assert decode(pending_stop.payload()).targets == {"b": None, "c": None}
-    ack(pending_stop, "b")
-    ack(pending_stop, "c")
-    assert pending_stop.is_done(DISCOVERY_TIMEOUT)
-    assert pending_stop.outcome(DISCOVERY_TIMEOUT).targeted == 2
+    pending = make(rig, select=picked)
+    assert pending.lacking(0.02) == ("b",)
+    rig.hear("c", at=0.02)
+    (sent,) = pending.datagrams(0.02)
+    assert sent.targets == ("b", "c")
+    ack(pending, "b")
+    ack(pending, "c")
+    rig.tell("c", at=0.02)
+    assert pending.is_done(1.0)
+    assert pending.outcome(1.0).targeted == 2
 
 
-def test_of_two_daemons_with_one_id_both_must_ack(
-    pending_stop: PendingStop, discovery: Discovery
-) -> None:
-    discovery.on_token("a", "1", True, 0.02)
-    discovery.on_token("a", "2", True, 0.02)
-    ack(pending_stop, "a", "1")
-    ack(pending_stop, "b")
-    assert pending_stop.pending() == ("a",)
-    assert pending_stop.outcome(3.0).line == "2 targeted, 1 applied, 1 no answer (a)"
-    ack(pending_stop, "a", "2")
-    assert pending_stop.is_done(DISCOVERY_TIMEOUT)
-    assert pending_stop.outcome(3.0).line == "2 targeted, 2 applied"
+def test_a_full_name_is_sent_before_anybody_is_known() -> None:
+    pending = make(Rig(), select=lambda known: (), names=("r03",))
+    (sent,) = pending.datagrams(0.0)
+    assert sent.targets == ("r03",)
+    assert pending.outcome(3.0).missing == ("r03",)
+
+
+def test_a_glob_sends_nothing_before_it_matches() -> None:
+    pending = make(Rig(), select=lambda known: known)
+    assert list(pending.datagrams(0.0)) == []
+
+
+def test_many_names_travel_in_several_datagrams() -> None:
+    names = [f"{'x' * 58}{number:04}" for number in range(300)]
+    stop = Stop(id="f" * 63, verb="estop", operator="ä" * 128, reason="ä" * 256, age=2**40)
+    pending = PendingStop(stop, Rig().found, 0.0, select=lambda known: (), names=names)
+    sent = list(pending.datagrams(9.0))
+    assert sorted(name for one in sent for name in one.targets or ()) == names
+    for one in sent:
+        pack(tag_of("field", "lab"), one)
+
+
+def test_of_two_daemons_with_one_id_both_must_ack(rig: Rig) -> None:
+    for at in (0.02, 0.04):
+        rig.hear("a", instance=1, at=at)
+        rig.hear("a", instance=2, at=at + 0.01)
+    pending = make(rig)
+    ack(pending, "a", instance=1)
+    ack(pending, "b")
+    assert pending.lacking(0.1) == ("a",)
+    assert pending.outcome(3.0).line == "2 targeted, 1 applied, 1 no answer (a)"
+    ack(pending, "a", instance=2)
+    assert pending.is_done(1.0)
+    assert pending.outcome(3.0).line == "2 targeted, 2 applied"

@@ -12,13 +12,13 @@ from swarmd.core.messages import (
     Health,
     Latch,
     LoggedEvent,
-    Member,
     Param,
     Presence,
     Reason,
     State,
     Status,
 )
+from swarmd.network.discovery import Contact, SeenMember
 
 RUNNING = Status(
     robot="r1",
@@ -55,10 +55,18 @@ def status(robot: str = "r1", **changes: Any) -> Status:
 
 def make_member(
     robot: str = "r1", presence: Presence = Presence.ALIVE, age: float = 0.0, **changes: Any
-) -> Member:
-    """A member with the status of a running robot, with changes."""
+) -> SeenMember:
+    """A member with the status of a running robot, with changes; one that is gone without it."""
     seen = status(robot, **changes)
-    return Member(robot=robot, instance=seen.instance, presence=presence, age=age, status=seen)
+    is_alive = presence is Presence.ALIVE
+    return SeenMember(
+        robot=robot,
+        instance=seen.instance,
+        presence=presence,
+        age=age,
+        status=seen if is_alive else None,
+        contact=Contact.ANSWERED if is_alive else Contact.GONE,
+    )
 
 
 ESTOPPED = make_member(

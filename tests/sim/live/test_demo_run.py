@@ -10,8 +10,8 @@ from typing import Any, cast
 import pytest
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
-from swarmd.core.messages import Code, Epoch, Member, Reply, RunRequest, State
-from swarmd.network.discovery import MembersView
+from swarmd.core.messages import Code, Epoch, Reply, RunRequest, State
+from swarmd.network.discovery import MembersView, SeenMember
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
 from swarmd.sim.live.demo_run import DemoSettings, Started, WorldWatcher, start_pattern
@@ -60,7 +60,7 @@ class FakeOperator:
     def members(self) -> MembersView:
         return MembersView({robot: self._member(robot) for robot in ROBOTS})
 
-    def _member(self, robot: str) -> Member:
+    def _member(self, robot: str) -> SeenMember:
         state = State.RUNNING if robot in self.running else State.IDLE
         return make_member(robot, state=state)
 
