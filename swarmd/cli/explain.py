@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 from swarmd.cli.output import seconds
 from swarmd.core import codec
-from swarmd.core.messages import DecisionSummary, LimitingObstacle, Presence, Reason, State
+from swarmd.core.messages import DecisionSummary, LimitingObstacle, Presence, Reason, State, Status
 from swarmd.network.discovery import Contact, SeenMember
 
 _SAME_OBSTACLE = math.radians(10.0)
@@ -75,7 +75,8 @@ def why(member: SeenMember) -> str:
     detail = f" ({status.detail})" if status.detail else ""
     if status.state is not State.RUNNING and reason in _LASTING_HOLDS:
         start = _START.format(robot=member.robot)
-        return f"{status.state}: {_LASTING_HOLDS[reason]}{detail}; when that is solved, {start}"
+        lasting = f"{status.state}: {_LASTING_HOLDS[reason]}{detail}; when that is solved, {start}"
+        return lasting + _lost(status)
     issuers = sorted({latch.issuer for latch in status.latches.values()})
     age = status.decision.scan_age
     sentence = _SENTENCES[reason].format(
@@ -88,7 +89,7 @@ def why(member: SeenMember) -> str:
     )
     if status.state is State.RUNNING:
         return f"running {status.pattern}, not moving: {sentence}"
-    return f"{status.state}: {sentence}"
+    return f"{status.state}: {sentence}{_lost(status)}"
 
 
 def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingObstacle]]:
@@ -109,6 +110,12 @@ def activity(decision: DecisionSummary) -> str:
     if decision.is_recovering:
         return "recovering"
     return "active" if decision.is_active else "clear"
+
+
+def _lost(status: Status) -> str:
+    """Why the base of a standing robot is lost now: it may be moved by others."""
+    health = status.health
+    return "" if health.driver_up or not health.driver else f"; driver lost: {health.driver}"
 
 
 def _limit(decision: DecisionSummary) -> str:

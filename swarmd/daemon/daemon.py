@@ -228,7 +228,11 @@ class Daemon:
         self._requests.stop(stop, f"{source[0]}:{source[1]}", answer)
 
     def _on_latches(self, latches: Mapping[str, Latch]) -> None:
+        before = self._robot.state
         self._carry_out(self._robot.on_latches(latches, boottime()))
+        if self._robot.state is not before:
+            text = self._robot.status(boottime()).detail
+            log.info("estopped by the latch of a peer: %s", text)
 
     def _on_message(self, message: Message) -> None:
         try:

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import signal
 import subprocess
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 import yaml
+from click.testing import CliRunner
 
 from swarmd.cli.daemon import exit_code_of
 from swarmd.cli.daemon import swarmd as command
@@ -249,3 +251,8 @@ def test_5_for_a_driver_that_cannot_be_used(tmp_path: Path) -> None:
     done = with_drivers(tmp_path, "--id", "r1", "--driver", "unusable")
     assert (done.returncode, done.stderr.count("\n")) == (5, 1)
     assert "/dev/ttyACM0" in done.stderr
+
+
+def test_the_version_is_that_of_the_package() -> None:
+    done = CliRunner().invoke(command, ["--version"])
+    assert (done.exit_code, done.output) == (0, f"swarmd {version('swarmd')}\n")

@@ -29,6 +29,22 @@ def test_the_diagnosis_of_the_driver_is_quoted(reason: Reason) -> None:
     assert f"({diagnosis})" in why(make_member(reason=reason, health=Health(driver=diagnosis)))
 
 
+@pytest.mark.parametrize(
+    ("state", "reason"),
+    [
+        (State.ESTOPPED, Reason.ESTOP),
+        (State.STOPPED, Reason.DRIVER_LOST),
+        (State.IDLE, Reason.RESET),
+    ],
+)
+def test_a_standing_robot_whose_base_others_drive_says_so(state: State, reason: Reason) -> None:
+    words = "someone else drives: commands on /cmd_vel"
+    lost = make_member(state=state, reason=reason, health=Health(driver=words))
+    assert why(lost).endswith(f"; driver lost: {words}")
+    well = make_member(state=state, reason=reason, health=Health(driver="there", driver_up=True))
+    assert "driver lost" not in why(well)
+
+
 def test_an_emergency_stop_names_its_issuer_and_the_reset() -> None:
     text = why(ESTOPPED)
     assert "bob@desk" in text

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
@@ -123,6 +124,7 @@ async def test_a_request_is_in_the_log_and_in_the_events(
     caplog.set_level(logging.INFO)
     stop = asyncio.Event()
     daemon = Daemon(settings, RecordingDriver())
+    assert daemon._robot.status(boottime()).version == version("swarmd")
     events: list[str] = []
 
     def ask() -> None:
