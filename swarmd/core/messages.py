@@ -331,7 +331,6 @@ class Status(Struct, frozen=True, kw_only=True):
     uptime: Seconds
     readings: dict[Word, BoundedScalar] = {}
     events: tuple[LoggedEvent, ...] = ()
-    has_left: bool = False
     version: Word = ""
 
 

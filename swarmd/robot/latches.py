@@ -19,6 +19,7 @@ class LatchRecord(Struct, frozen=True, kw_only=True):
 
     held: dict[Name, Latch] = {}
     cleared: tuple[Name, ...] = ()
+    folded: tuple[Name, ...] = ()
 
 
 class Latches:
@@ -31,7 +32,8 @@ class Latches:
         record = record or LatchRecord()
         self._held = dict(record.held)
         self._cleared = dict.fromkeys(record.cleared)
-        self._last_folded = ""  # the last id folded into OVERFLOW, so that its repeats are not new
+        # The ids that were folded into OVERFLOW: their repeats are not new.
+        self._folded = dict.fromkeys(record.folded)
 
     @property
     def held(self) -> Mapping[str, Latch]:
@@ -41,7 +43,10 @@ class Latches:
     def add(self, latch_id: str, latch: Latch) -> bool:
         """Hold a latch; True if it is new."""
         if latch_id not in self._held and len(self._held) >= MAX_HELD:
-            is_new, self._last_folded = latch_id != self._last_folded, latch_id
+            is_new = latch_id not in self._folded
+            self._folded[latch_id] = None
+            while len(self._folded) > MAX_CLEARED // 2:
+                del self._folded[next(iter(self._folded))]
             self._held[OVERFLOW] = msgspec.structs.replace(latch, scope="robots")
             return is_new
         is_new = latch_id not in self._held
@@ -65,7 +70,11 @@ class Latches:
 
     def clear(self, latch_ids: Iterable[str]) -> None:
         """Reset the latches with these ids; ids that were never held are remembered, too."""
-        for latch_id in latch_ids:
+        named = list(latch_ids)
+        if OVERFLOW in named and OVERFLOW in self._held:
+            named += self._folded
+            self._folded.clear()
+        for latch_id in named:
             self._held.pop(latch_id, None)
             self._cleared.pop(latch_id, None)
             self._cleared[latch_id] = None
@@ -74,4 +83,6 @@ class Latches:
 
     def record(self) -> LatchRecord:
         """The record for the latch file."""
-        return LatchRecord(held=dict(self._held), cleared=tuple(self._cleared))
+        return LatchRecord(
+            held=dict(self._held), cleared=tuple(self._cleared), folded=tuple(self._folded)
+        )

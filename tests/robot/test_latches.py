@@ -41,3 +41,15 @@ def test_flood_of_estops_stays_latched_within_bounds() -> None:
     latches.clear(f"e{n}" for n in range(10_000))
     assert set(latches.held) == {OVERFLOW}
     assert len(latches.record().cleared) == MAX_CLEARED
+
+
+def test_ids_that_were_folded_are_cleared_with_the_rest() -> None:
+    latches = Latches()
+    for number in range(MAX_HELD + 5):
+        latches.add(f"e{number}", SWARM)
+    last = f"e{MAX_HELD + 4}"
+    assert not latches.is_cleared(last)
+    latches = Latches(latches.record())  # after a restart
+    latches.clear(list(latches.held))
+    assert not latches.held
+    assert latches.is_cleared(last), "a copy of it that is still relayed latches nothing"

@@ -42,11 +42,11 @@ _DECODERS = {verb: Decoder(kind) for verb, kind in REQUEST_TYPES.items()}
 Answer = Callable[[AnyRequest | Stop], Code | None]
 
 
-def light_status(robot: str, instance: str, *, has_left: bool = False) -> Status:
+def light_status(robot: str, instance: str) -> Status:
     """The status of an idle robot."""
     epoch = Epoch(instance=instance, revision=0)
     idle = {"state": State.IDLE, "reason": Reason.NEVER_ASKED, "pattern": None}
-    return status(robot, instance=instance, epoch=epoch, has_left=has_left, **idle)
+    return status(robot, instance=instance, epoch=epoch, **idle)
 
 
 class FakeDaemon:

@@ -69,7 +69,7 @@ def test_a_reset_that_crosses_a_second_estop_is_refused(swarm: Swarm) -> None:
         assert [latch.issuer.split("@")[0] for latch in status.latches.values()] == ["ben"]
     assert not body.moved_since(began)
 
-    assert swarm.ctl("reset", "--all").code == 0
+    assert swarm.ctl("reset", "--all", "--yes").code == 0
     assert {swarm.status(robot).state for robot in ("r1", "r2")} == {State.IDLE}
     assert not body.moved_since(began)  # re-armed is not moving
 

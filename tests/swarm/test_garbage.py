@@ -212,7 +212,7 @@ def send_wrong_datagrams(vandal: Vandal) -> None:
             content = kind(rng, valid, 1200)[:1300]
             length = len(content).to_bytes(2, "big")
             vandal.viewer.carrier.send(beacon[:4] + bytes([number]) + vandal.tag + length + content)
-            vandal.viewer.carrier.send(content or b"x")
+            vandal.viewer.carrier.send(content.ljust(8))
             vandal.sent += 2
 
 
