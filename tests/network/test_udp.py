@@ -6,14 +6,18 @@ import asyncio
 import contextlib
 import secrets
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
 from swarmd.core.errors import NetworkError
 from swarmd.network.datagram import ANY_SWARM, Beacon, Solicit, Stop, pack, tag_of
+from swarmd.network.flood_limits import FloodRules
 from swarmd.network.recipients import Address
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.udp import Received, UdpCarrier
@@ -187,27 +191,27 @@ def test_the_loop_is_told_of_each_datagram_until_the_carrier_is_closed(
 
     async def main() -> None:
         b.attach(asyncio.get_running_loop(), lambda *one: found.append(one))
-        for number in range(500):
+        for number in range(300):
             a.send(beacon(number))
-        await until(lambda: len(found) == 500)
+        await until(lambda: len(found) == 300)
         b.close()
         a.send(beacon())
         await asyncio.sleep(0)
 
     asyncio.run(main())
-    assert [payload for payload, _, _ in found] == [beacon(number) for number in range(500)]
+    assert [payload for payload, _, _ in found] == [beacon(number) for number in range(300)]
 
 
 def test_a_thread_tells_of_each_datagram_until_the_carrier_is_closed(peers: Peers) -> None:
     a, b = peers.open(), peers.open()
     found: list[Received] = []
     b.start_thread(lambda *one: found.append(one))
-    for number in range(500):
+    for number in range(300):
         a.send(beacon(number))
     deadline = time.monotonic() + 20.0
-    while len(found) < 500 and time.monotonic() < deadline:
+    while len(found) < 300 and time.monotonic() < deadline:
         time.sleep(0.001)
-    assert [payload for payload, _, _ in found] == [beacon(number) for number in range(500)]
+    assert [payload for payload, _, _ in found] == [beacon(number) for number in range(300)]
     b.close()
     b.close()
 
@@ -217,3 +221,111 @@ def test_rejoining_is_harmless(peers: Peers) -> None:
     b.rejoin()
     a.send(beacon())
     assert arrived(b) == [(beacon(), of(a), True)]
+
+
+# Floods
+
+
+def test_the_kernel_drops_by_the_rules(peers: Peers) -> None:
+    a, loud, quiet = peers.open(), peers.open(), peers.open()
+    for rules, passing in (
+        (FloodRules(blocked=(of(loud), ("fe80::1%2", 7440))), {"quiet"}),
+        (FloodRules(only_known=True, known=(of(loud),)), {"loud"}),
+        (FloodRules(only_known=True), set()),
+        (FloodRules(), {"loud", "quiet"}),
+    ):
+        a._rules = rules
+        for sock, _ in a._listeners:
+            a._attach_filter(sock)
+        a._rules = a._limits.rules(0.0)
+        for number, one in enumerate((loud, quiet)):
+            one.send_to(beacon(number), of(a))
+            one.send(stop(f"s{number}"))
+        found = [(payload, source) for payload, source, _ in arrived(a, 2 + len(passing))]
+        assert {stop("s0"), stop("s1")} <= {payload for payload, _ in found}
+        beacons = {
+            name
+            for number, name in enumerate(("loud", "quiet"))
+            if beacon(number) in {payload for payload, _ in found}
+        }
+        assert beacons == passing
+
+
+def test_the_kernel_thins_stops_of_one_source_or_of_all(peers: Peers) -> None:
+    a, loud, quiet = peers.open(), peers.open(), peers.open()
+    for rules, is_all in (
+        (FloodRules(thinned=((of(loud), 0.25),)), False),
+        (FloodRules(share=0.25), True),
+        (FloodRules(share=0.25, known=(of(quiet),)), False),
+    ):
+        a._rules = rules
+        for sock, _ in a._listeners:
+            a._attach_filter(sock)
+        a._rules = a._limits.rules(0.0)
+        for number in range(200):
+            loud.send_to(stop(f"loud{number}"), of(a))
+            quiet.send_to(stop(f"quiet{number}"), of(a))
+        last = beacon(1)
+        quiet.send_to(last, of(a))
+        found: list[bytes] = []
+        while last not in found:
+            found += [payload for payload, _, _ in arrived(a)]
+        from_loud = sum(b"loud" in payload for payload in found)
+        from_quiet = sum(b"quiet" in payload for payload in found)
+        assert 10 <= from_loud <= 100
+        assert (from_quiet <= 100) is is_all
+
+
+FLOODS = {
+    "junk": (b"what is this" * 10, 1),
+    "of another swarm": (stop("x", OTHER), 1),
+    "of beacons": (beacon(7), 1),
+    "of beacons from 500 sources": (beacon(7), 500),
+    "of stops": (stop("x"), 1),
+    "of stops from 500 sources": (stop("x"), 500),
+    "of solicits of any swarm": (pack(ANY_SWARM, Solicit(echo=1)), 1),
+}
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("name", FLOODS)
+def test_beacons_and_a_stop_arrive_in_a_flood(peers: Peers, name: str) -> None:
+    payload, sources = FLOODS[name]
+    a, b = peers.open(), peers.open()
+    found: list[bytes] = []
+    late: list[float] = []
+
+    async def main() -> None:
+        loop = asyncio.get_running_loop()
+        a.attach(loop, lambda payload, source, _: found.append(payload) if source == of(b) else 0)
+        for number in range(35 if sources > 1 else 5):  # it is known after a while
+            b.send(beacon(number))
+            await asyncio.sleep(0.1)
+        found.clear()
+        words = [payload.hex(), str(a.port), str(sources), "50000", "3"]
+        with subprocess.Popen(
+            [sys.executable, "-m", "tests.support.flood", *words],
+            cwd=Path(__file__).parents[2],
+            stdout=subprocess.PIPE,
+        ) as flood:
+            assert flood.stdout is not None
+            await asyncio.to_thread(flood.stdout.readline)
+            cpu, began = time.process_time(), loop.time()
+            for number in range(20):
+                before = loop.time()
+                b.send(beacon(1000 + number))
+                if number == 15:
+                    b.send(stop("real"))
+                await asyncio.sleep(0.1)
+                late.append(loop.time() - before - 0.1)
+            cpu, passed = time.process_time() - cpu, loop.time() - began
+            sent = int(await asyncio.to_thread(flood.stdout.readline))
+        beacons = sum(beacon(1000 + number) in found for number in range(20))
+        print(
+            f"flood {name}: {sent / 3e3:.0f} kHz; {beacons}/20 beacons; loop late by"
+            f" {1e3 * max(late):.0f} ms at most; CPU {100 * cpu / passed:.1f} %; {dict(a.dropped)}"
+        )
+        assert beacons >= 10
+        assert stop("real") in found
+
+    asyncio.run(main())

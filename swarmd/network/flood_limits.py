@@ -1,0 +1,197 @@
+"""Limits on what each source of datagrams may say, so that a flood costs its sender only. Pure.
+
+Each source has two budgets: one of stops, acks and latches, and one of everything else, so that no
+flood of beacons, from a forged address or not, uses up the place of a stop. A source that is far
+beyond its budget is left to the kernel's filter for some seconds: what is not urgent is dropped,
+and of stops, acks and latches a random share passes. New sources share one budget beside their
+own; if that is far exceeded, as by a flood from forged addresses, the kernel passes for some
+seconds only sources that were there before, and of others a share of what is urgent.
+
+Times are in s on one monotonic clock, handed in.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+from swarmd.core.token_bucket import TokenBucket
+from swarmd.network.datagram import Kind
+from swarmd.network.recipients import Address
+
+URGENT = (Kind.STOP, Kind.ACK, Kind.LATCHES)
+
+# A robot's patterns may say 100 a second, which go twice while broadcast is the fallback.
+RATE, BURST = 400.0, 400.0
+URGENT_RATE = 800.0  # a robot that relays hands on the acks of others
+STRANGERS_RATE = 2000.0
+EXCESS = 400  # datagrams beyond the budget within a second that make a flood
+BLOCK_TIME, MAX_BLOCK_TIME = 5.0, 60.0  # doubled with each repetition
+KNOWN_TIME = 3.0  # s after which a source is known
+IDLE_TIME = 5.0  # s after which it is forgotten
+MAX_SOURCES = 256
+MAX_BLOCKED, MAX_THINNED = 64, 8  # places in the kernel's filter
+MIN_SHARE = 1 / 128
+
+
+@dataclass(frozen=True, slots=True)
+class FloodRules:
+    """What the kernel's filter is to drop.
+
+    `blocked`: sources whose datagrams are dropped unless urgent. `thinned`: sources, and the share
+    of their urgent datagrams that passes. `share`: that of sources that are not in `known`.
+    `only_known`: other sources' datagrams are dropped unless urgent.
+    """
+
+    blocked: tuple[Address, ...] = ()
+    thinned: tuple[tuple[Address, float], ...] = ()
+    share: float = 1.0
+    only_known: bool = False
+    known: tuple[Address, ...] = ()
+
+
+class _Budget:
+    """A token bucket that notes when it is far exceeded."""
+
+    def __init__(self, rate: float, burst: float) -> None:
+        self._rate = rate
+        self._bucket = TokenBucket(rate, burst)
+        self._window, self._count, self._excess = -1e9, 0, 0
+        self._block_time = BLOCK_TIME
+        self.blocked_until = -1e9
+        self.share = 1.0
+
+    def take(self, now: float) -> bool:
+        """True if one more datagram fits."""
+        if now - self._window > 1.0:
+            self._window, self._count, self._excess = now, 0, 0
+        self._count += 1
+        if self._bucket.take(1.0, now):
+            return True
+        self._excess += 1
+        return False
+
+    def begins_flood(self, now: float) -> bool:
+        """True at the moment at which a flood is noticed."""
+        if self._excess < EXCESS:
+            return False
+        if now < self.blocked_until:  # more comes than there seemed to, since the queue was full
+            self._excess = 0
+            self.share = max(self.share / 4, MIN_SHARE)
+            return self._window > self.blocked_until - self._block_time
+        is_repeated = now - self.blocked_until <= 2 * self._block_time
+        self._block_time = min(2 * self._block_time, MAX_BLOCK_TIME) if is_repeated else BLOCK_TIME
+        self.blocked_until = now + self._block_time
+        rate = self._count / max(now - self._window, 0.01)
+        self.share = min(max(self._rate / rate, MIN_SHARE), 1.0)
+        return True
+
+
+@dataclass(slots=True)
+class _Source:
+    first: float
+    last: float
+    is_known: bool = False
+    usual: _Budget = field(default_factory=lambda: _Budget(RATE, BURST))
+    urgent: _Budget = field(default_factory=lambda: _Budget(URGENT_RATE, BURST))
+
+
+class FloodLimits:
+    """The budgets of all sources; `dropped` counts what they refuse, by kind."""
+
+    def __init__(self) -> None:
+        self._sources: dict[Address, _Source] = {}
+        self._strangers = _Source(
+            *(0.0, 0.0, False),
+            usual=_Budget(STRANGERS_RATE, STRANGERS_RATE),
+            urgent=_Budget(STRANGERS_RATE, STRANGERS_RATE),
+        )
+        self._swept = -1e9
+        self._rules = FloodRules()
+        self._rules_end = 0.0
+        self._is_changed = False
+        self.dropped: Counter[str] = Counter()
+
+    def admits(self, source: Address, kind: int, now: float) -> bool:
+        """True if a datagram of this kind from this source is within its budget."""
+        one = self._place(source, now)
+        if one is not self._strangers:
+            self._get_to_know(one, now)
+        owners = (one,) if one.is_known or one is self._strangers else (one, self._strangers)
+        for owner in owners:
+            budget = owner.urgent if kind in URGENT else owner.usual
+            if not budget.take(now):
+                self.dropped[f"flood:{_name(kind)}"] += 1
+                self._is_changed |= budget.begins_flood(now)
+                return False
+        return True
+
+    def _get_to_know(self, one: _Source, now: float) -> None:
+        """Sources that are heard for KNOWN_TIME are known, but for the time of a flood."""
+        if now - one.last > IDLE_TIME:
+            one.first, one.is_known = now, False
+        strangers = self._strangers
+        if now < max(strangers.usual.blocked_until, strangers.urgent.blocked_until):
+            one.first = now
+        one.last = now
+        one.is_known |= now - one.first >= KNOWN_TIME
+
+    def rules(self, now: float) -> FloodRules:
+        """The rules for the kernel, which stay the same object until they change."""
+        if self._is_changed or now >= self._rules_end > 0.0:
+            self._is_changed = False
+            self._rules = self._make_rules(now)
+            ends = [
+                budget.blocked_until
+                for one in (*self._sources.values(), self._strangers)
+                for budget in (one.usual, one.urgent)
+                if budget.blocked_until > now
+            ]
+            self._rules_end = min(ends, default=0.0)
+        return self._rules
+
+    def _make_rules(self, now: float) -> FloodRules:
+        blocked, thinned = [], []
+        for address, one in self._sources.items():
+            if now < one.usual.blocked_until:
+                blocked.append(address)
+            if now < one.urgent.blocked_until:
+                thinned.append((address, one.urgent.share))
+        strangers = self._strangers
+        is_thinned = now < strangers.urgent.blocked_until
+        is_closed = now < strangers.usual.blocked_until
+        known: list[Address] = []
+        if is_thinned or is_closed:
+            old = [address for address, one in self._sources.items() if one.is_known]
+            known = [address for address in old if address not in blocked]
+        return FloodRules(
+            blocked=tuple(blocked[:MAX_BLOCKED]),
+            thinned=tuple(thinned[:MAX_THINNED]),
+            share=strangers.urgent.share if is_thinned else 1.0,
+            only_known=is_closed,
+            known=tuple(known),
+        )
+
+    def _place(self, source: Address, now: float) -> _Source:
+        known = self._sources.get(source)
+        if known is not None:
+            return known
+        if len(self._sources) >= MAX_SOURCES and now - self._swept >= 1.0:
+            self._swept = now
+            self._sources = {
+                address: one
+                for address, one in self._sources.items()
+                if now - one.last <= IDLE_TIME
+                or now < max(one.usual.blocked_until, one.urgent.blocked_until)
+            }
+        if len(self._sources) >= MAX_SOURCES:
+            return self._strangers
+        known = self._sources[source] = _Source(now, now)
+        return known
+
+
+def _name(kind: int) -> str:
+    try:
+        return Kind(kind).name.lower()
+    except ValueError:
+        return "unknown"
