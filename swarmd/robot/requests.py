@@ -54,6 +54,7 @@ class RequestHandler:
         self._trials = 0
         self._last_stop = ("", -1)  # its id, and the revision that it led to
         self._last_run = -math.inf, ""  # when a run was begun, and by whom
+        self._last_reset = -math.inf
 
     def answer(self, request: Request, effects: Effects) -> None:
         """Carry the request out or refuse it; no reply if it targets only other robots."""
@@ -81,6 +82,10 @@ class RequestHandler:
         if request.age > 0.0 and effects.now - request.age < began:
             text = f"run again since, by {operator}"
             lifecycle.refuse(effects, request, Refusal.OVERTAKEN, text)
+            return
+        if request.age > 0.0 and effects.now - request.age < self._last_reset:
+            # Another robot handed it on late: this one was stopped, reset, and has stood since.
+            lifecycle.applied(effects, request, self._stop_text(effects.now))
             return
         # An operator repeats a stop until it is acked; the repeats count as one change.
         if self._last_stop != (request.id, lifecycle.revision):
@@ -145,6 +150,7 @@ class RequestHandler:
             detail = request.reason or f"by {request.operator}"
             lifecycle.end(Trigger.RESET, Reason.RESET, detail, effects)
             lifecycle.applied(effects, request, "idle")
+            self._last_reset = effects.now
 
     def _set_params(self, request: ParamRequest, effects: Effects) -> None:
         lifecycle, run = self._lifecycle, self._lifecycle.pattern_run

@@ -109,6 +109,7 @@ def test_the_shell_completes_verbs_of_core_and_plugins(tmp_path: Path) -> None:
         (["patterns", "list", "--platform", "wafle_pi"], "'waffle_pi'"),
         (["--swarm", "A B", "members"], "'A B'"),
         (["--profile", "field", "members"], "`interface`"),
+        (["--profile", "field", "--interface", "lo", "members"], "a name of its own"),
         (["--config", "none.yaml", "members"], "none.yaml"),
         (["--seed", "x", "members"], "'x'"),
     ],
@@ -148,7 +149,7 @@ def test_without_a_daemon_verbs_end_with_6_and_write_nothing(
 
 
 def test_an_unknown_network_interface_ends_with_6(capsys: pytest.CaptureFixture[str]) -> None:
-    words = ["--profile", "field", "--interface", "wlan77", "members"]
+    words = ["--swarm", "lab", "--profile", "field", "--interface", "wlan77", "members"]
     assert run_cli(cli, words, "swarmctl", exit_code_of) == 6
     assert "'wlan77'" in capsys.readouterr().err
 

@@ -91,7 +91,7 @@ def swarm(running: Swarm) -> Iterator[Swarm]:
     for daemon in running.daemons.values():
         daemon.thaw()
     wait_until(lambda: running.is_alive(*ROBOTS), "all alive again")
-    running.ctl("reset", "--all")
+    running.ctl("reset", "--all", "--yes")
     assert list(running.home.iterdir()) == []  # no verb has written a file
 
 
@@ -180,7 +180,7 @@ def test_estop_is_held_until_reset_names_it(swarm: Swarm) -> None:
     )
     ((latch_id, latch),) = swarm.status("r2")["latches"].items()
     assert (latch["scope"], latch["reason"]) == ("swarm", "smoke")
-    reset = swarm.ctl("reset", "--all", "--reason", "out")
+    reset = swarm.ctl("reset", "--all", "--yes", "--reason", "out")
     assert reset.returncode == 0
     assert f"clears {latch_id}, by {latch['issuer']}, for swarm (smoke)" in reset.stderr
     assert [swarm.status(robot)["state"] for robot in ROBOTS] == ["idle"] * 3
@@ -296,10 +296,20 @@ def test_reset_asks_for_confirmation_on_a_terminal(
     swarm: Swarm, act: Callable[[int, int], None], code: int, state: str
 ) -> None:
     swarm.ctl("estop", "r1")
-    found, screen = in_terminal(swarm, act, "reset", "r1")
+    found, screen = in_terminal(swarm, act, "reset", "r1", "r2")
     assert found == code, screen
-    assert "Reset r1?" in screen
+    assert "Reset r1, r2?" in screen
     assert swarm.status("r1")["state"] == state
+
+
+def test_reset_of_several_robots_without_a_terminal_needs_yes(swarm: Swarm) -> None:
+    swarm.ctl("estop")
+    refused = swarm.ctl("reset", "--all")
+    assert (refused.returncode, refused.stdout) == (2, "")
+    assert "--yes" in refused.stderr
+    assert [swarm.status(robot)["state"] for robot in ROBOTS] == ["estopped"] * 3
+    assert swarm.ctl("reset", "r1").returncode == 0
+    assert [swarm.status(robot)["state"] for robot in ROBOTS] == ["idle", "estopped", "estopped"]
 
 
 def test_a_killed_robot_is_listed_until_it_is_forgotten(

@@ -55,6 +55,18 @@ def test_robot_that_is_no_target_does_not_answer() -> None:
     assert standing_state(harness) == (State.IDLE, Reason.NEVER_ASKED)
 
 
+def test_a_stop_that_another_robot_hands_on_late_does_not_undo_a_reset() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.ask("stop", id="s1")
+    harness.ask("reset")
+    harness.advance(1.0)
+    late = harness.ask("stop", id="s1", age=3.0)
+    assert late is not None
+    assert (late.code, harness.status.state) == (Code.APPLIED, State.IDLE)
+    harness.ask("stop", id="s2", age=0.5)
+    assert harness.status.state is State.STOPPED
+
+
 def test_thawed_daemon_stops_before_it_reads_requests() -> None:
     harness = started()
     waiting = harness.request("run", pattern="forward")

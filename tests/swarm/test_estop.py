@@ -80,7 +80,7 @@ def test_a_reset_never_clears_an_estop_that_it_did_not_see(swarm: Swarm) -> None
         swarm.start(robot)
     for crossing in range(5):
         assert swarm.ctl("estop", "--reason", f"first {crossing}").code == 0
-        resetting = swarm.begin("reset", "--all")
+        resetting = swarm.begin("reset", "--all", "--yes")
         stopping = swarm.begin("estop", "--reason", f"second {crossing}")
         reset, estop = swarm.finish(resetting), swarm.finish(stopping)
         assert estop.code == 0, estop
