@@ -161,11 +161,17 @@ class _Answer:
 class Discovery:
     """What one look of an operator has found; `roster`: robots that are expected in any case.
 
-    `nobody_wait`: how long to wait for a first robot, in s.
+    `nobody_wait`: how long to wait for a first robot, in s. `earlier`: what an earlier look found:
+    its robots stay expected, and count as failed until they are heard again.
     """
 
     def __init__(
-        self, now: float, roster: Iterable[str] = (), *, nobody_wait: float = NOBODY_WAIT
+        self,
+        now: float,
+        roster: Iterable[str] = (),
+        *,
+        nobody_wait: float = NOBODY_WAIT,
+        earlier: MembersView | None = None,
     ) -> None:
         self.started = now
         self._nobody_wait = nobody_wait
@@ -183,6 +189,11 @@ class Discovery:
         self._echoes: dict[int, float] = {}
         self._solicits = 0
         self._trips: dict[str, float] = {}
+        for robot, member in (earlier.members if earlier else {}).items():
+            if member.presence is not Presence.LEFT:
+                self._mentioned[robot] = now
+                found = _Said(member.instance, Presence.FAILED, now - member.age, "", None)
+                self._said[robot] = {("", "earlier"): [found]}
 
     # Events
 

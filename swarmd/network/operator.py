@@ -362,8 +362,9 @@ class Operator:
 
     def _new_discovery(self, now: float) -> Discovery:
         wait = DEV_WAIT if self.settings.profile == "dev" else NOBODY_WAIT
-        discovery = Discovery(now, self._roster, nobody_wait=wait)
         with self._news:
+            earlier = None if self._discovery is None else self._discovery.result(now)
+            discovery = Discovery(now, self._roster, nobody_wait=wait, earlier=earlier)
             self._discovery = discovery
         return discovery
 
