@@ -112,7 +112,8 @@ class Robot:
 
     def _on_command(self, message: Any) -> None:
         twist = getattr(message, "twist", message)
-        print(twist.linear.x, twist.angular.z, twist.linear.y, flush=True)
+        with self._lock:  # each publisher has a thread of its own
+            print(twist.linear.x, twist.angular.z, twist.linear.y, flush=True)
 
     def _publish_at_rate(self) -> None:
         pause = threading.Event()
