@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import contextlib
+import json
+import socket
 import threading
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core import codec
 from swarmd.core.messages import Code, Epoch, Presence, ResetRequest, RunRequest
-from swarmd.network.datagram import Stop
+from swarmd.network.datagram import Beacon, Solicit, Stop, pack, tag_of, unpack
 from swarmd.network.operator import Operator, StopVerb, is_closing, operator_name
 from swarmd.network.outcome import NO_TARGET, PARTIAL
 from swarmd.network.settings import NetworkSettings
+from swarmd.network.udp import UdpCarrier
 from tests.support.fake_daemon import FakeSwarm
-from tests.support.processes import wait_until
+from tests.support.processes import run_command, wait_until
 
 Robots = Callable[..., FakeSwarm]
 
@@ -220,6 +226,60 @@ def test_an_interrupt_of_until_all_gives_what_was_reached(
     with Operator(settings, roster=["lost"]) as operator:
         outcome = operator.halt("estop", until_all=True, on_progress=interrupt)
     assert outcome.line == "2 targeted, 1 applied, 1 no answer (lost)"
+
+
+class Hole:
+    """A robot that is heard, and whose TCP port takes no connection: SYNs are dropped."""
+
+    def __init__(self, settings: NetworkSettings, robot: str) -> None:
+        self._robot = robot
+        self._tag = tag_of(settings.profile, settings.swarm)
+        self._server = socket.create_server(("127.0.0.1", 0), backlog=0)
+        name = self._server.getsockname()
+        self._fillers = [socket.socket() for _ in range(4)]
+        for one in self._fillers:
+            one.setblocking(False)
+            one.connect_ex(name)
+        self._carrier = UdpCarrier(settings, self._tag, port=name[1])
+        self._carrier.start_thread(self._on_datagram)
+        self._sequence = 0
+
+    def _on_datagram(self, payload: bytes, source: tuple[str, int], by_group: bool) -> None:
+        body = unpack(self._tag, payload)
+        if not isinstance(body, Solicit):
+            return
+        self._sequence += 1
+        beacon = Beacon(
+            robot=self._robot,
+            instance=b"hollow",
+            sequence=self._sequence,
+            wire=codec.VERSION,
+            state=0,
+            revision=0,
+            echo=body.echo,
+        )
+        self._carrier.send_to(pack(self._tag, beacon), source)
+
+    def close(self) -> None:
+        self._carrier.close()
+        for one in (self._server, *self._fillers):
+            one.close()
+
+
+def test_a_robot_that_takes_no_connection_changes_neither_the_answer_nor_the_exit_code(
+    settings: NetworkSettings, robots: Robots, tmp_path: Path
+) -> None:
+    robots("a")
+    with contextlib.closing(Hole(settings, "hole")):
+        words = ("members", "--swarm", settings.swarm, "-o", "json")
+        done = run_command("swarmctl", *words, cwd=tmp_path)
+    assert done.returncode == PARTIAL
+    answer = json.loads(done.stdout)
+    assert answer["missing"] == ["hole"]
+    contacts = {one["robot"]: one["contact"] for one in answer["members"]}
+    assert contacts == {"a": "answered", "hole": "no answer"}
+    assert done.stderr.startswith("view not complete: hole heard ")
+    assert done.stderr.count("\n") == 1
 
 
 class Stubborn:

@@ -64,7 +64,8 @@ class DaemonProcess:
 
     `folder` keeps its configuration, state, `log` (standard error) and `out`, so that a second
     one can be a restart; `environ` is added to this process's environment. `prefix` is a command
-    that becomes the daemon in the same process, such as `ip netns exec NAME`.
+    that becomes the daemon in the same process, such as `ip netns exec NAME`; `module` is what
+    Python runs, with its own arguments.
     """
 
     def __init__(
@@ -79,6 +80,7 @@ class DaemonProcess:
         options: Mapping[str, Value] | None = None,
         environ: Mapping[str, str] | None = None,
         prefix: Sequence[str] = (),
+        module: Sequence[str] = ("swarmd.cli.daemon",),
     ) -> None:
         self.robot = robot
         self.swarm = swarm
@@ -98,7 +100,7 @@ class DaemonProcess:
         config.write_text(yaml.safe_dump(settings))
         self.log = folder / f"{robot}.log"
         self._begin = self.log.stat().st_size if self.log.exists() else 0
-        command = [*prefix, sys.executable, "-m", "swarmd.cli.daemon", "--config", str(config)]
+        command = [*prefix, sys.executable, "-m", *module, "--config", str(config)]
         command += ["--die-with-parent", str(os.getpid())]
         self.out = folder / f"{robot}.out"
         with self.log.open("ab") as log, self.out.open("ab") as out:
