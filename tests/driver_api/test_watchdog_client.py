@@ -286,7 +286,7 @@ class Inner:
     def send(
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
     ) -> None:
-        self.story.append(f"sends {twist.linear:g}")
+        self.story.append(f"sends {twist.linear:g}" + " stopped" * is_stopped)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         return ()
@@ -349,15 +349,16 @@ def test_the_driver_lives_within_its_watchdog_and_each_command_feeds_it(
         driver.send(Twist(0.1), 1, 1)
         process.requires_zero = True
         driver.send(Twist(0.1), 2, 2)
-        assert inner.story == ["runs", "sends 0.1", "sends 0"]
-        assert process.story == ["fed", "fed"]
+        driver.send(Twist(), 3, 3, is_stopped=True)
+        assert inner.story == ["runs", "sends 0.1", "sends 0", "sends 0 stopped"]
+        assert process.story == ["fed"] * 3
         process.end.set_result("has ended")
         with pytest.raises(DriverError, match="the watchdog has ended"):
             await task
-        assert inner.story[3:] == ["ends"]
-        driver.send(Twist(0.1), 3, 3)
-        assert inner.story[4:] == []
-        assert process.story == ["fed", "fed", "farewell"]
+        assert inner.story[4:] == ["ends"]
+        driver.send(Twist(0.1), 4, 4)
+        assert inner.story[5:] == []
+        assert process.story == [*["fed"] * 3, "farewell"]
 
     asyncio.run(asyncio.wait_for(run(), TIMEOUT))
 

@@ -8,6 +8,7 @@ import io
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import cast
 
 import numpy as np
 import pytest
@@ -406,3 +407,32 @@ def test_a_replay_that_is_behind_leaves_the_loop_to_others(tmp_path: Path) -> No
 
     handclock.run(story())
     assert before[-1] > 50, "other tasks ran in between"
+
+
+def test_a_recorded_driver_is_told_that_its_robot_must_stand(tmp_path: Path) -> None:
+    marks: list[bool] = []
+
+    class Marked:
+        is_simulated = True
+
+        def send(self, *command: object, is_stopped: bool = False) -> None:
+            marks.append(is_stopped)
+
+    driver = RecordedDriver(cast("Driver", Marked()), tmp_path / "r.rec", HEAD)
+    driver.send(Twist(), 1, 1, is_stopped=True)
+    driver.send(Twist(), 1, 1)
+    assert marks == [True, False]
+
+
+def test_a_recorded_state_is_passed_on_whole(tmp_path: Path) -> None:
+    sink = CollectingSink()
+    recorder = Recorder(tmp_path / "r.rec", HEAD)
+    RecordingSink(sink, recorder).state(
+        False, "someone else drives", hold=Reason.SCAN_CONFLICT, gets_zero=True
+    )
+    recorder.close()
+    assert (sink.states, sink.hold, sink.gets_zero) == (
+        [(False, "someone else drives")],
+        Reason.SCAN_CONFLICT,
+        True,
+    )
