@@ -39,6 +39,9 @@ MAX_ECHOES = 256
 FRESH_TIME = 3.0
 WORD_TIME = 10.0
 
+# Between questions for words, in s: while all have told, and while one has not.
+WORDS_PERIOD, RETELL_PERIOD = 2.0, 0.25
+
 # How long a look waits, in s, and in round trips.
 NOBODY_WAIT, DEV_WAIT = 3.0, 1.0  # nobody is heard; on loopback
 ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # since the last robot was found that is heard directly
@@ -185,7 +188,10 @@ class Discovery:
         # What each robot says of a robot, by word and in its view, of which the word is the better:
         # it says when a living robot was heard.
         self._said: dict[str, dict[tuple[str, str], list[_Said]]] = {}
+        # The ids of which one robot says that several instances are alive.
+        self._doubles: dict[str, dict[str, frozenset[str]]] = {}
         self._mentioned: dict[str, float] = {}
+        self._words_at = -float("inf")
         self._echoes: dict[int, float] = {}
         self._solicits = 0
         self._trips: dict[str, float] = {}
@@ -196,6 +202,18 @@ class Discovery:
                 self._said[robot] = {("", "earlier"): [found]}
 
     # Events
+
+    def wants_words(self, now: float) -> bool:
+        """True if robots are to be asked now for whom they know: many words are many bytes.
+
+        All are asked at the start, and again soon while one that is heard has not told.
+        """
+        is_told = bool(self.heard) and all(self._has_told(robot) for robot in self.heard)
+        period = WORDS_PERIOD if is_told else max(RETELL_PERIOD, 1.5 * self.round_trip)
+        if now - self._words_at < period:
+            return False
+        self._words_at = now
+        return True
 
     def on_solicit(self, echo: int, now: float) -> None:
         """A `Solicit` with this number is sent now."""
@@ -320,14 +338,8 @@ class Discovery:
             for instance, one in heard.items()
             if one.first == newest or (one.last > newest and latest - one.last <= FRESH_TIME / 2)
         }
-        for said in self._said.get(robot, {}).values():
-            alive = {
-                one.instance
-                for one in said
-                if one.presence is Presence.ALIVE and (robot, one.instance) not in self._gone
-            }
-            if len(alive) > 1:
-                living |= alive
+        for double in self._doubles.get(robot, {}).values():
+            living |= {one for one in double if (robot, one) not in self._gone}
         return frozenset(living)
 
     def address(self, robot: str) -> Address | None:
@@ -496,6 +508,8 @@ class Discovery:
         """Replace what a robot said before."""
         for known in self._said.values():
             known.pop((teller, way), None)
+        for doubles in self._doubles.values():
+            doubles.pop(teller, None)
         for robot, some in said.items():
             if robot == teller:
                 continue
@@ -503,6 +517,9 @@ class Discovery:
                 self._news = self.found_at = now
             if robot in self._mentioned:
                 self._said.setdefault(robot, {})[teller, way] = some[:MAX_INSTANCES]
+                alive = {one.instance for one in some if one.presence is Presence.ALIVE}
+                if len(alive) > 1:
+                    self._doubles.setdefault(robot, {})[teller] = frozenset(alive)
 
     def _take_answer(self, robot: str, answer: _Answer, now: float) -> None:
         if not self._has_room(robot):

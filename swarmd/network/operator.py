@@ -372,8 +372,9 @@ class Operator:
         self._echo += 1
         with self._news:
             discovery.on_solicit(self._echo, now)
+            wants_words = discovery.wants_words(now)
             addresses = discovery.to_solicit()
-        payload = pack(self._tag, Solicit(echo=self._echo, wants_words=True))
+        payload = pack(self._tag, Solicit(echo=self._echo, wants_words=wants_words))
         self._carrier.send(payload)
         for address in addresses:
             self._carrier.send_to(payload, self._reachable(address))

@@ -13,7 +13,7 @@ import click
 import pytest
 
 from swarmd.cli.plugin_check import describe_patterns
-from swarmd.cli.swarmctl import VERBS, cli, exit_code_of, run_cli
+from swarmd.cli.swarmctl import VERBS, cli, exit_code_of, main, run_cli
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from tests.support.processes import run_command, unique_swarm
 
@@ -287,3 +287,16 @@ def test_files_of_the_working_directory_are_not_imported(tmp_path: Path) -> None
     )
     assert (done.returncode, done.stderr) == (0, "")
     assert "\nattraction " in done.stdout
+
+
+@pytest.mark.parametrize("is_closing", [True, False])
+def test_a_session_that_is_still_closing_does_not_keep_the_process(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], is_closing: bool
+) -> None:
+    left: list[int] = []
+    monkeypatch.setattr("swarmd.network.operator.is_closing", lambda: is_closing)
+    monkeypatch.setattr(os, "_exit", left.append)
+    with pytest.raises(SystemExit) as ended:
+        main(["mebers"])
+    assert (left, ended.value.code) == ([2] if is_closing else [], 2)
+    assert "'members'" in capsys.readouterr().err

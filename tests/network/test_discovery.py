@@ -294,6 +294,16 @@ def test_one_that_is_not_heard_is_waited_for_less(presence: Presence | None, wai
     assert over_at(rig) == pytest.approx(wait, abs=0.02)
 
 
+def test_words_are_asked_for_until_all_that_are_heard_have_told(rig: Rig) -> None:
+    asked = [at / 100 for at in range(0, 300, 10) if rig.found.wants_words(at / 100)]
+    assert asked == [0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.4, 2.7]
+    rig.hear("a")
+    rig.tell("a")
+    assert not rig.found.wants_words(3.9)
+    rig.hear("b", at=3.9)
+    assert rig.found.wants_words(3.9)
+
+
 # Whom to ask
 
 
