@@ -153,6 +153,8 @@ class Daemon:
         gc.collect()
         gc.freeze()
         self._notify("READY=1")
+        if text := self._network.interface_text:
+            self._notify.status(text)
         log.info("ready in swarm %s as %s", self._settings.network.swarm, self._instance)
         await self._drive()  # only now the base belongs to this daemon
 

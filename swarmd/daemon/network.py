@@ -38,8 +38,8 @@ from swarmd.network.interface_watch import InterfaceChange, InterfaceWatch
 from swarmd.network.membership import Address
 from swarmd.network.peer import Effects, Peer, Summary
 from swarmd.network.routed import RoutedCarrier
-from swarmd.network.session import open_in_thread, open_session
-from swarmd.network.settings import FIELD_PORT, Endpoint, NetworkSettings, parse_endpoint
+from swarmd.network.session import default_listen, open_in_thread, open_session
+from swarmd.network.settings import Endpoint, NetworkSettings, parse_endpoint
 from swarmd.network.udp import UdpCarrier
 
 log = logging.getLogger(__name__)
@@ -136,6 +136,8 @@ class Network:
             self._watch = InterfaceWatch(
                 self._loop, settings.interface_name, self._on_interface_change
             )
+            if not self._watch.state.is_usable:
+                log.warning("%s", self.interface_text)
         self._peer = Peer(
             robot=self._robot,
             instance=self._instance,
@@ -325,7 +327,7 @@ class Network:
     async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
         """The sockets, and a session that listens on their port: beacons show where to dial."""
         settings = self._settings
-        listen = settings.listen or (_default_listen(settings),)
+        listen = settings.listen or (default_listen(settings),)
         first = parse_endpoint(listen[0])
         for trial in range(MAX_PORT_TRIES):
             carrier = UdpCarrier(settings, self._tag, port=first.port)
@@ -350,12 +352,6 @@ class Network:
             self._carrier = None
         session, self._session = self._session, None
         return session
-
-
-def _default_listen(settings: NetworkSettings) -> str:
-    if settings.profile == "dev":
-        return "tcp/127.0.0.1:0"
-    return f"tcp/0.0.0.0:{FIELD_PORT}"
 
 
 def _host(endpoint: Endpoint) -> str:

@@ -62,6 +62,11 @@ class InterfaceState:
         return tuple(one for one in self.addresses if one.startswith("fe80:"))
 
     @property
+    def is_usable(self) -> bool:
+        """True if it is up and has an address."""
+        return self.is_up and bool(self.addresses)
+
+    @property
     def text(self) -> str:
         """The state in a few words."""
         if not self.exists:
@@ -207,7 +212,7 @@ def _event(state: InterfaceState) -> InterfaceEvent:
         return InterfaceEvent.ABSENT
     if not state.is_up:
         return InterfaceEvent.DOWN
-    return InterfaceEvent.UP if state.addresses else InterfaceEvent.NO_ADDRESS
+    return InterfaceEvent.UP if state.is_usable else InterfaceEvent.NO_ADDRESS
 
 
 def _essence(state: InterfaceState) -> tuple[object, ...]:

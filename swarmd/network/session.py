@@ -219,10 +219,21 @@ def _options(
     }
 
 
-def _listen(settings: NetworkSettings) -> list[str]:
+def default_listen(settings: NetworkSettings) -> str:
+    """Where a daemon listens without `listen`: on loopback, or at every address (both families)."""
     if settings.profile == "dev":
-        return list(settings.listen) or ["tcp/127.0.0.1:0"]
-    wanted = settings.listen or (f"tcp/0.0.0.0:{FIELD_PORT}",)
+        return "tcp/127.0.0.1:0"
+    try:
+        socket.socket(socket.AF_INET6, socket.SOCK_STREAM).close()
+    except OSError:  # a kernel without IPv6
+        return f"tcp/0.0.0.0:{FIELD_PORT}"
+    return f"tcp/[::]:{FIELD_PORT}"
+
+
+def _listen(settings: NetworkSettings) -> list[str]:
+    wanted = settings.listen or (default_listen(settings),)
+    if settings.profile == "dev":
+        return list(wanted)
     return [one if "#" in one else f"{one}#iface={settings.interface_name}" for one in wanted]
 
 

@@ -48,7 +48,7 @@ ROUTED = NetworkSettings(swarm="lab", profile="routed", routers=("tcp/10.0.0.1:7
     ("settings", "wanted"),
     [
         (NetworkSettings(swarm="lab"), {LISTEN: ["tcp/127.0.0.1:0"], LEASE: 2000}),
-        (field(), {LISTEN: ["tcp/0.0.0.0:7440#iface=wlan0"], LEASE: 3000}),
+        (field(), {LISTEN: ["tcp/[::]:7440#iface=wlan0"], LEASE: 3000}),
         (field(listen=("tcp/10.0.0.5:7001",)), {LISTEN: ["tcp/10.0.0.5:7001#iface=wlan0"]}),
         (field(seeds=("tcp/10.0.0.5:7447",), multicast=False), {DIAL: []}),
         (ROUTED, {MODE: "client", LISTEN: [], DIAL: ["tcp/10.0.0.1:7447"]}),

@@ -88,6 +88,14 @@ class Field:
         """The host's address on the radio."""
         return f"10.80.0.{self.hosts.index(host) + 1}"
 
+    def mac(self, host: str) -> str:
+        """The link address of the host on the radio."""
+        return f"02:00:00:00:00:{self.hosts.index(host) + 1:02x}"
+
+    def ip(self, host: str, *lines: str) -> None:
+        """Run lines of `ip` on a host, or on `hub`."""
+        _ip(lines, self.namespace(host))
+
     def socket(self, host: str, port: int = 0) -> socket.socket:
         """A UDP socket of this process on a host, bound to `port` of every address."""
         with ThreadPoolExecutor(1) as pool:  # a thread may be in a namespace of its own
@@ -179,10 +187,9 @@ class Field:
             )  # fmt: skip
             self._answer()
         for number, name in enumerate(self.hosts, 1):
-            mac = f"02:00:00:00:00:{number:02x}"
             lines = [
                 "link set lo up",
-                f"link set eth0 address {mac}",
+                f"link set eth0 address {self.mac(name)}",
                 f"addr add {self.address(name)}/24 dev eth0",
                 "link set eth0 up",
                 f"addr add 10.99.0.{number + 1}/24 dev wire0",

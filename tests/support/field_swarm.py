@@ -9,7 +9,7 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Self
@@ -111,7 +111,9 @@ class FieldSwarm:
 
     # Robots
 
-    def spawn(self, robot: str, state: str = "state") -> DaemonProcess:
+    def spawn(
+        self, robot: str, state: str = "state", environ: Mapping[str, str] | None = None
+    ) -> DaemonProcess:
         """A daemon that is starting; its lives share the state folder of this name."""
         self._lives += 1
         daemon = DaemonProcess(
@@ -126,6 +128,7 @@ class FieldSwarm:
                 **self._options,  # type: ignore[dict-item]
             },
             prefix=self.field.prefix(robot),
+            environ=environ,
         )
         self.daemons[robot] = daemon
         return self._left.enter_context(daemon)
