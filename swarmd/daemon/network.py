@@ -130,8 +130,11 @@ class Network:
 
     async def join(self) -> None:
         """Open the network and take the id. Raises NetworkError, IdHeldError in one line."""
-        await self._open()
         settings = self._settings
+        if settings.profile == "routed":
+            await self._open_again()  # a robot may boot before its routers
+        else:
+            await self._open()
         if settings.profile == "field":
             self._watch = InterfaceWatch(
                 self._loop, settings.interface_name, self._on_interface_change
@@ -302,16 +305,23 @@ class Network:
             # A close that waits for a vanished operator must not delay the new session.
             closing = self._loop.run_in_executor(None, old.close)
             await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT)
-        while True:
-            try:
-                await self._open()
-                break
-            except NetworkError as error:
-                log.warning("the network cannot be opened again yet: %s", error)
-                await asyncio.sleep(REOPEN_PERIOD)
+        await self._open_again()
         assert self.bus is not None
         self._handlers.serve(self.bus)
         log.info("the network is open again")
+
+    async def _open_again(self) -> None:
+        """Open as soon as that is possible, and say once what is in the way."""
+        said = ""
+        while True:
+            try:
+                await self._open()
+                return
+            except NetworkError as error:
+                if str(error) != said:
+                    said = str(error)
+                    log.warning("the network cannot be opened yet: %s", said)
+                await asyncio.sleep(REOPEN_PERIOD)
 
     async def _open(self) -> None:
         settings = self._settings

@@ -194,8 +194,9 @@ def _options(
         "scouting/gossip/enabled": False,
         "listen/endpoints": list(listen),
         "connect/endpoints": list(connect),
-        # With a timeout of 0 it would dial one endpoint after the other.
-        "connect/timeout_ms": -1,
+        # A peer with a timeout of 0 would dial one endpoint after the other. A client with another
+        # one would wait for its first router alone.
+        "connect/timeout_ms": 0 if mode == "client" else -1,
         "connect/exit_on_failure": False,
         "connect/retry": {
             "period_init_ms": 200,

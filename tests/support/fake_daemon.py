@@ -158,14 +158,26 @@ class FakeDaemon:
 
 
 class FakeSwarm:
-    """Light daemons on a loop of their own, for code that blocks; by name, until `close`."""
+    """Light daemons on a loop of their own, for code that blocks; by name, until `close`.
 
-    def __init__(self, settings: NetworkSettings, robots: Sequence[str], **options: Any) -> None:
+    `is_awaited` False: they may start later.
+    """
+
+    def __init__(
+        self,
+        settings: NetworkSettings,
+        robots: Sequence[str],
+        *,
+        is_awaited: bool = True,
+        **options: Any,
+    ) -> None:
         self._loop = asyncio.new_event_loop()
         self._thread = threading.Thread(target=self._loop.run_forever, daemon=True)
         self._thread.start()
         self._daemons = {robot: FakeDaemon(settings, robot, **options) for robot in robots}
-        asyncio.run_coroutine_threadsafe(self._start(), self._loop).result()
+        self._starting = asyncio.run_coroutine_threadsafe(self._start(), self._loop)
+        if is_awaited:
+            self._starting.result()
 
     def __getitem__(self, robot: str) -> FakeDaemon:
         return self._daemons[robot]
@@ -189,6 +201,7 @@ class FakeSwarm:
         asyncio.run_coroutine_threadsafe(look(), self._loop).result()
 
     def close(self) -> None:
+        self._starting.cancel()
         for daemon in self._daemons.values():
             self.call(daemon.vanish)
         self._loop.call_soon_threadsafe(self._loop.stop)

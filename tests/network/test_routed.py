@@ -1,0 +1,100 @@
+"""Profile routed: robots and operators as clients of routers, one of which dies."""
+
+from __future__ import annotations
+
+import socket
+import time
+from collections.abc import Iterator
+
+import pytest
+
+from swarmd.core.errors import NetworkError
+from swarmd.core.messages import Presence, RunRequest
+from swarmd.network.operator import Operator
+from swarmd.network.settings import NetworkSettings
+from tests.support.fake_daemon import FakeSwarm
+from tests.support.processes import unique_swarm, wait_until
+from tests.support.router import Router
+
+pytestmark = pytest.mark.integration
+
+ROBOTS = ("r1", "r2", "r3")
+
+
+def free_endpoints(count: int) -> list[str]:
+    probes = [socket.create_server(("127.0.0.1", 0)) for _ in range(count)]
+    endpoints = [f"tcp/127.0.0.1:{probe.getsockname()[1]}" for probe in probes]
+    for probe in probes:
+        probe.close()
+    return endpoints
+
+
+@pytest.fixture
+def routers() -> Iterator[list[Router]]:
+    """Two routers with a link to each other."""
+    first, second = free_endpoints(2)
+    made = [Router(first), Router(second, first)]
+    yield made
+    for router in made:
+        router.kill()
+
+
+def routed(routers: list[Router]) -> NetworkSettings:
+    endpoints = tuple(router.endpoint for router in routers)
+    return NetworkSettings(profile="routed", swarm=unique_swarm(), routers=endpoints)
+
+
+def answered(settings: NetworkSettings) -> set[str]:
+    with Operator(settings, name="anna") as operator:
+        return set(operator.members().answered)
+
+
+def test_robots_behind_routers_are_found_commanded_and_stopped(routers: list[Router]) -> None:
+    settings = routed(routers)
+    swarm = FakeSwarm(settings, ROBOTS)
+    try:
+        with Operator(settings, name="anna") as operator:
+            wait_until(lambda: operator.members().answered == set(ROBOTS), "all answer")
+            view = operator.members()
+            outcome = operator.request(RunRequest, view.epochs(ROBOTS), pattern="drive")
+            assert outcome.applied == ROBOTS
+            for verb in ("stop", "estop"):
+                assert operator.halt(verb).applied == ROBOTS
+        members = swarm["r1"].network.members
+        assert {name: one.presence for name, one in members.items()} == {
+            "r2": Presence.ALIVE,
+            "r3": Presence.ALIVE,
+        }
+    finally:
+        swarm.close()
+
+
+def test_the_other_router_takes_over_when_one_dies(routers: list[Router]) -> None:
+    settings = routed(routers)
+    swarm = FakeSwarm(settings, ROBOTS)
+    try:
+        wait_until(lambda: answered(settings) == set(ROBOTS), "all answer")
+        routers[0].kill()  # to which all are linked, since it is the first of the list
+        began = time.monotonic()
+        wait_until(lambda: answered(settings) == set(ROBOTS), "all answer by the other router")
+        print(f"the other router took over after {time.monotonic() - began:.1f} s")
+        with Operator(settings, name="anna") as operator:
+            wait_until(lambda: operator.halt("estop").applied == ROBOTS, "all are stopped")
+    finally:
+        swarm.close()
+
+
+def test_robots_that_start_before_their_router_are_found_later() -> None:
+    (endpoint,) = free_endpoints(1)
+    settings = NetworkSettings(profile="routed", swarm=unique_swarm(), routers=(endpoint,))
+    swarm = FakeSwarm(settings, ("r1",), is_awaited=False)
+    router: Router | None = None
+    try:
+        with pytest.raises(NetworkError, match=endpoint):
+            Operator(settings, name="anna")
+        router = Router(endpoint)
+        wait_until(lambda: answered(settings) == {"r1"}, "it answers")
+    finally:
+        swarm.close()
+        if router is not None:
+            router.kill()
