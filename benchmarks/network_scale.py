@@ -123,9 +123,11 @@ def laws(found: Sequence[Measured]) -> Iterator[tuple[str, ...]]:
         for name, (alone, slope) in quantities.items():
             yield (load, name, f"{alone:.3g}", f"{slope:.3g}", *(f"{one:.3g}" for one in at[name]))
         for frame in (SMALL_FRAME, AGGREGATED_FRAME):
-            sent = [at[name] for name in ("unicast packets/s", "group packets/s", "group bytes/s")]
-            taken = [air_time(*one, frame) for one in zip(LARGE, *sent, strict=True)]
-            shares = [f"{one:.3g} %" for one in taken]
+            shares = []
+            for number, robots in enumerate(LARGE):
+                unicast, group = at["unicast packets/s"][number], at["group packets/s"][number]
+                taken = air_time(robots, unicast, group, at["group bytes/s"][number], frame)
+                shares.append(f"{taken:.3g} %")
             yield (load, f"air time at {1e6 * frame:.0f} us a frame", "", "", *shares)
 
 

@@ -9,7 +9,7 @@ import pytest
 from tests.support.field_swarm import FieldSwarm
 from tests.support.network_matrix import FAR, NEAR, TRUE, VERBS, judge, prepare
 
-pytestmark = [pytest.mark.integration, pytest.mark.evidence]
+pytestmark = pytest.mark.integration
 
 ROBOTS = ("r01", "r02", "r03", "r04")
 FAULTS: dict[str, dict[str, Any]] = {

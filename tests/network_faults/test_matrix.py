@@ -7,21 +7,20 @@ import pytest
 from tests.support.field_swarm import FieldSwarm
 from tests.support.network_matrix import TRUE, cell
 
-pytestmark = [pytest.mark.integration, pytest.mark.evidence]
+pytestmark = pytest.mark.integration
 
 ROBOTS = ("r01", "r02", "r03", "r04", "r05", "r06")
 
 
-@pytest.mark.parametrize(("rtt", "loss"), [(0.3, 0.0), (0.1, 0.1)])
+@pytest.mark.parametrize(("rtt", "loss"), [(0.1, 0.1), (0.0, 0.2)])
 def test_each_answer_is_true(swarm: FieldSwarm, rtt: float, loss: float) -> None:
-    rows = list(cell(swarm, rtt, loss))
-    for row in rows:
+    for row in cell(swarm, rtt, loss):
         print("; ".join((*row.cells, row.judged.text)))
-    assert [row.judged.verdict for row in rows] == [TRUE] * len(rows)
+        assert row.judged.verdict == TRUE, row
 
 
 def test_without_loss_a_slow_radio_reaches_every_robot(swarm: FieldSwarm) -> None:
-    for row in cell(swarm, 0.5, 0.0):
+    for row in cell(swarm, 0.3, 0.0):
         print("; ".join((*row.cells, row.judged.text)))
-        assert (row.judged.verdict, row.judged.answer.code) == (TRUE, 0)
+        assert (row.judged.verdict, row.judged.answer.code) == (TRUE, 0), row
         assert row.judged.counted == set(ROBOTS)

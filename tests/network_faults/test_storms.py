@@ -8,7 +8,7 @@ from tests.support.field_swarm import FieldSwarm
 from tests.support.network_matrix import FAR, NEAR, TRUE, VERBS, judge, prepare
 from tests.support.processes import wait_until
 
-pytestmark = [pytest.mark.integration, pytest.mark.evidence]
+pytestmark = pytest.mark.integration
 
 ROBOTS = tuple(f"r{number:02d}" for number in range(1, 9))
 STAYING, VANISHING = ROBOTS[:2], ROBOTS[2:]

@@ -179,7 +179,9 @@ class FieldSwarm:
     # Operators
 
     def begin(self, host: str, *words: str, user: str = "anna") -> Running:
-        environ = {"SWARM_CONFIG": str(self._config), "LOGNAME": user}
+        home = self._folder / host
+        home.mkdir(exist_ok=True)
+        environ = {"SWARM_CONFIG": str(self._config), "LOGNAME": user, "HOME": str(home)}
         return Running([*self.field.prefix(host), *_SWARMCTL, *words], environ)
 
     def ctl(self, host: str, *words: str, user: str = "anna") -> Answer:

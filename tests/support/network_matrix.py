@@ -25,6 +25,7 @@ VERBS: dict[str, tuple[str, ...]] = {
     "reset": ("reset", "--all", "--yes"),
 }
 LATEST = 3.0  # s
+PREPARE_TIMEOUT = 30.0
 STANDING = ("idle", "stopped", "estopped", "faulted")
 _LEADS_TO = {"idle": ("stop", "reset"), "running": ("reset", "run"), "estopped": ("estop",)}
 # The states that an applied request leaves, as the near laptop sees them.
@@ -100,15 +101,20 @@ def cell(swarm: FieldSwarm, rtt: float, loss: float) -> Iterator[Row]:
 def prepare(swarm: FieldSwarm, state: str) -> None:
     """Clear the radio, and bring all robots into a state by the near laptop."""
     swarm.field.clear()
+    tried: list[str] = []
 
     def try_it() -> bool:
-        if swarm.states(NEAR) == dict.fromkeys(swarm.robots, state):
+        states = swarm.states(NEAR)
+        if states == dict.fromkeys(swarm.robots, state):
             return True
-        for verb in _LEADS_TO[state]:
-            swarm.ctl(NEAR, *VERBS[verb])
+        answers = [swarm.ctl(NEAR, *VERBS[verb]) for verb in _LEADS_TO[state]]
+        tried[:] = [f"{states}, then:", *(one.out + one.err for one in answers)]
         return False
 
-    wait_until(try_it, f"all robots {state} by the near laptop")
+    try:
+        wait_until(try_it, f"all robots {state} by the near laptop", PREPARE_TIMEOUT)
+    except AssertionError as error:
+        raise AssertionError("\n".join((str(error), *tried))) from None
 
 
 def judge(swarm: FieldSwarm, verb: str, answer: Answer, targets: Collection[str] = ()) -> Judged:
@@ -148,6 +154,23 @@ def judge(swarm: FieldSwarm, verb: str, answer: Answer, targets: Collection[str]
     else:
         verdict = f"not named: {', '.join(silent)}" if silent else TRUE
     return Judged(answer, counted, named, states, verdict)
+
+
+def ask(swarm: FieldSwarm, verb: str, *targets: str) -> Judged:
+    """The far laptop's answer to a verb; AssertionError unless it is true."""
+    words = VERBS[verb]
+    if targets:
+        words = tuple(word for word in words if word != "--all") + targets
+    swarm.moved()
+    judged = judge(swarm, verb, swarm.ctl(FAR, *words, "-o", "json"), targets)
+    assert judged.verdict == TRUE, judged
+    return judged
+
+
+def check_all_alive(swarm: FieldSwarm) -> None:
+    """The far laptop sees every robot by itself, and no daemon has ended."""
+    wait_until(lambda: swarm.states(FAR).keys() == set(swarm.robots), "all robots are seen again")
+    assert all(swarm.is_alive(robot) for robot in swarm.robots)
 
 
 def _members(shown: Any) -> tuple[dict[str, str], set[str], set[str]]:

@@ -1,0 +1,105 @@
+"""A swarm in two halves that do not hear each other, for a while or again and again.
+
+The near laptop hears every robot all the time.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+
+import pytest
+
+from tests.support.field_swarm import FieldSwarm
+from tests.support.network_matrix import FAR, NEAR, TRUE, ask, check_all_alive, judge, prepare
+
+pytestmark = pytest.mark.integration
+
+ROBOTS = ("r01", "r02", "r03", "r04", "r05", "r06")
+LEFT, RIGHT = ROBOTS[:3], ROBOTS[3:]
+
+
+def pause(seconds: float) -> None:
+    """How long a fault lasts."""
+    threading.Event().wait(seconds)
+
+
+@pytest.mark.parametrize(
+    "seconds",
+    [
+        5.0,
+        pytest.param(30.0, marks=pytest.mark.evidence),
+        pytest.param(90.0, marks=pytest.mark.evidence),
+    ],
+)
+def test_a_latch_of_one_side_crosses_when_a_split_heals(swarm: FieldSwarm, seconds: float) -> None:
+    """The far laptop is on the left side; the near one commands the right side."""
+    prepare(swarm, "running")
+    began = time.monotonic()
+    swarm.field.set_between((FAR, *LEFT), RIGHT, is_cut=True)
+    judged = ask(swarm, "estop")
+    assert (judged.answer.code, judged.counted, judged.named) == (3, set(LEFT), set(RIGHT))
+    patient = swarm.begin(FAR, "estop", "--until-all", "-o", "json")
+    assert swarm.ctl(NEAR, "run", "drive", *RIGHT).code == 0
+    swarm.await_moving(*RIGHT)
+    pause(began + seconds - time.monotonic())
+    judged = ask(swarm, "estop")
+    assert (judged.counted, judged.named) == (set(LEFT), set(RIGHT))
+    assert patient.process.poll() is None, "estop --until-all waits until everyone has it"
+
+    swarm.field.heal()
+    judged = judge(swarm, "estop", patient.finish())
+    assert (judged.verdict, judged.answer.code, judged.counted) == (TRUE, 0, set(ROBOTS)), judged
+    swarm.await_states(NEAR, "estopped")
+    swarm.moved()
+    check_all_alive(swarm)
+    assert ask(swarm, "reset").counted == set(ROBOTS)
+    assert swarm.moved() == set()
+
+
+def test_a_stop_of_one_side_does_not_cross_to_robots_that_were_run_again(
+    swarm: FieldSwarm,
+) -> None:
+    """Who has answered the stop of the left side, and who was run since, are left alone."""
+    prepare(swarm, "running")
+    swarm.field.set_between((FAR, *LEFT), RIGHT, is_cut=True)
+    judged = ask(swarm, "stop")
+    assert (judged.answer.code, judged.counted, judged.named) == (3, set(LEFT), set(RIGHT))
+    swarm.field.heal()
+    check_all_alive(swarm)
+    assert ask(swarm, "run").counted == set(ROBOTS)
+    pause(2.0)
+    assert set(swarm.states(NEAR).values()) == {"running"}
+
+
+@pytest.mark.parametrize("seconds", [8.0, pytest.param(120.0, marks=pytest.mark.evidence)])
+def test_answers_are_true_while_the_radio_flaps(swarm: FieldSwarm, seconds: float) -> None:
+    """Two seconds of connection, two of none, between both halves."""
+    prepare(swarm, "running")
+    is_over = threading.Event()
+    lock = threading.Lock()
+
+    def flap() -> None:
+        is_cut = False
+        while not is_over.wait(2.0):
+            is_cut = not is_cut
+            with lock:
+                swarm.field.set_between((FAR, *LEFT), RIGHT, is_cut=is_cut)
+
+    flapping = threading.Thread(target=flap)
+    flapping.start()
+    answers = []
+    try:
+        deadline = time.monotonic() + seconds
+        while time.monotonic() < deadline:
+            for verb in ("estop", "reset", "members", "run", "stop"):
+                answers.append((verb, ask(swarm, verb)))
+        ask(swarm, "estop")
+    finally:
+        is_over.set()
+        flapping.join()
+    for verb, judged in answers:
+        print(verb, judged.answer.code, len(judged.counted), f"{judged.answer.seconds:.1f} s")
+    swarm.field.heal()
+    swarm.await_states(NEAR, "estopped")
+    check_all_alive(swarm)
