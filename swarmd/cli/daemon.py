@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import os
+import resource
 import sys
 from pathlib import Path
 from typing import NoReturn
@@ -13,8 +14,11 @@ import click
 
 from swarmd.cli.arguments import Value, read_assignments
 from swarmd.cli.swarmctl import run_cli
-from swarmd.core.errors import DriverError, IdHeldError, NetworkError, SwarmError
+from swarmd.core.errors import ConfigError, DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.core.processes import die_with_parent as tie_to
+
+# Open files: a daemon needs about 40 for itself, and one for each link of an operator.
+MIN_DESCRIPTORS, WANTED_DESCRIPTORS = 128, 4096
 
 _EPILOG = """\b
 Exit codes:
@@ -86,6 +90,7 @@ def swarmd(
     }
     if die_with_parent is not None:
         tie_to(die_with_parent)
+    check_descriptors()
     # numpy comes with the settings; its BLAS would start a thread per core for 360 numbers.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from swarmd.settings.settings import load_daemon_settings
@@ -108,6 +113,22 @@ def swarmd(
         from swarmd.daemon.daemon import serve
 
         click.get_current_context().exit(asyncio.run(serve(settings)))
+
+
+def check_descriptors() -> None:
+    """Raise this process's limit of open files; ConfigError in one line if it stays too low."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if soft < WANTED_DESCRIPTORS:
+        soft = (
+            WANTED_DESCRIPTORS if hard == resource.RLIM_INFINITY else min(hard, WANTED_DESCRIPTORS)
+        )
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    if soft < MIN_DESCRIPTORS:
+        raise ConfigError(
+            f"this process may open {soft} files; a daemon needs {MIN_DESCRIPTORS}: about 40 for"
+            " itself, and one for each link of an operator; raise the limit"
+            " (ulimit -n, or LimitNOFILE= of systemd)"
+        )
 
 
 def main(args: list[str] | None = None) -> NoReturn:

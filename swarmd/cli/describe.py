@@ -123,4 +123,5 @@ def _health(status: Status) -> list[tuple[str, str]]:
         ("loop stalls", str(health.loop_stalls)),
         ("host restarts", str(health.host_restarts)),
         ("driver", health.driver or NOTHING),
+        ("network", health.network or NOTHING),
     ]

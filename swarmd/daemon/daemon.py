@@ -92,6 +92,7 @@ class Daemon:
                 on_members=self._update_neighbors,
                 on_duplicate=self._on_duplicate,
                 on_interface=self._on_interface,
+                on_event=self._on_network_event,
                 serve=self._serve,
             ),
             version=version("swarmd"),
@@ -259,6 +260,10 @@ class Daemon:
             self._carry_out(self._robot.on_network_changed(change.line, boottime()))
         else:
             self._robot.log(change.line, boottime())
+
+    def _on_network_event(self, text: str) -> None:
+        log.warning("%s", text)
+        self._robot.log(text, boottime())
 
     def _update_neighbors(self) -> None:
         """Unless the driver measures neighbors, every living member is one."""

@@ -35,7 +35,7 @@ from swarmd.network.datagram import (
 )
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.interface_watch import InterfaceChange, InterfaceWatch
-from swarmd.network.membership import Address
+from swarmd.network.membership import MAX_MEMBERS, Address
 from swarmd.network.peer import Effects, Peer, Summary
 from swarmd.network.routed import RoutedCarrier
 from swarmd.network.session import default_listen, open_in_thread, open_session
@@ -61,6 +61,7 @@ class NetworkHandlers:
     on_members: Callable[[], None]
     on_duplicate: Callable[[str | None], None]
     on_interface: Callable[[InterfaceChange], None]
+    on_event: Callable[[str], None]
     serve: Callable[[ZenohBus], None]
 
 
@@ -92,6 +93,7 @@ class Network:
         self._watch: InterfaceWatch | None = None
         self._reopening: asyncio.Task[None] | None = None
         self._is_duplicate = False
+        self._is_full = False
         self._roster = roster
         self._peer: Peer | None = None
 
@@ -173,6 +175,11 @@ class Network:
             return
         now = boottime()
         self._carry_out(peer.advance(now, self._handlers.summary()))
+        if peer.membership.ignored and not self._is_full:
+            self._is_full = True
+            self._handlers.on_event(
+                f"more than {MAX_MEMBERS} robots are alive: further ones are ignored"
+            )
         if self._is_duplicate and not peer.duplicates:
             self._is_duplicate = False
             self._handlers.on_duplicate(None)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import subprocess
+import sys
 from importlib.metadata import version
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from swarmd.cli.daemon import swarmd as command
 from swarmd.cli.swarmctl import run_cli
 from swarmd.settings.settings import load_daemon_settings, load_platform
 from tests.support.fake_body import Body
-from tests.support.processes import DaemonProcess, run_command, unique_swarm
+from tests.support.processes import CAP, DaemonProcess, run_command, unique_swarm
 
 DRIVER = """
 from pathlib import Path
@@ -201,6 +202,15 @@ def test_1_and_a_traceback_for_an_unforeseen_error(tmp_path: Path) -> None:
     done = with_drivers(tmp_path, "--id", "r1", "--driver", "wrong")
     assert done.returncode == 1
     assert "ZeroDivisionError" in done.stderr
+
+
+def test_2_if_too_few_files_may_be_opened(tmp_path: Path) -> None:
+    limited = ["prlimit", "--nofile=64:64", sys.executable, "-m", "swarmd.cli.daemon", "--id", "r1"]
+    done = subprocess.run(limited, capture_output=True, text=True, timeout=CAP, cwd=tmp_path)
+    assert done.returncode == 2
+    assert "64" in done.stderr
+    assert "ulimit" in done.stderr
+    assert done.stderr.count("\n") == 1
 
 
 @pytest.fixture

@@ -88,6 +88,7 @@ class FakeDaemon:
             on_members=lambda: None,
             on_duplicate=lambda holder: None,
             on_interface=lambda change: None,
+            on_event=lambda text: None,
             serve=self._serve,
         )
         self.network = Network(
