@@ -20,7 +20,9 @@ DEFAULT_SWARM = "default"
 # Where a setting stands, such as ("seeds", 0), and what is wrong with it.
 Fault = tuple[tuple[str | int, ...], str]
 
-_ENDPOINT = re.compile(r"(tcp|tls|quic|udp)/(\[[0-9a-fA-F:.]+\]|[^/:#?\s]+):(\d{1,5})([?#]\S*)?")
+_ENDPOINT = re.compile(
+    r"(tcp|tls|quic|udp)/(\[[0-9a-fA-F:.]+(?:%[\w.-]+)?\]|[^/:#?\s]+):(\d{1,5})([?#]\S*)?"
+)
 
 
 class Endpoint(NamedTuple):

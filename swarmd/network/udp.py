@@ -178,7 +178,7 @@ class UdpCarrier:
         return now - self._multicast_at > self._lease
 
     def _send_to(self, payload: bytes, address: Address) -> None:
-        target = _sockaddr(address)
+        target = _sockaddr(address, self._index)
         if target is None:
             self.unsent += 1
         else:
@@ -475,7 +475,7 @@ class _Seeds:
     def __init__(self, endpoints: Iterable[str]) -> None:
         parsed = [parse_endpoint(one) for one in endpoints]
         self._names = [(one.host, one.port) for one in parsed]
-        self._is_numeric = all(_sockaddr(name) for name in self._names)
+        self._is_numeric = all(_sockaddr(name, 0) for name in self._names)
         self._next = -1e9
         self._found: list[list[Address]] = []
         self._is_under_way = False
@@ -511,13 +511,18 @@ def _address(name: tuple[object, ...]) -> Address:
     return (f"{host}%{name[3]}" if is_scoped else host), port
 
 
-def _sockaddr(address: Address) -> tuple[str, int] | tuple[str, int, int, int] | None:
-    """An address for a socket; None if its host is a name, which would have to be resolved."""
+def _sockaddr(address: Address, index: int) -> tuple[str, int] | tuple[str, int, int, int] | None:
+    """An address for a socket; None if its host is a name, which would have to be resolved.
+
+    `index`: the interface of a link-local address that names none.
+    """
     host, _, scope = address[0].partition("%")
     try:
-        version = ipaddress.ip_address(host).version
-    except ValueError:
+        ip = ipaddress.ip_address(host)
+        if scope:
+            index = int(scope) if scope.isdecimal() else socket.if_nametoindex(scope)
+    except (ValueError, OSError):
         return None
-    if version == 4:
+    if ip.version == 4:
         return None if scope else (host, address[1])
-    return (host, address[1], 0, int(scope) if scope.isdecimal() else 0)
+    return (host, address[1], 0, index if ip.is_link_local else 0)

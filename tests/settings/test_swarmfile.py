@@ -32,7 +32,7 @@ def test_reads_all_keys(file: Path) -> None:
             "swarm": "lab",
             "profile": "field",
             "interface": "wlan0",
-            "seeds": ["tcp/10.0.0.5:7447", "tls/[fe80::1]:7447"],
+            "seeds": ["tcp/10.0.0.5:7447", "tls/[fe80::1%wlan0]:7447"],
             "multicast": False,
             "lease": 4,
             "roster": ["r1", "r2"],
@@ -41,7 +41,7 @@ def test_reads_all_keys(file: Path) -> None:
         },
     )
     assert (swarm.swarm, swarm.profile, swarm.interface) == ("lab", "field", "wlan0")
-    assert swarm.seeds == ("tcp/10.0.0.5:7447", "tls/[fe80::1]:7447")
+    assert swarm.seeds == ("tcp/10.0.0.5:7447", "tls/[fe80::1%wlan0]:7447")
     assert (swarm.multicast, swarm.lease) == (False, 4.0)
     assert swarm.parameters.labels == {"red": {"drive": {"linear": 0.1}}}
 
