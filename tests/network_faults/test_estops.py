@@ -21,8 +21,14 @@ FAULTS: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.parametrize("fault", FAULTS)
-@pytest.mark.parametrize("count", [2, pytest.param(100, marks=pytest.mark.evidence)])
+@pytest.mark.parametrize(
+    ("fault", "count"),
+    [
+        ("duplicated", 2),
+        ("slow and lossy", 2),
+        *(pytest.param(fault, 100, marks=pytest.mark.evidence) for fault in FAULTS),
+    ],
+)
 def test_estops_are_counted_truly_and_latch_every_robot(
     swarm: FieldSwarm, fault: str, count: int
 ) -> None:

@@ -24,7 +24,7 @@ def test_one_robot_is_cut_off_in_one_direction(swarm: FieldSwarm, is_mute: bool)
     for other in others:
         pair = ("r01", other) if is_mute else (other, "r01")
         swarm.field.set(source=pair[0], target=pair[1], is_cut=True)
-    judged = ask(swarm, "estop")
+    judged = ask(swarm, "estop", options=("--timeout", "4s"))
     assert judged.counted >= set(ROBOTS[1:])
     assert ("r01" in judged.named) == (judged.answer.code == 3)
     if is_mute:  # it hears everything

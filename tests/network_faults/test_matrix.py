@@ -12,9 +12,8 @@ pytestmark = pytest.mark.integration
 ROBOTS = ("r01", "r02", "r03", "r04", "r05", "r06")
 
 
-@pytest.mark.parametrize(("rtt", "loss"), [(0.1, 0.1), (0.0, 0.2)])
-def test_each_answer_is_true(swarm: FieldSwarm, rtt: float, loss: float) -> None:
-    for row in cell(swarm, rtt, loss):
+def test_each_answer_is_true_with_losses(swarm: FieldSwarm) -> None:
+    for row in cell(swarm, 0.1, 0.1):
         print("; ".join((*row.cells, row.judged.text)))
         assert row.judged.verdict == TRUE, row
 

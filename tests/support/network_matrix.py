@@ -156,13 +156,13 @@ def judge(swarm: FieldSwarm, verb: str, answer: Answer, targets: Collection[str]
     return Judged(answer, counted, named, states, verdict)
 
 
-def ask(swarm: FieldSwarm, verb: str, *targets: str) -> Judged:
+def ask(swarm: FieldSwarm, verb: str, *targets: str, options: Collection[str] = ()) -> Judged:
     """The far laptop's answer to a verb; AssertionError unless it is true."""
     words = VERBS[verb]
     if targets:
         words = tuple(word for word in words if word != "--all") + targets
     swarm.moved()
-    judged = judge(swarm, verb, swarm.ctl(FAR, *words, "-o", "json"), targets)
+    judged = judge(swarm, verb, swarm.ctl(FAR, *words, *options, "-o", "json"), targets)
     assert judged.verdict == TRUE, judged
     return judged
 
