@@ -81,7 +81,7 @@ class RequestServer:
         """Answer requests with these verbs."""
         self._bus = bus
         for verb in verbs:
-            bus.serve("control", verb, partial(self.handle, verb))
+            bus.serve("control", verb, partial(self._on_query, verb))
 
     def reply(self, reply: Reply, *, is_stored: bool = True) -> None:
         """Send a reply. `is_stored` False: the latches could not be written to disk."""
@@ -125,6 +125,9 @@ class RequestServer:
             )
         self._pending[stop.id] = _Pending(request, answer, source)
         self._on_request(request)
+
+    def _on_query(self, verb: str, query: Query) -> None:
+        self.handle(verb, query, query.source)
 
     def handle(self, verb: str, query: Query, source: str = "zenoh") -> None:
         """Carry out or refuse the request in a query that came on the key of `verb`.

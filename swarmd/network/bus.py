@@ -32,6 +32,7 @@ class Query(Protocol):
     """A question or request put to this robot, on its own key."""
 
     payload: bytes
+    source: str
 
     def reply(self, payload: bytes) -> None:
         """Answer, at most once, now or later, on the loop; never blocks, never raises."""
@@ -44,14 +45,15 @@ _members_query = Decoder(MembersQuery)
 
 
 class ZenohQuery:
-    """A `Query` of Zenoh, answered on this robot's own key."""
+    """A `Query` of Zenoh, answered on this robot's own key. `source`: the address it came from."""
 
-    __slots__ = ("_key", "_query", "payload")
+    __slots__ = ("_key", "_query", "payload", "source")
 
-    def __init__(self, query: zenoh.Query | None, key: str, payload: bytes) -> None:
+    def __init__(self, query: zenoh.Query | None, key: str, payload: bytes, source: str) -> None:
         self._query = query
         self._key = key
         self.payload = payload
+        self.source = source
 
     def reply(self, payload: bytes) -> None:
         """Answer; nothing happens for a plain put or after the first time."""
@@ -122,7 +124,9 @@ class ZenohBus:
                     self._drops.add(f"{kind}:key")
                 elif len(payload) > MAX_CONTROL:
                     self._drops.add(f"{kind}:oversized")
-                elif queue.offer(handler, ZenohQuery(query, own, bytes(payload))):
+                elif queue.offer(
+                    handler, ZenohQuery(query, own, bytes(payload), self._source(query))
+                ):
                     return
             query.drop()
 
@@ -154,6 +158,15 @@ class ZenohBus:
         for queue in self._queues:
             queue.close()
         undeclare(*self._entities, self._status)
+
+    def _source(self, query: zenoh.Query) -> str:
+        """The address of the link to the session that the asker names; nothing proves that name."""
+        named = query.source_info
+        asker = None if named is None else named.source_id.zid
+        for link in self._session.info.links():
+            if link.zid == asker:
+                return str(link.dst).partition("/")[2].partition("?")[0].partition("#")[0]
+        return "an unknown address"
 
     def _is_excused(self, payload: bytes) -> bool:
         """True if the asker has this robot's answer already, or the query is malformed."""

@@ -506,6 +506,7 @@ class Operator:
                     express=True,
                     timeout=timeout,
                     payload=payload,
+                    source_info=zenoh.SourceInfo(session.id, 0),  # for the robot's log
                 )
 
     def _on_datagram(self, payload: bytes, source: Address, by_group: bool) -> None:

@@ -33,6 +33,8 @@ def raw(*, version: int = 1, **fields: object) -> bytes:
 
 
 class RecordingQuery:
+    source = "10.0.0.5:40000"
+
     def __init__(self, payload: bytes) -> None:
         self.payload = payload
         self.replies: list[Reply] = []

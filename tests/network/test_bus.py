@@ -99,6 +99,17 @@ async def test_wild_and_oversized_queries_are_dropped_counted_and_ended(
     assert rig.drops.counts() == {f"control/run:{cause}": 1}
 
 
+async def test_the_address_of_an_asker_that_names_its_session_is_known(rig: BusRig) -> None:
+    await rig.serve(lambda query: query.reply(query.source.encode()))
+    ((_, unnamed),) = await rig.get("me/control/run")
+    assert unnamed == b"an unknown address"
+    named = zenoh.SourceInfo(rig.foreign.id, 0)
+    replies = await asyncio.to_thread(
+        lambda: list(rig.foreign.get(rig.key("me/control/run"), source_info=named, timeout=5.0))
+    )
+    assert [reply.ok.payload.to_bytes()[:10] for reply in replies if reply.ok] == [b"127.0.0.1:"]
+
+
 async def test_an_answer_may_come_later_and_only_once(rig: BusRig) -> None:
     loop = asyncio.get_running_loop()
 
