@@ -64,7 +64,9 @@ def forget(options: CommonOptions, name: str) -> None:
         if view.members[name].presence is Presence.ALIVE:
             text = f"{name} is alive; only robots that failed or left can be forgotten"
             raise Failure(text, REFUSED)
-        report(options, operator.request(ForgetRequest, view.epochs(view.alive), name=name))
+        epochs = view.epochs(view.alive)
+        wait = options.timeout
+        report(options, operator.request(ForgetRequest, epochs, timeout=wait, name=name))
 
 
 def row(member: SeenMember) -> tuple[str, ...]:

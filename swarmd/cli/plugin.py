@@ -114,4 +114,4 @@ def reload(options: CommonOptions, name: str, targets: Targets, is_run: bool) ->
     if not is_id(name):
         raise click.UsageError(f"{name!r} is no pattern name; see `swarmctl patterns`")
     fields = {"pattern": name, "is_rerun": is_run}
-    send_to(options, ReloadRequest, targets, timeout=RELOAD_TIMEOUT, **fields)
+    send_to(options, ReloadRequest, targets, least=RELOAD_TIMEOUT, **fields)

@@ -10,7 +10,6 @@ from swarmd.cli.arguments import Duration, Targets, read_assignments, takes_targ
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import warn
 from swarmd.cli.send import (
-    REQUEST_TIMEOUT,
     known_members,
     report,
     send_stop,
@@ -119,7 +118,6 @@ def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> N
         if len(names) > 1 and not yes and not click.confirm(question, err=True):
             raise click.ClickException("nothing was sent")
         ids = tuple(sorted(latches))
-        timeout = options.timeout or REQUEST_TIMEOUT
-        epochs = view.epochs(names)
-        outcome = operator.request(ResetRequest, epochs, timeout=timeout, ids=ids, reason=reason)
+        epochs, wait = view.epochs(names), options.timeout
+        outcome = operator.request(ResetRequest, epochs, timeout=wait, ids=ids, reason=reason)
         report(options, outcome)

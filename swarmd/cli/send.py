@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     from swarmd.network.discovery import MembersView
     from swarmd.network.operator import Operator
 
-REQUEST_TIMEOUT = 5.0  # s
 # Where the operator finds what all robots refused as a mistake.
 _HELP = {
     Refusal.UNKNOWN_PATTERN: "swarmctl patterns",
@@ -101,16 +100,14 @@ def send_to(
     options: CommonOptions,
     kind: type[AnyRequest],
     targets: Targets,
-    *,
-    timeout: float = REQUEST_TIMEOUT,
     **fields: Any,
 ) -> NoReturn:
-    """Send a request to the targets and report; `--timeout` overrides `timeout` s."""
+    """Send a request to the targets and report."""
     with options.operator() as operator:
         view = known_members(options, operator)
         names = targets_of(view, targets)
-        wait = options.timeout or timeout
-        report(options, operator.request(kind, view.epochs(names), timeout=wait, **fields))
+        epochs = view.epochs(names)
+        report(options, operator.request(kind, epochs, timeout=options.timeout, **fields))
 
 
 def send_stop(

@@ -82,7 +82,8 @@ class MembersView:
 
     `members`: all robots by id. `answered`: those that answered for themselves, in this version
     with a status. `absent` robots are on the roster and nowhere else. `duplicates`: ids that
-    several instances hold, with those instances. `round_trip` in s.
+    several instances hold, with those instances. `round_trip` in s, the longest; `loss` the largest
+    share of solicits that a robot left unanswered.
     """
 
     members: Mapping[str, SeenMember]
@@ -90,6 +91,7 @@ class MembersView:
     roster: frozenset[str] = frozenset()
     duplicates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     round_trip: float = 0.0
+    loss: float = 0.0
 
     @property
     def alive(self) -> tuple[str, ...]:
@@ -441,6 +443,7 @@ class Discovery:
                 robot: tuple(sorted(some)) for robot, some in holders.items() if len(some) > 1
             },
             round_trip=self.round_trip,
+            loss=self._loss(now),
         )
 
     def _member(self, robot: str, now: float) -> SeenMember | None:

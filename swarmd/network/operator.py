@@ -65,7 +65,8 @@ STOP_PACE = ((1.0, 0.1), (float("inf"), 0.25))
 POLL_PACE = ((0.2, 0.015), (float("inf"), 0.1))
 # A request without a reply is repeated after this time, in s: a congested or closing link loses it.
 REPEAT_PERIOD = 0.5
-REQUEST_TIMEOUT = 5.0
+# How long a request waits by default, in s, in round trips, and times the loss (see discovery.py).
+REQUEST_WAIT, REQUEST_TRIPS, REQUEST_LOSS_WAIT = 5.0, 8.0, 15.0
 # Robots found within this time of each other are dialled together, in s.
 GATHER_TIME = 0.004
 # Sessions at a time, and the time before a second one, in s; it doubles with each.
@@ -150,6 +151,7 @@ class Operator:
         self._news = threading.Condition()
         self._version = 0
         self._discovery: Discovery | None = None
+        self._looked = MembersView({})
         self._stop: PendingStop | None = None
         self._swarms: set[str] = set()
         self._echo = int.from_bytes(os.urandom(4), "big")
@@ -194,7 +196,8 @@ class Operator:
                 is_late = until is not None and now >= until
                 is_over = until is None and over.is_due(now) and discovery.is_over(now)
                 if is_complete or is_late or is_over:
-                    return discovery.result(now)
+                    self._looked = discovery.result(now)
+                    return self._looked
             if solicit.is_due(now):
                 self._solicit(discovery, now)
             wait = self._dial(discovery, now)
@@ -226,21 +229,28 @@ class Operator:
         kind: type[AnyRequest],
         targets: Mapping[str, Epoch | None],
         *,
-        view: MembersView | None = None,
-        timeout: float = REQUEST_TIMEOUT,
+        timeout: float | None = None,
+        least: float = REQUEST_WAIT,
         **fields: Any,
     ) -> Outcome:
         """Send a request to the robots in `targets`, with the epoch that was seen of each.
 
         `fields` are those of `kind`. Repeated under one id to each robot without a reply. Returns
-        as soon as all have answered. Robots that `view`, the last look without one, shows
-        unreachable or gone count as missing and are not waited for.
+        as soon as all have answered, else after `timeout` s, or by default after `least` s and more
+        by the round trip and the loss. Robots that the last look, and
+        all that was heard since, show unreachable or gone count as missing and are not waited for.
         """
-        view = self.seen() if view is None else view
-        asked = {name: epoch for name, epoch in targets.items() if view.is_in_reach(name)}
+        view, fresh = self._looked, self.seen()
+        asked = {
+            name: epoch
+            for name, epoch in targets.items()
+            if view.is_in_reach(name) or fresh.is_in_reach(name)
+        }
         others = asked.keys() & set(view.of_other_version())
         request = self._new(kind, targets=asked, **fields)
         payload, acks = encode(request), Acks(request.id)
+        if timeout is None:
+            timeout = least + REQUEST_TRIPS * view.round_trip + REQUEST_LOSS_WAIT * view.loss
         patience = min(timeout, 1.0 + 6.0 * view.round_trip)
         started = now = time.monotonic()
         robots: tuple[str, ...] = (ANY,) if asked else ()
