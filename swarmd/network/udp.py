@@ -34,7 +34,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmd.core.clock import Clock, boottime
 from swarmd.core.errors import NetworkError
-from swarmd.network.datagram import MAX_DATAGRAM, Kind
+from swarmd.network.datagram import MAX_DATAGRAM, TAG_BYTES, Kind
 from swarmd.network.flood_limits import URGENT, FloodLimits
 from swarmd.network.interface_watch import addresses_of, index_of
 from swarmd.network.packet_filter import swarm_filter
@@ -58,7 +58,7 @@ COPY_TIME = 0.1  # s within which twins of a datagram arrive
 _RECEIVE_BUFFER = 2 * 1024 * 1024  # some 2700 small datagrams
 _DROP_COST, _COST = 1, 8
 _PORT_TRIES = 5
-_KIND_AT = 4
+_KIND_AT, _TAG = 4, slice(5, 5 + TAG_BYTES)
 # linux/in.h, linux/in6.h and asm-generic/socket.h; Python names none of them.
 _IP_UNICAST_IF, _IP_MULTICAST_ALL = 50, 49
 _IPV6_UNICAST_IF, _IPV6_MULTICAST_ALL = 76, 29
@@ -255,19 +255,27 @@ class UdpCarrier:
         if port == self.port and (host in self._addresses or self._is_dev):
             return None  # an own one, from the group
         source = _address(name)
+        if len(payload) <= _KIND_AT:
+            self.dropped["datagram:short"] += 1
+            return None
         if not self._limits.admits(source, payload[_KIND_AT], now):
             return None
         if self._is_twin(payload, source, way, now):
             return None
+        if payload[_KIND_AT] == Kind.BEACON and payload[_TAG] == self._tag:
+            self._note_robot(source, way, now)
+        return source
+
+    def _note_robot(self, source: Address, way: _Way, now: float) -> None:
+        """A robot of this swarm was heard: its way decides how the next datagrams are sent."""
         is_by_group = way in (_Way.MULTICAST, _Way.COPY)
         if is_by_group:
             self._multicast_at = now
-        if way is _Way.MULTICAST and ":" in host:
+        if way is _Way.MULTICAST and ":" in source[0]:
             self._ipv6_only_at = now
         if way is _Way.BROADCAST:
             is_by_group = self._needs_broadcast(now)
         self.recipients.on_heard(source, is_by_group, now)
-        return source
 
     def _is_twin(self, payload: bytes, source: Address, way: _Way, now: float) -> bool:
         key = (source, payload)
@@ -446,13 +454,14 @@ class UdpCarrier:
             one.socket.setsockopt(socket.IPPROTO_IPV6, ipv6, membership)
 
     def _attach_filter(self, sock: socket.socket) -> None:
-        program = swarm_filter(self._tag, self._rules, is_ipv6=sock.family == socket.AF_INET6)
-        code = ctypes.create_string_buffer(program, len(program))
-        sock.setsockopt(
-            socket.SOL_SOCKET,
-            _SO_ATTACH_FILTER,
-            struct.pack("@HP", len(program) // 8, ctypes.addressof(code)),
-        )
+        """Replace the kernel's filter; without one the limits and the reader do all the work."""
+        for rules in (self._rules, self._rules.shortened()):
+            program = swarm_filter(self._tag, rules, is_ipv6=sock.family == socket.AF_INET6)
+            code = ctypes.create_string_buffer(program, len(program))
+            filter_ = struct.pack("@HP", len(program) // 8, ctypes.addressof(code))
+            with contextlib.suppress(OSError):  # no memory for a long one, or no filters here
+                sock.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, filter_)
+                return
 
     def _enlarge(self, sock: socket.socket) -> None:
         try:

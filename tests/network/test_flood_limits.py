@@ -137,3 +137,4 @@ def test_the_rules_are_bounded() -> None:
     rules = limits.rules(0.0)
     assert 0 < len(rules.blocked) <= 64
     assert 0 < len(rules.thinned) <= 8
+    assert len(rules.shortened().blocked) < len(rules.blocked)

@@ -15,6 +15,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError
 from swarmd.network.datagram import ANY_SWARM, Beacon, Solicit, Stop, pack, tag_of
 from swarmd.network.flood_limits import FloodRules
@@ -115,6 +116,19 @@ def test_without_multicast_seeds_and_those_who_answer_hear(peers: Peers) -> None
     c.send(beacon(2))
     a.send_to(beacon(3), of(b))
     assert [payload for payload, _, _ in arrived(b)] == [beacon(3)]
+
+
+def test_only_robots_of_the_swarm_get_copies(peers: Peers) -> None:
+    a, other = peers.open(), peers.open(OTHER)
+    operator = peers.open()
+    other.send_to(pack(ANY_SWARM, Solicit(echo=1)), of(a))
+    operator.send_to(pack(TAG, Solicit(echo=1)), of(a))
+    operator.send_to(stop("s"), of(a))
+    assert len(arrived(a, 3)) == 3
+    assert a.recipients.unicast(boottime(), is_urgent=True) == []
+    operator.send_to(beacon(), of(a))
+    arrived(a)
+    assert a.recipients.unicast(boottime()) == [of(operator)]
 
 
 def test_a_seed_may_be_a_name(peers: Peers) -> None:
