@@ -244,7 +244,9 @@ class Discovery:
             self._mention(beacon.robot, now)
             self._news = self.found_at = now
         heard = known[instance]
-        heard.last, heard.address, heard.beacon = now, address, beacon
+        heard.last = now
+        if beacon.sequence >= heard.beacon.sequence:  # not one that was overtaken on the way
+            heard.address, heard.beacon = address, beacon
         heard.version = beacon.version or heard.version
         sent = self._echoes.get(beacon.echo)
         if sent is not None and beacon.echo not in heard.echoes:

@@ -325,6 +325,12 @@ def test_a_robot_that_moved_is_found_at_its_new_address(rig: Rig) -> None:
     assert rig.found.address("a") == ("10.0.1.1", 7440)
 
 
+def test_a_beacon_that_was_overtaken_changes_nothing(rig: Rig) -> None:
+    rig.hear("a", sequence=5)
+    rig.hear("a", sequence=4, state=STATES.index(State.IDLE))
+    assert rig.found.result(0.1).members["a"].state == "running"
+
+
 def test_strangers_are_bounded() -> None:
     rig = Rig("own")
     for number in range(2 * MAX_ROBOTS):

@@ -9,6 +9,7 @@ import pytest
 
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Code, Refusal, ResetRequest, State
+from tests.support.processes import wait_until
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
@@ -127,3 +128,22 @@ def test_an_estop_without_acks_is_no_success(swarm: Swarm) -> None:
     roster.write_text(f"swarm: {swarm.name}\nroster: [r1, r2]\n")
     done = swarm.ctl("estop", "--config", str(roster), "--timeout", "0.5s")
     assert done.outcome == (5, "2 targeted, 0 applied, 2 no answer (r1, r2)")
+
+
+@pytest.mark.parametrize("is_healed", [True, False], ids=["thawed", "interrupted"])
+def test_until_all_waits_for_a_frozen_robot_and_shows_it(swarm: Swarm, is_healed: bool) -> None:
+    frozen = swarm.spawn("r1")
+    swarm.start("r2")
+    frozen.wait_ready()
+    wait_until(lambda: "r1" in swarm.presences("r2"), "r2 knows r1")
+    frozen.freeze()
+    estop = swarm.begin("estop", "--until-all")
+    assert estop.stderr is not None
+    assert estop.stderr.readline().startswith("waiting for r1 ")
+    frozen.thaw() if is_healed else estop.send_signal(signal.SIGINT)
+    done = swarm.finish(estop)
+    if is_healed:
+        assert done.outcome == (0, "2 targeted, 2 applied")
+    else:
+        assert done.outcome == (3, "2 targeted, 1 applied, 1 no answer (r1)")
+        assert "view not complete: r1 " in done.err
