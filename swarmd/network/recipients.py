@@ -2,8 +2,8 @@
 
 Multicast is seldom broken in one direction alone, so that a peer that is heard by the group is
 assumed to hear by it, too. Everybody else that is known gets copies: seeds, peers that are heard
-by unicast only, and addresses that a robot mentioned. One that does not answer gets one datagram a
-second, and stops alone beside that.
+by unicast only, and addresses that a robot mentioned. Messages of patterns go to those alone that
+are heard, so that a silent address costs a beacon a second.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from dataclasses import dataclass
 Address = tuple[str, int]
 
 MAX_ADDRESSES = 256
-QUIET_PERIOD = 1.0  # s between two datagrams to an address that does not answer
 WORD_LIFE = 30.0  # s for which the word of another robot counts
 
 
@@ -23,7 +22,6 @@ class _Known:
     by_group: float = -1e9
     heard: float = -1e9
     mentioned: float = -1e9
-    sent: float = -1e9
 
 
 class Recipients:
@@ -57,16 +55,14 @@ class Recipients:
         if known is not None:
             known.mentioned = now
 
-    def unicast(self, now: float, *, is_urgent: bool = False) -> list[Address]:
-        """The addresses that get a copy of a datagram that is sent now."""
+    def unicast(self, now: float, *, is_message: bool = False) -> list[Address]:
+        """The addresses that get a copy of a datagram, or of a pattern's message, sent now."""
         chosen = []
         for address, known in list(self._known.items()):
             if not self._is_current(address, known, now):
                 del self._known[address]
             elif not (self._with_group and now - known.by_group <= self._lease):
-                is_due = now - known.sent >= QUIET_PERIOD * 0.9
-                if is_urgent or is_due or now - known.heard <= self._lease:
-                    known.sent = now
+                if not is_message or now - known.heard <= self._lease:
                     chosen.append(address)
         return chosen
 

@@ -154,7 +154,7 @@ class UdpCarrier:
             self._refresh(now)
             if self._multicast:
                 self._send_to_groups(payload, kind, is_urgent, now)
-            for address in self.recipients.unicast(now, is_urgent=is_urgent):
+            for address in self.recipients.unicast(now, is_message=kind == Kind.MESSAGE):
                 self._send_to(payload, address)
 
     def send_to(self, payload: bytes, address: Address) -> None:

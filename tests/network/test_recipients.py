@@ -31,12 +31,12 @@ def test_without_a_group_everybody_gets_copies() -> None:
     assert recipients.unicast(0.1) == [A, B]
 
 
-def test_a_seed_that_does_not_answer_gets_one_a_second_and_each_stop_for_ever() -> None:
+def test_a_seed_that_does_not_answer_gets_all_but_messages_for_ever() -> None:
     recipients = Recipients(LEASE)
     recipients.set_seeds([A])
-    assert recipients.unicast(0.0) == [A]
-    assert recipients.unicast(0.5) == []
-    assert recipients.unicast(0.5, is_urgent=True) == [A]
+    recipients.on_heard(B, False, 0.0)
+    assert recipients.unicast(0.0) == [A, B]
+    assert recipients.unicast(0.0, is_message=True) == [B]
     assert recipients.unicast(1e6) == [A]
 
 

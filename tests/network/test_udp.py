@@ -118,6 +118,15 @@ def test_without_multicast_seeds_and_those_who_answer_hear(peers: Peers) -> None
     assert [payload for payload, _, _ in arrived(b)] == [beacon(3)]
 
 
+def test_an_operator_asks_and_stops_a_silent_seed_without_a_pause(peers: Peers) -> None:
+    a = peers.open(multicast=False)
+    b = peers.open(multicast=False, seeds=(f"tcp/127.0.0.1:{a.port}",))
+    said = [stop("s1"), *(pack(TAG, Solicit(echo=echo)) for echo in range(3)), stop("s2"), beacon()]
+    for payload in said:
+        b.send(payload)
+    assert [payload for payload, _, _ in arrived(a, len(said))] == said
+
+
 def test_only_robots_of_the_swarm_get_copies(peers: Peers) -> None:
     a, other = peers.open(), peers.open(OTHER)
     operator = peers.open()
@@ -125,7 +134,7 @@ def test_only_robots_of_the_swarm_get_copies(peers: Peers) -> None:
     operator.send_to(pack(TAG, Solicit(echo=1)), of(a))
     operator.send_to(stop("s"), of(a))
     assert len(arrived(a, 3)) == 3
-    assert a.recipients.unicast(boottime(), is_urgent=True) == []
+    assert a.recipients.unicast(boottime()) == []
     operator.send_to(beacon(), of(a))
     arrived(a)
     assert a.recipients.unicast(boottime()) == [of(operator)]
