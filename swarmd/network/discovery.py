@@ -35,6 +35,7 @@ QUIET_TIME = 0.1
 MAX_ROBOTS = 1024
 MAX_INSTANCES = 8
 MAX_ECHOES = 256
+MAX_COPIES = 128  # of one datagram to single addresses: false words name many
 # A beacon counts for this long, in s; a robot that others hear, for so long after they did.
 FRESH_TIME = 3.0
 WORD_TIME = 10.0
@@ -369,10 +370,12 @@ class Discovery:
         return found
 
     def to_solicit(self) -> tuple[Address, ...]:
-        """The addresses of robots that are known by the word of others alone."""
+        """The addresses of robots that are known by the word of others alone, some at a time."""
         names = (robot for robot in self._mentioned if not self._heard.get(robot))
-        found = {self.address(robot) for robot in names}
-        return tuple(sorted(one for one in found if one is not None))
+        known = {self.address(robot) for robot in names}
+        found = sorted(one for one in known if one is not None)
+        first = self._solicits * MAX_COPIES % len(found) if len(found) > MAX_COPIES else 0
+        return tuple((found[first:] + found[:first])[:MAX_COPIES])
 
     # When to end
 

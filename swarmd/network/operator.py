@@ -75,6 +75,7 @@ MAX_SESSIONS, DIAL_PERIOD = 8, 0.01
 REDIAL_WAIT, REDIAL_TRIPS = 1.5, 5.0
 CLOSE_TIMEOUT = 0.2
 MAX_SWARMS = 256
+MAX_EXCUSED = 512  # names in a question for members: they fit one request
 SWARMS_TIME = 0.3
 PROGRESS_PERIOD = 3.0
 # What a request may hold, in characters, and in bytes where it must fit a datagram.
@@ -237,8 +238,8 @@ class Operator:
 
         `fields` are those of `kind`. Repeated under one id to each robot without a reply. Returns
         as soon as all have answered, else after `timeout` s, or by default after `least` s and more
-        by the round trip and the loss. Robots that the last look, and
-        all that was heard since, show unreachable or gone count as missing and are not waited for.
+        by the round trip and the loss. Robots that the last look, and all that was heard since,
+        show unreachable or gone count as missing and are not waited for.
         """
         view, fresh = self._looked, self.seen()
         asked = {
@@ -340,8 +341,7 @@ class Operator:
                 payload = pack(self._tag, one)
                 self._carrier.send(payload)
                 for address in addresses:
-                    self._carrier.send_to(payload, address)
-                pending.sent += 1
+                    self._carrier.send_to(payload, self._reachable(address))
             if solicit.is_due(now):
                 self._solicit(discovery, now)
             if until_all and lacking != shown and progress.is_due(now):
@@ -462,7 +462,7 @@ class Operator:
             if header.robot == robot and version_of(payload) != codec.VERSION:
                 discovery.on_header(header, time.monotonic())
 
-        query = encode(MembersQuery(answered=tuple(known)))
+        query = encode(MembersQuery(answered=tuple(known[:MAX_EXCUSED])))
         self._get(ANY, "control", "members", query, 10.0, on_view)
         with self._news:
             others = discovery.of_other_version - set(known)

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from swarmd.core.messages import Presence
 from swarmd.network.datagram import Ack, Stop
-from swarmd.network.discovery import Address, Discovery
+from swarmd.network.discovery import MAX_COPIES, Address, Discovery
 from swarmd.network.outcome import Acks, Outcome
 
 Select = Callable[[Collection[str]], Collection[str]]
@@ -35,7 +35,6 @@ class PendingStop:
         names: Collection[str] = (),
     ) -> None:
         self.acks = Acks(stop.id)
-        self.sent = 0
         self._stop = stop
         self._discovery = discovery
         self._started = started
@@ -58,9 +57,11 @@ class PendingStop:
             yield replace(stop, targets=tuple(part))
 
     def addresses(self, now: float) -> tuple[Address, ...]:
-        """Where the robots without an ack are: it is also sent there."""
-        found = {self._discovery.address(name) for name in self.lacking(now)}
-        return tuple(sorted(one for one in found if one is not None))
+        """Where the robots without an ack are, those that are heard first: it is also sent there."""
+        heard = self._discovery.heard
+        names = sorted(self.lacking(now), key=lambda name: name not in heard)
+        found = dict.fromkeys(self._discovery.address(name) for name in names)
+        return tuple(one for one in found if one is not None)[:MAX_COPIES]
 
     def on_ack(self, ack: Ack) -> bool:
         """Take an ack; False if it is of another request."""

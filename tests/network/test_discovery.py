@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from swarmd.core import codec
 from swarmd.core.messages import Member, PeerView, Presence, State, StatusHeader
@@ -12,6 +13,7 @@ from swarmd.network.datagram import PRESENCES, STATES, Beacon, Flag, Heard, Word
 from swarmd.network.discovery import (
     ANSWER_WAIT,
     GONE_WAIT,
+    MAX_COPIES,
     MAX_ROBOTS,
     NOBODY_WAIT,
     QUIET_TIME,
@@ -317,6 +319,20 @@ def test_robots_are_dialled_where_they_are_heard_or_said_to_be(rig: Rig) -> None
     assert rig.found.to_solicit() == (("10.0.0.9", 7440),)
     rig.hear("b", at=0.1)
     assert rig.found.to_dial()["b", life().hex()] == address("b")
+
+
+def test_false_words_do_not_make_a_flood() -> None:
+    rig = Rig()
+    for number in range(300):
+        where = f"10.1.{number // 100}.{number % 100}"
+        rig.tell("a", replace(heard(f"x{number}"), host=where), part=number % 200, parts=200)
+    asked: set[tuple[str, int]] = set()
+    for echo in range(3):
+        some = rig.found.to_solicit()
+        assert len(some) <= MAX_COPIES
+        asked.update(some)
+        rig.found.on_solicit(echo, 0.1)
+    assert len(asked) == 200  # each in its turn
 
 
 def test_a_robot_that_moved_is_found_at_its_new_address(rig: Rig) -> None:
