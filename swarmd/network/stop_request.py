@@ -57,7 +57,7 @@ class PendingStop:
             yield replace(stop, targets=tuple(part))
 
     def addresses(self, now: float) -> tuple[Address, ...]:
-        """Where the robots without an ack are, those that are heard first: it is also sent there."""
+        """Where it is also sent: to the robots without an ack, those that are heard first."""
         heard = self._discovery.heard
         names = sorted(self.lacking(now), key=lambda name: name not in heard)
         found = dict.fromkeys(self._discovery.address(name) for name in names)

@@ -94,6 +94,13 @@ def test_the_roster_must_ack_before_any_robot_is_found() -> None:
     assert pending.outcome(3.0).exit_code == TIMEOUT
 
 
+def test_a_robot_on_the_roster_must_ack_even_if_it_left() -> None:
+    rig = Rig("b")
+    rig.hear("a")
+    rig.tell("a", heard("b", Presence.LEFT))
+    assert make(rig).lacking(0.1) == ("a", "b")
+
+
 def test_a_selection_names_its_targets_and_grows(rig: Rig) -> None:
     def picked(names: Collection[str]) -> set[str]:
         return {name for name in names if name != "a"}
