@@ -61,9 +61,10 @@ class Recipients:
         for address, known in list(self._known.items()):
             if not self._is_current(address, known, now):
                 del self._known[address]
-            elif not (self._with_group and now - known.by_group <= self._lease):
-                if not is_message or now - known.heard <= self._lease:
-                    chosen.append(address)
+                continue
+            hears_group = self._with_group and now - known.by_group <= self._lease
+            if not hears_group and (not is_message or now - known.heard <= self._lease):
+                chosen.append(address)
         return chosen
 
     def _place(self, address: Address, now: float) -> _Known | None:
