@@ -29,8 +29,11 @@ def started_swarm(
     namespaces_permitted: None,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[FieldSwarm]:
-    """The `ROBOTS` of a test module with their daemons, and the two laptops of the matrix."""
-    robots: tuple[str, ...] = request.module.ROBOTS
+    """The robots of a test module with their daemons, and the two laptops of the matrix.
+
+    They are the parameter of this fixture if it has one, else `ROBOTS` of the module.
+    """
+    robots: tuple[str, ...] = getattr(request, "param", None) or request.module.ROBOTS
     with contextlib.ExitStack() as left:
         field = left.enter_context(contextlib.closing(Field((*robots, FAR, NEAR))))
         swarm = left.enter_context(FieldSwarm(tmp_path_factory.mktemp("field"), field, robots))

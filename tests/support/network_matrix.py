@@ -25,7 +25,7 @@ VERBS: dict[str, tuple[str, ...]] = {
     "reset": ("reset", "--all", "--yes"),
 }
 LATEST = 3.0  # s
-PREPARE_TIMEOUT = 30.0
+PREPARE_TIMEOUT = 60.0
 STANDING = ("idle", "stopped", "estopped", "faulted")
 _LEADS_TO = {"idle": ("stop", "reset"), "running": ("reset", "run"), "estopped": ("estop",)}
 # The states that an applied request leaves, as the near laptop sees them.
