@@ -14,7 +14,7 @@ from swarmd.core.errors import ConfigError
 ROOT = "swarm"
 ANY = "*"
 _ID = re.compile(r"[a-z0-9][a-z0-9_-]{0,62}")
-_PLANES = frozenset({"state", "msg", "sense", "control", "net", "hw"})
+_PLANES = frozenset({"state", "msg", "sense", "control", "multicast", "unicast", "hw"})
 
 
 class Key(NamedTuple):

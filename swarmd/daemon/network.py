@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 
@@ -92,6 +93,8 @@ class Network:
         self.bus: ZenohBus | None = None
         self._watch: InterfaceWatch | None = None
         self._reopening: asyncio.Task[None] | None = None
+        self._is_settled = False  # the id is owned, and the latches of the others are known
+        self._is_stale = False  # the sockets belong to an earlier state of the interface
         self._is_duplicate = False
         self._is_full = False
         self._roster = roster
@@ -165,8 +168,8 @@ class Network:
             await asyncio.sleep(max(0.0, min(self._peer.wake_at() - boottime(), 0.05)))
         while not self._peer.is_in_sync(boottime()):
             await asyncio.sleep(0.02)
-        assert self.bus is not None
-        self._handlers.serve(self.bus)
+        self._is_settled = True
+        self._serve()
 
     def advance(self) -> None:
         """Send what is due; the daemon's tick calls this."""
@@ -218,7 +221,7 @@ class Network:
             self._watch.close()
         session = self._release()
         if session is not None:
-            session.close()
+            _close(session)
 
     # Datagrams
 
@@ -245,7 +248,7 @@ class Network:
             self._send(body, address)
         if self._carrier is not None:
             for address in effects.heard_of:
-                self._carrier.recipients.on_word(address, boottime())
+                self._carrier.recipients.on_word(self._local(address), boottime())
         self._lost += effects.lost
         if effects.latches:
             self._handlers.on_latches(effects.latches)
@@ -286,6 +289,13 @@ class Network:
         else:
             self._carrier.send_to(payload, address)
 
+    def _local(self, address: Address) -> Address:
+        """The address, with the scope of this machine if it is local to the link."""
+        host, port = address
+        if host.startswith("fe80:") and self._watch is not None:
+            host = f"{host.partition('%')[0]}%{self._watch.state.index}"
+        return host, port
+
     # Sockets and session
 
     @property
@@ -298,36 +308,52 @@ class Network:
     def _on_interface_change(self, change: InterfaceChange) -> None:
         """The interface changed; the robot stands before anything is opened again."""
         self._handlers.on_interface(change)
-        if self._carrier is None:  # it is being opened again
-            return
         if change.must_reopen:
-            self._reopening = self._loop.create_task(self._reopen())
-        elif change.must_rejoin:
+            self._is_stale = True
+            if self._reopening is None:
+                self._reopening = self._loop.create_task(self._reopen())
+                self._reopening.add_done_callback(self._on_reopened)
+        elif change.must_rejoin and self._carrier is not None:
             self._carrier.rejoin()
 
     async def _reopen(self) -> None:
         """Close carrier and session, and open them again as soon as that is possible."""
-        old = self._release()
-        if old is not None:
-            # A close that waits for a vanished operator must not delay the new session.
-            closing = self._loop.run_in_executor(None, old.close)
-            await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT)
-        await self._open_again()
-        assert self.bus is not None
-        self._handlers.serve(self.bus)
+        while self._is_stale:
+            self._is_stale = False
+            old = self._release()
+            if old is not None:
+                # A close that waits for a vanished operator must not delay the new session.
+                closing = self._loop.run_in_executor(None, _close, old)
+                await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT)
+            await self._open_again()
+        self._serve()
         log.info("the network is open again")
 
+    def _on_reopened(self, task: asyncio.Task[None]) -> None:
+        """End the daemon by the loop's handler of exceptions if it could not be opened."""
+        self._reopening = None
+        if not task.cancelled():
+            task.result()
+
+    def _serve(self) -> None:
+        """Answer operators, once the id is owned and the latches of the others are known."""
+        if self.bus is not None and self._is_settled:
+            self._handlers.serve(self.bus)
+
     async def _open_again(self) -> None:
-        """Open as soon as that is possible, and say once what is in the way."""
-        said = ""
+        """Open as soon as that is possible, and log each new reason why it is not."""
+        logged = ""
         while True:
             try:
                 await self._open()
                 return
-            except NetworkError as error:
-                if str(error) != said:
-                    said = str(error)
-                    log.warning("the network cannot be opened yet: %s", said)
+            except (NetworkError, zenoh.ZError, OSError) as error:
+                leftover = self._release()
+                if leftover is not None:
+                    self._loop.run_in_executor(None, _close, leftover)
+                if str(error) != logged:
+                    logged = str(error)
+                    log.warning("the network cannot be opened yet: %s", logged)
                 await asyncio.sleep(REOPEN_PERIOD)
 
     async def _open(self) -> None:
@@ -373,3 +399,8 @@ class Network:
 
 def _host(endpoint: Endpoint) -> str:
     return f"[{endpoint.host}]" if ":" in endpoint.host else endpoint.host
+
+
+def _close(session: zenoh.Session) -> None:
+    with suppress(zenoh.ZError):  # a link to a vanished operator may not end in time
+        session.close()

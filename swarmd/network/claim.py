@@ -1,7 +1,7 @@
 """One owner for each robot id: a claim by beacons. Pure: beacons and times in, the outcome out.
 
 A daemon that starts sends beacons with Flag.JOINING and listens. The owner of the id answers each
-of them, so that a claimer that hears an owner twice has lost; one stray beacon may be the last word
+of them, so that a claimer that hears an owner twice has lost; one alone may be a delayed beacon
 of a daemon that has ended. Of several claimers the smallest instance wins. A claim is won after
 `settle` seconds without a rival. Two owners can still meet when a cut heals: `Membership` and the
 daemon then see the beacons of a second instance.
@@ -35,6 +35,8 @@ class Claim:
         if beacon.flags & Flag.LEFT:
             self._owners.pop(beacon.instance, None)
             self._claimers.pop(beacon.instance, None)
+            if self.holder == beacon.instance:
+                self.holder = None
         elif beacon.flags & Flag.JOINING:
             if beacon.instance < self._own and len(self._claimers) < MAX_RIVALS:
                 self._claimers[beacon.instance] = now

@@ -26,7 +26,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Code, Latch, Line, Name, Presence, Refusal, State
+from swarmd.core.messages import Latch, Line, Name, Presence, State
 
 MAGIC = b"SWMD"
 TAG_BYTES = 8
@@ -114,8 +114,8 @@ class Solicit(_Datagram, frozen=True, kw_only=True):
 class Heard(_Datagram, frozen=True, kw_only=True):
     """What a robot knows of another member.
 
-    `presence` is an index in PRESENCES, `age` the time since it was heard (alive) or since it left
-    or failed. `hops` 0: heard directly, from `host` and `port`.
+    `presence` is an index in PRESENCES, `age` the time in ms since it was heard (alive) or since
+    it left or failed. `hops` 0: heard directly, from `host` and `port`.
     """
 
     robot: RobotId
@@ -130,7 +130,7 @@ class Heard(_Datagram, frozen=True, kw_only=True):
 class Word(_Datagram, frozen=True, kw_only=True):
     """A part of what a robot knows of the other members; `part` counts from 0 to `parts` - 1.
 
-    `roster`: the names that the robot's own settings expect; in part 0 as far as they fit.
+    `roster`: the names that the robot's own settings expect, after the members, in any part.
     """
 
     robot: RobotId
@@ -139,15 +139,15 @@ class Word(_Datagram, frozen=True, kw_only=True):
     part: Annotated[int, Meta(ge=0, le=255)] = 0
     parts: Annotated[int, Meta(ge=1, le=256)] = 1
     echo: Number = 0
-    roster: Annotated[tuple[Name, ...], Meta(max_length=64)] = ()
+    roster: Annotated[tuple[RobotId, ...], Meta(max_length=64)] = ()
 
 
 class Stop(_Datagram, frozen=True, kw_only=True):
     """A stop or an emergency stop, as its operator or a relaying robot sends it.
 
-    `targets` None: every robot. `scope` swarm: the latch spreads to robots that join. `age`: since
-    the operator issued it, summed hop by hop without clocks. `hops`: how often it was relayed.
-    A robot acks each repeat.
+    `targets` None: every robot. `scope` swarm: the latch spreads to robots that join. `age`: ms
+    since the operator issued it, summed hop by hop without clocks and without the time on the way.
+    `hops`: how often it was relayed.
     """
 
     id: Name
@@ -161,14 +161,17 @@ class Stop(_Datagram, frozen=True, kw_only=True):
 
 
 class Ack(_Datagram, frozen=True, kw_only=True):
-    """A robot's answer to a stop or estop, or such an answer handed on by another robot (`via`)."""
+    """A robot's answer to a stop or estop, or such an answer handed on by another robot (`via`).
+
+    `code` and `refusal` are values of `Code` and `Refusal`; a later version may send others.
+    """
 
     id: Name
     robot: RobotId
     instance: Bytes6
     revision: Number
-    code: Code
-    refusal: Refusal | None = None
+    code: Annotated[str, Meta(max_length=32)]
+    refusal: Annotated[str, Meta(max_length=64)] | None = None
     text: Line = ""
     via: Annotated[str, Meta(max_length=63)] = ""
 

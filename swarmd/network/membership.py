@@ -220,7 +220,7 @@ class Membership:
                     instance=record.shown[0],
                     presence=PRESENCES.index(presence),
                     age=round(max(now - since, 0.0) * 1000),
-                    host=latest.address[0],
+                    host=latest.address[0].partition("%")[0],
                     port=latest.address[1],
                 )
             )

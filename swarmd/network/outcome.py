@@ -34,6 +34,7 @@ MISTAKES = frozenset(
 APPLIED, FAILED, USAGE, PARTIAL, NO_TARGET, TIMEOUT, UNREACHABLE, REFUSED = range(8)
 MAX_ROBOTS, MAX_INSTANCES = 1024, 8
 
+_CODES = frozenset(Code)
 _SEVERITY = {Code.APPLIED: 0, Code.REFUSED: 1, Code.FAILED: 2}
 
 
@@ -141,20 +142,26 @@ class Acks:
     def on_ack(self, ack: Ack) -> bool:
         """Take the ack of a stop; one that another robot handed on yields to the robot's own."""
         instance = ack.instance.hex()
+        if ack.id != self._request_id or (ack.via and (ack.robot, instance) in self._direct):
+            return False
         text = f"{ack.text} (by {ack.via}'s word)".lstrip() if ack.via else ack.text
+        code = Code(ack.code) if ack.code in _CODES else Code.REFUSED
+        refusal = None
+        if code is not Code.APPLIED:  # a later version may have reasons of its own
+            known = [one for one in Refusal if one == ack.refusal]
+            refusal = known[0] if known else Refusal.OTHER_VERSION
         reply = Reply(
             id=ack.id,
             robot=ack.robot,
-            code=ack.code,
-            refusal=ack.refusal,
+            code=code,
+            refusal=refusal,
             text=text[:1000],
             epoch=Epoch(instance, ack.revision),
         )
-        if not ack.via:
+        is_taken = self.on_reply(ack.robot, reply)
+        if is_taken and not ack.via:
             self._direct.add((ack.robot, instance))
-        elif (ack.robot, instance) in self._direct:
-            return False
-        return self.on_reply(ack.robot, reply)
+        return is_taken
 
     def lacks(self, robot: str, instances: Collection[str]) -> bool:
         """True unless the robot answered; if it has several instances, unless each did."""

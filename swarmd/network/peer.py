@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from swarmd.core.messages import Latch, State
+from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.claim import CLAIM_PERIOD, Claim
 from swarmd.network.datagram import (
     STATES,
@@ -39,7 +40,9 @@ FAST_BEACON_PERIOD = 0.1
 NEW_LATCH_TIME = 1.0
 LATCH_REPEATS = (0.0, 0.1, 0.3)  # s after a latch is new: so often the latch itself is sent to all
 WORD_PERIOD = 10.0  # between questions for words, each to another member
-MAX_ANSWERS = 50.0  # answers a second to those that solicit
+# Datagrams a second that answer a solicit, and that answer a claimer of the own id.
+ANSWER_RATE = 50.0
+CLAIM_ANSWER_RATE = 40.0
 SYNC_TIMEOUT = 0.5  # a robot that joins waits so long for the latches of the others
 MESSAGE_WINDOW = 64
 
@@ -60,18 +63,17 @@ class Effects:
     `sends`: datagrams, each to an address or (None) to all. `stops`: to be carried out, with their
     sources; the ack goes to the source if `wants_ack`. `latches`: of peers. `changed`: robots whose
     presence changed. `messages`: of patterns. `heard_of`: addresses of robots that others hear.
-    `has_won`: the id belongs to this robot from now on.
+    `duplicate`: another instance that has begun to own the id. `lost`: messages that are missing,
+    or less than 0 for those that came late.
     """
 
     sends: list[tuple[Datagram, Address | None]] = field(default_factory=list)
     stops: list[tuple[Stop, Address]] = field(default_factory=list)
-    acks: list[tuple[Ack, Address]] = field(default_factory=list)
     latches: dict[str, Latch] = field(default_factory=dict)
     changed: list[str] = field(default_factory=list)
     messages: list[Message] = field(default_factory=list)
     heard_of: list[Address] = field(default_factory=list)
     duplicate: str = ""
-    has_won: bool = False
     lost: int = 0
 
 
@@ -86,6 +88,9 @@ class _Window:
     def take(self, sequence: int) -> tuple[bool, int]:
         """Whether a message is new, and the change of the number of lost ones."""
         ahead = sequence - self.highest
+        if ahead >= MESSAGE_WINDOW:  # more are missing than can be told from another beginning
+            self.seen, self.highest = 1, sequence
+            return True, MESSAGE_WINDOW
         if ahead > 0:
             self.seen = ((self.seen << ahead) | 1) & ((1 << MESSAGE_WINDOW) - 1)
             self.highest = sequence
@@ -140,8 +145,9 @@ class Peer:
         self._began = now
         self._windows: dict[str, _Window] = {}
         self._duplicates: dict[bytes, float] = {}
-        self._answers = MAX_ANSWERS
-        self._answers_at = now
+        self._answers = TokenBucket(ANSWER_RATE, ANSWER_RATE)
+        self._claim_answers = TokenBucket(CLAIM_ANSWER_RATE, CLAIM_ANSWER_RATE)
+        self._solicits_at = [now, now + 0.3]
 
     # State
 
@@ -222,12 +228,13 @@ class Peer:
     def advance(self, now: float, summary: Summary) -> Effects:
         """Time passes; call it at `wake_at` and at least ten times a second."""
         effects = Effects()
-        self._answers = min(MAX_ANSWERS, self._answers + (now - self._answers_at) * MAX_ANSWERS)
-        self._answers_at = now
         if self._claim is not None and self._claim.is_won(now):
             self._claim = None
             self._beacon_at = now
-            effects.has_won = True
+            effects.sends.append((Solicit(echo=0), None))
+        while self._claim is not None and self._solicits_at and now >= self._solicits_at[0]:
+            # The answers show the latches of the others before the claim is won.
+            self._solicits_at.pop(0)
             effects.sends.append((Solicit(echo=0), None))
         effects.changed = self.membership.advance(now)
         for instance, heard in list(self._duplicates.items()):
@@ -264,7 +271,8 @@ class Peer:
         if self.membership.on_beacon(beacon, source, now):
             effects.changed.append(beacon.robot)
         own = digest_of(summary.latches)
-        if not beacon.flags and self._sync.wants(beacon.instance, beacon.latches, own, now):
+        is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
+        if is_owner and self._sync.wants(beacon.instance, beacon.latches, own, now):
             effects.sends.append((Solicit(echo=0, wants_latches=True), source))
 
     def _on_own_id(
@@ -273,7 +281,7 @@ class Peer:
         if self._claim is not None:
             self._claim.on_beacon(beacon, now)
         elif beacon.flags & Flag.JOINING:
-            if self._may_answer():
+            if self._claim_answers.take(1.0, now):
                 effects.sends.append((self._beacon(summary), source))
         elif beacon.flags & Flag.LEFT:
             self._duplicates.pop(beacon.instance, None)
@@ -292,7 +300,7 @@ class Peer:
         *,
         is_any: bool,
     ) -> None:
-        if not self._may_answer():
+        if not self._answers.take(1.0, now):
             return
         if is_any:
             effects.sends.append((self._swarm, source))
@@ -303,6 +311,8 @@ class Peer:
         effects.sends.append((beacon, source))
         if solicit.wants_words:
             parts = in_parts(self.membership.told(now), roster=self._roster)
+            if not self._answers.take(len(parts), now):
+                return
             for number, (members, roster) in enumerate(parts):
                 word = Word(
                     robot=self.robot,
@@ -377,9 +387,3 @@ class Peer:
             echo=echo,
             version=version,
         )
-
-    def _may_answer(self) -> bool:
-        if self._answers < 1.0:
-            return False
-        self._answers -= 1.0
-        return True

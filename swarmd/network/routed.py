@@ -1,7 +1,7 @@
 """The datagrams of a swarm through Zenoh routers, for profile `routed`.
 
-The same bytes as on UDP travel as puts: `swarm/<swarm>/<sender>/net/all` to all, and
-`swarm/<swarm>/<sender>/net/<receiver>` to one. An address is the name of a robot or of an
+The same bytes as on UDP travel as puts: `swarm/<swarm>/<sender>/multicast/all` to all, and
+`swarm/<swarm>/<sender>/unicast/<receiver>` to one. An address is the name of a robot or of an
 operator's session, with port 0. A router sends each put once over each link, so that a robot sends
 O(1) and hears O(N), wherever multicast does not reach.
 """
@@ -23,8 +23,8 @@ from swarmd.network.session import undeclare
 if TYPE_CHECKING:
     from asyncio import AbstractEventLoop
 
-ALL = "all"
-PLANE = "net"
+ALL, ONE = "multicast", "unicast"
+"""The planes of the keys."""
 _KIND_AT = 4
 _URGENT = (Kind.STOP, Kind.ACK, Kind.LATCHES)
 
@@ -49,12 +49,12 @@ class RoutedCarrier:
 
     def send(self, payload: bytes) -> None:
         """Send to all. Never raises or blocks."""
-        self._put(payload, ALL)
+        self._put(payload, ALL, "all")
 
     def send_to(self, payload: bytes, address: Address) -> None:
         """Send to one robot or operator. Never raises or blocks."""
         if is_id(address[0]):
-            self._put(payload, address[0])
+            self._put(payload, ONE, address[0])
 
     def attach(self, loop: AbstractEventLoop, on_datagram: OnDatagram) -> None:
         """Call `on_datagram(payload, source, by_group)` on a running loop until `close`."""
@@ -81,11 +81,11 @@ class RoutedCarrier:
         self._on_datagram = on_datagram
         self._subscribers = tuple(
             self._session.declare_subscriber(
-                build(self._swarm, ANY, PLANE, name),
+                build(self._swarm, ANY, plane, name),
                 self._on_sample,
                 allowed_origin=zenoh.Locality.REMOTE,
             )
-            for name in (ALL, self._own)
+            for plane, name in ((ALL, "all"), (ONE, self._own))
         )
 
     def rejoin(self) -> None:
@@ -97,11 +97,11 @@ class RoutedCarrier:
         undeclare(*self._subscribers)
         self._subscribers = ()
 
-    def _put(self, payload: bytes, name: str) -> None:
+    def _put(self, payload: bytes, plane: str, name: str) -> None:
         is_urgent = payload[_KIND_AT] in _URGENT
         try:
             self._session.put(
-                build(self._swarm, self._own, PLANE, name),
+                build(self._swarm, self._own, plane, name),
                 payload,
                 congestion_control=zenoh.CongestionControl.DROP,
                 priority=zenoh.Priority.REAL_TIME if is_urgent else zenoh.Priority.DATA,
@@ -118,4 +118,4 @@ class RoutedCarrier:
             self.dropped["oversized"] += 1
         else:
             with contextlib.suppress(RuntimeError):  # the loop has ended
-                self._on_datagram(sample.payload.to_bytes(), (key.robot, 0), key.name == ALL)
+                self._on_datagram(sample.payload.to_bytes(), (key.robot, 0), key.plane == ALL)

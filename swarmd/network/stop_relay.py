@@ -3,8 +3,8 @@
 A stop that reaches one robot reaches all that this robot hears: it repeats the stop as the Trickle
 algorithm does (RFC 6206): at intervals that double, at a random moment of each,
 and not if REDUNDANCY others have sent it in that interval. So a hundred robots that all heard the
-operator say little, and a robot that only one of them reaches is told. It goes on for LIFETIME,
-or until all named targets have acked.
+operator send little, and a robot that only one of them reaches gets it. It goes on for LIFETIME
+after the last copy from the operator's side, or until all named targets have acked.
 
 Acks travel back the same way: a robot hands those that it gets to whoever sent it the stop, with
 its own name as `via`.
@@ -20,6 +20,7 @@ from msgspec.structs import replace
 from swarmd.network.datagram import MAX_HOPS, Ack, Stop
 
 Address = tuple[str, int]
+_Key = tuple[str, str, tuple[str, ...] | None]
 Send = tuple[Stop | Ack, Address | None]  # None: to all
 
 FIRST_INTERVAL = 0.2  # s
@@ -34,10 +35,15 @@ ACK_PERIOD = 0.08  # between acks to one source, in s: an operator repeats at 10
 
 @dataclass(slots=True)
 class _Relayed:
-    """A stop under way. `issued`: on the own clock. `sources`: who sent it, and the last ack."""
+    """A stop under way.
+
+    `issued`: on the own clock. `fed`: when a copy came from the operator's side. `sources`: who
+    sent it, and when the last ack went there.
+    """
 
     stop: Stop
     issued: float
+    fed: float
     interval: float
     interval_ends: float
     due: float
@@ -54,33 +60,36 @@ class StopRelay:
     def __init__(self, own: str, seed: int) -> None:
         self._own = own
         self._random = random.Random(seed)
-        self._stops: dict[tuple[str, str], _Relayed] = {}
+        # The parts of a stop with many targets are handed on one by one.
+        self._stops: dict[_Key, _Relayed] = {}
 
     def on_stop(self, stop: Stop, source: Address, now: float) -> list[Send]:
         """A stop arrived; the acks of others that its sender is to have.
 
         `wants_ack` then tells whether the robot's own ack goes to this sender.
         """
-        key = stop.id, stop.verb
+        key = stop.id, stop.verb, stop.targets
         relayed = self._stops.get(key)
         issued = now - stop.age / 1000.0
         if relayed is None:
             while len(self._stops) >= MAX_STOPS:
                 del self._stops[next(iter(self._stops))]
-            relayed = _Relayed(stop, issued, FIRST_INTERVAL, now + FIRST_INTERVAL, 0.0)
+            relayed = _Relayed(stop, issued, now, FIRST_INTERVAL, now + FIRST_INTERVAL, 0.0)
             relayed.due = now + self._random.uniform(0.1, 1.0) * FIRST_INTERVAL
             self._stops[key] = relayed
         relayed.issued = min(relayed.issued, issued)
-        relayed.stop = replace(relayed.stop, hops=min(relayed.stop.hops, stop.hops))
-        if stop.targets is not None and relayed.stop.targets is not None:
-            known = dict.fromkeys((*relayed.stop.targets, *stop.targets))
-            relayed.stop = replace(relayed.stop, targets=tuple(known))
+        if stop.hops <= relayed.stop.hops:
+            relayed.fed = now
+            relayed.stop = replace(relayed.stop, hops=stop.hops)
         if stop.hops == 0:
             relayed.heard_directly = now
         else:
             relayed.copies += 1
-        if source not in relayed.sources and len(relayed.sources) < MAX_SOURCES:
-            relayed.sources[source] = -1e9
+        if source not in relayed.sources:
+            if stop.hops == 0 and len(relayed.sources) >= MAX_SOURCES:
+                del relayed.sources[next(iter(relayed.sources))]
+            if len(relayed.sources) < MAX_SOURCES:
+                relayed.sources[source] = -1e9
         if stop.hops == 0 and source in relayed.sources:  # it repeats: it may lack these
             return [(replace(ack, via=self._own), source) for ack in relayed.acks.values()]
         return []
@@ -90,7 +99,7 @@ class StopRelay:
 
         A copy that a robot handed on is not acked while the operator itself is heard.
         """
-        relayed = self._stops.get((stop.id, stop.verb))
+        relayed = self._stops.get((stop.id, stop.verb, stop.targets))
         if relayed is None or source not in relayed.sources:
             return False
         if stop.hops > 0 and now - relayed.heard_directly < DIRECT_TIMEOUT:
@@ -102,7 +111,7 @@ class StopRelay:
 
     def on_ack(self, ack: Ack, source: Address, now: float) -> list[Send]:
         """Another robot acked a stop that this one handed on; whom to hand the ack to."""
-        found = [one for (id, _), one in self._stops.items() if id == ack.id]
+        found = [one for key, one in self._stops.items() if key[0] == ack.id]
         sends: list[Send] = []
         for relayed in found:
             if ack.robot == self._own or len(relayed.acks) >= 1024:
@@ -119,7 +128,7 @@ class StopRelay:
         """The stops to send to all now."""
         due: list[Stop] = []
         for key, relayed in list(self._stops.items()):
-            if now - relayed.issued > LIFETIME:
+            if now - relayed.fed > LIFETIME:
                 del self._stops[key]
                 continue
             if now >= relayed.due and relayed.due >= 0.0:

@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Literal
 
 import pytest
+from msgspec.structs import replace
 
 from swarmd.core.messages import Latch, Presence, State
 from swarmd.network.datagram import Ack, Beacon, Solicit, Stop, Word
 from swarmd.network.peer import BEACON_PERIOD
-from tests.network.virtual_network import VirtualNetwork
+from tests.network.virtual_network import OPERATOR, VirtualNetwork
 
 
 def presences(network: VirtualNetwork, name: str) -> dict[str, Presence]:
@@ -258,6 +259,80 @@ def test_lost_messages_are_counted_and_copies_are_dropped() -> None:
         receiver.messages.extend(message.payload for message in effects.messages)
     assert [payload[0] for payload in receiver.messages] == [0, 1, 3, 2, 5]
     assert lost == 1
+
+
+@pytest.mark.parametrize("jump", [64, 1000, 2**53 - 1])
+def test_a_jump_of_the_numbers_costs_nothing_and_counts_a_bounded_loss(jump: int) -> None:
+    network = VirtualNetwork(2)
+    sender, receiver = network.robots["r1"], network.robots["r2"]
+    first = sender.peer.message("vote/choice", b"a")
+    later = replace(first, sequence=jump + 1)
+    for message, lost in ((first, 0), (later, 64), (replace(later, sequence=jump), 0)):
+        effects = receiver.peer.on_datagram(message, sender.address, network.now, receiver.summary)
+        assert effects.lost in (lost, -1)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_a_joining_robot_has_the_latches_of_the_others_before_it_is_settled(seed: int) -> None:
+    network = VirtualNetwork(3, seed=seed)
+    network.robots["r2"].latches["e2"] = Latch(issuer="anna", scope="swarm")
+    network.run(3.0)
+    network.loss, network.delay = 0.2, 0.02
+    robot = network.add("r4")
+    network.until(lambda: robot.peer.owns_id, cap=10.0)
+    network.until(lambda: robot.peer.is_in_sync(network.now), cap=1.0)
+    assert "e2" in robot.latches
+
+
+def test_a_stop_that_its_operator_repeats_for_minutes_is_still_passed_on() -> None:
+    network = VirtualNetwork(2)
+    network.reaches = lambda sender, receiver: "r2" not in (sender, receiver)
+    network.stop("estop", 100.0, ("r2",))
+    near = {("operator", "r1"), ("r1", "operator"), ("r1", "r2"), ("r2", "r1")}
+    network.reaches = lambda sender, receiver: (sender, receiver) in near
+    network.stop("estop", 20.0, ("r2",))
+    assert network.robots["r2"].stops
+    assert network.acks()["r2"].via == "r1"
+
+
+def test_the_operator_gets_an_ack_after_many_relayed_copies() -> None:
+    network = VirtualNetwork(1)
+    robot = network.robots["r1"]
+    stop = Stop(id="s", verb="stop", operator="anna", hops=1)
+    for number in range(6):
+        robot.peer.on_datagram(stop, (f"10.0.1.{number}", 7440), network.now, robot.summary)
+    robot.peer.on_datagram(replace(stop, hops=0), OPERATOR, network.now, robot.summary)
+    assert robot.peer.wants_ack(replace(stop, hops=0), OPERATOR, network.now)
+
+
+def test_parts_of_a_stop_with_many_targets_are_passed_on_one_by_one() -> None:
+    network = VirtualNetwork(2)
+    names = tuple(f"robot-of-the-long-name-{number:03d}" for number in range(200))
+    for start in range(0, 200, 20):
+        network.send(Stop(id="s", verb="stop", operator="a", targets=names[start : start + 20]))
+    network.sent_kinds.clear()
+    network.run(1.0)
+    assert network.sent_kinds[Stop] >= 10
+
+
+def test_solicits_do_not_keep_an_owner_from_answering_a_claimer() -> None:
+    network = VirtualNetwork(1)
+    owner = network.robots["r1"]
+    for number in range(200):
+        owner.peer.on_datagram(Solicit(echo=number), OPERATOR, network.now, owner.summary)
+    second = network.add("r1", "other")
+    network.until(lambda: second.peer.holder is not None, cap=1.0)
+
+
+def test_a_question_for_words_costs_as_many_answers_as_it_has_parts() -> None:
+    network = VirtualNetwork(60)
+    robot = network.robots["r1"]
+    answers = 0
+    for number in range(100):
+        solicit = Solicit(echo=number, wants_words=True)
+        effects = robot.peer.on_datagram(solicit, OPERATOR, network.now, robot.summary)
+        answers += len(effects.sends)
+    assert answers <= 52
 
 
 def test_beacons_show_state_and_revision_at_once() -> None:
