@@ -209,4 +209,7 @@ class FieldSwarm:
             seen.update(self.states(host))
             return wanted.items() <= seen.items()
 
-        wait_until(look, f"{sorted(wanted)} {state} as {host} sees them, who sees {seen}")
+        try:
+            wait_until(look, f"all of them {state}")
+        except AssertionError as error:
+            raise AssertionError(f"{error}; {host} sees {seen}") from None
