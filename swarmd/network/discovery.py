@@ -16,6 +16,7 @@ from typing import Annotated
 from msgspec import Meta
 
 from swarmd.core import codec
+from swarmd.core.keys import is_id
 from swarmd.core.messages import (
     Epoch,
     Member,
@@ -187,7 +188,8 @@ class Discovery:
         self._heard: dict[str, dict[str, _Heard]] = {}
         self._gone: dict[tuple[str, str], float] = {}
         self._answers: dict[str, dict[str, _Answer]] = {}
-        self._words: dict[str, dict[int, tuple[datagram.Word, float]]] = {}
+        # By robot, then by echo and part: a list in parts counts once it is whole.
+        self._words: dict[str, dict[tuple[int, int], tuple[datagram.Word, float]]] = {}
         # What each robot says of a robot, by word and in its view, of which the word is the better:
         # it says when a living robot was heard.
         self._said: dict[str, dict[tuple[str, str], list[_Said]]] = {}
@@ -229,10 +231,14 @@ class Discovery:
         """A robot's own beacon; one that does not own its id yet is no member."""
         instance = beacon.instance.hex()
         known = self._heard.get(beacon.robot, {})
+        if (beacon.robot, instance) in self._gone:  # a delayed beacon of one that left
+            return
         if beacon.flags & Flag.LEFT:
             if instance in known:
                 del known[instance]
                 self._gone[beacon.robot, instance] = now
+                while len(self._gone) > MAX_ROBOTS:
+                    del self._gone[next(iter(self._gone))]
                 self._answers.get(beacon.robot, {}).pop(instance, None)
                 self._news = now
             return
@@ -263,10 +269,14 @@ class Discovery:
         parts = self._words.setdefault(word.robot, {})
         if not parts:
             self._news = now
-        for number in [one for one in parts if one >= word.parts]:
-            del parts[number]
         if word.part < word.parts:
-            parts[word.part] = (word, now)
+            parts[word.echo, word.part] = (word, now)
+        whole = [echo for echo, _ in parts if self._has_all(parts, echo)]
+        oldest = whole[-1] if whole else list(dict.fromkeys(echo for echo, _ in parts))[-4:][0]
+        for key in list(parts):
+            if key[0] == oldest:
+                break
+            del parts[key]
         self._roster.update(word.roster if len(self._roster) < MAX_ROBOTS else ())
         said: dict[str, list[_Said]] = {}
         for part, at in parts.values():
@@ -285,7 +295,8 @@ class Discovery:
     def on_view(self, view: PeerView, now: float) -> None:
         """A robot answered with its status and its members."""
         self._take_answer(view.robot, _Answer(view.status, view.members, now), now)
-        self._roster.update(view.roster if len(self._roster) < MAX_ROBOTS else ())
+        if len(self._roster) < MAX_ROBOTS:
+            self._roster.update(name for name in view.roster if is_id(name))
         said: dict[str, list[_Said]] = {}
         for one in view.members:
             at = now if one.presence is Presence.ALIVE else now - one.age
@@ -580,8 +591,13 @@ class Discovery:
 
     def _has_told(self, robot: str) -> bool:
         parts = self._words.get(robot, {})
-        total = next((word.parts for word, _ in parts.values()), None)
-        return total is not None and len(parts) >= total
+        return any(self._has_all(parts, echo) for echo, _ in parts)
+
+    @staticmethod
+    def _has_all(parts: Mapping[tuple[int, int], tuple[datagram.Word, float]], echo: int) -> bool:
+        """True if all parts of the answer to one solicit are there."""
+        some = [word for (number, _), (word, _) in parts.items() if number == echo]
+        return bool(some) and len(some) >= some[0].parts
 
     def _alive_by(self, teller: str) -> frozenset[str]:
         return frozenset(

@@ -334,12 +334,13 @@ class Operator:
                     return
                 before, selected = selected, pending.selected()
                 lacking = pending.lacking(now)
-                is_due = repeat.is_due(now) or before < selected
-                stops = tuple(pending.datagrams(now)) if is_due else ()
-                addresses = pending.addresses(now) if is_due else ()
-            for one in stops:
+                is_due, new = repeat.is_due(now), selected - before
+                # Robots that were just found get a copy of their own before the next repeat.
+                stops = tuple(pending.datagrams(now, None if is_due else new))
+            for one, addresses in stops if is_due or new else ():
                 payload = pack(self._tag, one)
-                self._carrier.send(payload)
+                if is_due:
+                    self._carrier.send(payload)
                 for address in addresses:
                     self._carrier.send_to(payload, self._reachable(address))
             if solicit.is_due(now):

@@ -8,7 +8,7 @@ from msgspec.structs import replace
 
 from swarmd.core.messages import Presence
 from swarmd.network.datagram import Ack, Stop
-from swarmd.network.discovery import MAX_COPIES, Address, Discovery
+from swarmd.network.discovery import Address, Discovery
 from swarmd.network.outcome import Acks, Outcome
 
 Select = Callable[[Collection[str]], Collection[str]]
@@ -41,27 +41,35 @@ class PendingStop:
         self._select = select
         self._names = frozenset(names)
 
-    def datagrams(self, now: float) -> Iterator[Stop]:
-        """What to send to all now; nothing while no target is known."""
+    def datagrams(
+        self, now: float, names: Collection[str] | None = None
+    ) -> Iterator[tuple[Stop, tuple[Address, ...]]]:
+        """What to send now, each with the addresses of its targets without an ack.
+
+        Nothing while no target is known. `names` None: for all targets, else for these alone.
+        """
         stop = replace(self._stop, age=round((now - self._started) * 1000))
+        lacking = set(self.lacking(now))
+        if names is not None:
+            lacking &= set(names)
         if self._select is None:
-            yield stop
+            yield stop, self._addresses(lacking)
             return
         part: list[str] = []
-        for name in sorted(self.selected()):
+        for name in sorted(self.selected() if names is None else names):
             if part and sum(len(one) + 2 for one in (*part, name)) > _ROOM:
-                yield replace(stop, targets=tuple(part))
+                yield (
+                    replace(stop, targets=tuple(part)),
+                    self._addresses(lacking.intersection(part)),
+                )
                 part = []
             part.append(name)
         if part:
-            yield replace(stop, targets=tuple(part))
+            yield replace(stop, targets=tuple(part)), self._addresses(lacking.intersection(part))
 
-    def addresses(self, now: float) -> tuple[Address, ...]:
-        """Where it is also sent: to the robots without an ack, those that are heard first."""
-        heard = self._discovery.heard
-        names = sorted(self.lacking(now), key=lambda name: name not in heard)
-        found = dict.fromkeys(self._discovery.address(name) for name in names)
-        return tuple(one for one in found if one is not None)[:MAX_COPIES]
+    def _addresses(self, names: Collection[str]) -> tuple[Address, ...]:
+        found = {self._discovery.address(name) for name in names}
+        return tuple(sorted(one for one in found if one is not None))
 
     def on_ack(self, ack: Ack) -> bool:
         """Take an ack; False if it is of another request."""

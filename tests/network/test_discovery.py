@@ -46,8 +46,23 @@ def heard(robot: str, presence: Presence = ALIVE, *, instance: int = 1, age: int
     )
 
 
-def word(robot: str, *others: Heard, part: int = 0, parts: int = 1, roster: Any = ()) -> Word:
-    return Word(robot=robot, instance=life(), members=others, part=part, parts=parts, roster=roster)
+def word(
+    robot: str,
+    *others: Heard,
+    part: int = 0,
+    parts: int = 1,
+    echo: int = 0,
+    roster: Any = (),
+) -> Word:
+    return Word(
+        robot=robot,
+        instance=life(),
+        members=others,
+        part=part,
+        parts=parts,
+        echo=echo,
+        roster=roster,
+    )
 
 
 def view(robot: str, *others: str, instance: int = 1, roster: tuple[str, ...] = ()) -> PeerView:
@@ -355,3 +370,21 @@ def test_strangers_are_bounded() -> None:
         rig.answer(f"v{number}")
     assert len(rig.found.known) <= MAX_ROBOTS + 1
     assert "own" in rig.found.result(0.1).missing
+
+
+def test_parts_of_two_answers_are_no_whole_list(rig: Rig) -> None:
+    """Part 1 of an old answer may lack the robot that part 1 of the new one has."""
+    rig.hear("a")
+    rig.tell("a", heard("b"), part=1, parts=2, echo=1)
+    rig.tell("a", heard("c"), part=0, parts=2, echo=2)
+    assert not rig.found.is_told(10.0)
+    rig.tell("a", heard("b"), heard("d"), part=1, parts=2, echo=2)
+    assert rig.found.is_told(10.0)
+    assert rig.found.known == {"a", "b", "c", "d"}
+
+
+def test_a_delayed_beacon_does_not_revive_a_robot_that_left(rig: Rig) -> None:
+    rig.hear("a")
+    rig.hear("a", sequence=3, flags=Flag.LEFT)
+    rig.hear("a", sequence=2)
+    assert not rig.found.heard
