@@ -24,7 +24,7 @@ VERBS: dict[str, tuple[str, ...]] = {
     "estop": ("estop",),
     "reset": ("reset", "--all", "--yes"),
 }
-LATEST = 3.0  # s
+LATEST, UNSEEN = 3.0, 20.0  # s
 PREPARE_TIMEOUT = 60.0
 STANDING = ("idle", "stopped", "estopped", "faulted")
 _LEADS_TO = {"idle": ("stop", "reset"), "running": ("reset", "run"), "estopped": ("estop",)}
@@ -122,7 +122,7 @@ def judge(swarm: FieldSwarm, verb: str, answer: Answer, targets: Collection[str]
 
     `targets`: the robots that are meant, none for all. Call `swarm.moved()` before the request.
     A robot that moves after its stop was counted makes the answer untrue. A state may reach the
-    near laptop `LATEST` s later.
+    near laptop `LATEST` s later, and that of a robot that it does not see at all `UNSEEN` s later.
     """
     moved_before = swarm.moved()
     read = _members if verb == "members" else _outcome
@@ -144,7 +144,8 @@ def judge(swarm: FieldSwarm, verb: str, answer: Answer, targets: Collection[str]
         states.update(swarm.states(NEAR))
         moved |= swarm.moved()
         wrong = [f"{r} is {states.get(r)}" for r in sorted(counted) if not is_true(r)]
-        if not wrong or time.monotonic() > began + LATEST:
+        patience = LATEST if counted <= states.keys() else UNSEEN
+        if not wrong or time.monotonic() > began + patience:
             break
     silent = sorted(meant - counted - named)
     if wrong:
