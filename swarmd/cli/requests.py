@@ -119,7 +119,5 @@ def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> N
             raise click.ClickException("nothing was sent")
         ids = tuple(sorted(latches))
         epochs, wait = view.epochs(names), options.timeout
-        outcome = operator.request(
-            ResetRequest, epochs, view=view, timeout=wait, ids=ids, reason=reason
-        )
+        outcome = operator.request(ResetRequest, epochs, timeout=wait, ids=ids, reason=reason)
         report(options, outcome)
