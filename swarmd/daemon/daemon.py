@@ -33,9 +33,8 @@ from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.network.bus import ZenohBus
-from swarmd.network.datagram import Message, Stop
+from swarmd.network.datagram import Address, Message, Stop
 from swarmd.network.interface_watch import InterfaceChange
-from swarmd.network.membership import Address
 from swarmd.network.peer import Summary
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.robot.actions import Actions

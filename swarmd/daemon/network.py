@@ -25,6 +25,7 @@ from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import (
     ANY_SWARM,
     Ack,
+    Address,
     Datagram,
     Message,
     Stop,
@@ -36,7 +37,7 @@ from swarmd.network.datagram import (
 )
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.interface_watch import InterfaceChange, InterfaceWatch
-from swarmd.network.membership import MAX_MEMBERS, Address
+from swarmd.network.membership import MAX_MEMBERS
 from swarmd.network.peer import Effects, Peer, Summary
 from swarmd.network.routed import RoutedCarrier
 from swarmd.network.session import default_listen, open_in_thread, open_session

@@ -48,7 +48,7 @@ _header = Decoder(RequestHeader, any_version=True)
 class _Pending:
     request: AnyRequest
     answer: Callable[[Reply], None]
-    source: str
+    source: Callable[[], str]
 
 
 class RequestServer:
@@ -81,7 +81,7 @@ class RequestServer:
         """Answer requests with these verbs."""
         self._bus = bus
         for verb in verbs:
-            bus.serve("control", verb, partial(self._on_query, verb))
+            bus.serve("control", verb, partial(self.handle, verb))
 
     def reply(self, reply: Reply, *, is_stored: bool = True) -> None:
         """Send a reply. `is_stored` False: the latches could not be written to disk."""
@@ -96,7 +96,7 @@ class RequestServer:
         if not is_repeat:
             request = pending.request
             what = describe_request(request)
-            self._audit.record(what, request.operator, pending.source, reply, boottime())
+            self._audit.record(what, request.operator, pending.source(), reply, boottime())
 
     def stop(self, stop: Stop, source: str, answer: Callable[[Reply], None]) -> None:
         """Carry out a stop or estop that came as a datagram, if it is for this robot.
@@ -123,23 +123,17 @@ class RequestServer:
                 reason=stop.reason,
                 is_relayed=stop.hops > 0,
             )
-        self._pending[stop.id] = _Pending(request, answer, source)
+        self._pending[stop.id] = _Pending(request, answer, lambda: source)
         self._on_request(request)
 
-    def _on_query(self, verb: str, query: Query) -> None:
-        self.handle(verb, query, query.source)
-
-    def handle(self, verb: str, query: Query, source: str = "zenoh") -> None:
-        """Carry out or refuse the request in a query that came on the key of `verb`.
-
-        `source` is where it came from, for the log.
-        """
+    def handle(self, verb: str, query: Query) -> None:
+        """Carry out or refuse the request in a query that came on the key of `verb`."""
         try:
             request = _DECODERS[verb](query.payload)
         except CodecError as error:
             if self._bus is not None:
                 self._bus.drop(f"control/{verb}:malformed")
-            self._refuse_unread(query, str(error), source)
+            self._refuse_unread(query, str(error))
             return
         is_for_this = request.targets is None or self._robot in request.targets
         is_pending = request.id in self._pending
@@ -150,7 +144,7 @@ class RequestServer:
         else:
             # The newest query of an id gets the reply: the link of an older one may be closed.
             self._pending[request.id] = _Pending(
-                request, lambda reply: query.reply(encode(reply)), source
+                request, lambda reply: query.reply(encode(reply)), lambda: query.source
             )
             if isinstance(request, ForgetRequest):
                 self._forget(request)
@@ -165,7 +159,7 @@ class RequestServer:
             del self._replies[next(iter(self._replies))]
         return is_repeat
 
-    def _refuse_unread(self, query: Query, text: str, source: str) -> None:
+    def _refuse_unread(self, query: Query, text: str) -> None:
         """Refuse a request that is malformed or of another version."""
         try:
             header = _header(query.payload)
@@ -189,7 +183,7 @@ class RequestServer:
         )
         query.reply(encode(reply))
         if not self._keep(reply):
-            self._audit.record(verb, operator, source, reply, boottime())
+            self._audit.record(verb, operator, query.source, reply, boottime())
 
     def _forget(self, request: ForgetRequest) -> None:
         name = request.name

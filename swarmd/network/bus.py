@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import asyncio
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Protocol
 
 import zenoh
@@ -32,7 +33,10 @@ class Query(Protocol):
     """A question or request put to this robot, on its own key."""
 
     payload: bytes
-    source: str
+
+    @property
+    def source(self) -> str:
+        """The address from which it came."""
 
     def reply(self, payload: bytes) -> None:
         """Answer, at most once, now or later, on the loop; never blocks, never raises."""
@@ -45,15 +49,28 @@ _members_query = Decoder(MembersQuery)
 
 
 class ZenohQuery:
-    """A `Query` of Zenoh, answered on this robot's own key. `source`: the address it came from."""
+    """A `Query` of Zenoh that came on a session, answered on this robot's own key."""
 
-    __slots__ = ("_key", "_query", "payload", "source")
+    __slots__ = ("_info", "_key", "_query", "_session", "payload")
 
-    def __init__(self, query: zenoh.Query | None, key: str, payload: bytes, source: str) -> None:
-        self._query = query
+    def __init__(
+        self, session: zenoh.Session, query: zenoh.Query, key: str, payload: bytes
+    ) -> None:
+        self._session = session
+        self._query: zenoh.Query | None = query
+        self._info = query.source_info
         self._key = key
         self.payload = payload
-        self.source = source
+
+    @property
+    def source(self) -> str:
+        """The address of the link to the session that the asker names; nothing proves that name."""
+        asker = None if self._info is None else self._info.source_id.zid
+        with suppress(zenoh.ZError):
+            for link in self._session.info.links():
+                if link.zid == asker:
+                    return str(link.dst).partition("/")[2].partition("?")[0].partition("#")[0]
+        return "an unknown address"
 
     def reply(self, payload: bytes) -> None:
         """Answer; nothing happens for a plain put or after the first time."""
@@ -124,9 +141,7 @@ class ZenohBus:
                     self._drops.add(f"{kind}:key")
                 elif len(payload) > MAX_CONTROL:
                     self._drops.add(f"{kind}:oversized")
-                elif queue.offer(
-                    handler, ZenohQuery(query, own, bytes(payload), self._source(query))
-                ):
+                elif queue.offer(handler, ZenohQuery(self._session, query, own, bytes(payload))):
                     return
             query.drop()
 
@@ -158,15 +173,6 @@ class ZenohBus:
         for queue in self._queues:
             queue.close()
         undeclare(*self._entities, self._status)
-
-    def _source(self, query: zenoh.Query) -> str:
-        """The address of the link to the session that the asker names; nothing proves that name."""
-        named = query.source_info
-        asker = None if named is None else named.source_id.zid
-        for link in self._session.info.links():
-            if link.zid == asker:
-                return str(link.dst).partition("/")[2].partition("?")[0].partition("#")[0]
-        return "an unknown address"
 
     def _is_excused(self, payload: bytes) -> bool:
         """True if the asker has this robot's answer already, or the query is malformed."""

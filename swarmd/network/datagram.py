@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import hashlib
 import struct
+from collections.abc import Callable
 from enum import IntEnum, IntFlag
 from typing import Annotated, Any, Literal
 
@@ -31,6 +32,8 @@ from swarmd.core.messages import Latch, Line, Name, Presence, State
 MAGIC = b"SWMD"
 TAG_BYTES = 8
 ANY_SWARM = bytes(TAG_BYTES)
+Address = tuple[str, int]
+"""Host and port; a link-local IPv6 host ends with `%` and the number of the interface."""
 # Fits one frame of WiFi and Ethernet with the heads of IPv6 and UDP.
 MAX_DATAGRAM = 1400
 MAX_HOPS = 4  # a stop or a word travels at most this far from robot to robot
@@ -71,6 +74,13 @@ class Flag(IntFlag):
 
 STATES = tuple(State)  # the index of a state on the wire; append only
 PRESENCES = tuple(Presence)
+
+KIND_OFFSET = 4
+URGENT = (Kind.STOP, Kind.ACK, Kind.LATCHES)
+"""Kinds that are sent by all ways at once, and that no flood of other kinds may shut out."""
+
+OnDatagram = Callable[[bytes, Address, bool], object]
+"""Takes what a carrier received: bytes, source, and whether they were sent to all."""
 
 
 class _Datagram(Struct, frozen=True, kw_only=True, array_like=True):

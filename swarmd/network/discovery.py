@@ -27,9 +27,7 @@ from swarmd.core.messages import (
     Word,
 )
 from swarmd.network import datagram
-from swarmd.network.datagram import PRESENCES, STATES, Beacon, Flag
-
-Address = tuple[str, int]
+from swarmd.network.datagram import PRESENCES, STATES, Address, Beacon, Flag
 
 # Without two views that agree, this long must pass without news, in s; or two round trips.
 QUIET_TIME = 0.1

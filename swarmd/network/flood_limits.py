@@ -16,10 +16,7 @@ from collections import Counter
 from dataclasses import dataclass, field, replace
 
 from swarmd.core.token_bucket import TokenBucket
-from swarmd.network.datagram import Kind
-from swarmd.network.recipients import Address
-
-URGENT = (Kind.STOP, Kind.ACK, Kind.LATCHES)
+from swarmd.network.datagram import URGENT, Address, Kind
 
 # A robot's patterns may say 100 a second, which go twice while broadcast is the fallback.
 RATE, BURST = 400.0, 400.0

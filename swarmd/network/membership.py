@@ -17,9 +17,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from swarmd.core.messages import Member, Presence
-from swarmd.network.datagram import MAX_HOPS, PRESENCES, Beacon, Flag, Heard, Word
-
-Address = tuple[str, int]
+from swarmd.network.datagram import MAX_HOPS, PRESENCES, Address, Beacon, Flag, Heard, Word
 
 MAX_MEMBERS = 1024
 MAX_INSTANCES = 4

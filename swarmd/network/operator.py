@@ -41,8 +41,10 @@ from swarmd.core.messages import (
 from swarmd.network.datagram import (
     ANY_SWARM,
     Ack,
+    Address,
     Beacon,
     Datagram,
+    OnDatagram,
     Solicit,
     Stop,
     Swarm,
@@ -51,7 +53,7 @@ from swarmd.network.datagram import (
     tag_of,
     unpack,
 )
-from swarmd.network.discovery import DEV_WAIT, NOBODY_WAIT, Address, Discovery, MembersView
+from swarmd.network.discovery import DEV_WAIT, NOBODY_WAIT, Discovery, MembersView
 from swarmd.network.outcome import Acks, Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.stop_request import PendingStop, Select
@@ -87,7 +89,6 @@ CLOSING = "swarmd-closing"
 R = TypeVar("R", bound=AnyRequest)
 
 StopVerb = Literal["stop", "estop"]
-OnDatagram = Callable[[bytes, Address, bool], object]
 
 _header = Decoder(StatusHeader, any_version=True)
 _reply_header = Decoder(ReplyHeader, any_version=True)

@@ -17,6 +17,7 @@ from swarmd.network.claim import CLAIM_PERIOD, Claim
 from swarmd.network.datagram import (
     STATES,
     Ack,
+    Address,
     Beacon,
     Datagram,
     Flag,
@@ -31,8 +32,6 @@ from swarmd.network.datagram import (
 from swarmd.network.latch_sync import LatchSync, digest_of, latch_parts
 from swarmd.network.membership import Membership
 from swarmd.network.stop_relay import REDUNDANCY, StopRelay
-
-Address = tuple[str, int]
 
 BEACON_PERIOD = 1.0  # s
 # While a latch is new, and at least between beacons of changes.

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-Address = tuple[str, int]
+from swarmd.network.datagram import Address
 
 MAX_ADDRESSES = 256
 WORD_LIFE = 30.0  # s for which the word of another robot counts

@@ -16,8 +16,14 @@ from typing import TYPE_CHECKING, Any
 import zenoh
 
 from swarmd.core.keys import ANY, build, is_id, parse
-from swarmd.network.datagram import MAX_DATAGRAM, Kind
-from swarmd.network.recipients import Address, Recipients
+from swarmd.network.datagram import (
+    KIND_OFFSET,
+    MAX_DATAGRAM,
+    URGENT,
+    Address,
+    OnDatagram,
+)
+from swarmd.network.recipients import Recipients
 from swarmd.network.session import undeclare
 
 if TYPE_CHECKING:
@@ -25,10 +31,6 @@ if TYPE_CHECKING:
 
 ALL, ONE = "multicast", "unicast"
 """The planes of the keys."""
-_KIND_AT = 4
-_URGENT = (Kind.STOP, Kind.ACK, Kind.LATCHES)
-
-OnDatagram = Callable[[bytes, Address, bool], object]
 
 
 class RoutedCarrier:
@@ -65,7 +67,7 @@ class RoutedCarrier:
         urgent = InboundQueue(loop, drops, "datagram", is_urgent=True)
 
         def queue(payload: bytes, source: Address, by_group: bool) -> None:
-            chosen = urgent if payload[_KIND_AT] in _URGENT else plain
+            chosen = urgent if payload[KIND_OFFSET] in URGENT else plain
             if not chosen.offer(on_datagram, payload, source, by_group):
                 self.dropped["full"] += 1
 
@@ -98,7 +100,7 @@ class RoutedCarrier:
         self._subscribers = ()
 
     def _put(self, payload: bytes, plane: str, name: str) -> None:
-        is_urgent = payload[_KIND_AT] in _URGENT
+        is_urgent = payload[KIND_OFFSET] in URGENT
         try:
             self._session.put(
                 build(self._swarm, self._own, plane, name),
@@ -112,7 +114,7 @@ class RoutedCarrier:
 
     def _on_sample(self, sample: zenoh.Sample) -> None:
         key = parse(str(sample.key_expr))
-        if key is None or key.robot == self._own or not len(sample.payload) > _KIND_AT:
+        if key is None or key.robot == self._own or not len(sample.payload) > KIND_OFFSET:
             self.dropped["key"] += 1
         elif len(sample.payload) > MAX_DATAGRAM:
             self.dropped["oversized"] += 1

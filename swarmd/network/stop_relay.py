@@ -17,9 +17,8 @@ from dataclasses import dataclass, field
 
 from msgspec.structs import replace
 
-from swarmd.network.datagram import MAX_HOPS, Ack, Stop
+from swarmd.network.datagram import MAX_HOPS, Ack, Address, Stop
 
-Address = tuple[str, int]
 _Key = tuple[str, str, tuple[str, ...] | None]
 Send = tuple[Stop | Ack, Address | None]  # None: to all
 

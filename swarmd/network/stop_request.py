@@ -7,8 +7,8 @@ from collections.abc import Callable, Collection, Iterator
 from msgspec.structs import replace
 
 from swarmd.core.messages import Presence
-from swarmd.network.datagram import Ack, Stop
-from swarmd.network.discovery import Address, Discovery
+from swarmd.network.datagram import Ack, Address, Stop
+from swarmd.network.discovery import Discovery
 from swarmd.network.outcome import Acks, Outcome
 
 Select = Callable[[Collection[str]], Collection[str]]

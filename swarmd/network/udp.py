@@ -34,11 +34,19 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from swarmd.core.clock import Clock, boottime
 from swarmd.core.errors import NetworkError
-from swarmd.network.datagram import MAX_DATAGRAM, TAG_BYTES, Kind
-from swarmd.network.flood_limits import URGENT, FloodLimits
+from swarmd.network.datagram import (
+    KIND_OFFSET,
+    MAX_DATAGRAM,
+    TAG_BYTES,
+    URGENT,
+    Address,
+    Kind,
+    OnDatagram,
+)
+from swarmd.network.flood_limits import FloodLimits
 from swarmd.network.interface_watch import addresses_of, index_of
 from swarmd.network.packet_filter import swarm_filter
-from swarmd.network.recipients import Address, Recipients
+from swarmd.network.recipients import Recipients
 from swarmd.network.settings import NetworkSettings, parse_endpoint
 
 if TYPE_CHECKING:
@@ -58,14 +66,13 @@ COPY_TIME = 0.1  # s within which twins of a datagram arrive
 _RECEIVE_BUFFER = 2 * 1024 * 1024  # some 2700 small datagrams
 _DROP_COST, _COST = 1, 8
 _PORT_TRIES = 5
-_KIND_AT, _TAG = 4, slice(5, 5 + TAG_BYTES)
+_TAG = slice(5, 5 + TAG_BYTES)
 # linux/in.h, linux/in6.h and asm-generic/socket.h; Python names none of them.
 _IP_UNICAST_IF, _IP_MULTICAST_ALL = 50, 49
 _IPV6_UNICAST_IF, _IPV6_MULTICAST_ALL = 76, 29
 _SO_ATTACH_FILTER, _SO_RCVBUFFORCE = 26, 33
 
 Received = tuple[bytes, Address, bool]
-OnDatagram = Callable[[bytes, Address, bool], object]
 
 
 class _Way(Enum):
@@ -147,7 +154,7 @@ class UdpCarrier:
 
     def send(self, payload: bytes) -> None:
         """Send to all: the group, and copies as the module says. Never raises or blocks."""
-        kind = payload[_KIND_AT]
+        kind = payload[KIND_OFFSET]
         now = self._clock()
         is_urgent = kind in URGENT
         with self._lock:
@@ -255,14 +262,14 @@ class UdpCarrier:
         if port == self.port and (host in self._addresses or self._is_dev):
             return None  # an own one, from the group
         source = _address(name)
-        if len(payload) <= _KIND_AT:
+        if len(payload) <= KIND_OFFSET:
             self.dropped["datagram:short"] += 1
             return None
-        if not self._limits.admits(source, payload[_KIND_AT], now):
+        if not self._limits.admits(source, payload[KIND_OFFSET], now):
             return None
         if self._is_twin(payload, source, way, now):
             return None
-        if payload[_KIND_AT] == Kind.BEACON and payload[_TAG] == self._tag:
+        if payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag:
             self._note_robot(source, way, now)
         return source
 

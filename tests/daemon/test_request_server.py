@@ -126,7 +126,9 @@ def test_a_request_of_another_version_is_refused_by_name(version: int) -> None:
     assert mine.replies[0].text == f"tb3-01 speaks {codec.VERSION}, this swarmctl {version}"
     assert (other.replies, other.is_dropped) == ([], True)
     [line] = lines
-    assert line.startswith("run, by anna from zenoh: refused (other_version): tb3-01 speaks ")
+    assert line.startswith(
+        "run, by anna from 10.0.0.5:40000: refused (other_version): tb3-01 speaks "
+    )
 
 
 def test_a_malformed_request_is_refused_by_the_robots_that_it_targets() -> None:
@@ -208,7 +210,7 @@ def test_each_request_gives_one_line_also_when_it_is_repeated() -> None:
     server.handle("run", RecordingQuery(b"rubbish"))
     assert lines[:2] == [
         "stop to all robots, by anna from 10.0.0.5: applied: fine",
-        "run drive to 1 robot, by anna from zenoh: applied: fine",
+        "run drive to 1 robot, by anna from 10.0.0.5:40000: applied: fine",
     ]
     assert len(lines) == 3
     assert "refused (invalid_request)" in lines[2]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.network.datagram import Kind
+from swarmd.network.datagram import Address, Kind
 from swarmd.network.flood_limits import (
     BLOCK_TIME,
     BURST,
@@ -17,7 +17,6 @@ from swarmd.network.flood_limits import (
     FloodLimits,
     FloodRules,
 )
-from swarmd.network.recipients import Address
 
 LOUD, QUIET = ("10.0.0.66", 7440), ("10.0.0.5", 7440)
 

@@ -17,9 +17,8 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError
-from swarmd.network.datagram import ANY_SWARM, Beacon, Solicit, Stop, pack, tag_of
+from swarmd.network.datagram import ANY_SWARM, Address, Beacon, Solicit, Stop, pack, tag_of
 from swarmd.network.flood_limits import FloodRules
-from swarmd.network.recipients import Address
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.udp import Received, UdpCarrier
 from tests.network.conftest import Until

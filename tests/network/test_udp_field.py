@@ -16,9 +16,8 @@ from typing import TypeVar
 
 import pytest
 
-from swarmd.network.datagram import Beacon, Solicit, Stop, pack, tag_of
+from swarmd.network.datagram import Address, Beacon, Solicit, Stop, pack, tag_of
 from swarmd.network.interface_watch import read_state
-from swarmd.network.recipients import Address
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.udp import BEACONS_A_BROADCAST, GROUP4, Received, UdpCarrier, _Way
 from tests.support.field import CLONE_NEWNET

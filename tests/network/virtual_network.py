@@ -11,10 +11,9 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from swarmd.core.messages import Code, Latch, State
-from swarmd.network.datagram import Ack, Datagram, Solicit, Stop, pack, tag_of, unpack
+from swarmd.network.datagram import Ack, Address, Datagram, Solicit, Stop, pack, tag_of, unpack
 from swarmd.network.peer import Effects, Peer, Summary
 
-Address = tuple[str, int]
 TAG = tag_of("field", "lab")
 OPERATOR: Address = ("10.0.0.250", 5000)
 TICK = 0.05

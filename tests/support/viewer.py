@@ -9,12 +9,20 @@ from collections.abc import Callable
 import zenoh
 
 from swarmd.core.errors import CodecError
-from swarmd.network.datagram import Beacon, Datagram, Flag, Solicit, pack, tag_of, unpack
+from swarmd.network.datagram import (
+    Address,
+    Beacon,
+    Datagram,
+    Flag,
+    Solicit,
+    pack,
+    tag_of,
+    unpack,
+)
 from swarmd.network.session import open_operator_session
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.udp import UdpCarrier
 
-Address = tuple[str, int]
 ANSWER_TIME = 0.1  # s for answers to a question of who is there
 LINK_TIME = 1.0  # s for a new link to show its robot's keys
 
