@@ -157,6 +157,9 @@ def report(options: CommonOptions, outcome: Outcome) -> NoReturn:
     """Print the outcome of a request and end with its exit code."""
     for line in outcome.warnings:
         warn(f"warning: {line}")
+    if outcome.unlisted:
+        names = ", ".join(outcome.unlisted)
+        warn(f"view not complete: {names} did not list the robots that it knows; repeat it")
     for name in outcome.duplicates:
         warn(f"warning: {name} answered twice: two daemons have this id; stop one of them")
     if options.is_json:

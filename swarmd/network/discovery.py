@@ -402,10 +402,15 @@ class Discovery:
             return False
         return self._views_agree(settled) or now - self._news >= self.quiet_time
 
+    @property
+    def unlisted(self) -> tuple[str, ...]:
+        """The robots heard that did not list the members that they know."""
+        return tuple(sorted(robot for robot in self.heard if not self._has_told(robot)))
+
     def is_told(self, now: float) -> bool:
         """True once all robots heard told whom they know, and agree or the quiet time passed."""
         heard = self.heard
-        if not heard or not all(self._has_told(robot) for robot in heard):
+        if not heard or self.unlisted:
             return False
         agree = len(heard) > 1 and all(
             heard - {teller} <= self._alive_by(teller) for teller in heard

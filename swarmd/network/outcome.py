@@ -42,7 +42,8 @@ _SEVERITY = {Code.APPLIED: 0, Code.REFUSED: 1, Code.FAILED: 2}
 class Outcome:
     """The replies to a request by robot, and the robots that did not answer (`missing`).
 
-    `reached`: how many robots were heard at all, whether or not they answered.
+    `reached`: how many robots were heard at all, whether or not they answered. `unlisted`: robots
+    that were heard and did not list the members that they know, so that there may be more.
     """
 
     replies: Mapping[str, Reply]
@@ -51,6 +52,7 @@ class Outcome:
     seconds: float = 0.0
     duplicates: tuple[str, ...] = ()
     reached: int = 0
+    unlisted: tuple[str, ...] = ()
 
     @property
     def targeted(self) -> int:
@@ -102,7 +104,7 @@ class Outcome:
             return NO_TARGET
         if self.mistake:
             return USAGE
-        if len(self.applied) == self.targeted:
+        if len(self.applied) == self.targeted and not self.unlisted:
             return APPLIED
         if self.applied:
             return PARTIAL
@@ -179,6 +181,7 @@ class Acks:
         silent: Collection[str] = (),
         seconds: float = 0.0,
         reached: int = 0,
+        unlisted: tuple[str, ...] = (),
     ) -> Outcome:
         """The outcome; a robot that answered without being expected counts as targeted.
 
@@ -194,5 +197,6 @@ class Acks:
             missing=tuple(sorted({*self.missing(expected), *silent})),
             seconds=seconds,
             reached=reached,
+            unlisted=unlisted,
             duplicates=tuple(sorted(name for name, all_ in self._replies.items() if len(all_) > 1)),
         )

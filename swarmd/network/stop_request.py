@@ -104,11 +104,13 @@ class PendingStop:
 
     def outcome(self, now: float) -> Outcome:
         """The outcome if it ended now."""
+        is_open = self._select is None or not self.selected() <= self._names
         return self.acks.outcome(
             self._expected(now),
             silent=self.lacking(now),
             seconds=now - self._started,
             reached=len(self._discovery.heard),
+            unlisted=self._discovery.unlisted if is_open else (),
         )
 
     def _expected(self, now: float) -> frozenset[str]:

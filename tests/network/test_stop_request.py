@@ -67,6 +67,19 @@ def test_acks_do_not_suffice_before_robots_have_told_whom_they_know() -> None:
     assert pending.is_done(2.5)
 
 
+def test_an_ack_is_no_success_while_a_robot_has_not_listed_those_that_it_knows() -> None:
+    """At a timeout: there may be robots of which nothing is known yet."""
+    rig = Rig()
+    rig.hear("a")
+    pending = make(rig)
+    ack(pending, "a")
+    outcome = pending.outcome(1.0)
+    assert (outcome.exit_code, outcome.unlisted) == (PARTIAL, ("a",))
+    named = make(rig, select=lambda known: {"a"}, names=("a",))
+    ack(named, "a")
+    assert named.outcome(1.0).exit_code == 0
+
+
 def test_without_members_it_is_never_done_and_over_after_a_while() -> None:
     pending = make(Rig())
     assert not pending.is_done(2.9)
