@@ -228,7 +228,7 @@ class DemoRun:
         wall = time.monotonic() - wall_start
         after = statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
         end = self._world.ask("finish").state
-        stopped = self._operator.halt("stop")
+        stopped = self._operator.send_stop("stop")
         return self._summary(trace, began, end.recorded / wall, started, before, after, stopped)
 
     def _follow(self, statuses: dict[str, Status]) -> None:

@@ -130,7 +130,7 @@ def send_stop(
             lines = [gap(view, name) for name in missing] or ["a robot to be heard"]
             warn(f"waiting for {'; '.join(lines)}")
 
-        outcome = operator.halt(
+        outcome = operator.send_stop(
             verb,
             select=None if targets.is_whole_swarm else targets.matching,
             names=targets.full_names,

@@ -304,7 +304,7 @@ class Daemon:
                 self._runner.send(command)
         for name, value in actions.messages.items():
             try:
-                self._network.say(name, encode_value(value))
+                self._network.publish_message(name, encode_value(value))
             except CodecError as error:
                 log.debug("message on %s not sent: %s", name, error)
                 self._network.drop(f"msg/{name}:unsendable")

@@ -188,7 +188,7 @@ class Network:
             self._is_duplicate = False
             self._handlers.on_duplicate(None)
 
-    def say(self, channel: str, payload: bytes) -> None:
+    def publish_message(self, channel: str, payload: bytes) -> None:
         """Send a pattern's message to all robots."""
         if self._peer is not None and self._peer.owns_id:
             self._send(self._peer.message(channel, payload), None)
@@ -215,7 +215,7 @@ class Network:
         """Close at once; `is_leaving`: tell the others that this robot leaves in order."""
         if is_leaving and self._peer is not None and self._peer.owns_id:
             for _ in range(2):
-                self._send(self._peer.farewell(self._handlers.summary()), None)
+                self._send(self._peer.leave_beacon(self._handlers.summary()), None)
         if self._reopening is not None:
             self._reopening.cancel()
         if self._watch is not None:
@@ -248,8 +248,8 @@ class Network:
         for body, address in effects.sends:
             self._send(body, address)
         if self._carrier is not None:
-            for address in effects.heard_of:
-                self._carrier.recipients.on_word(self._local(address), boottime())
+            for address in effects.indirect_addresses:
+                self._carrier.recipients.on_mentioned(self._local(address), boottime())
         self._lost += effects.lost
         if effects.latches:
             self._handlers.on_latches(effects.latches)

@@ -13,6 +13,7 @@ from swarmd.network.datagram import Beacon, Flag
 
 CLAIM_PERIOD = 0.05  # between beacons of a claimer, in s
 RIVAL_TIMEOUT = 0.5  # a claimer that is silent for so long has given up, in s
+STALL_TIME = 0.15  # a claimer that slept for so long waits anew, in s
 MAX_RIVALS = 64
 
 
@@ -23,7 +24,7 @@ class Claim:
         self._robot = robot
         self._own = instance
         self._settle = settle
-        self._quiet_since = now
+        self._quiet_since = self._checked_at = now
         self._owners: dict[bytes, int] = {}  # the sequence of the first beacon heard of each
         self._claimers: dict[bytes, float] = {}
         self.holder: bytes | None = None
@@ -49,7 +50,10 @@ class Claim:
                     self.holder = beacon.instance
 
     def is_won(self, now: float) -> bool:
-        """True once the id belongs to this instance."""
+        """True once the id belongs to this instance; call it at least each STALL_TIME."""
+        if now - self._checked_at > STALL_TIME:
+            self._quiet_since = now  # beacons of others may wait to be read
+        self._checked_at = now
         for rival, heard in list(self._claimers.items()):
             if now - heard > RIVAL_TIMEOUT:
                 del self._claimers[rival]

@@ -36,7 +36,7 @@ Address = tuple[str, int]
 """Host and port; a link-local IPv6 host ends with `%` and the number of the interface."""
 # Fits one frame of WiFi and Ethernet with the heads of IPv6 and UDP.
 MAX_DATAGRAM = 1400
-MAX_HOPS = 4  # a stop or a word travels at most this far from robot to robot
+MAX_HOPS = 4  # a stop or a report travels at most this far from robot to robot
 _HEAD = struct.Struct(f">4sB{TAG_BYTES}sH")
 _MAX_MS = 2**40
 
@@ -57,7 +57,7 @@ class Kind(IntEnum):
 
     BEACON = 1
     SOLICIT = 2
-    WORD = 3
+    MEMBER_LIST = 3
     STOP = 4
     ACK = 5
     LATCHES = 6
@@ -111,18 +111,18 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
 
 
 class Solicit(_Datagram, frozen=True, kw_only=True):
-    """Asks robots to answer at once: a beacon, and words and latches as wanted.
+    """Asks robots to answer at once: a beacon, and member lists and latches as wanted.
 
     `echo` is repeated in the answer, so that the asker knows the round trip.
     """
 
     echo: Number
-    wants_words: bool = False
+    wants_members: bool = False
     wants_latches: bool = False
 
 
-class Heard(_Datagram, frozen=True, kw_only=True):
-    """What a robot knows of another member.
+class MemberReport(_Datagram, frozen=True, kw_only=True):
+    """What a robot reports of another member.
 
     `presence` is an index in PRESENCES, `age` the time in ms since it was heard (alive) or since
     it left or failed. `hops` 0: heard directly, from `host` and `port`.
@@ -137,15 +137,15 @@ class Heard(_Datagram, frozen=True, kw_only=True):
     port: Annotated[int, Meta(ge=0, le=65535)] = 0
 
 
-class Word(_Datagram, frozen=True, kw_only=True):
-    """A part of what a robot knows of the other members; `part` counts from 0 to `parts` - 1.
+class MemberList(_Datagram, frozen=True, kw_only=True):
+    """A part of a robot's list of the other members; `part` counts from 0 to `parts` - 1.
 
     `roster`: the names that the robot's own settings expect, after the members, in any part.
     """
 
     robot: RobotId
     instance: Bytes6
-    members: Annotated[tuple[Heard, ...], Meta(max_length=64)]
+    members: Annotated[tuple[MemberReport, ...], Meta(max_length=64)]
     part: Annotated[int, Meta(ge=0, le=255)] = 0
     parts: Annotated[int, Meta(ge=1, le=256)] = 1
     echo: Number = 0
@@ -216,11 +216,11 @@ class Swarm(_Datagram, frozen=True, kw_only=True):
     robot: RobotId
 
 
-Datagram = Beacon | Solicit | Word | Stop | Ack | Latches | Message | Swarm
+Datagram = Beacon | Solicit | MemberList | Stop | Ack | Latches | Message | Swarm
 _TYPES: dict[int, type[_Datagram]] = {
     Kind.BEACON: Beacon,
     Kind.SOLICIT: Solicit,
-    Kind.WORD: Word,
+    Kind.MEMBER_LIST: MemberList,
     Kind.STOP: Stop,
     Kind.ACK: Ack,
     Kind.LATCHES: Latches,
@@ -272,12 +272,12 @@ def is_for_any_swarm(payload: bytes) -> bool:
 
 
 def in_parts(
-    members: tuple[Heard, ...], *, roster: tuple[str, ...] = ()
-) -> list[tuple[tuple[Heard, ...], tuple[str, ...]]]:
+    members: tuple[MemberReport, ...], *, roster: tuple[str, ...] = ()
+) -> list[tuple[tuple[MemberReport, ...], tuple[str, ...]]]:
     """Members and names of the roster, in parts of which each fits a datagram."""
-    parts: list[tuple[list[Heard], list[str]]] = [([], [])]
+    parts: list[tuple[list[MemberReport], list[str]]] = [([], [])]
     room = _ROOM
-    items: tuple[Heard | str, ...] = (*members, *roster)
+    items: tuple[MemberReport | str, ...] = (*members, *roster)
     for item in items:
         size = len(_encoder.encode(item))
         full = len(parts[-1][0]) >= 64 or len(parts[-1][1]) >= 64

@@ -37,13 +37,13 @@ MAX_ECHOES = 256
 MAX_COPIES = 128  # of one datagram to single addresses: false words name many
 # A beacon counts for this long, in s; a robot that others hear, for so long after they did.
 FRESH_TIME = 3.0
-WORD_TIME = 10.0
+INDIRECT_TIME = 10.0
 
-# Between questions for words, in s: while all have told, and while one has not.
-WORDS_PERIOD, RETELL_PERIOD = 2.0, 0.25
+# Between requests for member lists, in s: while all robots heard have sent theirs, and else.
+LISTS_PERIOD, LIST_REPEAT_PERIOD = 2.0, 0.25
 
 # How long a look waits, in s, and in round trips.
-NOBODY_WAIT, DEV_WAIT = 3.0, 1.0  # nobody is heard; on loopback
+FIRST_ROBOT_TIMEOUT, DEV_WAIT = 3.0, 1.0  # nobody is heard; on loopback
 ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # since the last robot was found that is heard directly
 UNREACHABLE_WAIT, UNREACHABLE_TRIPS = 2.0, 6.0  # one that is alive by the word of others
 GONE_WAIT, GONE_TRIPS = 0.5, 4.0  # one that failed, or is on a roster and was not seen
@@ -133,7 +133,7 @@ class MembersView:
 
 
 @dataclass(slots=True)
-class _Heard:
+class _DirectMember:
     """An instance that the operator hears itself."""
 
     beacon: Beacon
@@ -146,7 +146,7 @@ class _Heard:
 
 
 @dataclass(frozen=True, slots=True)
-class _Said:
+class _Report:
     """What one robot says of another; `at`: when that was so."""
 
     instance: str
@@ -166,8 +166,8 @@ class _Answer:
 class Discovery:
     """What one look of an operator has found; `roster`: robots that are expected in any case.
 
-    `nobody_wait`: how long to wait for a first robot, in s. `earlier`: what an earlier look found:
-    its robots stay expected, and count as failed until they are heard again.
+    `first_robot_timeout`: how long to wait for a first robot, in s. `earlier`: the result of an
+    earlier look: its robots stay expected, and count as failed until they are heard again.
     """
 
     def __init__(
@@ -175,47 +175,47 @@ class Discovery:
         now: float,
         roster: Iterable[str] = (),
         *,
-        nobody_wait: float = NOBODY_WAIT,
+        first_robot_timeout: float = FIRST_ROBOT_TIMEOUT,
         earlier: MembersView | None = None,
     ) -> None:
         self.started = now
-        self._nobody_wait = nobody_wait
+        self._nobody_wait = first_robot_timeout
         self.found_at = now  # when the last robot was found
         self._news = now
         self._roster = set(roster)
-        self._heard: dict[str, dict[str, _Heard]] = {}
+        self._heard: dict[str, dict[str, _DirectMember]] = {}
         self._gone: dict[tuple[str, str], float] = {}
         self._answers: dict[str, dict[str, _Answer]] = {}
         # By robot, then by echo and part: a list in parts counts once it is whole.
-        self._words: dict[str, dict[tuple[int, int], tuple[datagram.Word, float]]] = {}
+        self._lists: dict[str, dict[tuple[int, int], tuple[datagram.MemberList, float]]] = {}
         # What each robot says of a robot, by word and in its view, of which the word is the better:
         # it says when a living robot was heard.
-        self._said: dict[str, dict[tuple[str, str], list[_Said]]] = {}
+        self._reports: dict[str, dict[tuple[str, str], list[_Report]]] = {}
         # The ids of which one robot says that several instances are alive.
         self._doubles: dict[str, dict[str, frozenset[str]]] = {}
         self._mentioned: dict[str, float] = {}
-        self._words_at = -float("inf")
+        self._lists_at = -float("inf")
         self._echoes: dict[int, float] = {}
         self._solicits = 0
         self._trips: dict[str, float] = {}
         for robot, member in (earlier.members if earlier else {}).items():
             if member.presence is not Presence.LEFT:
                 self._mentioned[robot] = now
-                found = _Said(member.instance, Presence.FAILED, now - member.age, "", None)
-                self._said[robot] = {("", "earlier"): [found]}
+                found = _Report(member.instance, Presence.FAILED, now - member.age, "", None)
+                self._reports[robot] = {("", "earlier"): [found]}
 
     # Events
 
-    def wants_words(self, now: float) -> bool:
-        """True if robots are to be asked now for whom they know: many words are many bytes.
+    def wants_members(self, now: float) -> bool:
+        """True if robots are to be asked for their member lists now, which are long.
 
-        All are asked at the start, and again soon while one that is heard has not told.
+        All are asked at the start, and soon again while a robot heard has not sent its list.
         """
-        is_told = bool(self.heard) and all(self._has_told(robot) for robot in self.heard)
-        period = WORDS_PERIOD if is_told else max(RETELL_PERIOD, 1.5 * self.round_trip)
-        if now - self._words_at < period:
+        has_all_lists = bool(self.heard) and all(self._has_full_list(robot) for robot in self.heard)
+        period = LISTS_PERIOD if has_all_lists else max(LIST_REPEAT_PERIOD, 1.5 * self.round_trip)
+        if now - self._lists_at < period:
             return False
-        self._words_at = now
+        self._lists_at = now
         return True
 
     def on_solicit(self, echo: int, now: float) -> None:
@@ -245,7 +245,7 @@ class Discovery:
             return
         if instance not in known:
             known = self._heard.setdefault(beacon.robot, known)
-            known[instance] = _Heard(beacon, address, now, now, self._solicits)
+            known[instance] = _DirectMember(beacon, address, now, now, self._solicits)
             self._mention(beacon.robot, now)
             self._news = self.found_at = now
         heard = known[instance]
@@ -259,12 +259,12 @@ class Discovery:
             trip = max(now - sent, 0.0)
             self._trips[beacon.robot] = min(trip, self._trips.get(beacon.robot, trip))
 
-    def on_word(self, word: datagram.Word, now: float) -> None:
+    def on_member_list(self, word: datagram.MemberList, now: float) -> None:
         """A robot's word about others; the parts of one come one by one."""
         if not self._has_room(word.robot):
             return
         self._mention(word.robot, now)
-        parts = self._words.setdefault(word.robot, {})
+        parts = self._lists.setdefault(word.robot, {})
         if not parts:
             self._news = now
         if word.part < word.parts:
@@ -276,31 +276,31 @@ class Discovery:
                 break
             del parts[key]
         self._roster.update(word.roster if len(self._roster) < MAX_ROBOTS else ())
-        said: dict[str, list[_Said]] = {}
+        reports: dict[str, list[_Report]] = {}
         for part, at in parts.values():
             for one in part.members:
                 if one.presence < len(PRESENCES):
-                    found = _Said(
+                    found = _Report(
                         one.instance.hex(),
                         PRESENCES[one.presence],
                         at - one.age / 1000.0,
                         word.robot,
                         (one.host, one.port) if one.host and one.port else None,
                     )
-                    said.setdefault(one.robot, []).append(found)
-        self._take_word(word.robot, said, now)
+                    reports.setdefault(one.robot, []).append(found)
+        self._store_reports(word.robot, reports, now)
 
     def on_view(self, view: PeerView, now: float) -> None:
         """A robot answered with its status and its members."""
         self._take_answer(view.robot, _Answer(view.status, view.members, now), now)
         if len(self._roster) < MAX_ROBOTS:
             self._roster.update(name for name in view.roster if is_id(name))
-        said: dict[str, list[_Said]] = {}
+        reports: dict[str, list[_Report]] = {}
         for one in view.members:
             at = now if one.presence is Presence.ALIVE else now - one.age
-            found = _Said(one.instance, one.presence, at, view.robot, None)
-            said.setdefault(one.robot, []).append(found)
-        self._take_word(view.robot, said, now, way="view")
+            found = _Report(one.instance, one.presence, at, view.robot, None)
+            reports.setdefault(one.robot, []).append(found)
+        self._store_reports(view.robot, reports, now, way="view")
 
     def on_header(self, header: StatusHeader, now: float) -> None:
         """A robot of another version answered with its status."""
@@ -361,8 +361,8 @@ class Discovery:
         heard = self._heard.get(robot)
         if heard:
             return max(heard.values(), key=lambda one: one.last).address
-        said = [one for one in self._all_said(robot) if one.address is not None]
-        return max(said, key=lambda one: one.at).address if said else None
+        reports = [one for one in self._all_reports(robot) if one.address is not None]
+        return max(reports, key=lambda one: one.at).address if reports else None
 
     def to_dial(self) -> dict[tuple[str, str], Address]:
         """The addresses of all robots that are not known to be gone, by robot and instance."""
@@ -405,15 +405,15 @@ class Discovery:
     @property
     def unlisted(self) -> tuple[str, ...]:
         """The robots heard that did not list the members that they know."""
-        return tuple(sorted(robot for robot in self.heard if not self._has_told(robot)))
+        return tuple(sorted(robot for robot in self.heard if not self._has_full_list(robot)))
 
-    def is_told(self, now: float) -> bool:
-        """True once all robots heard told whom they know, and agree or the quiet time passed."""
+    def has_all_lists(self, now: float) -> bool:
+        """True once all robots heard have sent their lists, and agree or the quiet time passed."""
         heard = self.heard
         if not heard or self.unlisted:
             return False
         agree = len(heard) > 1 and all(
-            heard - {teller} <= self._alive_by(teller) for teller in heard
+            heard - {reporter} <= self._alive_by(reporter) for reporter in heard
         )
         return agree or now - self._news >= self.quiet_time
 
@@ -475,10 +475,10 @@ class Discovery:
             last = max(one.last for one in heard.values())
             if best is None or best.at <= last:
                 instance = max(heard, key=lambda name: heard[name].last)
-                best = _Said(instance, Presence.FAILED, last, "", None)
+                best = _Report(instance, Presence.FAILED, last, "", None)
         if best is None:
             return None
-        is_alive = best.presence is Presence.ALIVE and now - best.at <= WORD_TIME
+        is_alive = best.presence is Presence.ALIVE and now - best.at <= INDIRECT_TIME
         presence = Presence.FAILED if best.presence is Presence.ALIVE else best.presence
         return SeenMember(
             robot=robot,
@@ -524,24 +524,24 @@ class Discovery:
         self._mentioned[robot] = now
         return True
 
-    def _take_word(
-        self, teller: str, said: Mapping[str, list[_Said]], now: float, way: str = "word"
+    def _store_reports(
+        self, reporter: str, reports: Mapping[str, list[_Report]], now: float, way: str = "word"
     ) -> None:
-        """Replace what a robot said before."""
-        for known in self._said.values():
-            known.pop((teller, way), None)
+        """Replace the earlier reports of a robot."""
+        for known in self._reports.values():
+            known.pop((reporter, way), None)
         for doubles in self._doubles.values():
-            doubles.pop(teller, None)
-        for robot, some in said.items():
-            if robot == teller:
+            doubles.pop(reporter, None)
+        for robot, some in reports.items():
+            if robot == reporter:
                 continue
             if self._mention(robot, now):
                 self._news = self.found_at = now
             if robot in self._mentioned:
-                self._said.setdefault(robot, {})[teller, way] = some[:MAX_INSTANCES]
+                self._reports.setdefault(robot, {})[reporter, way] = some[:MAX_INSTANCES]
                 alive = {one.instance for one in some if one.presence is Presence.ALIVE}
                 if len(alive) > 1:
-                    self._doubles.setdefault(robot, {})[teller] = frozenset(alive)
+                    self._doubles.setdefault(robot, {})[reporter] = frozenset(alive)
 
     def _take_answer(self, robot: str, answer: _Answer, now: float) -> None:
         if not self._has_room(robot):
@@ -564,49 +564,51 @@ class Discovery:
     def _is_heard(self, robot: str, now: float) -> bool:
         return any(now - one.last <= FRESH_TIME for one in self._heard.get(robot, {}).values())
 
-    def _all_said(self, robot: str) -> list[_Said]:
-        tellers = self._said.get(robot, {})
+    def _all_reports(self, robot: str) -> list[_Report]:
+        reporters = self._reports.get(robot, {})
         found = [
             one
-            for (teller, way), some in tellers.items()
-            if way == "word" or (teller, "word") not in tellers
+            for (reporter, way), some in reporters.items()
+            if way == "word" or (reporter, "word") not in reporters
             for one in some
         ]
         left = [
-            _Said(instance, Presence.LEFT, at, "", None)
+            _Report(instance, Presence.LEFT, at, "", None)
             for (name, instance), at in self._gone.items()
             if name == robot
         ]
         gone = {one.instance for one in left}
         return [*left, *(one for one in found if one.instance not in gone)]
 
-    def _best(self, robot: str) -> _Said | None:
+    def _best(self, robot: str) -> _Report | None:
         """The most certain word on a robot: alive first, then the newest, `left` before failed."""
-        said = self._all_said(robot)
-        alive = [one for one in said if one.presence is Presence.ALIVE]
+        reports = self._all_reports(robot)
+        alive = [one for one in reports if one.presence is Presence.ALIVE]
         if alive:
             return max(alive, key=lambda one: one.at)
-        newest = max(said, key=lambda one: one.at, default=None)
+        newest = max(reports, key=lambda one: one.at, default=None)
         if newest is None:
             return None
-        same = [one for one in said if one.instance == newest.instance]
+        same = [one for one in reports if one.instance == newest.instance]
         return max(same, key=lambda one: (one.presence is Presence.LEFT, one.at))
 
-    def _has_told(self, robot: str) -> bool:
-        parts = self._words.get(robot, {})
+    def _has_full_list(self, robot: str) -> bool:
+        parts = self._lists.get(robot, {})
         return any(self._has_all(parts, echo) for echo, _ in parts)
 
     @staticmethod
-    def _has_all(parts: Mapping[tuple[int, int], tuple[datagram.Word, float]], echo: int) -> bool:
+    def _has_all(
+        parts: Mapping[tuple[int, int], tuple[datagram.MemberList, float]], echo: int
+    ) -> bool:
         """True if all parts of the answer to one solicit are there."""
         some = [word for (number, _), (word, _) in parts.items() if number == echo]
         return bool(some) and len(some) >= some[0].parts
 
-    def _alive_by(self, teller: str) -> frozenset[str]:
+    def _alive_by(self, reporter: str) -> frozenset[str]:
         return frozenset(
             robot
-            for robot, tellers in self._said.items()
-            if any(one.presence is Presence.ALIVE for one in tellers.get((teller, "word"), ()))
+            for robot, reporters in self._reports.items()
+            if any(one.presence is Presence.ALIVE for one in reporters.get((reporter, "word"), ()))
         )
 
     def _views_agree(self, settled: frozenset[str]) -> bool:

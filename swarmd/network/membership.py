@@ -6,8 +6,8 @@ A robot is
 - left once its latest instance sent a beacon with Flag.LEFT,
 - failed when its lease ended without that; it stays listed until it returns or is forgotten.
 
-Beside these members, whose beacons arrive here, the words of others name robots that are known
-only by hearsay. They are handed on with their age and their distance, and count as no neighbours.
+The lists of others name robots whose beacons do not arrive here. These indirect members are handed
+on with their age and their distance, and are no neighbours.
 Times are in s on the caller's monotonic clock.
 """
 
@@ -17,7 +17,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 from swarmd.core.messages import Member, Presence
-from swarmd.network.datagram import MAX_HOPS, PRESENCES, Address, Beacon, Flag, Heard, Word
+from swarmd.network.datagram import (
+    MAX_HOPS,
+    PRESENCES,
+    Address,
+    Beacon,
+    Flag,
+    MemberList,
+    MemberReport,
+)
 
 MAX_MEMBERS = 1024
 MAX_INSTANCES = 4
@@ -72,10 +80,10 @@ class _Record:
 
 
 @dataclass(frozen=True, slots=True)
-class Hearsay:
+class IndirectMember:
     """A robot that others know: their description, by whom and when it came."""
 
-    heard: Heard
+    heard: MemberReport
     by: str
     at: float
 
@@ -95,7 +103,7 @@ class Membership:
         self._own = own
         self._lease = lease
         self._records: dict[str, _Record] = {}
-        self._hearsay: dict[str, Hearsay] = {}
+        self._indirect: dict[str, IndirectMember] = {}
         self.ignored = 0
 
     def on_beacon(self, beacon: Beacon, address: Address, now: float) -> bool:
@@ -110,7 +118,7 @@ class Membership:
                 self.ignored += 1
                 return False
             record = self._records[beacon.robot] = _Record(first=now)
-        self._hearsay.pop(beacon.robot, None)
+        self._indirect.pop(beacon.robot, None)
         instance = record.instances.get(beacon.instance)
         if instance is None:
             instance = _Instance(now, now, beacon, address)
@@ -123,19 +131,19 @@ class Membership:
         instance.has_left = bool(beacon.flags & Flag.LEFT)
         return self._settle(record, now)
 
-    def on_word(self, word: Word, now: float) -> None:
-        """A robot told of those it knows."""
-        for heard in word.members:
+    def on_member_list(self, members: MemberList, now: float) -> None:
+        """A robot sent a part of its list of members."""
+        for heard in members.members:
             record = self._records.get(heard.robot)
             is_heard_here = record is not None and record.shown is not None
             if heard.robot == self._own or heard.hops >= MAX_HOPS or is_heard_here:
                 continue
-            known = self._hearsay.get(heard.robot)
-            told = Hearsay(heard, word.robot, now)
-            if known is None and len(self._hearsay) >= MAX_MEMBERS:
+            known = self._indirect.get(heard.robot)
+            indirect = IndirectMember(heard, members.robot, now)
+            if known is None and len(self._indirect) >= MAX_MEMBERS:
                 self.ignored += 1
-            elif known is None or told.age(now) < known.age(now):
-                self._hearsay[heard.robot] = told
+            elif known is None or indirect.age(now) < known.age(now):
+                self._indirect[heard.robot] = indirect
 
     def advance(self, now: float) -> list[str]:
         """End the leases that are over; the robots whose presence changed."""
@@ -144,9 +152,9 @@ class Membership:
             is_stranger = record.latest.heard - record.first < STRANGER_TIME
             if _is_gone(record) and is_stranger and now - record.since > STRANGER_KEPT:
                 del self._records[robot]
-        for robot, told in list(self._hearsay.items()):
-            if now - told.at > STRANGER_KEPT:
-                del self._hearsay[robot]
+        for robot, indirect in list(self._indirect.items()):
+            if now - indirect.at > STRANGER_KEPT:
+                del self._indirect[robot]
         return changed
 
     def to_probe(self, now: float) -> list[Address]:
@@ -163,7 +171,7 @@ class Membership:
 
     def forget(self, robot: str) -> bool:
         """Remove a robot; False if it is alive or unknown."""
-        self._hearsay.pop(robot, None)
+        self._indirect.pop(robot, None)
         record = self._records.get(robot)
         if record is None or not _is_gone(record):
             return False
@@ -189,9 +197,9 @@ class Membership:
         return {robot: member for robot, member in found if member is not None}
 
     @property
-    def hearsay(self) -> Mapping[str, Hearsay]:
+    def indirect(self) -> Mapping[str, IndirectMember]:
         """The robots that only others hear."""
-        return self._hearsay
+        return self._indirect
 
     def address(self, robot: str) -> Address | None:
         """The address from which a member was last heard."""
@@ -204,8 +212,8 @@ class Membership:
             if record.shown is not None and record.shown[1] is Presence.ALIVE:
                 yield robot, record.latest.address
 
-    def told(self, now: float) -> tuple[Heard, ...]:
-        """What this robot tells others: those it hears or heard, then those it knows by hearsay."""
+    def reports(self, now: float) -> tuple[MemberReport, ...]:
+        """The list for others: the robots heard here, then those that only others hear."""
         known = []
         for robot, record in sorted(self._records.items()):
             if record.shown is None:
@@ -213,7 +221,7 @@ class Membership:
             presence, latest = record.shown[1], record.latest
             since = latest.heard if presence is Presence.ALIVE else record.since
             known.append(
-                Heard(
+                MemberReport(
                     robot=robot,
                     instance=record.shown[0],
                     presence=PRESENCES.index(presence),
@@ -222,11 +230,11 @@ class Membership:
                     port=latest.address[1],
                 )
             )
-        for robot, told in sorted(self._hearsay.items()):
-            heard = told.heard
-            age = round(told.age(now) * 1000)
+        for robot, indirect in sorted(self._indirect.items()):
+            heard = indirect.heard
+            age = round(indirect.age(now) * 1000)
             known.append(
-                Heard(
+                MemberReport(
                     robot=robot,
                     instance=heard.instance,
                     presence=heard.presence,

@@ -5,7 +5,7 @@ Synchronous, without asyncio and numpy, since a command must start fast::
     with Operator(settings) as operator:
         view = operator.members()
         outcome = operator.request(RunRequest, view.epochs(names), pattern="attraction")
-        outcome = operator.halt("estop", reason="...")
+        outcome = operator.send_stop("estop", reason="...")
 
 Robots are found, stopped and emergency-stopped by datagrams. Everything else goes by Zenoh, on
 links that the operator dials to the addresses of the robots that it found. Zenoh's threads and the
@@ -44,16 +44,16 @@ from swarmd.network.datagram import (
     Address,
     Beacon,
     Datagram,
+    MemberList,
     OnDatagram,
     Solicit,
     Stop,
     Swarm,
-    Word,
     pack,
     tag_of,
     unpack,
 )
-from swarmd.network.discovery import DEV_WAIT, NOBODY_WAIT, Discovery, MembersView
+from swarmd.network.discovery import DEV_WAIT, FIRST_ROBOT_TIMEOUT, Discovery, MembersView
 from swarmd.network.outcome import Acks, Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.stop_request import PendingStop, Select
@@ -188,9 +188,9 @@ class Operator:
         """
         now = time.monotonic()
         discovery = self._new_discovery(now)
-        solicit, poll = Pace(now, SOLICIT_PACE), Pace(now, POLL_PACE)
+        solicit, poll = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
         until = None if timeout is None else now + timeout
-        over = Pace(now, ((float("inf"), 0.02),))
+        over = RepeatTimer(now, ((float("inf"), 0.02),))
         while True:
             with self._news:
                 now, version = time.monotonic(), self._version
@@ -216,7 +216,7 @@ class Operator:
 
     def swarms(self, *, timeout: float = SWARMS_TIME) -> tuple[str, ...]:
         """The names of all swarms within reach, for an operator who finds no member of this one."""
-        pace = Pace(time.monotonic(), ((float("inf"), 0.1),))
+        pace = RepeatTimer(time.monotonic(), ((float("inf"), 0.1),))
         while pace.age(now := time.monotonic()) < timeout:
             if pace.is_due(now):
                 self._carrier.send(pack(ANY_SWARM, Solicit(echo=0)))
@@ -269,7 +269,7 @@ class Operator:
                 acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
             return acks.outcome(targets, seconds=now - started, reached=len(asked))
 
-    def halt(
+    def send_stop(
         self,
         verb: StopVerb,
         *,
@@ -302,7 +302,9 @@ class Operator:
             self._stop = pending
         until = None if timeout is None or until_all else now + timeout
         try:
-            self._repeat(pending, discovery, until, until_all=until_all, on_progress=on_progress)
+            self._send_until_acked(
+                pending, discovery, until, until_all=until_all, on_progress=on_progress
+            )
         except KeyboardInterrupt:
             if not until_all:
                 raise
@@ -310,7 +312,7 @@ class Operator:
             self._stop = None
             return pending.outcome(time.monotonic())
 
-    def _repeat(
+    def _send_until_acked(
         self,
         pending: PendingStop,
         discovery: Discovery,
@@ -321,8 +323,8 @@ class Operator:
     ) -> None:
         """Send until it is done or over."""
         now = time.monotonic()
-        solicit, repeat = Pace(now, SOLICIT_PACE), Pace(now, STOP_PACE)
-        progress = Pace(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
+        solicit, repeat = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
+        progress = RepeatTimer(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
         selected: frozenset[str] = frozenset()
         shown: tuple[str, ...] | None = None
         while True:
@@ -373,10 +375,10 @@ class Operator:
         return kind(id=os.urandom(6).hex(), operator=self.name, **fields)
 
     def _new_discovery(self, now: float) -> Discovery:
-        wait = DEV_WAIT if self.settings.profile == "dev" else NOBODY_WAIT
+        wait = DEV_WAIT if self.settings.profile == "dev" else FIRST_ROBOT_TIMEOUT
         with self._news:
             earlier = None if self._discovery is None else self._discovery.result(now)
-            discovery = Discovery(now, self._roster, nobody_wait=wait, earlier=earlier)
+            discovery = Discovery(now, self._roster, first_robot_timeout=wait, earlier=earlier)
             self._discovery = discovery
         return discovery
 
@@ -384,9 +386,9 @@ class Operator:
         self._echo += 1
         with self._news:
             discovery.on_solicit(self._echo, now)
-            wants_words = discovery.wants_words(now)
+            wants_members = discovery.wants_members(now)
             addresses = discovery.to_solicit()
-        payload = pack(self._tag, Solicit(echo=self._echo, wants_words=wants_words))
+        payload = pack(self._tag, Solicit(echo=self._echo, wants_members=wants_members))
         self._carrier.send(payload)
         for address in addresses:
             self._carrier.send_to(payload, self._reachable(address))
@@ -545,8 +547,8 @@ class Operator:
             return False
         if isinstance(body, Beacon):
             self._discovery.on_beacon(body, source, now)
-        elif isinstance(body, Word):
-            self._discovery.on_word(body, now)
+        elif isinstance(body, MemberList):
+            self._discovery.on_member_list(body, now)
         else:
             return False
         return True
@@ -612,7 +614,7 @@ def _close(session: zenoh.Session) -> None:
         session.close()
 
 
-class Pace:
+class RepeatTimer:
     """When to do something again; `steps`: (until, period) in s since the start."""
 
     def __init__(self, now: float, steps: tuple[tuple[float, float], ...]) -> None:

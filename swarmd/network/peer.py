@@ -22,11 +22,11 @@ from swarmd.network.datagram import (
     Datagram,
     Flag,
     Latches,
+    MemberList,
     Message,
     Solicit,
     Stop,
     Swarm,
-    Word,
     in_parts,
 )
 from swarmd.network.latch_sync import LatchSync, digest_of, latch_parts
@@ -38,7 +38,7 @@ BEACON_PERIOD = 1.0  # s
 FAST_BEACON_PERIOD = 0.1
 NEW_LATCH_TIME = 1.0
 LATCH_REPEATS = (0.0, 0.1, 0.3)  # s after a latch is new: so often the latch itself is sent to all
-WORD_PERIOD = 10.0  # between questions for words, each to another member
+LIST_PERIOD = 10.0  # between questions for words, each to another member
 # Datagrams a second that answer a solicit, and that answer a claimer of the own id.
 ANSWER_RATE = 50.0
 CLAIM_ANSWER_RATE = 40.0
@@ -61,7 +61,7 @@ class Effects:
 
     `sends`: datagrams, each to an address or (None) to all. `stops`: to be carried out, with their
     sources; the ack goes to the source if `wants_ack`. `latches`: of peers. `changed`: robots whose
-    presence changed. `messages`: of patterns. `heard_of`: addresses of robots that others hear.
+    presence changed. `messages`: of patterns. `indirect_addresses`: of robots that others hear.
     `duplicate`: another instance that has begun to own the id. `lost`: messages that are missing,
     or less than 0 for those that came late.
     """
@@ -71,7 +71,7 @@ class Effects:
     latches: dict[str, Latch] = field(default_factory=dict)
     changed: list[str] = field(default_factory=list)
     messages: list[Message] = field(default_factory=list)
-    heard_of: list[Address] = field(default_factory=list)
+    indirect_addresses: list[Address] = field(default_factory=list)
     duplicate: str = ""
     lost: int = 0
 
@@ -140,7 +140,7 @@ class Peer:
         self._digest_since = -math.inf
         self._latches_due: list[float] = []
         self._latch_copies = 0  # how often others have sent the same latches to all
-        self._words_at = now + self._random.uniform(0.0, 1.0)
+        self._lists_at = now + self._random.uniform(0.0, 1.0)
         self._began = now
         self._windows: dict[str, _Window] = {}
         self._duplicates: dict[bytes, float] = {}
@@ -183,13 +183,13 @@ class Peer:
                 self._on_beacon(body, source, now, summary, effects)
             case Solicit():
                 self._on_solicit(body, source, now, summary, effects, is_any=is_any)
-            case Word():
-                self.membership.on_word(body, now)
-                effects.heard_of = [
+            case MemberList():
+                self.membership.on_member_list(body, now)
+                effects.indirect_addresses = [
                     (heard.host, heard.port)
                     for heard in body.members
                     if heard.hops == 0 and heard.presence == 0 and heard.port
-                    and heard.robot in self.membership.hearsay
+                    and heard.robot in self.membership.indirect
                 ]  # fmt: skip
             case Stop():
                 sends = self._relay.on_stop(body, source, now)
@@ -220,7 +220,7 @@ class Peer:
             payload=payload,
         )
 
-    def farewell(self, summary: Summary) -> Beacon:
+    def leave_beacon(self, summary: Summary) -> Beacon:
         """The last beacon of a robot that leaves in order."""
         return self._beacon(summary, Flag.LEFT)
 
@@ -239,16 +239,16 @@ class Peer:
         for instance, heard in list(self._duplicates.items()):
             if now - heard > self._lease:
                 del self._duplicates[instance]
-        self._say_latches(now, summary, effects)
-        self._say_beacon(now, summary, effects)
+        self._send_latches_if_due(now, summary, effects)
+        self._send_beacon_if_due(now, summary, effects)
         effects.sends.extend((stop, None) for stop in self._relay.advance(now))
         probe = Solicit(echo=0)
         effects.sends.extend((probe, address) for address in self.membership.to_probe(now))
-        if now >= self._words_at:
-            self._words_at = now + self._random.uniform(0.5, 1.5) * WORD_PERIOD
+        if now >= self._lists_at:
+            self._lists_at = now + self._random.uniform(0.5, 1.5) * LIST_PERIOD
             alive = sorted(self.membership.alive_addresses())
             if alive:
-                ask = Solicit(echo=0, wants_words=True)
+                ask = Solicit(echo=0, wants_members=True)
                 effects.sends.append((ask, self._random.choice(alive)[1]))
         return effects
 
@@ -308,12 +308,12 @@ class Peer:
             return
         beacon = self._beacon(summary, echo=solicit.echo, version=self._version)
         effects.sends.append((beacon, source))
-        if solicit.wants_words:
-            parts = in_parts(self.membership.told(now), roster=self._roster)
+        if solicit.wants_members:
+            parts = in_parts(self.membership.reports(now), roster=self._roster)
             if not self._answers.take(len(parts), now):
                 return
             for number, (members, roster) in enumerate(parts):
-                word = Word(
+                word = MemberList(
                     robot=self.robot,
                     instance=self._instance,
                     members=members,
@@ -340,7 +340,7 @@ class Peer:
         if is_new:
             effects.messages.append(message)
 
-    def _say_latches(self, now: float, summary: Summary, effects: Effects) -> None:
+    def _send_latches_if_due(self, now: float, summary: Summary, effects: Effects) -> None:
         digest = digest_of(summary.latches)
         if digest != self._digest:
             self._digest = digest
@@ -354,7 +354,7 @@ class Peer:
                 parts = latch_parts(self.robot, self._instance, summary.latches)
                 effects.sends.extend((latches, None) for latches in parts)
 
-    def _say_beacon(self, now: float, summary: Summary, effects: Effects) -> None:
+    def _send_beacon_if_due(self, now: float, summary: Summary, effects: Effects) -> None:
         shown = (summary.state, summary.revision, self._claim is None)
         if shown != self._shown:
             self._shown = shown

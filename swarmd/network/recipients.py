@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from swarmd.network.datagram import Address
 
 MAX_ADDRESSES = 256
-WORD_LIFE = 30.0  # s for which the word of another robot counts
+MENTION_TIME = 30.0  # s for which the word of another robot counts
 
 
 @dataclass(slots=True)
@@ -49,7 +49,7 @@ class Recipients:
             if by_group:
                 known.by_group = now
 
-    def on_word(self, address: Address, now: float) -> None:
+    def on_mentioned(self, address: Address, now: float) -> None:
         """A robot says that a living member is at this address."""
         known = self._place(address, now)
         if known is not None:
@@ -82,5 +82,5 @@ class Recipients:
         return (
             address in self._seeds
             or now - known.heard <= self._lease
-            or now - known.mentioned <= WORD_LIFE
+            or now - known.mentioned <= MENTION_TIME
         )

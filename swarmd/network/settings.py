@@ -85,7 +85,7 @@ class NetworkSettings(Struct, frozen=True, kw_only=True):
     @property
     def settle(self) -> float:
         """Seconds for which a claim of a robot id waits for rivals: discovery, with margin."""
-        return 0.1 if self.profile == "dev" else 1.0
+        return 0.25 if self.profile == "dev" else 1.0
 
     @property
     def interface_name(self) -> str:

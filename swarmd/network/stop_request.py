@@ -90,7 +90,7 @@ class PendingStop:
 
     def is_done(self, now: float) -> bool:
         """True once the membership is known and every expected robot has acked."""
-        is_known = self._discovery.is_told(now) and bool(self._expected(now))
+        is_known = self._discovery.has_all_lists(now) and bool(self._expected(now))
         return is_known and not self.lacking(now)
 
     def is_over(self, now: float) -> bool:

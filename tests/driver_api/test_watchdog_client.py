@@ -313,7 +313,7 @@ class Process:
         self.story.append("fed")
 
     def close(self) -> None:
-        self.story.append("farewell")
+        self.story.append("leave_beacon")
 
     def kill_if_frozen(self) -> None:
         self.story.append("buried")
@@ -358,7 +358,7 @@ def test_the_driver_lives_within_its_watchdog_and_each_command_feeds_it(
         assert inner.story[4:] == ["ends"]
         driver.send(Twist(0.1), 4, 4)
         assert inner.story[5:] == []
-        assert process.story == [*["fed"] * 3, "farewell"]
+        assert process.story == [*["fed"] * 3, "leave_beacon"]
 
     asyncio.run(asyncio.wait_for(run(), TIMEOUT))
 
@@ -371,6 +371,6 @@ def test_without_a_watchdog_the_driver_does_not_run(started: list[Process]) -> N
         started[0].ready.set_exception(DriverError("no watchdog: see the log"))
         with pytest.raises(DriverError, match="no watchdog"):
             await task
-        assert (inner.story, started[0].story) == ([], ["farewell"])
+        assert (inner.story, started[0].story) == ([], ["leave_beacon"])
 
     asyncio.run(asyncio.wait_for(run(), TIMEOUT))

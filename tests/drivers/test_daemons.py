@@ -230,7 +230,7 @@ def test_an_estopped_robot_gets_zero_after_each_command_of_another_node(
     with driven(ros2(driver, robot), tmp_path) as (course, _, operator):
         with contextlib.closing(Rival(robot)):
             wait_until(lambda: shows(operator, "someone else drives"), "its status says so")
-            reply = operator.halt("estop", reason="test").replies[ROBOT]
+            reply = operator.send_stop("estop", reason="test").replies[ROBOT]
             assert reply.text.startswith("commanded zero; someone else drives: ")
             assert re.search(r"measured 0\.10 m/s, 0\.30 rad/s, \d\.\d s ago$", reply.text), reply
             since = boottime()

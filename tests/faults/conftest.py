@@ -222,7 +222,7 @@ class Bench:
 
     def halt(self, verb: Literal["stop", "estop"]) -> Reply:
         """Its ack of stop or estop."""
-        outcome = self.operator.halt(verb, reason="test")
+        outcome = self.operator.send_stop(verb, reason="test")
         reply = outcome.replies[ROBOT]
         assert reply.code is Code.APPLIED, reply.text
         return reply

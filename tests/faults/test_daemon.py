@@ -102,7 +102,7 @@ def test_nothing_that_waited_for_a_frozen_daemon_moves_its_body(
         params={"speed": -0.1},
         timeout=0.3,
     )
-    stopped = bench.operator.halt("estop", reason="it does not answer", timeout=0.3)
+    stopped = bench.operator.send_stop("estop", reason="it does not answer", timeout=0.3)
     assert asked.missing == stopped.missing == (bench.body.robot,)
     wait_until(lambda: boottime() - frozen >= seconds, "long enough")
 

@@ -11,8 +11,8 @@ from swarmd.network.datagram import (
     ANY_SWARM,
     MAX_DATAGRAM,
     Beacon,
-    Heard,
     Kind,
+    MemberReport,
     Solicit,
     Stop,
     Swarm,
@@ -106,9 +106,11 @@ def test_a_datagram_that_is_too_large_is_not_sent() -> None:
         pack(TAG, Stop(id="i", verb="stop", operator="a", targets=("r" * 63,) * 30))
 
 
-def test_words_of_many_members_are_cut_into_datagrams_that_fit() -> None:
+def test_lists_of_many_members_are_cut_into_datagrams_that_fit() -> None:
     members = tuple(
-        Heard(robot=f"robot-{n}", instance=b"abcdef", presence=0, age=10, host="10.0.0.1", port=1)
+        MemberReport(
+            robot=f"robot-{n}", instance=b"abcdef", presence=0, age=10, host="10.0.0.1", port=1
+        )
         for n in range(150)
     )
     roster = tuple(f"robot-{n}" for n in range(100))
@@ -116,7 +118,7 @@ def test_words_of_many_members_are_cut_into_datagrams_that_fit() -> None:
     assert tuple(one for some, _ in parts for one in some) == members
     assert tuple(name for _, names in parts for name in names) == roster
     for number, (some, names) in enumerate(parts):
-        word = datagram.Word(
+        word = datagram.MemberList(
             robot="r" * 63,
             instance=b"abcdef",
             members=some,

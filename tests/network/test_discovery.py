@@ -9,13 +9,13 @@ from msgspec.structs import replace
 
 from swarmd.core import codec
 from swarmd.core.messages import Member, PeerView, Presence, State, StatusHeader
-from swarmd.network.datagram import PRESENCES, STATES, Beacon, Flag, Heard, Word
+from swarmd.network.datagram import PRESENCES, STATES, Beacon, Flag, MemberList, MemberReport
 from swarmd.network.discovery import (
     ANSWER_WAIT,
+    FIRST_ROBOT_TIMEOUT,
     GONE_WAIT,
     MAX_COPIES,
     MAX_ROBOTS,
-    NOBODY_WAIT,
     QUIET_TIME,
     UNREACHABLE_WAIT,
     Contact,
@@ -35,8 +35,10 @@ def beacon(robot: str, *, instance: int = 1, sequence: int = 1, **changes: Any) 
     return Beacon(robot=robot, instance=life(instance), sequence=sequence, **fields)
 
 
-def heard(robot: str, presence: Presence = ALIVE, *, instance: int = 1, age: int = 0) -> Heard:
-    return Heard(
+def heard(
+    robot: str, presence: Presence = ALIVE, *, instance: int = 1, age: int = 0
+) -> MemberReport:
+    return MemberReport(
         robot=robot,
         instance=life(instance),
         presence=PRESENCES.index(presence),
@@ -48,13 +50,13 @@ def heard(robot: str, presence: Presence = ALIVE, *, instance: int = 1, age: int
 
 def word(
     robot: str,
-    *others: Heard,
+    *others: MemberReport,
     part: int = 0,
     parts: int = 1,
     echo: int = 0,
     roster: Any = (),
-) -> Word:
-    return Word(
+) -> MemberList:
+    return MemberList(
         robot=robot,
         instance=life(),
         members=others,
@@ -87,8 +89,8 @@ class Rig:
         for robot in robots:
             self.found.on_beacon(beacon(robot, **changes), address(robot), at)
 
-    def tell(self, robot: str, *others: Heard, at: float = 0.01, **changes: Any) -> None:
-        self.found.on_word(word(robot, *others, **changes), at)
+    def tell(self, robot: str, *others: MemberReport, at: float = 0.01, **changes: Any) -> None:
+        self.found.on_member_list(word(robot, *others, **changes), at)
 
     def answer(self, robot: str, *others: str, at: float = 0.02, **changes: Any) -> None:
         self.found.on_view(view(robot, *others, **changes), at)
@@ -104,8 +106,8 @@ def rig() -> Rig:
 
 def test_nobody_is_never_complete_and_over_after_a_while(rig: Rig) -> None:
     assert not rig.found.is_complete(2.9)
-    assert not rig.found.is_over(NOBODY_WAIT - 0.01)
-    assert rig.found.is_over(NOBODY_WAIT)
+    assert not rig.found.is_over(FIRST_ROBOT_TIMEOUT - 0.01)
+    assert rig.found.is_over(FIRST_ROBOT_TIMEOUT)
     assert rig.found.result(3.0).members == {}
 
 
@@ -185,7 +187,7 @@ def test_an_old_word_does_not_make_a_robot_alive(rig: Rig) -> None:
     ],
 )
 def test_the_more_certain_of_two_words_counts(
-    rig: Rig, words: tuple[Heard, Heard], truth: Presence
+    rig: Rig, words: tuple[MemberReport, MemberReport], truth: Presence
 ) -> None:
     rig.hear("a", "b")
     rig.tell("a", words[0])
@@ -203,10 +205,10 @@ def test_a_robot_that_changes_its_word_is_believed(rig: Rig) -> None:
 def test_words_come_in_parts(rig: Rig) -> None:
     rig.hear("a")
     rig.tell("a", heard("b", LEFT), parts=2)
-    assert not rig.found.is_told(5.0)
+    assert not rig.found.has_all_lists(5.0)
     rig.tell("a", heard("c", LEFT), part=1, parts=2, roster=("z",))
     assert rig.found.known == {"a", "b", "c", "z"}
-    assert rig.found.is_told(5.0)
+    assert rig.found.has_all_lists(5.0)
 
 
 def test_a_robot_that_says_that_it_leaves_has_left(rig: Rig) -> None:
@@ -312,13 +314,13 @@ def test_one_that_is_not_heard_is_waited_for_less(presence: Presence | None, wai
 
 
 def test_words_are_asked_for_until_all_that_are_heard_have_told(rig: Rig) -> None:
-    asked = [at / 100 for at in range(0, 300, 10) if rig.found.wants_words(at / 100)]
+    asked = [at / 100 for at in range(0, 300, 10) if rig.found.wants_members(at / 100)]
     assert asked == [0.0, 0.3, 0.6, 0.9, 1.2, 1.5, 1.8, 2.1, 2.4, 2.7]
     rig.hear("a")
     rig.tell("a")
-    assert not rig.found.wants_words(3.9)
+    assert not rig.found.wants_members(3.9)
     rig.hear("b", at=3.9)
-    assert rig.found.wants_words(3.9)
+    assert rig.found.wants_members(3.9)
 
 
 # Whom to ask
@@ -377,9 +379,9 @@ def test_parts_of_two_answers_are_no_whole_list(rig: Rig) -> None:
     rig.hear("a")
     rig.tell("a", heard("b"), part=1, parts=2, echo=1)
     rig.tell("a", heard("c"), part=0, parts=2, echo=2)
-    assert not rig.found.is_told(10.0)
+    assert not rig.found.has_all_lists(10.0)
     rig.tell("a", heard("b"), heard("d"), part=1, parts=2, echo=2)
-    assert rig.found.is_told(10.0)
+    assert rig.found.has_all_lists(10.0)
     assert rig.found.known == {"a", "b", "c", "d"}
 
 

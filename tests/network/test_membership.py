@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from swarmd.core.messages import Presence
-from swarmd.network.datagram import MAX_HOPS, Beacon, Flag, Heard, Word
+from swarmd.network.datagram import MAX_HOPS, Beacon, Flag, MemberList, MemberReport
 from swarmd.network.membership import MAX_MEMBERS, STRANGER_KEPT, Membership
 
 ADDRESS = ("10.0.0.1", 7440)
@@ -22,12 +22,12 @@ def beacon(robot: str, sequence: int = 1, instance: bytes = b"abcdef", flags: in
     )
 
 
-def word(*members: Heard, robot: str = "r2") -> Word:
-    return Word(robot=robot, instance=b"123456", members=members)
+def word(*members: MemberReport, robot: str = "r2") -> MemberList:
+    return MemberList(robot=robot, instance=b"123456", members=members)
 
 
-def heard(robot: str, age: int = 0, hops: int = 0) -> Heard:
-    return Heard(robot=robot, instance=b"abcdef", presence=0, age=age, hops=hops)
+def heard(robot: str, age: int = 0, hops: int = 0) -> MemberReport:
+    return MemberReport(robot=robot, instance=b"abcdef", presence=0, age=age, hops=hops)
 
 
 def test_living_members_beyond_the_bound_are_ignored_and_counted() -> None:
@@ -88,25 +88,25 @@ def test_forgotten_robots_return_when_they_are_heard() -> None:
 def test_hearsay_is_bounded_in_number_distance_and_time() -> None:
     membership = Membership("me", LEASE)
     membership.on_beacon(beacon("r2"), ADDRESS, 0.0)
-    membership.on_word(word(heard("me"), heard("r2"), heard("far", hops=MAX_HOPS)), 0.0)
-    assert not membership.hearsay
-    membership.on_word(word(heard("r3", age=400)), 0.0)
-    membership.on_word(word(heard("r3", age=900), robot="r5"), 0.0)
-    assert membership.hearsay["r3"].by == "r2"
-    told = {one.robot: one for one in membership.told(1.0)}
+    membership.on_member_list(word(heard("me"), heard("r2"), heard("far", hops=MAX_HOPS)), 0.0)
+    assert not membership.indirect
+    membership.on_member_list(word(heard("r3", age=400)), 0.0)
+    membership.on_member_list(word(heard("r3", age=900), robot="r5"), 0.0)
+    assert membership.indirect["r3"].by == "r2"
+    told = {one.robot: one for one in membership.reports(1.0)}
     assert (told["r3"].age, told["r3"].hops) == (1400, 1)
     for number in range(MAX_MEMBERS + 5):
-        membership.on_word(word(heard(f"x{number}")), 0.0)
-    assert len(membership.hearsay) == MAX_MEMBERS
+        membership.on_member_list(word(heard(f"x{number}")), 0.0)
+    assert len(membership.indirect) == MAX_MEMBERS
     membership.advance(STRANGER_KEPT + 1.0)
-    assert not membership.hearsay
+    assert not membership.indirect
 
 
 def test_a_robot_that_is_heard_is_no_hearsay_and_is_probed_before_it_fails() -> None:
     membership = Membership("me", LEASE)
-    membership.on_word(word(heard("r3")), 0.0)
+    membership.on_member_list(word(heard("r3")), 0.0)
     membership.on_beacon(beacon("r3"), ADDRESS, 1.0)
-    assert not membership.hearsay
+    assert not membership.indirect
     assert membership.to_probe(2.0) == []
     assert membership.to_probe(2.6) == [ADDRESS]
     assert membership.to_probe(2.7) == []

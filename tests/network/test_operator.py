@@ -54,7 +54,7 @@ def test_a_swarm_without_daemons_is_an_empty_view(settings: NetworkSettings) -> 
     with Operator(settings) as operator:
         assert operator.members(timeout=0.2).members == {}
         assert operator.request(RunRequest, {}, pattern="x").exit_code == NO_TARGET
-        outcome = operator.halt("stop", timeout=0.2)
+        outcome = operator.send_stop("stop", timeout=0.2)
     assert (outcome.exit_code, outcome.reached) == (NO_TARGET, 0)
 
 
@@ -129,7 +129,7 @@ def test_a_stop_reaches_all_without_waiting_for_members(
 ) -> None:
     swarm = robots("a", "b", "c")
     with Operator(settings) as operator:
-        outcome = operator.halt(verb, reason="test")
+        outcome = operator.send_stop(verb, reason="test")
     assert outcome.line == "3 targeted, 3 applied"
     for name in "abc":
         heard = swarm[name].requests
@@ -147,7 +147,7 @@ def test_a_stop_is_repeated_until_all_acked(settings: NetworkSettings, robots: R
         return len(deaf["deaf"].requests)
 
     with Operator(settings) as operator:
-        outcome = operator.halt("stop", timeout=20.0)
+        outcome = operator.send_stop("stop", timeout=20.0)
     assert outcome.line == "2 targeted, 2 applied"
     assert count() > 5
     assert len({one.id for one in (*swarm["a"].requests, *deaf["deaf"].requests)}) == 1
@@ -161,7 +161,7 @@ def test_deaf_and_failed_robots_are_named_by_a_stop(
     swarm.call(swarm["lost"].vanish)
     swarm.until(lambda: swarm["a"].network.members["lost"].presence is Presence.FAILED)
     with Operator(settings) as operator:
-        outcome = operator.halt("estop", timeout=0.5)
+        outcome = operator.send_stop("estop", timeout=0.5)
     assert outcome.line == "3 targeted, 1 applied, 2 no answer (deaf, lost)"
     assert outcome.exit_code == PARTIAL
 
@@ -173,7 +173,7 @@ def test_a_stop_reaches_a_robot_that_joins_meanwhile(
     starting = threading.Thread(target=lambda: robots("late"))
     with Operator(settings, roster=["late"]) as operator:
         starting.start()
-        outcome = operator.halt("estop", timeout=20.0)
+        outcome = operator.send_stop("estop", timeout=20.0)
         starting.join()
     assert outcome.line == "2 targeted, 2 applied"
 
@@ -187,8 +187,8 @@ def test_other_swarms_can_be_seen(settings: NetworkSettings, robots: Robots) -> 
 def test_a_named_stop_is_for_named_robots(settings: NetworkSettings, robots: Robots) -> None:
     swarm = robots("a", "b")
     with Operator(settings) as operator:
-        picked = operator.halt("stop", select=lambda known: [n for n in known if n == "b"])
-        named = operator.halt("estop", select=lambda known: (), names=("b",))
+        picked = operator.send_stop("stop", select=lambda known: [n for n in known if n == "b"])
+        named = operator.send_stop("estop", select=lambda known: (), names=("b",))
     assert (picked.line, named.line) == ("1 targeted, 1 applied", "1 targeted, 1 applied")
     assert swarm["a"].requests == []
     scopes = {(one.verb, one.scope) for one in swarm["b"].requests if isinstance(one, Stop)}
@@ -209,7 +209,7 @@ def test_until_all_goes_on_until_the_last_robot_has_acked(
             starting[0].start()
 
     with Operator(settings, roster=["late"]) as operator:
-        outcome = operator.halt("estop", until_all=True, timeout=0.1, on_progress=on_progress)
+        outcome = operator.send_stop("estop", until_all=True, timeout=0.1, on_progress=on_progress)
         starting[0].join()
     assert outcome.line == "2 targeted, 2 applied"
     assert shown[0] == ("late",)
@@ -224,7 +224,7 @@ def test_an_interrupt_of_until_all_gives_what_was_reached(
         raise KeyboardInterrupt
 
     with Operator(settings, roster=["lost"]) as operator:
-        outcome = operator.halt("estop", until_all=True, on_progress=interrupt)
+        outcome = operator.send_stop("estop", until_all=True, on_progress=interrupt)
     assert outcome.line == "2 targeted, 1 applied, 1 no answer (lost)"
 
 
@@ -326,7 +326,7 @@ def test_a_reason_that_cannot_be_sent_is_mended_and_never_refused(
             epochs = operator.members().epochs(["a"])
             outcome = operator.request(ResetRequest, epochs, reason=reason)
         else:
-            outcome = operator.halt("estop", reason=reason)
+            outcome = operator.send_stop("estop", reason=reason)
     assert outcome.line == "1 targeted, 1 applied"
     request = swarm["a"].requests[-1]
     assert isinstance(request, Stop | ResetRequest)

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.messages import Latch, Presence, State
-from swarmd.network.datagram import Ack, Beacon, Solicit, Stop, Word
+from swarmd.network.datagram import Ack, Beacon, MemberList, Solicit, Stop
 from swarmd.network.peer import BEACON_PERIOD
 from tests.network.virtual_network import OPERATOR, VirtualNetwork
 
@@ -71,7 +71,7 @@ def test_a_robot_that_vanishes_fails_after_its_lease_and_returns() -> None:
 def test_a_robot_that_leaves_is_listed_as_left() -> None:
     network = VirtualNetwork(3)
     robot = network.robots["r3"]
-    network._send("r3", robot.address, robot.peer.farewell(robot.summary), None)
+    network._send("r3", robot.address, robot.peer.leave_beacon(robot.summary), None)
     robot.is_up = False
     network.run(0.1)
     assert presences(network, "r1")["r3"] is Presence.LEFT
@@ -102,7 +102,7 @@ def test_robots_beyond_reach_are_known_by_the_word_of_those_between() -> None:
     network.run(30.0)
     network.solicit()
     network.run(0.2)
-    words = [body for _, body in network.heard if isinstance(body, Word)]
+    words = [body for _, body in network.heard if isinstance(body, MemberList)]
     told = {heard.robot: heard for word in words for heard in word.members}
     assert {name: heard.hops for name, heard in told.items()} == {"r2": 0, "r3": 1}
     assert told["r3"].age <= 20_000
@@ -329,7 +329,7 @@ def test_a_question_for_words_costs_as_many_answers_as_it_has_parts() -> None:
     robot = network.robots["r1"]
     answers = 0
     for number in range(100):
-        solicit = Solicit(echo=number, wants_words=True)
+        solicit = Solicit(echo=number, wants_members=True)
         effects = robot.peer.on_datagram(solicit, OPERATOR, network.now, robot.summary)
         answers += len(effects.sends)
     assert answers <= 52

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swarmd.network.recipients import MAX_ADDRESSES, WORD_LIFE, Recipients
+from swarmd.network.recipients import MAX_ADDRESSES, MENTION_TIME, Recipients
 
 LEASE = 3.0
 A, B = ("10.0.0.1", 7440), ("10.0.0.2", 7440)
@@ -50,9 +50,9 @@ def test_a_seed_that_answers_by_the_group_gets_no_copies() -> None:
 
 def test_a_word_of_an_address_counts_for_a_while() -> None:
     recipients = Recipients(LEASE)
-    recipients.on_word(A, 0.0)
+    recipients.on_mentioned(A, 0.0)
     assert recipients.unicast(0.1) == [A]
-    assert recipients.unicast(WORD_LIFE + 0.2) == []
+    assert recipients.unicast(MENTION_TIME + 0.2) == []
 
 
 def test_a_flood_of_addresses_is_bounded_and_takes_no_place_of_those_that_are_known() -> None:
@@ -61,10 +61,10 @@ def test_a_flood_of_addresses_is_bounded_and_takes_no_place_of_those_that_are_kn
     recipients.on_heard(B, False, 0.0)
     for number in range(3 * MAX_ADDRESSES):
         recipients.on_heard((f"10.1.{number // 256}.{number % 256}", 7440), False, 0.0)
-        recipients.on_word((f"10.2.{number // 256}.{number % 256}", 7440), 0.0)
+        recipients.on_mentioned((f"10.2.{number // 256}.{number % 256}", 7440), 0.0)
     chosen = recipients.unicast(0.1)
     assert len(chosen) == MAX_ADDRESSES
     assert {A, B} <= set(chosen)
-    later = WORD_LIFE + 1.0  # there is room again
+    later = MENTION_TIME + 1.0  # there is room again
     recipients.on_heard(("10.3.0.1", 7440), False, later)
     assert recipients.unicast(later) == [A, ("10.3.0.1", 7440)]

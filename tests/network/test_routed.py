@@ -59,7 +59,7 @@ def test_robots_behind_routers_are_found_commanded_and_stopped(routers: list[Rou
             outcome = operator.request(RunRequest, view.epochs(ROBOTS), pattern="drive")
             assert outcome.applied == ROBOTS
             for verb in ("stop", "estop"):
-                assert operator.halt(verb).applied == ROBOTS
+                assert operator.send_stop(verb).applied == ROBOTS
         members = swarm["r1"].network.members
         assert {name: one.presence for name, one in members.items()} == {
             "r2": Presence.ALIVE,
@@ -79,7 +79,7 @@ def test_the_other_router_takes_over_when_one_dies(routers: list[Router]) -> Non
         wait_until(lambda: answered(settings) == set(ROBOTS), "all answer by the other router")
         print(f"the other router took over after {time.monotonic() - began:.1f} s")
         with Operator(settings, name="anna") as operator:
-            wait_until(lambda: operator.halt("estop").applied == ROBOTS, "all are stopped")
+            wait_until(lambda: operator.send_stop("estop").applied == ROBOTS, "all are stopped")
     finally:
         swarm.close()
 

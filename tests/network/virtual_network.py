@@ -128,7 +128,7 @@ class VirtualNetwork:
 
     def solicit(self) -> None:
         """The operator asks all for beacons and words."""
-        self.send(Solicit(echo=7, wants_words=True))
+        self.send(Solicit(echo=7, wants_members=True))
 
     def _deliver(self, receiver: str, payload: bytes, source: Address) -> None:
         body = unpack(TAG, payload)

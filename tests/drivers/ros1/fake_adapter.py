@@ -1,7 +1,7 @@
 """Replaces the adapter in tests without ROS: behaves as FAKE_ADAPTER names, then waits.
 
 `garbage`: malformed packets, then a state. `dies`: ends with a line on standard error. `mute`:
-sends nothing. `deaf`: does not end on a farewell.
+sends nothing. `deaf`: does not end on a leave_beacon.
 """
 
 from __future__ import annotations
