@@ -49,6 +49,7 @@ log = logging.getLogger(__name__)
 MAX_PORT_TRIES = 5
 MAX_ACK_TEXT = 300
 CLOSE_TIMEOUT = 1.0  # s
+CLAIM_WARNING = 5.0
 REOPEN_PERIOD = 1.0
 
 
@@ -159,8 +160,12 @@ class Network:
             roster=self._roster,
             now=boottime(),
         )
+        warn_at = boottime() + CLAIM_WARNING
         while not self._peer.owns_id:
             self.advance()
+            if boottime() > warn_at:
+                warn_at = float("inf")
+                log.warning("another daemon claims the id %s, too; waiting for it", self._robot)
             if holder := self._peer.holder:
                 raise IdHeldError(
                     f"robot id {self._robot!r} is held by another daemon (instance {holder});"

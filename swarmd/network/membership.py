@@ -13,8 +13,11 @@ Times are in s on the caller's monotonic clock.
 
 from __future__ import annotations
 
+import ipaddress
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+
+from msgspec.structs import replace
 
 from swarmd.core.messages import Member, Presence
 from swarmd.network.datagram import (
@@ -32,9 +35,12 @@ MAX_INSTANCES = 4
 # A member that is silent for this share of its lease is solicited, once per PROBE_PERIOD.
 PROBE_SHARE = 0.5
 PROBE_PERIOD = 0.25
+# A beacon with a lower number than the last is a delayed one for this long, in s.
+LATE_TIME = 1.5
 # A failed member that was heard for less than this was a stranger, and is dropped after a while.
 STRANGER_TIME = 10.0
 STRANGER_KEPT = 120.0
+MEMBER_KEPT = 600.0  # s for which one that is gone and was no stranger keeps its place
 
 
 @dataclass(slots=True)
@@ -57,6 +63,11 @@ class _Record:
     since: float = 0.0
     first: float = 0.0
     probed: float = 0.0
+
+    @property
+    def is_stranger(self) -> bool:
+        """True if the robot was heard for a short time only."""
+        return self.latest.heard - self.first < STRANGER_TIME
 
     @property
     def latest(self) -> _Instance:
@@ -114,7 +125,7 @@ class Membership:
         if record is None:
             if beacon.flags & Flag.LEFT:
                 return False
-            if len(self._records) >= MAX_MEMBERS and not self._make_room():
+            if len(self._records) >= MAX_MEMBERS and not self._make_room(now):
                 self.ignored += 1
                 return False
             record = self._records[beacon.robot] = _Record(first=now)
@@ -125,8 +136,8 @@ class Membership:
             record.instances[beacon.instance] = instance
             for old in list(record.instances)[:-MAX_INSTANCES]:
                 del record.instances[old]
-        elif instance.has_left or beacon.sequence < instance.beacon.sequence:
-            return False
+        elif beacon.sequence <= instance.beacon.sequence and now - instance.heard < LATE_TIME:
+            return False  # delayed; after that time a forged number must not hide the robot
         instance.heard, instance.beacon, instance.address = now, beacon, address
         instance.has_left = bool(beacon.flags & Flag.LEFT)
         return self._settle(record, now)
@@ -139,6 +150,8 @@ class Membership:
             if heard.robot == self._own or heard.hops >= MAX_HOPS or is_heard_here:
                 continue
             known = self._indirect.get(heard.robot)
+            if not _is_ip_address(heard.host):
+                heard = replace(heard, host="", port=0)
             indirect = IndirectMember(heard, members.robot, now)
             if known is None and len(self._indirect) >= MAX_MEMBERS:
                 self.ignored += 1
@@ -149,8 +162,7 @@ class Membership:
         """End the leases that are over; the robots whose presence changed."""
         changed = [robot for robot, record in self._records.items() if self._settle(record, now)]
         for robot, record in list(self._records.items()):
-            is_stranger = record.latest.heard - record.first < STRANGER_TIME
-            if _is_gone(record) and is_stranger and now - record.since > STRANGER_KEPT:
+            if _is_gone(record) and record.is_stranger and now - record.since > STRANGER_KEPT:
                 del self._records[robot]
         for robot, indirect in list(self._indirect.items()):
             if now - indirect.at > STRANGER_KEPT:
@@ -200,6 +212,24 @@ class Membership:
     def indirect(self) -> Mapping[str, IndirectMember]:
         """The robots that only others hear."""
         return self._indirect
+
+    def is_address(self, address: Address) -> bool:
+        """True if a member that is alive was last heard from this address."""
+        return any(address == known for _, known in self.alive_addresses())
+
+    def indirect_address(self, robot: str) -> Address | None:
+        """The address at which others hear a robot that is not heard here."""
+        indirect = self._indirect.get(robot)
+        return None if indirect is None else (indirect.heard.host, indirect.heard.port)
+
+    def is_established(self, robot: str) -> bool:
+        """True if the robot was heard here for longer than a stranger."""
+        record = self._records.get(robot)
+        return record is not None and record.shown is not None and not record.is_stranger
+
+    def knows(self, robot: str) -> bool:
+        """True if the robot was heard here or by others."""
+        return robot in self._records or robot in self._indirect
 
     def address(self, robot: str) -> Address | None:
         """The address from which a member was last heard."""
@@ -254,9 +284,12 @@ class Membership:
         }
         return {robot: living for robot, living in found.items() if len(living) > 1}
 
-    def _make_room(self) -> bool:
+    def _make_room(self, now: float) -> bool:
+        """Drop a stranger that is gone, or a member that is gone for long."""
         gone = [
-            (record.since, robot) for robot, record in self._records.items() if _is_gone(record)
+            (record.since, robot)
+            for robot, record in self._records.items()
+            if _is_gone(record) and (record.is_stranger or now - record.since > MEMBER_KEPT)
         ]
         if gone:
             del self._records[min(gone)[1]]
@@ -277,3 +310,11 @@ class Membership:
 
 def _is_gone(record: _Record) -> bool:
     return record.shown is not None and record.shown[1] is not Presence.ALIVE
+
+
+def _is_ip_address(host: str) -> bool:
+    try:
+        ipaddress.ip_address(host)
+    except ValueError:
+        return False
+    return True

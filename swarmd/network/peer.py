@@ -42,7 +42,7 @@ LIST_PERIOD = 10.0  # between questions for words, each to another member
 # Datagrams a second that answer a solicit, and that answer a claimer of the own id.
 ANSWER_RATE = 50.0
 CLAIM_ANSWER_RATE = 40.0
-SYNC_TIMEOUT = 0.5  # a robot that joins waits so long for the latches of the others
+SYNC_TIMEOUT = 1.0  # a robot that joins waits so long for the latches of the others
 MESSAGE_WINDOW = 64
 
 
@@ -189,13 +189,14 @@ class Peer:
                     (heard.host, heard.port)
                     for heard in body.members
                     if heard.hops == 0 and heard.presence == 0 and heard.port
-                    and heard.robot in self.membership.indirect
+                    and self.membership.indirect_address(heard.robot) == (heard.host, heard.port)
                 ]  # fmt: skip
             case Stop():
-                sends = self._relay.on_stop(body, source, now)
+                is_member = self.membership.is_address(source)
+                sends = self._relay.on_stop(body, source, now, is_member=is_member)
                 effects.sends.extend(sends)
                 effects.stops.append((body, source))
-            case Ack():
+            case Ack() if self.membership.knows(body.robot):
                 effects.sends.extend(self._relay.on_ack(body, source, now))
             case Latches() if body.instance != self._instance:
                 self._latch_copies += body.digest == self._digest
@@ -271,7 +272,10 @@ class Peer:
             effects.changed.append(beacon.robot)
         own = digest_of(summary.latches)
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
-        if is_owner and self._sync.wants(beacon.instance, beacon.latches, own, now):
+        is_stranger = not self.membership.is_established(beacon.robot)
+        if is_owner and self._sync.wants(
+            beacon.instance, beacon.latches, own, now, is_stranger=is_stranger
+        ):
             effects.sends.append((Solicit(echo=0, wants_latches=True), source))
 
     def _on_own_id(

@@ -28,6 +28,11 @@ LIFETIME = 60.0
 REDUNDANCY = 2
 MAX_STOPS = 64
 MAX_SOURCES = 4
+MAX_ACKS = 256
+ACKS_AT_ONCE = 16  # acks of others that one repeat of a stop returns
+MAX_AGE_SHIFT = 2.0  # s
+# So long a stop is handed on whatever acks say, in s: one of them may be forged.
+TRUSTLESS_TIME = 3.0
 DIRECT_TIMEOUT = 2.0  # the operator is heard directly if it was within this time, in s
 ACK_PERIOD = 0.08  # between acks to one source, in s: an operator repeats at 10 Hz
 
@@ -36,13 +41,15 @@ ACK_PERIOD = 0.08  # between acks to one source, in s: an operator repeats at 10
 class _Relayed:
     """A stop under way.
 
-    `issued`: on the own clock. `fed`: when a copy came from the operator's side. `sources`: who
-    sent it, and when the last ack went there.
+    `issued`: on the own clock. `fed`: when the last copy came from the operator's side. `heard`:
+    when the first copy came. `sources`: the senders, and when the last ack went to each.
     """
 
     stop: Stop
     issued: float
+    first_issued: float
     fed: float
+    heard: float
     interval: float
     interval_ends: float
     due: float
@@ -50,6 +57,7 @@ class _Relayed:
     sources: dict[Address, float] = field(default_factory=dict)
     heard_directly: float = -1e9
     acks: dict[str, Ack] = field(default_factory=dict)
+    acks_sent: float = -1e9
     handed_on: set[tuple[str, Address]] = field(default_factory=set)
 
 
@@ -62,10 +70,13 @@ class StopRelay:
         # The parts of a stop with many targets are handed on one by one.
         self._stops: dict[_Key, _Relayed] = {}
 
-    def on_stop(self, stop: Stop, source: Address, now: float) -> list[Send]:
+    def on_stop(
+        self, stop: Stop, source: Address, now: float, *, is_member: bool = True
+    ) -> list[Send]:
         """A stop arrived; the acks of others that its sender is to have.
 
-        `wants_ack` then tells whether the robot's own ack goes to this sender.
+        `wants_ack` then shows whether the robot's own ack goes to this sender. Copies of senders
+        that are no member (not `is_member`) do not keep this robot from handing it on.
         """
         key = stop.id, stop.verb, stop.targets
         relayed = self._stops.get(key)
@@ -73,25 +84,38 @@ class StopRelay:
         if relayed is None:
             while len(self._stops) >= MAX_STOPS:
                 del self._stops[next(iter(self._stops))]
-            relayed = _Relayed(stop, issued, now, FIRST_INTERVAL, now + FIRST_INTERVAL, 0.0)
+            relayed = _Relayed(
+                stop, issued, issued, now, now, FIRST_INTERVAL, now + FIRST_INTERVAL, 0.0
+            )
             relayed.due = now + self._random.uniform(0.1, 1.0) * FIRST_INTERVAL
             self._stops[key] = relayed
-        relayed.issued = min(relayed.issued, issued)
+        # Ages grow along different ways; a forged one must not make the stop look older than a run.
+        relayed.issued = max(min(relayed.issued, issued), relayed.first_issued - MAX_AGE_SHIFT)
         if stop.hops <= relayed.stop.hops:
             relayed.fed = now
             relayed.stop = replace(relayed.stop, hops=stop.hops)
         if stop.hops == 0:
             relayed.heard_directly = now
-        else:
+        elif is_member:
             relayed.copies += 1
         if source not in relayed.sources:
             if stop.hops == 0 and len(relayed.sources) >= MAX_SOURCES:
                 del relayed.sources[next(iter(relayed.sources))]
             if len(relayed.sources) < MAX_SOURCES:
                 relayed.sources[source] = -1e9
-        if stop.hops == 0 and source in relayed.sources:  # it repeats: it may lack these
-            return [(replace(ack, via=self._own), source) for ack in relayed.acks.values()]
+        if stop.hops == 0 and source in relayed.sources:  # it repeats: it may lack some
+            return self._acks_again(relayed, source, now)
         return []
+
+    def _acks_again(self, relayed: _Relayed, source: Address, now: float) -> list[Send]:
+        """Some acks of others for a sender that repeats the stop, in turn."""
+        if now - relayed.acks_sent < ACK_PERIOD:
+            return []
+        relayed.acks_sent = now
+        names = list(relayed.acks)[:ACKS_AT_ONCE]
+        for name in names:
+            relayed.acks[name] = relayed.acks.pop(name)
+        return [(replace(relayed.acks[name], via=self._own), source) for name in names]
 
     def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
         """True if this sender of the stop is to have the own ack now.
@@ -113,7 +137,7 @@ class StopRelay:
         found = [one for key, one in self._stops.items() if key[0] == ack.id]
         sends: list[Send] = []
         for relayed in found:
-            if ack.robot == self._own or len(relayed.acks) >= 1024:
+            if ack.robot == self._own or len(relayed.acks) >= MAX_ACKS:
                 continue
             relayed.acks[ack.robot] = ack
             handed = replace(ack, via=self._own)
@@ -132,7 +156,7 @@ class StopRelay:
                 continue
             if now >= relayed.due and relayed.due >= 0.0:
                 relayed.due = -1.0
-                if relayed.copies < REDUNDANCY and self._is_needed(relayed):
+                if relayed.copies < REDUNDANCY and self._is_needed(relayed, now):
                     age = round((now - relayed.issued) * 1000)
                     hops = min(relayed.stop.hops + 1, MAX_HOPS)
                     due.append(replace(relayed.stop, age=age, hops=hops))
@@ -151,10 +175,12 @@ class StopRelay:
         ]
         return min(times, default=None)
 
-    def _is_needed(self, relayed: _Relayed) -> bool:
+    def _is_needed(self, relayed: _Relayed, now: float) -> bool:
         stop = relayed.stop
         if stop.hops >= MAX_HOPS:
             return False
         if stop.targets is None:
             return True
-        return not {*stop.targets} - {self._own} <= relayed.acks.keys()
+        others = {*stop.targets} - {self._own}
+        is_new = now - relayed.heard < TRUSTLESS_TIME and bool(others)
+        return is_new or not others <= relayed.acks.keys()

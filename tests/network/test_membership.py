@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from swarmd.core.messages import Presence
 from swarmd.network.datagram import MAX_HOPS, Beacon, Flag, MemberList, MemberReport
 from swarmd.network.membership import MAX_MEMBERS, STRANGER_KEPT, Membership
@@ -113,3 +115,38 @@ def test_a_robot_that_is_heard_is_no_hearsay_and_is_probed_before_it_fails() -> 
     assert membership.to_probe(2.9) == [ADDRESS]
     membership.advance(4.5)
     assert membership.to_probe(4.6) == []
+
+
+def test_a_forged_number_or_farewell_hides_a_robot_for_a_moment_only() -> None:
+    membership = Membership("me", LEASE)
+    for forged in (beacon("r1", 2**53), beacon("r1", 2**53, flags=Flag.LEFT)):
+        membership.on_beacon(beacon("r1", 1), ADDRESS, 0.0)
+        membership.on_beacon(forged, ADDRESS, 0.5)
+        for second in range(1, 5):
+            membership.on_beacon(beacon("r1", 1 + second), ADDRESS, float(second))
+            membership.advance(float(second))
+        assert membership.members(4.0)["r1"].presence is Presence.ALIVE
+
+
+def test_a_robot_that_was_heard_for_long_keeps_its_place_beside_new_ones() -> None:
+    membership = Membership("me", LEASE)
+    for second in range(20):
+        membership.on_beacon(beacon("friend", second), ADDRESS, float(second))
+    membership.advance(30.0)  # it has failed, as while it boots again
+    for number in range(MAX_MEMBERS + 50):
+        membership.on_beacon(beacon(f"ghost-{number}"), ADDRESS, 31.0)
+    assert membership.members(31.0)["friend"].presence is Presence.FAILED
+
+
+def test_only_addresses_are_taken_from_the_lists_of_others() -> None:
+    membership = Membership("me", LEASE)
+    hosts = {"r1": "10.0.0.9", "r2": "fe80::1%3", "r3": "a b/c#?", "r4": "example.org"}
+    for robot, host in hosts.items():
+        membership.on_member_list(word(replace(heard(robot), host=host, port=22)), 0.0)
+    known = {robot: membership.indirect_address(robot) for robot in hosts}
+    assert known == {
+        "r1": ("10.0.0.9", 22),
+        "r2": ("fe80::1%3", 22),
+        "r3": ("", 0),
+        "r4": ("", 0),
+    }
