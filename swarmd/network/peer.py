@@ -39,9 +39,10 @@ FAST_BEACON_PERIOD = 0.1
 NEW_LATCH_TIME = 1.0
 LATCH_REPEATS = (0.0, 0.1, 0.3)  # s after a latch is new: so often the latch itself is sent to all
 LIST_PERIOD = 10.0  # between questions for words, each to another member
-# Datagrams a second that answer a solicit, and that answer a claimer of the own id.
-ANSWER_RATE = 50.0
+# Datagrams a second that answer solicits, of all and of one host, and that answer a claimer.
+ANSWER_RATE, ANSWER_RATE_OF_HOST = 100.0, 30.0
 CLAIM_ANSWER_RATE = 40.0
+MAX_HOSTS = 128
 SYNC_TIMEOUT = 1.0  # a robot that joins waits so long for the latches of the others
 MESSAGE_WINDOW = 64
 
@@ -145,6 +146,7 @@ class Peer:
         self._windows: dict[str, _Window] = {}
         self._duplicates: dict[bytes, float] = {}
         self._answers = TokenBucket(ANSWER_RATE, ANSWER_RATE)
+        self._answers_by_host: dict[str, TokenBucket] = {}
         self._claim_answers = TokenBucket(CLAIM_ANSWER_RATE, CLAIM_ANSWER_RATE)
         self._solicits_at = [now, now + 0.3]
 
@@ -303,7 +305,7 @@ class Peer:
         *,
         is_any: bool,
     ) -> None:
-        if not self._answers.take(1.0, now):
+        if not self._may_answer(source, 1, now):
             return
         if is_any:
             effects.sends.append((self._swarm, source))
@@ -314,7 +316,7 @@ class Peer:
         effects.sends.append((beacon, source))
         if solicit.wants_members:
             parts = in_parts(self.membership.reports(now), roster=self._roster)
-            if not self._answers.take(len(parts), now):
+            if not self._may_answer(source, len(parts), now):
                 return
             for number, (members, roster) in enumerate(parts):
                 word = MemberList(
@@ -390,3 +392,15 @@ class Peer:
             echo=echo,
             version=version,
         )
+
+    def _may_answer(self, source: Address, count: int, now: float) -> bool:
+        """True if a host may have so many datagrams now, which are then taken from its budget."""
+        # All robots of one machine have one host, and a robot behind routers has no port.
+        host = f"{source[0]}:{source[1]}" if source[0].startswith("127.") else source[0]
+        budget = self._answers_by_host.pop(host, None)
+        if budget is None:
+            budget = TokenBucket(ANSWER_RATE_OF_HOST, ANSWER_RATE_OF_HOST)
+        self._answers_by_host[host] = budget
+        while len(self._answers_by_host) > MAX_HOSTS:
+            del self._answers_by_host[next(iter(self._answers_by_host))]
+        return budget.take(count, now) and self._answers.take(count, now)
