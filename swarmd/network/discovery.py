@@ -8,6 +8,7 @@ Until then it goes on for a time that follows from the measured round trip and l
 
 from __future__ import annotations
 
+import ipaddress
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from enum import StrEnum
@@ -35,6 +36,7 @@ MAX_ROBOTS = 1024
 MAX_INSTANCES = 8
 MAX_ECHOES = 256
 MAX_COPIES = 128  # of one datagram to single addresses: false words name many
+MAX_INDIRECT_DIALS = 64  # robots at a time that are dialled by the word of others alone
 # A beacon counts for this long, in s; a robot that others hear, for so long after they did.
 FRESH_TIME = 3.0
 INDIRECT_TIME = 10.0
@@ -163,11 +165,32 @@ class _Answer:
     at: float
 
 
+def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
+    """The address of a robot by the word of another; None if it is none that a robot can have.
+
+    The host must be an IP literal, with a numeric scope only if it is local to its link. With
+    `is_local` it must be in 127.0.0.0/8, else it must not be this machine itself.
+    """
+    try:
+        ip = ipaddress.ip_address(host)
+    except ValueError:
+        return None
+    scope = ip.scope_id if isinstance(ip, ipaddress.IPv6Address) else None
+    if scope is not None and not (ip.is_link_local and scope.isascii() and scope.isdecimal()):
+        return None
+    if ip.is_unspecified or ip.is_multicast or not 1 <= port <= 65535:
+        return None
+    if ip.is_loopback is not is_local or (is_local and ip.version != 4):
+        return None
+    return host, port
+
+
 class Discovery:
     """What one look of an operator has found; `roster`: robots that are expected in any case.
 
     `first_robot_timeout`: how long to wait for a first robot, in s. `earlier`: the result of an
     earlier look: its robots stay expected, and count as failed until they are heard again.
+    `is_local`: all robots are on this machine, by the loopback interface.
     """
 
     def __init__(
@@ -177,8 +200,10 @@ class Discovery:
         *,
         first_robot_timeout: float = FIRST_ROBOT_TIMEOUT,
         earlier: MembersView | None = None,
+        is_local: bool = False,
     ) -> None:
         self.started = now
+        self._is_local = is_local
         self._nobody_wait = first_robot_timeout
         self.found_at = now  # when the last robot was found
         self._news = now
@@ -285,7 +310,7 @@ class Discovery:
                         PRESENCES[one.presence],
                         at - one.age / 1000.0,
                         word.robot,
-                        (one.host, one.port) if one.host and one.port else None,
+                        reported_address(one.host, one.port, is_local=self._is_local),
                     )
                     reports.setdefault(one.robot, []).append(found)
         self._store_reports(word.robot, reports, now)
@@ -365,8 +390,12 @@ class Discovery:
         return max(reports, key=lambda one: one.at).address if reports else None
 
     def to_dial(self) -> dict[tuple[str, str], Address]:
-        """The addresses of all robots that are not known to be gone, by robot and instance."""
+        """The addresses of all robots that are not known to be gone, by robot and instance.
+
+        Of those that are known by the word of others alone and did not answer, the most reported.
+        """
         found: dict[tuple[str, str], Address] = {}
+        indirect: dict[tuple[str, str], Address] = {}
         for robot in self._mentioned:
             heard = self._heard.get(robot)
             if heard:
@@ -375,8 +404,15 @@ class Discovery:
             elif (address := self.address(robot)) is not None:
                 best = self._best(robot)
                 if best is not None and best.presence is Presence.ALIVE:
-                    found[robot, best.instance] = address
-        return found
+                    has_answered = robot in self._answers
+                    (found if has_answered else indirect)[robot, best.instance] = address
+        first = sorted(indirect, key=lambda who: -self._reporters(who[0]))[:MAX_INDIRECT_DIALS]
+        return found | {who: indirect[who] for who in first}
+
+    def _reporters(self, robot: str) -> int:
+        """How many robots that are heard report a robot."""
+        reporters = {reporter for reporter, _ in self._reports.get(robot, {})}
+        return sum(1 for reporter in reporters if self._heard.get(reporter))
 
     def to_solicit(self) -> tuple[Address, ...]:
         """The addresses of robots that are known by the word of others alone, some at a time."""

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
 
 from swarmd.core import codec
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode, version_of
-from swarmd.core.errors import CodecError
+from swarmd.core.errors import CodecError, NetworkError
 from swarmd.core.keys import ANY, build, parse
 from swarmd.core.messages import (
     AnyRequest,
@@ -378,7 +378,13 @@ class Operator:
         wait = DEV_WAIT if self.settings.profile == "dev" else FIRST_ROBOT_TIMEOUT
         with self._news:
             earlier = None if self._discovery is None else self._discovery.result(now)
-            discovery = Discovery(now, self._roster, first_robot_timeout=wait, earlier=earlier)
+            discovery = Discovery(
+                now,
+                self._roster,
+                first_robot_timeout=wait,
+                earlier=earlier,
+                is_local=self.settings.interface_name == "lo",
+            )
             self._discovery = discovery
         return discovery
 
@@ -414,16 +420,27 @@ class Operator:
         due = max(gathered, self._dial_at)
         if now < due:
             return due - now
-        from swarmd.network.session import open_operator_session
-
         if len(self._sessions) >= MAX_SESSIONS:
             self._close_sessions()
             wanted = dict(found)
         endpoints = sorted({_endpoint(self._reachable(one)) for one in wanted.values()})
-        self._sessions.append(open_operator_session(self.settings, endpoints))
+        self._sessions += self._open_sessions(endpoints)
         self._dialled.update({who: (address, now) for who, address in wanted.items()})
         self._dial_at = now + DIAL_PERIOD * 2 ** len(self._sessions)
         return float("inf")
+
+    def _open_sessions(self, endpoints: list[str]) -> list[zenoh.Session]:
+        """One session, or several without those endpoints that Zenoh refuses."""
+        from swarmd.network.session import open_operator_session
+
+        try:
+            return [open_operator_session(self.settings, endpoints)]
+        except NetworkError:
+            if len(endpoints) < 2:
+                return []
+            half = len(endpoints) // 2
+            first, second = endpoints[:half], endpoints[half:]
+            return [*self._open_sessions(first), *self._open_sessions(second)]
 
     def _close_sessions(self) -> list[threading.Thread]:
         closing = [

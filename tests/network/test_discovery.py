@@ -15,11 +15,13 @@ from swarmd.network.discovery import (
     FIRST_ROBOT_TIMEOUT,
     GONE_WAIT,
     MAX_COPIES,
+    MAX_INDIRECT_DIALS,
     MAX_ROBOTS,
     QUIET_TIME,
     UNREACHABLE_WAIT,
     Contact,
     Discovery,
+    reported_address,
 )
 from tests.support.fake_daemon import light_status
 
@@ -390,3 +392,48 @@ def test_a_delayed_beacon_does_not_revive_a_robot_that_left(rig: Rig) -> None:
     rig.hear("a", sequence=3, flags=Flag.LEFT)
     rig.hear("a", sequence=2)
     assert not rig.found.heard
+
+
+@pytest.mark.parametrize(
+    ("host", "port", "is_taken"),
+    [
+        ("10.0.0.5", 7440, True),
+        ("fd00::5", 7440, True),
+        ("fe80::1%2", 7440, True),
+        ("fe80::1%a b/c#?", 7440, False),
+        ("fd00::5%2", 7440, False),
+        ("a b/c#?", 7440, False),
+        ("robot.example", 7440, False),
+        ("10.0.0.5", 0, False),
+        ("0.0.0.0", 7440, False),
+        ("224.0.0.226", 7440, False),
+        ("127.0.0.1", 22, False),
+        ("::1", 22, False),
+    ],
+)
+def test_only_addresses_that_a_robot_can_have_are_taken_from_others(
+    host: str, port: int, is_taken: bool
+) -> None:
+    assert reported_address(host, port, is_local=False) == ((host, port) if is_taken else None)
+    rig = Rig()
+    rig.tell("a", replace(heard("b"), host=host, port=port))
+    assert list(rig.found.to_dial().values()) == ([(host, port)] if is_taken else [])
+
+
+def test_on_loopback_only_addresses_of_loopback_are_taken() -> None:
+    assert reported_address("127.0.0.9", 7440, is_local=True) == ("127.0.0.9", 7440)
+    assert reported_address("10.0.0.5", 7440, is_local=True) is None
+    assert reported_address("::1", 7440, is_local=True) is None
+
+
+def test_robots_known_by_the_word_of_others_are_dialled_some_at_a_time(rig: Rig) -> None:
+    for part in range(10):
+        some = (heard(f"x{part}-{number}") for number in range(60))
+        rig.tell("forger", *some, part=part, parts=10)
+    rig.hear("a", "c")
+    rig.tell("c", heard("real"))
+    wanted = {robot for robot, _ in rig.found.to_dial()}
+    assert len(wanted) == MAX_INDIRECT_DIALS + 2
+    assert {"a", "c", "real"} <= wanted
+    rig.answer("real")  # one that answered makes room for another
+    assert len(rig.found.to_dial()) == MAX_INDIRECT_DIALS + 3

@@ -15,7 +15,8 @@ from msgspec.structs import replace
 
 from swarmd.core import codec
 from swarmd.core.messages import Code, Epoch, Presence, ResetRequest, RunRequest
-from swarmd.network.datagram import Beacon, Solicit, Stop, pack, tag_of, unpack
+from swarmd.network import operator as operator_module
+from swarmd.network.datagram import Address, Beacon, Solicit, Stop, pack, tag_of, unpack
 from swarmd.network.operator import Operator, StopVerb, is_closing, operator_name
 from swarmd.network.outcome import NO_TARGET, PARTIAL
 from swarmd.network.settings import NetworkSettings
@@ -331,3 +332,18 @@ def test_a_reason_that_cannot_be_sent_is_mended_and_never_refused(
     request = swarm["a"].requests[-1]
     assert isinstance(request, Stop | ResetRequest)
     assert (request.operator, request.reason) == ("?" * 128, kept)
+
+
+def test_an_endpoint_that_zenoh_refuses_ends_no_look(
+    settings: NetworkSettings, robots: Robots, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One wrong endpoint among those dialled together costs no other robot its link."""
+    robots("a", "b")
+    first, endpoint = [True], operator_module._endpoint
+
+    def spoil(address: Address) -> str:
+        return "tcp/[a b/c#?]:1" if first and first.pop() else endpoint(address)
+
+    monkeypatch.setattr(operator_module, "_endpoint", spoil)
+    with Operator(settings) as operator:
+        assert operator.members(timeout=20.0).answered == {"a", "b"}
