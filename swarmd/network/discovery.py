@@ -50,6 +50,12 @@ ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # since the last robot was found that is 
 UNREACHABLE_WAIT, UNREACHABLE_TRIPS = 2.0, 6.0  # one that is alive by the word of others
 GONE_WAIT, GONE_TRIPS = 0.5, 4.0  # one that failed, or is on a roster and was not seen
 LOSS_WAIT = 15.0  # times the share of solicits without an answer: TCP repeats after 1, 3 and 7 s
+# Bounds that no datagram can raise, in s: of a look, and of the round trip, which is the longest
+# of a few robots and the median of many.
+LOOK_CAP, MAX_ROUND_TRIP, FEW_ROBOTS = 45.0, 5.0, 8
+# A robot that is found later than this in a look, in s, prolongs it only if another robot knows it
+# or it answered.
+PROLONGING_TIME = 3.0
 
 
 class Contact(StrEnum):
@@ -206,7 +212,7 @@ class Discovery:
         self._is_local = is_local
         self._nobody_wait = first_robot_timeout
         self.found_at = now  # when the last robot was found
-        self._news = now
+        self._news = self._prolonging_news = now
         self._roster = set(roster)
         self._heard: dict[str, dict[str, _DirectMember]] = {}
         self._gone: dict[tuple[str, str], float] = {}
@@ -263,7 +269,7 @@ class Discovery:
                 while len(self._gone) > MAX_ROBOTS:
                     del self._gone[next(iter(self._gone))]
                 self._answers.get(beacon.robot, {}).pop(instance, None)
-                self._news = now
+                self._on_news(beacon.robot, now)
             return
         is_full = len(known) >= MAX_INSTANCES or not self._has_room(beacon.robot)
         if beacon.flags & Flag.JOINING or (instance not in known and is_full):
@@ -272,7 +278,8 @@ class Discovery:
             known = self._heard.setdefault(beacon.robot, known)
             known[instance] = _DirectMember(beacon, address, now, now, self._solicits)
             self._mention(beacon.robot, now)
-            self._news = self.found_at = now
+            self._on_news(beacon.robot, now)
+            self.found_at = now
         heard = known[instance]
         heard.last = now
         if beacon.sequence >= heard.beacon.sequence:  # not one that was overtaken on the way
@@ -291,7 +298,7 @@ class Discovery:
         self._mention(word.robot, now)
         parts = self._lists.setdefault(word.robot, {})
         if not parts:
-            self._news = now
+            self._on_news(word.robot, now)
         if word.part < word.parts:
             parts[word.echo, word.part] = (word, now)
         whole = [echo for echo, _ in parts if self._has_all(parts, echo)]
@@ -335,8 +342,20 @@ class Discovery:
 
     @property
     def round_trip(self) -> float:
-        """The round trip to the robot that is the farthest away, in s; 0 if nobody answered."""
-        return max(self._trips.values(), default=0.0)
+        """The round trip, in s: the longest, the median of many robots; 0 if nobody answered.
+
+        Robots that answered one solicit alone count only while no robot answered two.
+        """
+        twice = {
+            robot
+            for robot, instances in self._heard.items()
+            if any(len(one.echoes) > 1 for one in instances.values())
+        }
+        trips = sorted(trip for robot, trip in self._trips.items() if not twice or robot in twice)
+        if not trips:
+            return 0.0
+        trip = trips[-1] if len(trips) <= FEW_ROBOTS else trips[len(trips) // 2]
+        return min(trip, MAX_ROUND_TRIP)
 
     @property
     def heard(self) -> frozenset[str]:
@@ -458,13 +477,17 @@ class Discovery:
         if not self._mentioned:
             return self.started + self._nobody_wait
         trip = self.round_trip
-        ends = [self._news + self.quiet_time]
+        ends = [self._prolonging_news + self.quiet_time]
+        prolonging = {robot for robot in self._mentioned if self._prolongs(robot)}
+        found_at = max((self._mentioned[robot] for robot in prolonging), default=self.started)
         for robot in lacking:
+            if robot in self._mentioned and robot not in prolonging:
+                continue
             since = self._mentioned.get(robot, self.started)
             best = self._best(robot)
             if self._is_heard(robot, now):
                 wait = max(ANSWER_WAIT, ANSWER_TRIPS * trip) + LOSS_WAIT * self._loss(now)
-                since = max(since, self.found_at)
+                since = max(since, found_at)
             elif best is not None and best.presence is Presence.ALIVE:
                 wait = UNREACHABLE_WAIT + UNREACHABLE_TRIPS * trip
             else:
@@ -478,6 +501,8 @@ class Discovery:
         """True once a look has waited long enough for those that have not answered."""
         if now - self.started < GONE_WAIT:
             return False
+        if now - self.started >= LOOK_CAP:
+            return True
         lacking = self.result(now).expected - self.settled
         return now >= self.ends_at(now, lacking)
 
@@ -550,6 +575,22 @@ class Discovery:
 
     # Parts
 
+    def _on_news(self, robot: str, now: float) -> None:
+        self._news = now
+        if now - self.started <= PROLONGING_TIME or self._prolongs(robot):
+            self._prolonging_news = now
+
+    def _prolongs(self, robot: str) -> bool:
+        """True if a look waits for a robot: found early, known to another, or it answered."""
+        if self._mentioned.get(robot, self.started) - self.started <= PROLONGING_TIME:
+            return True
+        heard = self._heard.get(robot, {}).values()
+        return (
+            robot in self._answers
+            or any(self._reports.get(robot, {}).values())
+            or any(one.echoes for one in heard)
+        )
+
     def _has_room(self, robot: str) -> bool:
         return robot in self._mentioned or len(self._mentioned) < MAX_ROBOTS
 
@@ -571,10 +612,13 @@ class Discovery:
         for robot, some in reports.items():
             if robot == reporter:
                 continue
-            if self._mention(robot, now):
-                self._news = self.found_at = now
+            is_new = self._mention(robot, now)
             if robot in self._mentioned:
                 self._reports.setdefault(robot, {})[reporter, way] = some[:MAX_INSTANCES]
+            if is_new:
+                self._on_news(robot, now)
+                self.found_at = now
+            if robot in self._mentioned:
                 alive = {one.instance for one in some if one.presence is Presence.ALIVE}
                 if len(alive) > 1:
                     self._doubles.setdefault(robot, {})[reporter] = frozenset(alive)
@@ -584,12 +628,13 @@ class Discovery:
             return
         known = self._answers.setdefault(robot, {})
         instance = answer.status.instance
-        if instance not in known:
-            self._news = now
-            if len(known) >= MAX_INSTANCES:
-                return
+        is_new = instance not in known
+        if is_new and len(known) >= MAX_INSTANCES:
+            return
         known[instance] = answer
         self._mention(robot, now)
+        if is_new:
+            self._on_news(robot, now)
 
     def _answer_of(self, robot: str) -> _Answer | None:
         """The newest answer of a robot, of a living instance if one is heard."""

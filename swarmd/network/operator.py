@@ -69,6 +69,7 @@ POLL_PACE = ((0.2, 0.015), (float("inf"), 0.1))
 REPEAT_PERIOD = 0.5
 # How long a request waits by default, in s, in round trips, and times the loss (see discovery.py).
 REQUEST_WAIT, REQUEST_TRIPS, REQUEST_LOSS_WAIT = 5.0, 8.0, 15.0
+REQUEST_CAP = 45.0  # or `least`, if that is longer
 # Robots found within this time of each other are dialled together, in s.
 GATHER_TIME = 0.004
 # Sessions at a time, and the time before a second one, in s; it doubles with each.
@@ -253,6 +254,7 @@ class Operator:
         payload, acks = encode(request), Acks(request.id)
         if timeout is None:
             timeout = least + REQUEST_TRIPS * view.round_trip + REQUEST_LOSS_WAIT * view.loss
+            timeout = min(timeout, max(least, REQUEST_CAP))
         patience = min(timeout, 1.0 + 6.0 * view.round_trip)
         started = now = time.monotonic()
         robots: tuple[str, ...] = (ANY,) if asked else ()

@@ -16,6 +16,8 @@ Select = Callable[[Collection[str]], Collection[str]]
 _ROOM = 400
 # By default it goes on for this long, in s, and for so many round trips since the last news.
 STOP_WAIT, STOP_TRIPS = 3.0, 8.0
+# A bound that no datagram can raise, in s, beside so many round trips of at most this many s.
+STOP_CAP, MAX_STOP_TRIP = 20.0, 2.0
 
 
 class PendingStop:
@@ -96,6 +98,8 @@ class PendingStop:
     def is_over(self, now: float) -> bool:
         """True once it has waited long enough, by the round trip, for those without an ack."""
         trip = self._discovery.round_trip
+        if now - self._started >= STOP_CAP + STOP_TRIPS * min(trip, MAX_STOP_TRIP):
+            return True
         least = self._started + STOP_WAIT + STOP_TRIPS * trip
         if now < least:
             return False

@@ -14,9 +14,11 @@ from swarmd.network.discovery import (
     ANSWER_WAIT,
     FIRST_ROBOT_TIMEOUT,
     GONE_WAIT,
+    LOOK_CAP,
     MAX_COPIES,
     MAX_INDIRECT_DIALS,
     MAX_ROBOTS,
+    MAX_ROUND_TRIP,
     QUIET_TIME,
     UNREACHABLE_WAIT,
     Contact,
@@ -437,3 +439,44 @@ def test_robots_known_by_the_word_of_others_are_dialled_some_at_a_time(rig: Rig)
     assert {"a", "c", "real"} <= wanted
     rig.answer("real")  # one that answered makes room for another
     assert len(rig.found.to_dial()) == MAX_INDIRECT_DIALS + 3
+
+
+def test_robots_that_only_send_beacons_do_not_prolong_a_look(rig: Rig) -> None:
+    """A beacon of another stranger every half second."""
+    rig.hear("a")
+    rig.answer("a")
+    now = 0.0
+    while not rig.found.is_over(now) and now < LOOK_CAP:
+        now = round(now + 0.5, 2)
+        rig.hear(f"x{now}", at=now)
+        rig.hear("a", at=now, sequence=round(now * 10))
+    assert now < 10.0
+    rig.tell("a", *(heard(f"y{number}") for number in range(3)), at=now)
+    assert not rig.found.is_over(now + 0.1)  # another robot knows these
+
+
+def test_nothing_prolongs_a_look_for_ever(rig: Rig) -> None:
+    rig.hear("a")
+    now = 0.0
+    while not rig.found.is_over(now):
+        now = round(now + 0.5, 2)
+        rig.found.on_solicit(round(now * 2), now - 0.4)
+        rig.hear(f"x{now}", at=now, echo=round(now * 2))
+        rig.tell("a", heard(f"y{now}"), at=now)
+        assert now <= LOOK_CAP
+
+
+def test_late_answers_do_not_make_the_round_trip_long(rig: Rig) -> None:
+    for echo in range(1, 5):
+        rig.found.on_solicit(echo, 0.0)
+    for echo in (1, 2):
+        rig.hear("a", at=0.1, echo=echo, sequence=echo)
+    rig.hear("once", at=4.0, echo=1)
+    assert rig.found.round_trip == pytest.approx(0.1)
+    for echo in (1, 2):
+        rig.hear("late", at=100.0, echo=echo, sequence=echo)
+    assert rig.found.round_trip == MAX_ROUND_TRIP
+    for robot in "bcdefghi":
+        for echo in (3, 4):
+            rig.hear(robot, at=0.2, echo=echo, sequence=echo)
+    assert rig.found.round_trip == pytest.approx(0.2)

@@ -10,7 +10,7 @@ import pytest
 from swarmd.core.messages import Code, Presence
 from swarmd.network.datagram import Ack, Stop, pack, tag_of
 from swarmd.network.outcome import PARTIAL, TIMEOUT
-from swarmd.network.stop_request import STOP_WAIT, PendingStop
+from swarmd.network.stop_request import STOP_CAP, STOP_WAIT, PendingStop
 from tests.network.test_discovery import Rig, heard, life
 
 REQUEST = Stop(id="q", verb="estop", operator="anna@laptop")
@@ -165,3 +165,16 @@ def test_of_two_daemons_with_one_id_both_must_ack(rig: Rig) -> None:
     ack(pending, "a", instance=2)
     assert pending.is_done(1.0)
     assert pending.outcome(3.0).line == "2 targeted, 2 applied"
+
+
+def test_a_stop_ends_although_new_robots_appear_for_ever(rig: Rig) -> None:
+    pending = make(rig)
+    ack(pending, "a")
+    ack(pending, "b")
+    now = 0.0
+    while not pending.is_over(now):
+        now = round(now + 0.5, 2)
+        rig.hear(f"x{now}", at=now)
+        rig.tell("a", heard("b"), heard(f"y{now}"), at=now)
+        assert now <= STOP_CAP
+    assert pending.outcome(now).exit_code == PARTIAL
