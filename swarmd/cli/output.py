@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import sys
@@ -37,7 +38,7 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print aligned columns; states in colour on a terminal, unless NO_COLOR is set."""
     rows = [[printable(text) for text in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
-    is_coloured = has_colour(sys.stdout.isatty())
+    is_coloured = has_colour(sys.stdout is not None and sys.stdout.isatty())
     for row in (header, *rows):
         cells = [_cell(text, width, is_coloured) for text, width in zip(row, widths, strict=True)]
         click.echo("  ".join(cells).rstrip(), color=is_coloured)
@@ -54,8 +55,9 @@ def print_section(title: str, rows: Sequence[tuple[str, str]]) -> None:
 
 
 def warn(text: str) -> None:
-    """Print a line on stderr."""
-    click.echo(printable(text), err=True)
+    """Print a line on stderr, if that can be written: the answer on stdout must not fail by it."""
+    with contextlib.suppress(OSError):
+        click.echo(printable(text), err=True)
 
 
 def printable(text: str) -> str:

@@ -5,6 +5,7 @@ The outcome is a line for each robot, a count, and the exit code.
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Collection, Iterable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
@@ -162,9 +163,22 @@ def report(options: CommonOptions, outcome: Outcome) -> NoReturn:
         warn(f"view not complete: {names} did not list the robots that it knows; repeat it")
     for name in outcome.duplicates:
         warn(f"warning: {name} answered twice: two daemons have this id; stop one of them")
+    try:
+        _print(options, outcome)
+    except OSError:  # what was applied must not be lost with the answer
+        warn(outcome.line)
+        raise
+    if outcome.mistake:
+        refusal = next(iter(outcome.replies.values())).refusal
+        name = click.get_current_context().params.get("pattern", "NAME")
+        see = f" (see {_HELP[refusal]})".replace("NAME", name) if refusal in _HELP else ""
+        raise Failure(f"{outcome.mistake}{see}", USAGE)
+    click.get_current_context().exit(outcome.exit_code)
+
+
+def _print(options: CommonOptions, outcome: Outcome) -> None:
     if options.is_json:
         print_json("Outcome", _as_json(outcome))
-        warn(outcome.line)
     else:
         rows = [
             (name, reply.code.value, reply.text or NOTHING)
@@ -174,12 +188,8 @@ def report(options: CommonOptions, outcome: Outcome) -> NoReturn:
         if rows:
             print_table(("NAME", "ANSWER", "TEXT"), sorted(rows))
         click.echo(outcome.line)
-    if outcome.mistake:
-        refusal = next(iter(outcome.replies.values())).refusal
-        name = click.get_current_context().params.get("pattern", "NAME")
-        see = f" (see {_HELP[refusal]})".replace("NAME", name) if refusal in _HELP else ""
-        raise Failure(f"{outcome.mistake}{see}", USAGE)
-    click.get_current_context().exit(outcome.exit_code)
+    if options.is_json or sys.stdout is None:
+        warn(outcome.line)
 
 
 def _where(operator: Operator) -> str:

@@ -6,6 +6,7 @@ that name, and for `--help`: reading the metadata of installed packages takes 40
 
 from __future__ import annotations
 
+import contextlib
 import os
 import sys
 from collections.abc import Callable
@@ -15,6 +16,7 @@ from typing import Any, NoReturn, cast
 import click
 
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
+from swarmd.cli.output import warn
 from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError
 
 # Verb -> its function, and its line for --help, which must not import the verbs.
@@ -113,8 +115,9 @@ def main(args: list[str] | None = None) -> NoReturn:
     operator = sys.modules.get("swarmd.network.operator")
     if operator is not None and operator.is_closing():
         # A session that is still dialling takes seconds to close. The answer is out.
-        sys.stdout.flush()
-        sys.stderr.flush()
+        for stream in (sys.stdout, sys.stderr):
+            with contextlib.suppress(AttributeError, OSError):  # closed, or full
+                stream.flush()
         os._exit(code)
     sys.exit(code)
 
@@ -160,5 +163,5 @@ def exit_code_of(error: SwarmError) -> int:
 
 
 def _fail(text: str, code: int) -> int:
-    click.echo(f"error: {' '.join(text.split())}", err=True)
+    warn(f"error: {' '.join(text.split())}")
     return code

@@ -24,6 +24,7 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
 
 from swarmd.core import codec
+from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode, version_of
 from swarmd.core.errors import CodecError, NetworkError
 from swarmd.core.keys import ANY, build, parse
@@ -176,9 +177,9 @@ class Operator:
         with contextlib.suppress(Exception):
             self._carrier.close()
         closing = self._close_sessions()
-        deadline = time.monotonic() + CLOSE_TIMEOUT
+        deadline = boottime() + CLOSE_TIMEOUT
         for thread in closing:
-            thread.join(max(0.0, deadline - time.monotonic()))
+            thread.join(max(0.0, deadline - boottime()))
 
     # Looks
 
@@ -187,14 +188,14 @@ class Operator:
 
         Else after `timeout` s, or after a time that follows from the round trip.
         """
-        now = time.monotonic()
+        now = boottime()
         discovery = self._new_discovery(now)
         solicit, poll = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
         until = None if timeout is None else now + timeout
         over = RepeatTimer(now, ((float("inf"), 0.02),))
         while True:
             with self._news:
-                now, version = time.monotonic(), self._version
+                now, version = boottime(), self._version
                 is_complete = discovery.is_complete(now)
                 is_late = until is not None and now >= until
                 is_over = until is None and over.is_due(now) and discovery.is_over(now)
@@ -211,14 +212,14 @@ class Operator:
 
     def seen(self) -> MembersView:
         """The members as the last look or stop has found them by now."""
-        now = time.monotonic()
+        now = boottime()
         with self._news:
             return (self._discovery or Discovery(now, self._roster)).result(now)
 
     def swarms(self, *, timeout: float = SWARMS_TIME) -> tuple[str, ...]:
         """The names of all swarms within reach, for an operator who finds no member of this one."""
-        pace = RepeatTimer(time.monotonic(), ((float("inf"), 0.1),))
-        while pace.age(now := time.monotonic()) < timeout:
+        pace = RepeatTimer(boottime(), ((float("inf"), 0.1),))
+        while pace.age(now := boottime()) < timeout:
             if pace.is_due(now):
                 self._carrier.send(pack(ANY_SWARM, Solicit(echo=0)))
             time.sleep(pace.pause(now))
@@ -256,14 +257,14 @@ class Operator:
             timeout = least + REQUEST_TRIPS * view.round_trip + REQUEST_LOSS_WAIT * view.loss
             timeout = min(timeout, max(least, REQUEST_CAP))
         patience = min(timeout, 1.0 + 6.0 * view.round_trip)
-        started = now = time.monotonic()
+        started = now = boottime()
         robots: tuple[str, ...] = (ANY,) if asked else ()
         while robots and (left := started + timeout - now) > 0:
             for robot in robots:
                 self._get(robot, "control", request.verb, payload, left, _collect(acks))
             with self._news:
                 self._news.wait_for(lambda: not acks.missing(asked), min(left, REPEAT_PERIOD))
-                robots, now = acks.missing(asked), time.monotonic()
+                robots, now = acks.missing(asked), boottime()
             if now - started >= patience and others.issuperset(robots):
                 break  # they may not know how to refuse it
         with self._news:
@@ -290,7 +291,7 @@ class Operator:
         round trip; with `until_all` only when all have acked, or at a KeyboardInterrupt, which is
         an end like any other. `on_progress` takes the robots without an ack, when they change.
         """
-        now = time.monotonic()
+        now = boottime()
         discovery = self._new_discovery(now)
         stop = Stop(
             id=os.urandom(6).hex(),
@@ -312,7 +313,7 @@ class Operator:
                 raise
         with self._news:
             self._stop = None
-            return pending.outcome(time.monotonic())
+            return pending.outcome(boottime())
 
     def _send_until_acked(
         self,
@@ -324,14 +325,14 @@ class Operator:
         on_progress: Callable[[tuple[str, ...]], None],
     ) -> None:
         """Send until it is done or over."""
-        now = time.monotonic()
+        now = boottime()
         solicit, repeat = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
         progress = RepeatTimer(now + 1.0, ((float("inf"), PROGRESS_PERIOD),))
         selected: frozenset[str] = frozenset()
         shown: tuple[str, ...] | None = None
         while True:
             with self._news:
-                now, version = time.monotonic(), self._version
+                now, version = boottime(), self._version
                 is_over = until is not None and now >= until
                 if until is None and not until_all:
                     is_over = pending.is_over(now)
@@ -478,12 +479,12 @@ class Operator:
                 return
             view = decode(payload)
             if view.robot == robot:
-                discovery.on_view(view, time.monotonic())
+                discovery.on_view(view, boottime())
 
         def on_status(robot: str, payload: bytes) -> None:
             header = _header(payload)
             if header.robot == robot and version_of(payload) != codec.VERSION:
-                discovery.on_header(header, time.monotonic())
+                discovery.on_header(header, boottime())
 
         query = encode(MembersQuery(answered=tuple(known[:MAX_EXCUSED])))
         self._get(ANY, "control", "members", query, 10.0, on_view)
@@ -551,7 +552,7 @@ class Operator:
         if body is None:
             return
         with self._news:
-            if self._take(body, source, time.monotonic()):
+            if self._take(body, source, boottime()):
                 self._notify()
 
     def _take(self, body: Datagram, source: Address, now: float) -> bool:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import json
 import socket
+import subprocess
+import sys
 import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -347,3 +349,55 @@ def test_an_endpoint_that_zenoh_refuses_ends_no_look(
     monkeypatch.setattr(operator_module, "_endpoint", spoil)
     with Operator(settings) as operator:
         assert operator.members(timeout=20.0).answered == {"a", "b"}
+
+
+@pytest.mark.parametrize(("where", "code"), [(">&-", 0), (">/dev/full", 1), ("2>&-", 0)])
+def test_a_stop_that_was_applied_is_not_lost_with_stdout(
+    settings: NetworkSettings, robots: Robots, tmp_path: Path, where: str, code: int
+) -> None:
+    robots("a")
+    swarmctl = Path(sys.executable).with_name("swarmctl")
+    done = subprocess.run(
+        ["sh", "-c", f"{swarmctl} estop --swarm {settings.swarm} {where}"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=60,
+        check=False,
+    )
+    assert (done.returncode, "1 targeted, 1 applied" in done.stderr + done.stdout) == (code, True)
+    assert "Traceback" not in done.stderr
+
+
+class Suspended:
+    """A carrier on a machine that is suspended for 100 s after the first stop was sent."""
+
+    def __init__(self, clock: list[float]) -> None:
+        self._clock = clock
+        self.ages: list[int] = []
+
+    def send(self, payload: bytes) -> None:
+        body = unpack(tag_of("dev", "x"), payload)
+        if isinstance(body, Stop):
+            self.ages.append(body.age)
+            self._clock[0] += 100.0
+            if len(self.ages) == 2:
+                raise KeyboardInterrupt
+
+    def send_to(self, payload: bytes, address: Address) -> None:
+        raise AssertionError("nobody is known")
+
+    def start_thread(self, on_datagram: object) -> None:
+        """Nothing arrives."""
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+def test_the_age_of_a_stop_counts_the_time_in_suspend(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = [0.0]
+    monkeypatch.setattr(operator_module, "boottime", lambda: clock[0])
+    carrier = Suspended(clock)
+    with Operator(NetworkSettings(swarm="x"), carrier=carrier) as operator:
+        operator.send_stop("estop", until_all=True)
+    assert carrier.ages == [0, 100_000]
