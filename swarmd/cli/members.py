@@ -12,7 +12,7 @@ from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.explain import activity
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
-from swarmd.cli.send import exit_code_of, known_members, report
+from swarmd.cli.send import exit_code_of, known_members, report, time_left
 from swarmd.core import codec
 from swarmd.core.messages import ForgetRequest, Presence, State
 from swarmd.network.discovery import Contact, SeenMember
@@ -59,13 +59,13 @@ def members(options: CommonOptions) -> None:
 def forget(options: CommonOptions, name: str) -> None:
     """Remove a robot that failed or left from the lists of all robots."""
     with options.operator() as operator:
-        view = known_members(options, operator)
+        view = known_members(options, operator, is_request_next=True)
         check_known(name, view.members)
         if view.members[name].presence is Presence.ALIVE:
             text = f"{name} is alive; only robots that failed or left can be forgotten"
             raise Failure(text, REFUSED)
         epochs = view.epochs(view.alive)
-        wait = options.timeout
+        wait = time_left(options, view)
         report(options, operator.request(ForgetRequest, epochs, timeout=wait, name=name))
 
 

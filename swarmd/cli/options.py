@@ -48,7 +48,9 @@ _LOCAL_OPTIONS = (
     click.option(
         "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."
     ),
-    click.option("--timeout", type=Duration(), help="How long to wait for answers, such as 3s."),
+    click.option(
+        "--timeout", type=Duration(), help="How long the verb may wait for answers, such as 3s."
+    ),
 )
 
 

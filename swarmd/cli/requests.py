@@ -15,6 +15,7 @@ from swarmd.cli.send import (
     send_stop,
     send_to,
     targets_of,
+    time_left,
 )
 from swarmd.core.keys import is_id
 from swarmd.core.messages import ResetRequest, RunRequest
@@ -102,7 +103,7 @@ def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> N
     Clears only the emergency stops that swarmctl sees now. A later one stays.
     """
     with options.operator() as operator:
-        view = known_members(options, operator)
+        view = known_members(options, operator, is_request_next=True)
         names = targets_of(view, targets)
         if len(names) > 1 and not yes and not sys.stdin.isatty():
             raise click.UsageError(
@@ -118,6 +119,6 @@ def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> N
         if len(names) > 1 and not yes and not click.confirm(question, err=True):
             raise click.ClickException("nothing was sent")
         ids = tuple(sorted(latches))
-        epochs, wait = view.epochs(names), options.timeout
+        epochs, wait = view.epochs(names), time_left(options, view)
         outcome = operator.request(ResetRequest, epochs, timeout=wait, ids=ids, reason=reason)
         report(options, outcome)

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from swarmd.network.discovery import MembersView
     from swarmd.network.operator import Operator
 
+# What a request has at least of `--timeout`, in s: it is sent even if the look took too long.
+LEAST_REQUEST_TIME = 0.02
 # Where the operator finds what all robots refused as a mistake.
 _HELP = {
     Refusal.UNKNOWN_PATTERN: "swarmctl patterns",
@@ -32,16 +34,29 @@ _HELP = {
 }
 
 
-def known_members(options: CommonOptions, operator: Operator) -> MembersView:
+def known_members(
+    options: CommonOptions, operator: Operator, *, is_request_next: bool = False
+) -> MembersView:
     """The swarm, once all have answered or after `--timeout`; says what is missing on stderr.
 
-    Failure, naming the swarms that were found, if no daemon was reached.
+    With `is_request_next` half of `--timeout` is left for a request (see `time_left`). Failure,
+    naming the swarms that were found, if no daemon was reached.
     """
-    view = operator.members(timeout=options.timeout)
+    timeout = options.timeout
+    if timeout is not None and is_request_next:
+        timeout /= 2.0
+    view = operator.members(timeout=timeout)
     if not view.members:
         raise unreachable(operator)
     warn_of_gaps(view, view.missing)
     return view
+
+
+def time_left(options: CommonOptions, view: MembersView) -> float | None:
+    """What the look has left of `--timeout` for a request, in s; None without `--timeout`."""
+    if options.timeout is None:
+        return None
+    return max(options.timeout - view.seconds, LEAST_REQUEST_TIME)
 
 
 def unreachable(operator: Operator, sent: str = "") -> Failure:
@@ -105,10 +120,10 @@ def send_to(
 ) -> NoReturn:
     """Send a request to the targets and report."""
     with options.operator() as operator:
-        view = known_members(options, operator)
+        view = known_members(options, operator, is_request_next=True)
         names = targets_of(view, targets)
-        epochs = view.epochs(names)
-        report(options, operator.request(kind, epochs, timeout=options.timeout, **fields))
+        epochs, wait = view.epochs(names), time_left(options, view)
+        report(options, operator.request(kind, epochs, timeout=wait, **fields))
 
 
 def send_stop(

@@ -91,7 +91,7 @@ class MembersView:
     `members`: all robots by id. `answered`: those that answered for themselves, in this version
     with a status. `absent` robots are on the roster and nowhere else. `duplicates`: ids that
     several instances hold, with those instances. `round_trip` in s, the longest; `loss` the largest
-    share of solicits that a robot left unanswered.
+    share of solicits that a robot left unanswered. `seconds`: how long the look took.
     """
 
     members: Mapping[str, SeenMember]
@@ -100,6 +100,7 @@ class MembersView:
     duplicates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     round_trip: float = 0.0
     loss: float = 0.0
+    seconds: float = 0.0
 
     @property
     def alive(self) -> tuple[str, ...]:
@@ -524,6 +525,7 @@ class Discovery:
             },
             round_trip=self.round_trip,
             loss=self._loss(now),
+            seconds=now - self.started,
         )
 
     def _member(self, robot: str, now: float) -> SeenMember | None:
