@@ -216,7 +216,10 @@ class Discovery:
         self._news = self._prolonging_news = now
         self._roster = set(roster)
         self._heard: dict[str, dict[str, _DirectMember]] = {}
-        self._gone: dict[tuple[str, str], float] = {}
+        # The instances that said that they leave: when, and the sequence of that beacon.
+        self._gone: dict[tuple[str, str], tuple[float, int]] = {}
+        # Those that were heard after that: it was not their own beacon.
+        self._returned: set[tuple[str, str]] = set()
         self._answers: dict[str, dict[str, _Answer]] = {}
         # By robot, then by echo and part: a list in parts counts once it is whole.
         self._lists: dict[str, dict[tuple[int, int], tuple[datagram.MemberList, float]]] = {}
@@ -261,17 +264,26 @@ class Discovery:
         """A robot's own beacon; one that does not own its id yet is no member."""
         instance = beacon.instance.hex()
         known = self._heard.get(beacon.robot, {})
-        if (beacon.robot, instance) in self._gone:  # a delayed beacon of one that left
-            return
+        who = (beacon.robot, instance)
         if beacon.flags & Flag.LEFT:
-            if instance in known:
+            is_newest = instance in known and beacon.sequence >= known[instance].beacon.sequence
+            if is_newest and who not in self._returned:
                 del known[instance]
-                self._gone[beacon.robot, instance] = now
+                self._gone[who] = (now, beacon.sequence)
+                self._lists_at = -float("inf")  # do the others know?
                 while len(self._gone) > MAX_ROBOTS:
                     del self._gone[next(iter(self._gone))]
                 self._answers.get(beacon.robot, {}).pop(instance, None)
                 self._on_news(beacon.robot, now)
             return
+        if who in self._gone:
+            left_at, sequence = self._gone[who]
+            has_answered = self._echoes.get(beacon.echo, left_at) > left_at
+            if beacon.sequence <= sequence and not has_answered:
+                return  # a delayed beacon of one that left
+            del self._gone[who]
+            if len(self._returned) < MAX_ROBOTS:
+                self._returned.add(who)
         is_full = len(known) >= MAX_INSTANCES or not self._has_room(beacon.robot)
         if beacon.flags & Flag.JOINING or (instance not in known and is_full):
             return
@@ -375,6 +387,17 @@ class Discovery:
             robot
             for robot, instances in self._heard.items()
             if any(one.beacon.wire != codec.VERSION for one in instances.values())
+        )
+
+    @property
+    def doubted(self) -> frozenset[str]:
+        """The robots that left by a beacon, and are alive in the newest list of another robot."""
+        return frozenset(
+            robot
+            for robot, instance in self._gone
+            for some in self._reports.get(robot, {}).values()
+            for one in some
+            if one.instance == instance and one.presence is Presence.ALIVE
         )
 
     @property
@@ -657,7 +680,7 @@ class Discovery:
         ]
         left = [
             _Report(instance, Presence.LEFT, at, "", None)
-            for (name, instance), at in self._gone.items()
+            for (name, instance), (at, _) in self._gone.items()
             if name == robot
         ]
         gone = {one.instance for one in left}

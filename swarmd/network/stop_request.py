@@ -121,7 +121,8 @@ class PendingStop:
         """The robots that must ack: all that are selected but those that left.
 
         Failed robots count, and so does the whole roster: a robot that cannot be reached may move.
+        A beacon that says that a robot left may be false: the others must agree.
         """
         view = self._discovery.result(now)
         left = {name for name, one in view.members.items() if one.presence is Presence.LEFT}
-        return self.selected() - (left - view.roster)
+        return self.selected() - (left - view.roster - self._discovery.doubted)

@@ -480,3 +480,17 @@ def test_late_answers_do_not_make_the_round_trip_long(rig: Rig) -> None:
         for echo in (3, 4):
             rig.hear(robot, at=0.2, echo=echo, sequence=echo)
     assert rig.found.round_trip == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("sequence", [2, 10**9])
+def test_a_robot_that_is_heard_after_a_false_leave_is_there(rig: Rig, sequence: int) -> None:
+    rig.hear("a")
+    rig.found.on_solicit(1, 0.02)
+    rig.hear("a", sequence=sequence, flags=Flag.LEFT, at=0.03)
+    rig.hear("a", sequence=2, echo=1, at=0.04)  # the answer to what was sent before
+    assert not rig.found.heard
+    rig.found.on_solicit(2, 0.05)
+    rig.hear("a", sequence=3, echo=2, at=0.06)
+    assert rig.found.heard == {"a"}
+    rig.hear("a", sequence=sequence + 9, flags=Flag.LEFT, at=0.07)  # nor does a repeat count
+    assert rig.found.heard == {"a"}

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.messages import Code, Presence
-from swarmd.network.datagram import Ack, Stop, pack, tag_of
+from swarmd.network.datagram import Ack, Flag, Stop, pack, tag_of
 from swarmd.network.outcome import PARTIAL, TIMEOUT
 from swarmd.network.stop_request import STOP_CAP, STOP_WAIT, PendingStop
 from tests.network.test_discovery import Rig, heard, life
@@ -178,3 +178,16 @@ def test_a_stop_ends_although_new_robots_appear_for_ever(rig: Rig) -> None:
         rig.tell("a", heard("b"), heard(f"y{now}"), at=now)
         assert now <= STOP_CAP
     assert pending.outcome(now).exit_code == PARTIAL
+
+
+def test_a_robot_that_left_must_ack_while_another_robot_lists_it_as_alive(rig: Rig) -> None:
+    """The beacon that says so may be forged, and the robot may stand still for a moment."""
+    pending = make(rig)
+    ack(pending, "a")
+    rig.hear("b", sequence=9, flags=Flag.LEFT, at=0.1)
+    assert pending.lacking(0.2) == ("b",)
+    assert not pending.is_done(5.0)
+    assert pending.outcome(5.0).exit_code == PARTIAL
+    assert rig.found.wants_members(0.2)
+    rig.tell("a", heard("b", Presence.LEFT), at=0.3)
+    assert pending.is_done(1.0)
