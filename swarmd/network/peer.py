@@ -44,6 +44,7 @@ ANSWER_RATE, ANSWER_RATE_OF_HOST = 100.0, 30.0
 CLAIM_ANSWER_RATE = 40.0
 MAX_HOSTS = 128
 SYNC_TIMEOUT = 1.0  # a robot that joins waits so long for the latches of the others
+MEMBERS_PERIOD = 0.25  # between looks for members that are silent
 MESSAGE_WINDOW = 64
 
 
@@ -146,6 +147,7 @@ class Peer:
         self._windows: dict[str, _Window] = {}
         self._duplicates: dict[bytes, float] = {}
         self._answers = TokenBucket(ANSWER_RATE, ANSWER_RATE)
+        self._members_at = now
         self._answers_by_host: dict[str, TokenBucket] = {}
         self._claim_answers = TokenBucket(CLAIM_ANSWER_RATE, CLAIM_ANSWER_RATE)
         self._solicits_at = [now, now + 0.3]
@@ -238,15 +240,12 @@ class Peer:
             # The answers show the latches of the others before the claim is won.
             self._solicits_at.pop(0)
             effects.sends.append((Solicit(echo=0), None))
-        effects.changed = self.membership.advance(now)
-        for instance, heard in list(self._duplicates.items()):
-            if now - heard > self._lease:
-                del self._duplicates[instance]
+        if now >= self._members_at:
+            self._members_at = now + MEMBERS_PERIOD
+            self._advance_members(now, effects)
         self._send_latches_if_due(now, summary, effects)
         self._send_beacon_if_due(now, summary, effects)
         effects.sends.extend((stop, None) for stop in self._relay.advance(now))
-        probe = Solicit(echo=0)
-        effects.sends.extend((probe, address) for address in self.membership.to_probe(now))
         if now >= self._lists_at:
             self._lists_at = now + self._random.uniform(0.5, 1.5) * LIST_PERIOD
             alive = sorted(self.membership.alive_addresses())
@@ -254,6 +253,15 @@ class Peer:
                 ask = Solicit(echo=0, wants_members=True)
                 effects.sends.append((ask, self._random.choice(alive)[1]))
         return effects
+
+    def _advance_members(self, now: float, effects: Effects) -> None:
+        """End leases and solicit silent members, which takes a microsecond a member."""
+        effects.changed = self.membership.advance(now)
+        probe = Solicit(echo=0)
+        effects.sends.extend((probe, address) for address in self.membership.to_probe(now))
+        for instance, heard in list(self._duplicates.items()):
+            if now - heard > self._lease:
+                del self._duplicates[instance]
 
     def wake_at(self) -> float:
         """When `advance` is due next."""
