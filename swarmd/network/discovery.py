@@ -40,6 +40,7 @@ MAX_INDIRECT_DIALS = 64  # robots at a time that are dialled by the word of othe
 # A beacon counts for this long, in s; a robot that others hear, for so long after they did.
 FRESH_TIME = 3.0
 INDIRECT_TIME = 10.0
+FORGET_PERIOD = 1.0  # between two searches for robots that no list names any more, in s
 
 # Between requests for member lists, in s: while all robots heard have sent theirs, and else.
 LISTS_PERIOD, LIST_REPEAT_PERIOD = 2.0, 0.25
@@ -229,6 +230,9 @@ class Discovery:
         # The ids of which one robot says that several instances are alive.
         self._doubles: dict[str, dict[str, frozenset[str]]] = {}
         self._mentioned: dict[str, float] = {}
+        # When a robot that is known by the word of others was last named; never, if seen before.
+        self._named: dict[str, float] = {}
+        self._forgot_at = now
         self._lists_at = -float("inf")
         self._echoes: dict[int, float] = {}
         self._solicits = 0
@@ -236,6 +240,7 @@ class Discovery:
         for robot, member in (earlier.members if earlier else {}).items():
             if member.presence is not Presence.LEFT:
                 self._mentioned[robot] = now
+                self._named[robot] = now if member.by else float("inf")
                 found = _Report(member.instance, Presence.FAILED, now - member.age, "", None)
                 self._reports[robot] = {("", "earlier"): [found]}
 
@@ -309,6 +314,7 @@ class Discovery:
         if not self._has_room(word.robot):
             return
         self._mention(word.robot, now)
+        self._name(word.robot, now)
         parts = self._lists.setdefault(word.robot, {})
         if not parts:
             self._on_news(word.robot, now)
@@ -334,6 +340,9 @@ class Discovery:
                     )
                     reports.setdefault(one.robot, []).append(found)
         self._store_reports(word.robot, reports, now)
+        if self._is_heard(word.robot, now) and now - self._forgot_at >= FORGET_PERIOD:
+            self._forgot_at = now
+            self._forget(now)
 
     def on_view(self, view: PeerView, now: float) -> None:
         """A robot answered with its status and its members."""
@@ -432,7 +441,7 @@ class Discovery:
         reports = [one for one in self._all_reports(robot) if one.address is not None]
         return max(reports, key=lambda one: one.at).address if reports else None
 
-    def to_dial(self) -> dict[tuple[str, str], Address]:
+    def to_dial(self, now: float) -> dict[tuple[str, str], Address]:
         """The addresses of all robots that are not known to be gone, by robot and instance.
 
         Of those that are known by the word of others alone and did not answer, the most reported.
@@ -446,7 +455,8 @@ class Discovery:
                     found[robot, instance] = heard[instance].address
             elif (address := self.address(robot)) is not None:
                 best = self._best(robot)
-                if best is not None and best.presence is Presence.ALIVE:
+                is_alive = best is not None and best.presence is Presence.ALIVE
+                if best is not None and is_alive and now - best.at <= INDIRECT_TIME:
                     has_answered = robot in self._answers
                     (found if has_answered else indirect)[robot, best.instance] = address
         first = sorted(indirect, key=lambda who: -self._reporters(who[0]))[:MAX_INDIRECT_DIALS]
@@ -626,6 +636,18 @@ class Discovery:
         self._mentioned[robot] = now
         return True
 
+    def _name(self, robot: str, now: float) -> None:
+        self._named[robot] = max(now, self._named.get(robot, now))
+
+    def _forget(self, now: float) -> None:
+        """Drop the robots that were never seen, and that no list has named for a while."""
+        seen = self.heard | self._answers.keys() | {robot for robot, _ in self._gone}
+        for robot, at in list(self._named.items()):
+            if now - at > INDIRECT_TIME and robot not in seen:
+                del self._named[robot]
+                for known in (self._mentioned, self._reports, self._doubles, self._lists):
+                    known.pop(robot, None)
+
     def _store_reports(
         self, reporter: str, reports: Mapping[str, list[_Report]], now: float, way: str = "word"
     ) -> None:
@@ -639,6 +661,7 @@ class Discovery:
                 continue
             is_new = self._mention(robot, now)
             if robot in self._mentioned:
+                self._name(robot, now)
                 self._reports.setdefault(robot, {})[reporter, way] = some[:MAX_INSTANCES]
             if is_new:
                 self._on_news(robot, now)

@@ -405,7 +405,7 @@ class Operator:
     def _dial(self, discovery: Discovery, now: float) -> float:
         """Dial the robots that were found; the time until it is to be called again, in s."""
         with self._news:
-            found = discovery.to_dial()
+            found = discovery.to_dial(now)
             answered = discovery.settled
             trip = discovery.round_trip
         again = REDIAL_WAIT + REDIAL_TRIPS * trip

@@ -14,6 +14,7 @@ from swarmd.network.discovery import (
     ANSWER_WAIT,
     FIRST_ROBOT_TIMEOUT,
     GONE_WAIT,
+    INDIRECT_TIME,
     LOOK_CAP,
     MAX_COPIES,
     MAX_INDIRECT_DIALS,
@@ -333,13 +334,13 @@ def test_words_are_asked_for_until_all_that_are_heard_have_told(rig: Rig) -> Non
 def test_robots_are_dialled_where_they_are_heard_or_said_to_be(rig: Rig) -> None:
     rig.hear("a")
     rig.tell("a", heard("b"), heard("c", FAILED))
-    assert rig.found.to_dial() == {
+    assert rig.found.to_dial(0.1) == {
         ("a", life().hex()): address("a"),
         ("b", life().hex()): ("10.0.0.9", 7440),
     }
     assert rig.found.to_solicit() == (("10.0.0.9", 7440),)
     rig.hear("b", at=0.1)
-    assert rig.found.to_dial()["b", life().hex()] == address("b")
+    assert rig.found.to_dial(0.1)["b", life().hex()] == address("b")
 
 
 def test_false_words_do_not_make_a_flood() -> None:
@@ -419,7 +420,7 @@ def test_only_addresses_that_a_robot_can_have_are_taken_from_others(
     assert reported_address(host, port, is_local=False) == ((host, port) if is_taken else None)
     rig = Rig()
     rig.tell("a", replace(heard("b"), host=host, port=port))
-    assert list(rig.found.to_dial().values()) == ([(host, port)] if is_taken else [])
+    assert list(rig.found.to_dial(0.1).values()) == ([(host, port)] if is_taken else [])
 
 
 def test_on_loopback_only_addresses_of_loopback_are_taken() -> None:
@@ -434,11 +435,11 @@ def test_robots_known_by_the_word_of_others_are_dialled_some_at_a_time(rig: Rig)
         rig.tell("forger", *some, part=part, parts=10)
     rig.hear("a", "c")
     rig.tell("c", heard("real"))
-    wanted = {robot for robot, _ in rig.found.to_dial()}
+    wanted = {robot for robot, _ in rig.found.to_dial(0.1)}
     assert len(wanted) == MAX_INDIRECT_DIALS + 2
     assert {"a", "c", "real"} <= wanted
     rig.answer("real")  # one that answered makes room for another
-    assert len(rig.found.to_dial()) == MAX_INDIRECT_DIALS + 3
+    assert len(rig.found.to_dial(0.1)) == MAX_INDIRECT_DIALS + 3
 
 
 def test_robots_that_only_send_beacons_do_not_prolong_a_look(rig: Rig) -> None:
@@ -494,3 +495,40 @@ def test_a_robot_that_is_heard_after_a_false_leave_is_there(rig: Rig, sequence: 
     assert rig.found.heard == {"a"}
     rig.hear("a", sequence=sequence + 9, flags=Flag.LEFT, at=0.07)  # nor does a repeat count
     assert rig.found.heard == {"a"}
+
+
+@pytest.mark.parametrize("forger", ["forger", "a"])
+def test_a_robot_that_was_named_once_is_dropped(rig: Rig, forger: str) -> None:
+    """Its name came by a forged list: of an unknown robot, or of one that lists others since."""
+    rig.hear("a")
+    rig.tell(forger, heard("ghost"), heard("b"), at=0.1, echo=1)
+    assert "ghost" in rig.found.known
+    rig.tell("a", heard("b", FAILED), at=1.0, echo=2)
+    assert "ghost" in rig.found.known
+    end = 0.2 + INDIRECT_TIME
+    assert {robot for robot, _ in rig.found.to_dial(end)} == {"a"}  # too long ago
+    rig.hear("a", sequence=2, at=end)
+    rig.tell("a", heard("b", FAILED), at=end, echo=3)
+    assert rig.found.known == {"a", "b"}
+    assert rig.found.result(end).expected == {"a", "b"}
+
+
+def test_no_robot_is_dropped_while_no_newer_list_comes(rig: Rig) -> None:
+    """A list counts although the robot that sent it fell silent, and one that was heard stays."""
+    rig.hear("a", "b")
+    rig.tell("a", heard("c"))
+    rig.found.is_over(60.0)
+    assert rig.found.result(60.0).expected == {"a", "b", "c"}
+    rig.hear("a", sequence=2, at=60.0)
+    rig.tell("a", heard("c", FAILED), at=60.0, echo=2)
+    assert rig.found.result(60.0).expected == {"a", "b", "c"}
+
+
+def test_robots_of_an_earlier_look_stay_expected(rig: Rig) -> None:
+    rig.hear("a", "b")
+    rig.tell("a", heard("b"), heard("ghost"))
+    later = Discovery(1.0, earlier=rig.found.result(1.0))
+    end = 1.1 + INDIRECT_TIME
+    later.on_beacon(beacon("a"), address("a"), end)
+    later.on_member_list(word("a"), end)
+    assert later.known == {"a", "b"}
