@@ -6,7 +6,6 @@ that name, and for `--help`: reading the metadata of installed packages takes 40
 
 from __future__ import annotations
 
-import contextlib
 import os
 import sys
 from collections.abc import Callable
@@ -112,14 +111,30 @@ def cli(options: CommonOptions) -> None:
 def main(args: list[str] | None = None) -> NoReturn:
     """Run swarmctl and exit with its code; every error is one line on stderr."""
     code = run_cli(cli, args, "swarmctl", exit_code_of)
+    if not _is_flushed():
+        code = code or 1
     operator = sys.modules.get("swarmd.network.operator")
     if operator is not None and operator.is_closing():
         # A session that is still dialling takes seconds to close. The answer is out.
-        for stream in (sys.stdout, sys.stderr):
-            with contextlib.suppress(AttributeError, OSError):  # closed, or full
-                stream.flush()
         os._exit(code)
     sys.exit(code)
+
+
+def _is_flushed() -> bool:
+    """Write what is buffered; False if that fails, as on a full disk.
+
+    What cannot be written goes nowhere then: else Python fails at its end, with exit code 120.
+    """
+    is_flushed = True
+    for stream in (sys.stdout, sys.stderr):
+        try:
+            stream.flush()
+        except AttributeError:  # it was closed before the start
+            continue
+        except OSError:
+            is_flushed = False
+            os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
+    return is_flushed
 
 
 def run_cli(
