@@ -127,6 +127,8 @@ class Network:
         counts = self._drops.counts()
         if self._carrier is not None:
             counts |= self._carrier.dropped
+            if self._carrier.unsent:
+                counts["datagram:unsent"] = self._carrier.unsent
         if self._lost > 0:
             counts["msg:lost"] = self._lost
         if self._peer is not None and self._peer.membership.ignored:

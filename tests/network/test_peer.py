@@ -155,7 +155,7 @@ def test_a_latch_reaches_those_that_were_cut_off_and_those_that_join() -> None:
     network.until(lambda: all(robot.latches for robot in network.robots.values()), cap=5.0)
 
 
-def test_forty_latches_are_taken_over_by_a_robot_that_joins() -> None:
+def test_many_latches_are_taken_over_by_a_robot_that_joins() -> None:
     network = VirtualNetwork(2)
     held = {
         f"latch-{number}": Latch(issuer="x" * 128, scope="swarm", reason="y" * 256)
