@@ -1,0 +1,49 @@
+"""The compiled kernels: arithmetic on scans and near points, in C.
+
+The numpy code does the same and stays the reference. It runs where the kernels were not built, and
+where the environment has SWARMD_COMPILED=0.
+"""
+
+from __future__ import annotations
+
+import os
+from importlib import import_module
+from importlib.util import find_spec
+from typing import Any
+
+KERNELS = (
+    "swarmd.protection.barrier_kernel",
+    "swarmd.protection.blind_zone_kernel",
+    "swarmd.sensing.scan_kernel",
+    "swarmd.sim.world.lidar_kernel",
+)
+
+
+def load_kernel(name: str) -> Any:
+    """The kernel of this module name; None where the numpy code runs instead."""
+    if not _is_wanted():
+        return None
+    try:
+        return import_module(name)
+    except ImportError:  # not built, or built for another processor
+        return None
+
+
+def describe_kernels() -> str:
+    """`compiled`, or `numpy` and why; it imports no kernel."""
+    if not _is_wanted():
+        return "numpy (SWARMD_COMPILED=0)"
+    missing = [name.rpartition(".")[2] for name in KERNELS if not _is_built(name)]
+    if not missing:
+        return "compiled"
+    what = "no kernel" if len(missing) == len(KERNELS) else f"not {', '.join(missing)}"
+    return f"numpy ({what} was compiled at the installation)"
+
+
+def _is_wanted() -> bool:
+    return os.environ.get("SWARMD_COMPILED", "1") != "0"
+
+
+def _is_built(name: str) -> bool:
+    spec = find_spec(name)
+    return spec is not None and spec.origin is not None and spec.origin.endswith(".so")
