@@ -14,6 +14,7 @@ import msgspec
 
 import swarmd
 from swarmd.core.errors import SwarmError
+from swarmd.core.kernels import describe_kernels
 from swarmd.plugins import mission_files
 
 NOT_IN_RUNS = frozenset({"__pycache__", "cli", "live", "plots", "testing"})
@@ -46,6 +47,7 @@ def made_with() -> dict[str, str]:
         "mujoco": mujoco.__version__,
         "scipy": version("scipy"),
         "msgspec": msgspec.__version__,
+        "kernels": describe_kernels(),
         "machine": f"{platform.system()} {platform.machine()}",
         "simd": " ".join((*simd.get("baseline", ()), *simd.get("found", ()))),
         "blas": os.environ.get("OPENBLAS_CORETYPE") or "as the processor is",

@@ -291,6 +291,7 @@ class DemoRun:
             layout=spec.layout,
             seed=spec.seed,
             seconds_to_moving=None if moved is None else round(moved - began, 2),
+            kernels=" / ".join(sorted({status.kernels for status in after.values()})) or "-",
             numbers=numbers,
             problems=tuple(problems),
         )

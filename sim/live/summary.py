@@ -47,7 +47,8 @@ class Summary:
     """A finished demo. `problems` is empty if all robots ran to the end and no two touched.
 
     `late` robots started only when they were asked again. `seconds_to_moving` counts from the
-    start of the command until all robots moved; None if they did not all move.
+    start of the command until all robots moved; None if they did not all move. `kernels`: which code
+    decided, as the robots reported it.
     """
 
     pattern: str
@@ -58,6 +59,7 @@ class Summary:
     layout: str
     seed: int
     seconds_to_moving: float | None
+    kernels: str
     numbers: Numbers
     problems: tuple[str, ...]
 
@@ -85,6 +87,7 @@ class Summary:
             ("contacts", f"{n.contacts} between robots, {n.arena_contacts} with walls"),
             ("minimum gap", "-" if n.minimum_gap is None else f"{n.minimum_gap:.2f} m"),
             ("speed at the end", f"{n.mean_speed_late:.3f} m/s"),
+            ("kernels", self.kernels),
             ("protection active", "-" if duty is None else f"{100 * duty:.0f} % of decisions"),
         ]
 

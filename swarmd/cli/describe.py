@@ -62,6 +62,7 @@ def _robot(status: Status, seen: str) -> list[tuple[str, str]]:
         ("driver", f"{status.driver} {'(up)' if status.health.driver_up else '(lost)'}"),
         ("host", status.host),
         ("version", status.version or NOTHING),
+        ("kernels", status.kernels or NOTHING),
         ("network", f"profile {status.profile}, {secured}"),
         ("labels", ", ".join(status.labels) or NOTHING),
         ("instance", status.instance),

@@ -14,6 +14,7 @@ import click
 
 from swarmd.cli.plugin_check import Record, describe_patterns
 from swarmd.core.errors import SwarmError, unknown
+from swarmd.core.kernels import describe_kernels
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Driver, Finding, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
@@ -33,6 +34,7 @@ def check_daemon(settings: DaemonSettings) -> int:
     findings = [
         Finding("settings", True, f"robot {settings.id} of swarm {settings.network.swarm}"),
         Finding("platform", True, _platform_text(settings)),
+        Finding("kernels", True, describe_kernels()),
         _check_network(settings),
         check_state_dir(settings.state_dir),
         *_check_roster(settings),

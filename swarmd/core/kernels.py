@@ -33,11 +33,12 @@ def describe_kernels() -> str:
     """`compiled`, or `numpy` and why; it imports no kernel."""
     if not _is_wanted():
         return "numpy (SWARMD_COMPILED=0)"
-    missing = [name.rpartition(".")[2] for name in KERNELS if not _is_built(name)]
+    names = {name: name.rpartition(".")[2].removesuffix("_kernel") for name in KERNELS}
+    missing = [short for name, short in names.items() if not _is_built(name)]
     if not missing:
         return "compiled"
-    what = "no kernel" if len(missing) == len(KERNELS) else f"not {', '.join(missing)}"
-    return f"numpy ({what} was compiled at the installation)"
+    is_all = len(missing) == len(KERNELS)
+    return "numpy (not compiled)" if is_all else f"compiled, but not {', '.join(missing)}"
 
 
 def _is_wanted() -> bool:

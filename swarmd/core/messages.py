@@ -304,7 +304,7 @@ class Status(Struct, frozen=True, kw_only=True):
     """The published status of a robot: on each change and at 1 Hz.
 
     `readings`: the latest values of its scalar sensors, such as `battery` from 0 to 1. `version`:
-    of the daemon's package.
+    of the daemon's package. `kernels`: which code decides, see `describe_kernels`.
     """
 
     robot: Name
@@ -332,6 +332,7 @@ class Status(Struct, frozen=True, kw_only=True):
     readings: dict[Word, BoundedScalar] = {}
     events: tuple[LoggedEvent, ...] = ()
     version: Word = ""
+    kernels: Word = ""
 
 
 class StatusHeader(Struct, frozen=True, kw_only=True):

@@ -22,6 +22,7 @@ from msgspec.structs import replace
 from swarmd.core.clock import boottime
 from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError, SwarmError
+from swarmd.core.kernels import describe_kernels
 from swarmd.core.messages import Latch, Reply, Request, Status
 from swarmd.core.values import ZERO, Neighbor, Twist
 from swarmd.daemon.driver_factory import make_driver
@@ -110,6 +111,7 @@ class Daemon:
                 host=socket.gethostname(),
                 profile=settings.network.profile,
                 version=version("swarmd"),
+                kernels=describe_kernels(),
                 labels=settings.labels,
                 touch=settings.touch_zones,
             ),

@@ -76,6 +76,7 @@ class RobotSettings:
     profile: str = "dev"
     is_secured: bool = False
     version: str = ""
+    kernels: str = ""
     labels: tuple[str, ...] = ()
     touch: Mapping[str, TouchZone] = field(default_factory=dict)
 

@@ -79,6 +79,7 @@ def make_status(
         readings=_clean(sensors.readings),
         events=tuple(lifecycle.events),
         version=settings.version,
+        kernels=settings.kernels,
     )
 
 

@@ -144,6 +144,7 @@ def summary() -> Summary:
         layout="grid",
         seed=0,
         seconds_to_moving=1.0,
+        kernels="compiled",
         numbers=Numbers(**numbers),  # ones in every field
         problems=(),
     )

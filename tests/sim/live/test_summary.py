@@ -42,6 +42,7 @@ def summary(**changes: Any) -> Summary:
         "layout": "row:1",
         "seed": 0,
         "seconds_to_moving": 1.5,
+        "kernels": "compiled",
         "numbers": numbers,
         "problems": (),
     }
