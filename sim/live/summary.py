@@ -47,8 +47,8 @@ class Summary:
     """A finished demo. `problems` is empty if all robots ran to the end and no two touched.
 
     `late` robots started only when they were asked again. `seconds_to_moving` counts from the
-    start of the command until all robots moved; None if they did not all move. `kernels`: which code
-    decided, as the robots reported it.
+    start of the command until all robots moved; None if they did not all move. `kernels`: which
+    code decided, as the robots reported it.
     """
 
     pattern: str

@@ -32,5 +32,6 @@ def test_a_description_imports_no_kernel() -> None:
         "import sys; from swarmd.core.kernels import describe_kernels; describe_kernels();"
         "print([name for name in sys.modules if name.endswith('_kernel') or name == 'numpy'])"
     )
-    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
