@@ -16,6 +16,7 @@ help:
 	@echo "make demo      seven simulated robots gather; about a minute and a half"
 	@echo "make test      all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
 	@echo "make kernels   compiles the kernels again, after an edit of a *_kernel.py"
+	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"
 	@echo "make check     format, lint, types, and the wheel tried in a fresh environment"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
@@ -37,6 +38,9 @@ demo: $(VENV)/installed
 # After an edit of a *_kernel.py.
 kernels: $(VENV)/tools
 	@$(BIN)/python setup.py --quiet build_ext --inplace
+
+wheels: $(VENV)/made
+	@.ci/build-wheels $(BIN)/python
 
 # Compiled first: hundreds of processes would each compile what was edited, where
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else).
