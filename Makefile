@@ -9,7 +9,7 @@ ARGS ?=
 # nothing. 0: one after the other, in this process.
 JOBS ?= 4
 
-.PHONY: help demo kernels wheels test evidence check format bench network network-scale paper safety outcomes voting mutants lock clean
+.PHONY: help demo kernels wheels test evidence check format bench budget network network-scale paper safety outcomes voting mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -20,6 +20,7 @@ help:
 	@echo "make check     format, lint, types, and the wheel tried in a fresh environment"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
+	@echo "make budget    each budget beside a short measurement, in a minute and a half"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
 	@echo "make evidence  long tests, then the four studies below; hours on two cores"
@@ -65,6 +66,10 @@ format: $(VENV)/tools
 
 bench: $(VENV)/tools
 	@$(BIN)/python -m benchmarks $(ARGS)
+
+# Every row of the budgets in a minute and a half.
+budget: $(VENV)/tools
+	@$(BIN)/python -m benchmarks.budget
 
 # Every verb at 28 pairs of delay and loss, then the long tests of splits, storms and flapping, in
 # network namespaces. ARGS="--rtt 200 500 --loss 0 --json answers.jsonl" picks cells of the matrix.

@@ -1,4 +1,7 @@
-"""All benchmarks, one after the other: `python -m benchmarks [NAME...]`, about ten minutes."""
+"""All benchmarks, one after the other: `python -m benchmarks [NAME...]`, about ten minutes.
+
+`--compare COMMIT` runs another commit in turn and prints ratios.
+"""
 
 from __future__ import annotations
 
@@ -20,6 +23,7 @@ from benchmarks import (
     switch,
     world,
 )
+from benchmarks.compare import compare
 from benchmarks.table import machine
 
 ALL: Mapping[str, Callable[[], None]] = {
@@ -42,10 +46,16 @@ ALL: Mapping[str, Callable[[], None]] = {
 def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     parser.add_argument("names", nargs="*", metavar="NAME", help=f"of: {', '.join(ALL)}")
-    names = parser.parse_args().names or list(ALL)
+    parser.add_argument("--compare", metavar="COMMIT", help="run this commit in turn, print ratios")
+    parser.add_argument("--rounds", type=int, default=3, help="pairs of runs with --compare [3]")
+    options = parser.parse_args()
+    names = options.names or list(ALL)
     for name in names:
         if name not in ALL:
             parser.error(f"no benchmark {name!r}; there are {', '.join(ALL)}")
+    if options.compare:
+        compare(options.compare, names, max(options.rounds, 1))
+        return
     print(f"Measured on {machine()}. Rows with a budget are asserted nowhere.")
     for name in names:
         ALL[name]()

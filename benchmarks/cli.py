@@ -40,7 +40,7 @@ def timed(command: Sequence[str]) -> tuple[float, str]:
     return time.perf_counter() - begin, done.stdout
 
 
-def rows() -> Iterator[Row]:
+def rows(runs: int = RUNS) -> Iterator[Row]:
     swarm = f"bench-{secrets.token_hex(4)}"
     with tempfile.TemporaryDirectory() as folder:
         daemons = [start(f"r{i}", swarm, Path(folder)) for i in range(1, ROBOTS + 1)]
@@ -50,9 +50,9 @@ def rows() -> Iterator[Row]:
             while f"{ROBOTS}/{ROBOTS} alive" not in timed(members)[1]:
                 if time.monotonic() > deadline:
                     sys.exit(f"no {ROBOTS} daemons within 30 s")
-            found = [timed(members) for _ in range(RUNS)]
-            bare = [timed([sys.executable, "-c", ""])[0] for _ in range(RUNS)]
-            helped = [timed(swarmctl("--help"))[0] for _ in range(RUNS)]
+            found = [timed(members) for _ in range(runs)]
+            bare = [timed([sys.executable, "-c", ""])[0] for _ in range(runs)]
+            helped = [timed(swarmctl("--help"))[0] for _ in range(runs)]
         finally:
             for daemon in daemons:
                 daemon.terminate()
@@ -61,7 +61,7 @@ def rows() -> Iterator[Row]:
     complete = sum(f"{ROBOTS}/{ROBOTS} alive" in text for _, text in found)
     yield Row("python -c ''", bare, note="yardstick")
     yield Row("swarmctl --help", helped)
-    note = f"all {ROBOTS} robots named in {complete} of {RUNS} runs"
+    note = f"all {ROBOTS} robots named in {complete} of {runs} runs"
     yield Row("swarmctl members, cold", [seconds for seconds, _ in found], "0.3 s", note)
 
 
