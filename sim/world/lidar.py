@@ -5,22 +5,27 @@ the rays within that interval, so a scan costs the shapes nearby and not rays ti
 tests compare the result with MuJoCo's ray caster to 1e-9 m.
 
 Each coordinate has one array, and the arithmetic uses one over the distance, which along a surface
-is the sum of a cosine and a sine: both are several times faster.
+is the sum of a cosine and a sine: both are several times faster. `lidar_kernel.py` has the same
+operations in C, and gives the same bits.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform, ScanSpec
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.bodies import value
 from swarmd.sim.world.geometry import Indices
+
+if TYPE_CHECKING:  # where it is not compiled the numpy code runs
+    from swarmd.sim.world.lidar_kernel import Caster
 
 Places = NDArray[np.intp]
 Visibility = Literal["body", "real"]
@@ -96,7 +101,8 @@ def _padded(polygons: Sequence[Array]) -> Array:
 class Rays:
     """The rays of a scan in order of bearing, repeated over four turns so that no interval is cut.
 
-    By place in that order: `number` in the scan, `cos` and `sin` of the bearing.
+    By place in that order: `number` in the scan, `bearings` in rad, their `cos` and `sin`.
+    `is_even`: they differ by equal steps of `step` rad.
     """
 
     def __init__(self, bearings: Array) -> None:
@@ -106,10 +112,10 @@ class Rays:
         self.number = np.tile(order, len(_TURNS))
         self.cos = np.tile(np.cos(bearings[order]), len(_TURNS))
         self.sin = np.tile(np.sin(bearings[order]), len(_TURNS))
-        self._bearings = np.add.outer(_TURNS, wrapped[order]).ravel()
-        self._step = 2.0 * np.pi / max(len(order), 1)
-        even = self._bearings[:1] + self._step * np.arange(len(self._bearings))
-        self._is_even = np.allclose(even, self._bearings, rtol=0.0, atol=_MAX_UNEVENNESS)
+        self.bearings = np.add.outer(_TURNS, wrapped[order]).ravel()
+        self.step = 2.0 * np.pi / max(len(order), 1)
+        even = self.bearings[:1] + self.step * np.arange(len(self.bearings))
+        self.is_even = np.allclose(even, self.bearings, rtol=0.0, atol=_MAX_UNEVENNESS)
 
     def within(self, low: Array, high: Array) -> tuple[Places, Places]:
         """The places of the rays in each interval (k,) of bearings, and their number (k,).
@@ -125,9 +131,9 @@ class Rays:
 
     def _place(self, bearing: Array) -> Places:
         """The number of rays with smaller bearings."""
-        if not self._is_even:
-            return np.searchsorted(self._bearings, bearing)
-        place: Array = np.ceil((bearing - self._bearings[0]) / self._step)
+        if not self.is_even:
+            return np.searchsorted(self.bearings, bearing)
+        place: Array = np.ceil((bearing - self.bearings[0]) / self.step)
         return place.astype(np.intp)
 
 
@@ -161,6 +167,18 @@ class Lidar:
         edges = np.concatenate((corners, np.roll(corners, -1, axis=1) - corners), axis=2)
         self._edges = np.moveaxis(edges, 2, 0).copy()
         self._reach = np.hypot(corners[..., 0], corners[..., 1]).max(axis=1, initial=0.0)
+        kernel = load_kernel("swarmd.sim.world.lidar_kernel")
+        self._caster: Caster | None = kernel and kernel.Caster(
+            spec,
+            self._rays,
+            np.concatenate((self._walls, self._seen_walls[None])).T,
+            shapes.poles,
+            np.moveaxis(self._edges, 0, 2),
+            self._reach,
+            shapes.polygon_owners,
+            shapes.discs,
+            shapes.disc_owners,
+        )
 
     def cast(self, poses: Array, observers: Indices) -> Array:
         """Ranges (m, rays) in m of robots `observers` (m,), with all bodies at `poses` (n, 3).
@@ -168,6 +186,9 @@ class Lidar:
         A row of NaN is absent. +inf: no return within range_max, -inf: nearer than range_min.
         """
         ranges = np.full((len(observers), len(self._spec.bearings)), np.inf)
+        if self._caster is not None:
+            self._caster.cast(poses, observers, ranges)
+            return ranges
         for first in range(0, len(observers), _BATCH):
             some = slice(first, first + _BATCH)
             self._cast(ranges[some], poses, observers[some])

@@ -4,14 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform, ScanSpec
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.realism import LidarNoise
 from swarmd.sim.world.seeding import generator
+
+if TYPE_CHECKING:  # where it is not compiled the numpy code runs
+    from swarmd.sim.world.lidar_kernel import Errors
+
+    _Compiled = tuple[Errors, Array, NDArray[np.float32]]
 
 BLOCK = 6
 """Rays in one packet of an LDS, which its driver loses together."""
@@ -43,6 +50,8 @@ class NoisyLidar:
         self._block_dropout = np.array(blocks)
         changed = (noise.bias, noise.near_sd, noise.far_sd, noise.resolution)
         self._is_exact = not any((*changed, noise.dropout, *blocks))
+        self._kernel = load_kernel("swarmd.sim.world.lidar_kernel")
+        self._compiled: dict[int, _Compiled] = {}
 
     def apply(self, rows: Indices, ranges: Sequence[Array]) -> list[Array]:
         """The measurements of robots `rows` (m,) for exact `ranges`, (rays,) each.
@@ -52,8 +61,42 @@ class NoisyLidar:
         is encoded as by the sensor's driver: an LDS reports no return as 0, and a sensor with
         `near: lost` reports a return nearer than range_min as no return.
         """
+        if self._kernel is not None:
+            return [self._measured(row, r) for row, r in zip(rows.tolist(), ranges, strict=True)]
         measured = list(ranges) if self._is_exact else self._noisy(rows, ranges)
         return [self._encoded(row, r) for row, r in zip(rows.tolist(), measured, strict=True)]
+
+    def _measured(self, row: int, ranges: Array) -> Array:
+        """`ranges` (rays,) as the kernel measures and encodes them; a copy where they differ."""
+        if self._is_exact and self._near[row] == -np.inf and self._nothing[row] == np.inf:
+            return ranges
+        measured, rays = ranges.copy(), len(ranges)
+        if rays not in self._compiled:
+            self._compiled[rays] = self._compile(rays)
+        errors, normal, even = self._compiled[rays]
+        if self._is_exact:
+            errors.encode(row, measured)
+            return measured
+        rng = self._rngs[row]
+        rng.standard_normal(out=normal)
+        rng.random(dtype=np.float32, out=even)
+        errors.measure(row, measured)
+        return measured
+
+    def _compile(self, rays: int) -> _Compiled:
+        normal, even = np.empty(rays), np.empty(rays + math.ceil(rays / BLOCK), dtype=np.float32)
+        encoded = np.stack((self._near, self._nothing), axis=-1)
+        errors = self._kernel.Errors(
+            self._noise,
+            self._factors,
+            self._reach,
+            self._lost,
+            encoded,
+            self._block_dropout,
+            normal,
+            even,
+        )
+        return errors, normal, even
 
     def _encoded(self, row: int, ranges: Array) -> Array:
         """`ranges` (rays,) of robot `row` as its driver encodes them; a copy where they differ."""

@@ -242,4 +242,4 @@ def test_a_ray_at_the_very_end_of_an_interval_is_in_it_on_both_sides(bearings: A
 @pytest.mark.parametrize("name", platform_names())
 def test_the_lidars_of_our_platforms_need_no_search(name: str) -> None:
     bearings = load_platform(name).scan.bearings
-    assert Rays(bearings)._is_even == (len(bearings) > 7)  # of few rays a search is as fast
+    assert Rays(bearings).is_even == (len(bearings) > 7)  # of few rays a search is as fast
