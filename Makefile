@@ -9,7 +9,7 @@ ARGS ?=
 # nothing. 0: one after the other, in this process.
 JOBS ?= 4
 
-.PHONY: help demo kernels wheels test evidence check format bench budget network network-scale paper safety outcomes voting mutants lock clean
+.PHONY: help demo kernels wheels test evidence check format bench budget network network-scale paper safety outcomes voting mutants kernel-mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -29,6 +29,7 @@ help:
 	@echo "make voting      how voting scales with the number of robots; ten minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
 	@echo "make mutants   small changes of the code and the tests that notice them; a night"
+	@echo "make kernel-mutants  the same for the compiled kernels; ARGS=40 draws so many, 20 s each"
 	@echo "make lock      writes constraints.txt again, with the newest versions that fit"
 	@echo "make clean     removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
@@ -105,8 +106,12 @@ safety: $(VENV)/tools
 # studies/mutation_sample.py draws a sample.
 mutants: $(VENV)/tools
 	@$(PIP) install --constraint constraints.txt mutmut
-	@$(BIN)/mutmut run $(ARGS)
+	@SWARMD_COMPILED=0 $(BIN)/mutmut run $(ARGS)
 	@$(BIN)/mutmut results
+
+# Small changes of the compiled kernels, each compiled and tested; ARGS=40 draws so many.
+kernel-mutants: $(VENV)/tools
+	@$(BIN)/python -m studies.kernel_mutants $(or $(ARGS),40)
 
 $(VENV)/made:
 	@command -v $(PYTHON) >/dev/null || { echo \
