@@ -46,7 +46,7 @@ wheels: $(VENV)/made
 
 # Compiled first: hundreds of processes would each compile what was edited, where
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else).
-test: $(VENV)/tools
+test: kernels
 	@$(COMPILE) tests
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
