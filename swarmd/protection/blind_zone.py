@@ -27,7 +27,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Pose, Scan
 from swarmd.protection.footprint import ScanGeometry
-from swarmd.sensing.rays import nearest_bearings
+from swarmd.sensing.rays_numpy import nearest_bearings
 
 _NARROW_MEMORY = 2.0  # s for which an empty sector too narrow for a robot is remembered
 _FORGET_DISTANCE = 2.0  # of range_min: a robot that moved this far has left hidden obstacles behind

@@ -8,62 +8,22 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from swarmd.core.angles import wrap
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Scan, ScanSpec
-from swarmd.sensing.rays import nearest_bearings
+from swarmd.sensing import conditioning_numpy
 
 MAX_REPEATS = 3  # repeats of a noisy sensor after which its scan counts as frozen
 COMPARED_SCANS = 4  # with which a repeat is compared: a driver may resend any of its buffers
 MIN_DISTINCT_RETURNS = 8  # a noisy sensor never gives this many equal returns twice
 RESTART_SCANS = 3  # scans in order after which a lower sequence or stamp counts as a restart
-BLIND_SHARE = 0.1  # of the rays: this many far returns do not vanish from one scan to the next
 MOVES_LINEAR = 0.02  # m/s above which the robot counts as moving
 MOVES_ANGULAR = 0.05  # rad/s
-NEAR_MARGIN = 0.10  # m above range_min: an LDS ray this near may turn into a zero
-NEAR_SECTOR = math.radians(3.0)  # beside a near ray in which zeros may mean near
-NEAR_MEMORY = 1.0  # s for which a near ray explains zeros
-PACKET_RAYS = 6  # rays that an LDS loses together
 
-Mask = NDArray[np.bool_]
-Indices = NDArray[np.intp]
-
-
-@dataclass(slots=True)
-class _RayMemory:
-    """Per ray: the last known range, when it was known, and when it was last near."""
-
-    bearings: Array
-    ranges: Array
-    known_at: Array
-    near_at: Array
-
-    def at(self, bearings: Array, turned: float) -> _RayMemory:
-        """The memory at other bearings, after the sensor has `turned` by that many rad.
-
-        Each ray takes the memory of the nearest remembered ray.
-        """
-        if not turned and (bearings is self.bearings or np.array_equal(bearings, self.bearings)):
-            return self
-        if not len(self.bearings):
-            return _blank(bearings)
-        turn = 2.0 * math.pi
-        nearest, off = nearest_bearings(self.bearings, (bearings + turned) % turn)
-        too_far = off > 2.0 * turn / len(self.bearings)
-        known_at = np.where(too_far, -np.inf, self.known_at[nearest])
-        near_at = np.where(too_far, -np.inf, self.near_at[nearest])
-        return _RayMemory(bearings, self.ranges[nearest], known_at, near_at)
-
-
-def _blank(bearings: Array) -> _RayMemory:
-    n = len(bearings)
-    never = np.full(n, -np.inf)
-    return _RayMemory(bearings, np.full(n, np.nan), never, never.copy())
+_rays = load_kernel("swarmd.sensing.scan_kernel") or conditioning_numpy
 
 
 class ScanConditioner:
@@ -83,17 +43,20 @@ class ScanConditioner:
 
     def __init__(self, spec: ScanSpec, *, guesses_near: bool = True) -> None:
         """`guesses_near`: a zero of an LDS beside a near ray counts as too close."""
-        self.known_at = -math.inf
-        self._spec, self._guesses_near = spec, guesses_near
+        self._spec = spec
         self._max_sector = max(spec.max_gap, _widest_between_rays(spec.bearings)) + 1e-9
-        self._memory = _blank(np.empty(0))
+        self._bearings = np.empty(0)  # the last valid ones
+        self._rays: conditioning_numpy.RayMemory = _rays.RayMemory(spec, guesses_near=guesses_near)
         self._last: Scan | None = None
         self._newest = (-math.inf, -math.inf)  # sequence and stamp
         self._in_order = 0
         self._recent: deque[bytes] = deque(maxlen=COMPARED_SCANS)
         self._identical = 0
-        self._far_returns = 0  # far returns in the last scan that had any return
-        self._yaw = math.nan
+
+    @property
+    def known_at(self) -> float:
+        """The time in s to which the last returned scan is valid."""
+        return self._rays.known_at
 
     def take(self, scan: Scan, odometry: Odometry | None, now: float) -> Scan | Reason:
         """Condition one scan that arrived at `now` (s on this machine's clock)."""
@@ -101,10 +64,7 @@ class ScanConditioner:
             return Reason.INVALID_SCAN
         if scan.ranges.shape != scan.bearings.shape:
             return Reason.INVALID_SCAN
-        if scan.bearings is not self._memory.bearings and (
-            not np.isfinite(scan.bearings).all()
-            or _widest_between_rays(scan.bearings) > self._max_sector
-        ):
+        if scan.bearings is not self._bearings and not self._has_no_gap(scan.bearings):
             return Reason.INVALID_SCAN
         if not self._is_newer(scan):
             return Reason.FROZEN_SCAN
@@ -112,39 +72,21 @@ class ScanConditioner:
             now = self.known_at  # a repeat holds nothing new
             if self._identical >= MAX_REPEATS:
                 return Reason.FROZEN_SCAN
-        if self._goes_blind(scan.ranges):
-            return Reason.INVALID_SCAN
-        memory = self._memory.at(scan.bearings, self._turned(odometry))
-        ranges = self._interpreted(scan.ranges, memory, now)
-        unknown = np.isnan(ranges)
-        count = int(np.count_nonzero(unknown))
-        self._remember(scan, ranges, unknown if count else None, memory, now)
-        if 2 * count > len(ranges):
-            return Reason.INVALID_SCAN
-        self.known_at = now
-        if count:
-            self.known_at = self._known_at(scan, unknown, memory, now)
-            is_recent = unknown & (memory.known_at >= now - self._spec.stale_after)
-            ranges = np.where(is_recent, memory.ranges, ranges)
-            if np.isnan(ranges).any():
-                ranges = _bridge(ranges, scan.bearings, self._spec.max_gap)
-                if np.isnan(ranges).any():
-                    return Reason.INVALID_SCAN
-        spec = self._spec
-        ranges.flags.writeable = False  # the memory and an inline pattern share it
-        return Scan(scan.seq, scan.stamp, ranges, scan.bearings, spec.range_min, spec.range_max)
-
-    def _turned(self, odometry: Odometry | None) -> float:
-        """The turn of the sensor since the last call, in whole rays; the remainder is kept."""
         yaw = math.nan if odometry is None else odometry.pose.yaw
-        turned = wrap(yaw - self._yaw)
-        if not math.isfinite(turned):
-            self._yaw = yaw
-            return 0.0
-        step = 2.0 * math.pi / len(self._spec.bearings)
-        turned = step * round(turned / step)
-        self._yaw += turned
-        return turned
+        ranges = self._rays.condition(scan.ranges, self._bearings, yaw, now)
+        if ranges is None:
+            return Reason.INVALID_SCAN
+        ranges.flags.writeable = False  # the memory and an inline pattern share it
+        spec = self._spec
+        return Scan(scan.seq, scan.stamp, ranges, self._bearings, spec.range_min, spec.range_max)
+
+    def _has_no_gap(self, bearings: Array) -> bool:
+        """True if no sector lacks rays; keeps the bearings."""
+        if not np.array_equal(bearings, self._bearings):
+            if not np.isfinite(bearings).all() or _widest_between_rays(bearings) > self._max_sector:
+                return False
+            self._bearings = bearings
+        return True
 
     def _is_newer(self, scan: Scan) -> bool:
         """True if the scan is newer than every scan before, or the sensor has restarted.
@@ -180,138 +122,9 @@ class ScanConditioner:
         self._identical += repeats
         return repeats
 
-    def _goes_blind(self, raw: Array) -> bool:
-        """True if the scan has no return although the last one with returns had many far ones.
-
-        Then the sensor is blind; the robot has not reached an open field. An obstacle in the blind
-        zone may hide everything else, but then its returns were near before.
-        """
-        spec = self._spec
-        if ((raw > 0.0) & (raw <= spec.range_max) | (raw == -np.inf)).any():
-            is_far = (raw > spec.range_min + NEAR_MARGIN) & (raw < 0.8 * spec.range_max)
-            self._far_returns = int(np.count_nonzero(is_far))
-            return False
-        return self._far_returns >= BLIND_SHARE * len(raw)
-
-    def _known_at(self, scan: Scan, unknown: Mask, memory: _RayMemory, now: float) -> float:
-        """The latest time from which on no sector wider than `max_gap` is unknown.
-
-        A zero of an LDS counts as known: it may be a drop-out, and after `stale_after` it stands
-        for no return.
-        """
-        is_lost = unknown & (scan.ranges != 0.0) if self._spec.zero == "lds" else unknown
-        most = self._spec.max_gap + 1e-9
-        if _widest(is_lost, scan.bearings) <= most:
-            return now
-        for time in np.unique(memory.known_at[is_lost])[::-1].tolist():
-            if _widest(is_lost & (memory.known_at < time), scan.bearings) <= most:
-                return float(time)
-        return -math.inf
-
-    def _interpreted(self, raw: Array, memory: _RayMemory, now: float) -> Array:
-        """Each ray as +inf, -inf, NaN (unknown) or a distance within the sensor's range."""
-        spec = self._spec
-        ranges = np.array(raw, dtype=np.float64)
-        odd = np.flatnonzero(~((raw >= spec.range_min) & (raw <= spec.range_max)))
-        if not len(odd):
-            return ranges
-        values = ranges[odd]
-        meanings = np.where(values > spec.range_max, np.inf, np.nan)
-        meanings[(values > 0.0) & (values < spec.range_min) | (values == -np.inf)] = -np.inf
-        is_zero = values == 0.0
-        if is_zero.any():
-            meanings[is_zero] = self._interpreted_zeros(odd[is_zero], memory, now)
-        ranges[odd] = meanings
-        return ranges
-
-    def _interpreted_zeros(self, rays: Indices, memory: _RayMemory, now: float) -> Array:
-        """The meaning of a range of exactly 0 for each of `rays`."""
-        if self._spec.zero != "lds":
-            meaning = {"too_close": -np.inf, "unknown": np.nan, "no_return": np.inf}
-            return np.full(len(rays), meaning[self._spec.zero])
-        since = now - NEAR_MEMORY if self._guesses_near else np.inf
-        near = np.flatnonzero(memory.near_at >= since)
-        was_near = _is_beside(memory.bearings[rays], memory.bearings[near])
-        is_recent = memory.known_at[rays] >= now - self._spec.stale_after
-        had_return = is_recent & np.isfinite(memory.ranges[rays])
-        # A short run over recent returns is a lost packet; a near obstacle hides more rays.
-        was_near &= ~(had_return & (_run_lengths(rays, len(memory.bearings)) <= PACKET_RAYS))
-        return np.where(was_near, -np.inf, np.where(had_return, np.nan, np.inf))
-
-    def _remember(
-        self, scan: Scan, ranges: Array, unknown: Mask | None, memory: _RayMemory, now: float
-    ) -> None:
-        """Store the known rays; `unknown` rays (None: all are known) keep their memory.
-
-        A zero does not count as a near ray. Otherwise one passing obstacle would turn an open field
-        into near returns, ray by ray and for good.
-        """
-        if unknown is None:
-            kept, known_at = ranges, np.full(len(ranges), now)
-        else:
-            kept = np.where(unknown, memory.ranges, ranges)
-            known_at = np.where(unknown, memory.known_at, now)
-        is_near = ranges < self._spec.range_min + NEAR_MARGIN  # false where unknown
-        is_near &= scan.ranges != 0.0
-        near_at = np.where(is_near, now, memory.near_at) if is_near.any() else memory.near_at
-        self._memory = _RayMemory(scan.bearings, kept, known_at, near_at)
-
-
-def _run_lengths(rays: Indices, n: int) -> Indices:
-    """(k,) how many consecutive ray indices the run around each of `rays` (k,) has.
-
-    `rays` ascend; ray n - 1 is beside ray 0.
-    """
-    starts = np.flatnonzero(np.diff(rays, prepend=-2) > 1)
-    lengths = np.diff(starts, append=len(rays))
-    if len(starts) > 1 and rays[0] == 0 and rays[-1] == n - 1:
-        lengths[[0, -1]] = lengths[0] + lengths[-1]
-    return np.repeat(lengths, np.diff(starts, append=len(rays)))
-
-
-def _is_beside(bearings: Array, near: Array) -> Mask:
-    """True for each of the bearings (k,) within NEAR_SECTOR of one of `near` (m,)."""
-    if not len(near):
-        return np.zeros(len(bearings), dtype=np.bool_)
-    off = np.abs((bearings[:, None] - near + math.pi) % (2.0 * math.pi) - math.pi)
-    return np.asarray(off.min(axis=1) <= NEAR_SECTOR + 1e-9)
-
 
 def _widest_between_rays(bearings: Array) -> float:
     """The widest angle in rad between neighbouring rays; a full turn for a single ray."""
     turn = 2.0 * math.pi
     rising = np.sort(bearings % turn)
     return float(np.diff(rising, append=rising[0] + turn).max())
-
-
-def _widest(unknown: Mask, bearings: Array) -> float:
-    """The widest unknown sector in rad, between known rays; 0 without unknown rays."""
-    known = np.flatnonzero(~unknown)
-    if not len(known):
-        return math.inf
-    before = np.flatnonzero(np.diff(known, append=known[0] + len(bearings)) > 1)
-    if not len(before):
-        return 0.0
-    turn = 2.0 * math.pi
-    direction = math.copysign(1.0, math.remainder(bearings[-1] - bearings[-2], turn))
-    ends = bearings[known[(before + 1) % len(known)]]
-    back = (direction * (bearings[known[before]] - ends)) % turn
-    return float((turn - back).max())  # a full turn where a single ray is known
-
-
-def _bridge(ranges: Array, bearings: Array, max_gap: float) -> Array:
-    """The ranges with unknown sectors up to `max_gap` rad filled with the nearer edge."""
-    unknown = np.isnan(ranges)
-    if not unknown.any() or unknown.all():
-        return ranges
-    start = int(np.argmin(unknown))  # a known ray, so that no sector wraps around the end
-    rolled = np.roll(ranges, -start)
-    angles = np.unwrap(np.roll(bearings, -start))
-    unknown = np.roll(unknown, -start)
-    edges = np.diff(np.concatenate(([0], unknown.view(np.int8), [0])))
-    direction = math.copysign(2.0 * math.pi, angles[-1] - angles[0])
-    for begin, end in zip(np.flatnonzero(edges == 1), np.flatnonzero(edges == -1), strict=True):
-        after = angles[end] if end < len(angles) else angles[0] + direction
-        if abs(after - angles[begin - 1]) <= max_gap + 1e-9:
-            rolled[begin:end] = min(rolled[begin - 1], rolled[end % len(rolled)])
-    return np.roll(rolled, start)

@@ -1,0 +1,723 @@
+"""Conditioning of scans and features of scans, ray by ray, compiled by Cython.
+
+The same results as `conditioning_numpy` and `rays_numpy`, which are the reference and say what each
+step means. Operations have the reference's order.
+"""
+
+from __future__ import annotations
+
+import math
+
+import cython
+import numpy as np
+from cython.cimports.libc.math import (
+    INFINITY,
+    NAN,
+    fabs,
+    fmod,
+    hypot,
+    isfinite,
+    isnan,
+    rint,
+    sin,
+    sqrt,
+)
+from cython.cimports.libc.string import memcmp
+
+from swarmd.core.values import Scan
+from swarmd.sensing.conditioning_numpy import (
+    BLIND_SHARE,
+    NEAR_MARGIN,
+    NEAR_MEMORY,
+    NEAR_SECTOR,
+    PACKET_RAYS,
+)
+from swarmd.sensing.rays_numpy import Ray, RayClusters, in_order, in_sectors, surfaces, wrapped
+
+if not cython.compiled:
+    raise ImportError("swarmd.sensing.scan_kernel is not compiled")
+
+_PI = cython.declare(cython.double, math.pi)
+_TURN = cython.declare(cython.double, 2.0 * math.pi)
+_UNSEEN = cython.declare(cython.double, 1e9)  # m: rays without a return form runs, too
+_MAX_LAYOUTS = cython.declare(cython.int, 8)
+_BLIND_SHARE = cython.declare(cython.double, BLIND_SHARE)
+_NEAR_MEMORY = cython.declare(cython.double, NEAR_MEMORY)
+_NEAR_SECTOR = cython.declare(cython.double, NEAR_SECTOR + 1e-9)
+_PACKET_RAYS = cython.declare(cython.Py_ssize_t, PACKET_RAYS)
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _mod(angle: cython.double) -> cython.double:
+    """The angle modulo a full turn, with the bits of numpy's %."""
+    if 0.0 <= angle < _TURN:
+        return angle
+    rest: cython.double = fmod(angle, _TURN)
+    if rest < 0.0:
+        rest += _TURN
+    return rest
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _apart(one: cython.double, other: cython.double) -> cython.double:
+    """The angle between two directions."""
+    return fabs(_mod(one - other + _PI) - _PI)
+
+
+@cython.cfunc
+def _nearest(
+    rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double, hint: cython.Py_ssize_t
+) -> cython.Py_ssize_t:
+    """The place of the nearest of n rising angles; that of the last call is a good `hint`."""
+    angle: cython.double = _mod(wanted)
+    low: cython.Py_ssize_t = 0
+    high: cython.Py_ssize_t = n
+    middle: cython.Py_ssize_t
+    for middle in range(hint, min(hint + 3, n)):
+        if rising[middle] >= angle and (middle == 0 or rising[middle - 1] < angle):
+            low = high = middle
+            break
+    while low < high:
+        middle = (low + high) // 2
+        if rising[middle] < angle:
+            low = middle + 1
+        else:
+            high = middle
+    after: cython.Py_ssize_t = low if low < n else 0
+    before: cython.Py_ssize_t = after - 1 if after else n - 1
+    if _apart(rising[before], wanted) < _apart(rising[after], wanted):
+        return before
+    return after
+
+
+@cython.cclass
+class _Layout:
+    """The bearings of a scan and what derives from them; buffers for its features."""
+
+    n: cython.Py_ssize_t
+    given: cython.double[::1]
+    wrapped: cython.double[::1]
+    order: cython.longlong[::1]
+    rising: cython.double[::1]
+    spacing: cython.double
+    grazing: cython.double
+    slopes: cython.double[::1]
+    is_apart: cython.uchar[::1]
+    count: cython.Py_ssize_t
+    sector: cython.longlong[::1]
+    lowest: cython.double[::1]
+    nearest_ray: cython.Py_ssize_t[::1]
+    work: cython.double[::1]
+    is_last: cython.uchar[::1]
+    points: object
+    found: object
+    found_counts: object
+    found_free: object
+    point: cython.double[:, ::1]
+    ranges: cython.double[::1]
+    bearings: cython.double[::1]
+    widths: cython.double[::1]
+    counts: cython.longlong[::1]
+    is_free: cython.uchar[::1]
+
+    def __init__(self, bearings):
+        n = len(bearings)
+        self.n, self.given = n, np.array(bearings)
+        layout = bearings.tobytes()
+        order, rising, _, self.spacing = in_order(layout)
+        self.wrapped, self.order, self.rising = wrapped(layout), order, rising
+        self.work, self.is_last = np.empty(n), np.empty(n, np.uint8)
+        self.found, self.found_counts = np.empty((3, n)), np.empty(n, np.int64)
+        self.found_free = np.empty(n, np.bool_)
+        self.ranges, self.bearings, self.widths = self.found
+        self.counts, self.is_free = self.found_counts, self.found_free.view(np.uint8)
+        self.grazing, self.count = NAN, -1
+
+    @cython.cfunc
+    def is_of(self, bearings: cython.const[cython.double][::1]) -> cython.bint:
+        n: cython.Py_ssize_t = self.n
+        if bearings.shape[0] != n:
+            return False
+        return memcmp(cython.address(bearings[0]), cython.address(self.given[0]), 8 * n) == 0
+
+    @cython.cfunc
+    def set_grazing(self, grazing: cython.double):
+        if grazing != self.grazing:
+            slopes, is_apart = surfaces(np.asarray(self.given).tobytes(), grazing)
+            self.slopes, self.is_apart = slopes, is_apart.view(np.uint8)
+            self.grazing = grazing
+
+    @cython.cfunc
+    def set_sectors(self, count: cython.Py_ssize_t):
+        if count != self.count:
+            self.sector = in_sectors(np.asarray(self.given).tobytes(), count)
+            self.points = np.empty((count, 2))
+            self.point = self.points
+            self.lowest, self.nearest_ray = np.empty(count), np.empty(count, np.intp)
+            self.count = count
+
+
+_layouts: list = []  # a cache of the latest ones: most sensors keep their bearings
+
+
+@cython.cfunc
+def _layout_of(bearings) -> _Layout:
+    """The layout of at least one bearing."""
+    view: cython.const[cython.double][::1] = bearings
+    layout: _Layout
+    for layout in _layouts:
+        if layout.is_of(view):
+            return layout
+    layout = _Layout(bearings)
+    _layouts.insert(0, layout)
+    del _layouts[_MAX_LAYOUTS:]
+    return layout
+
+
+@cython.cfunc
+def _known(scan) -> tuple:
+    """The known ranges and their bearings."""
+    ranges = np.ascontiguousarray(scan.ranges, np.float64)
+    bearings = np.ascontiguousarray(scan.bearings, np.float64)
+    view: cython.const[cython.double][::1] = ranges
+    i: cython.Py_ssize_t
+    for i in range(view.shape[0]):
+        if isnan(view[i]):
+            is_known = ~np.isnan(ranges)
+            return ranges[is_known], bearings[is_known]
+    return ranges, bearings
+
+
+def nearest(
+    scan: Scan | None, *, bearing: cython.double = 0.0, half_width: cython.double = math.pi
+):
+    """See `rays.nearest`."""
+    if scan is None:
+        return None
+    known, bearings = _known(scan)
+    ranges: cython.const[cython.double][::1] = known
+    n: cython.Py_ssize_t = ranges.shape[0]
+    if n == 0:
+        return None
+    layout: _Layout = _layout_of(bearings)
+    least: cython.double = scan.range_min
+    lowest: cython.double = INFINITY
+    index: cython.Py_ssize_t = -1
+    is_sector: cython.bint = half_width < _PI
+    i: cython.Py_ssize_t
+    distance: cython.double
+    for i in range(n):
+        distance = ranges[i]
+        if distance < least:
+            distance = least
+        if distance < lowest:
+            if is_sector and fabs(_mod(layout.wrapped[i] - bearing + _PI) - _PI) > half_width:
+                continue
+            lowest, index = distance, i
+    return None if index < 0 else Ray(lowest, layout.wrapped[index])
+
+
+def closest_points(scan: Scan | None, *, within: cython.double, count: cython.Py_ssize_t = 24):
+    """See `rays.closest_points`."""
+    if scan is None:
+        return np.empty((0, 2))
+    known, bearings = _known(scan)
+    ranges: cython.const[cython.double][::1] = known
+    n: cython.Py_ssize_t = ranges.shape[0]
+    if n == 0:
+        return np.empty((0, 2))
+    layout: _Layout = _layout_of(bearings)
+    layout.set_sectors(count)
+    least: cython.double = scan.range_min
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    distance: cython.double
+    lowest: cython.double[::1] = layout.lowest
+    is_seen: cython.bint = False
+    for k in range(count):
+        lowest[k], layout.nearest_ray[k] = INFINITY, 0
+    for i in range(n):
+        distance = ranges[i]
+        if distance < least:
+            distance = least
+        if distance <= within:
+            is_seen = True
+            k = layout.sector[i]
+            if distance <= lowest[k]:
+                lowest[k], layout.nearest_ray[k] = distance, i
+    if not is_seen:
+        return np.empty((0, 2))
+    found: cython.Py_ssize_t = 0
+    before: cython.double = lowest[count - 1]
+    after: cython.double
+    if count >= 3:
+        for k in range(count):
+            after = lowest[k + 1] if k + 1 < count else lowest[0]
+            if lowest[k] < before and lowest[k] <= after:
+                layout.point[found, 0] = lowest[k]
+                layout.point[found, 1] = layout.wrapped[layout.nearest_ray[k]]
+                found += 1
+            before = lowest[k]
+    if found == 0:
+        distance = INFINITY
+        for k in range(count):
+            distance = min(distance, lowest[k])
+        for k in range(count):
+            if lowest[k] == distance and distance < INFINITY:
+                layout.point[found, 0] = distance
+                layout.point[found, 1] = layout.wrapped[layout.nearest_ray[k]]
+                found += 1
+    return layout.points[:found].copy()
+
+
+def clusters(
+    scan: Scan | None,
+    *,
+    within: cython.double,
+    jump: cython.double,
+    grazing: cython.double,
+):
+    """See `rays.clusters`."""
+    if scan is None:
+        return _no_clusters()
+    known, bearings = _known(scan)
+    given: cython.const[cython.double][::1] = known
+    n: cython.Py_ssize_t = given.shape[0]
+    if n == 0:
+        return _no_clusters()
+    layout: _Layout = _layout_of(bearings)
+    layout.set_grazing(grazing)
+    ranges: cython.double[::1] = layout.work
+    least: cython.double = scan.range_min
+    is_seen: cython.bint = False
+    i: cython.Py_ssize_t
+    k: cython.Py_ssize_t
+    distance: cython.double
+    for i in range(n):
+        distance = given[layout.order[i]]
+        if distance < least:
+            distance = least
+        if distance > within:
+            distance = _UNSEEN
+        else:
+            is_seen = True
+        ranges[i] = distance
+    if not is_seen:
+        return _no_clusters()
+    shift: cython.Py_ssize_t = 0
+    after: cython.double
+    for i in range(n):
+        distance, after = ranges[i], ranges[i + 1] if i + 1 < n else ranges[0]
+        layout.is_last[i] = layout.is_apart[i] or (
+            fabs(distance - after) > jump + min(distance, after) * layout.slopes[i]
+        )
+        if shift == 0 and layout.is_last[i]:
+            shift = i + 1
+    # Start behind a break, so that no object spans the end of the arrays.
+    is_whole: cython.bint = shift == 0
+    if is_whole:
+        shift = 1
+    found: cython.Py_ssize_t = 0
+    first: cython.Py_ssize_t = shift
+    lowest: cython.double = INFINITY
+    for i in range(shift, shift + n):
+        k = i - n if i >= n else i
+        lowest = min(lowest, ranges[k])
+        if layout.is_last[k] or (is_whole and i == shift + n - 1):
+            if lowest < _UNSEEN:
+                _measure(layout, found, first, i, lowest)
+                found += 1
+            first, lowest = i + 1, INFINITY
+    distances, middles, widths = layout.found[:, :found].copy()
+    return RayClusters(
+        distances,
+        middles,
+        widths,
+        layout.found_counts[:found].copy(),
+        layout.found_free[:found].copy(),
+    )
+
+
+@cython.cfunc
+def _measure(
+    layout: _Layout,
+    found: cython.Py_ssize_t,
+    first: cython.Py_ssize_t,
+    last: cython.Py_ssize_t,
+    lowest: cython.double,
+) -> cython.int:
+    """Keep the object of the rays `first` to `last`, which count on beyond n."""
+    n: cython.Py_ssize_t = layout.n
+    one: cython.Py_ssize_t = first % n
+    end: cython.Py_ssize_t = last % n
+    start: cython.double = layout.rising[one] + (_TURN if first >= n else 0.0)
+    stop: cython.double = layout.rising[end] + (_TURN if last >= n else 0.0)
+    near: cython.double = layout.work[one]
+    far: cython.double = layout.work[end]
+    spread: cython.double = stop - start
+    chord: cython.double = hypot(near - far, 2.0 * sqrt(near * far) * sin(0.5 * spread))
+    layout.ranges[found] = lowest
+    layout.bearings[found] = _mod(start + 0.5 * spread + _PI) - _PI
+    layout.widths[found] = max(chord, spread * lowest) + lowest * min(layout.spacing, _PI)
+    layout.counts[found] = last - first + 1
+    layout.is_free[found] = (
+        layout.work[(one + n - 1) % n] > near and layout.work[(end + 1) % n] > far
+    )
+    return 0
+
+
+@cython.cfunc
+def _no_clusters():
+    nothing = np.empty(0)
+    return RayClusters(nothing, nothing, nothing, np.empty(0, np.int64), np.empty(0, np.bool_))
+
+
+_ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": NAN}
+
+
+@cython.cclass
+class RayMemory:
+    """See `conditioning_numpy.RayMemory`."""
+
+    known_at = cython.declare(cython.double, visibility="public")
+    _range_min: cython.double
+    _range_max: cython.double
+    _max_gap: cython.double
+    _stale_after: cython.double
+    _zero: cython.double
+    _is_lds: cython.bint
+    _guesses_near: cython.bint
+    _near_below: cython.double
+    _step: cython.double
+    _yaw: cython.double
+    _far_returns: cython.Py_ssize_t
+    _given: object
+    _n: cython.Py_ssize_t
+    _direction: cython.double
+    _bearings: cython.double[::1]
+    _order: cython.longlong[::1]
+    _rising: cython.double[::1]
+    _ranges: cython.double[::1]
+    _seen_at: cython.double[::1]
+    _near_at: cython.double[::1]
+    _old_ranges: cython.double[::1]
+    _old_seen_at: cython.double[::1]
+    _old_near_at: cython.double[::1]
+    _is_zero: cython.uchar[::1]
+    _is_lost: cython.uchar[::1]
+    _place: cython.longlong[::1]
+
+    def __init__(self, spec, *, guesses_near):
+        self.known_at = -INFINITY
+        self._range_min, self._range_max = spec.range_min, spec.range_max
+        self._max_gap, self._stale_after = spec.max_gap + 1e-9, spec.stale_after
+        self._zero, self._is_lds = _ZEROS[spec.zero], spec.zero == "lds"
+        self._guesses_near = guesses_near
+        self._near_below = spec.range_min + NEAR_MARGIN
+        self._step = _TURN / len(spec.bearings)
+        self._yaw, self._far_returns = NAN, 0
+        self._given, self._n = None, 0
+
+    def condition(self, raw, bearings, yaw: cython.double, now: cython.double):
+        """See `conditioning_numpy.RayMemory.condition`."""
+        ranges = np.array(raw, dtype=np.float64, order="C")
+        out: cython.double[::1] = ranges
+        n: cython.Py_ssize_t = out.shape[0]
+        if self._goes_blind(out):
+            return None
+        turned: cython.double = self._turned(yaw)
+        if bearings is not self._given:
+            self._set_bearings(bearings, turned)
+        elif turned != 0.0:
+            self._old_ranges[:] = self._ranges
+            self._old_seen_at[:] = self._seen_at
+            self._old_near_at[:] = self._near_at
+            self._recall(self._order, self._rising, turned)
+        if self._interpret(out):
+            self._interpret_zeros(out, now)
+        i: cython.Py_ssize_t
+        unknown: cython.Py_ssize_t = 0
+        for i in range(n):
+            if isnan(out[i]):
+                unknown += 1
+                self._is_lost[i] = not (self._is_lds and self._is_zero[i])
+                continue
+            self._is_lost[i] = False
+            self._ranges[i], self._seen_at[i] = out[i], now
+            # A zero is no near ray: one passing obstacle would make an open field near for good.
+            if out[i] < self._near_below and not self._is_zero[i]:
+                self._near_at[i] = now
+        if 2 * unknown > n:
+            return None
+        self.known_at = now
+        if unknown:
+            self.known_at = self._lost_since(now)
+            unknown = 0
+            for i in range(n):
+                if isnan(out[i]):
+                    if self._seen_at[i] >= now - self._stale_after:
+                        out[i] = self._ranges[i]
+                    if isnan(out[i]):
+                        unknown += 1
+            if unknown and not self._bridge(out):
+                return None
+        return ranges
+
+    @cython.cfunc
+    def _goes_blind(self, raw: cython.double[::1]) -> cython.bint:
+        i: cython.Py_ssize_t
+        far: cython.Py_ssize_t = 0
+        has_return: cython.bint = False
+        far_below: cython.double = 0.8 * self._range_max
+        for i in range(raw.shape[0]):
+            if (0.0 < raw[i] <= self._range_max) or raw[i] == -INFINITY:
+                has_return = True
+                if self._near_below < raw[i] < far_below:
+                    far += 1
+        if has_return:
+            self._far_returns = far
+            return False
+        return self._far_returns >= _BLIND_SHARE * raw.shape[0]
+
+    @cython.cfunc
+    def _turned(self, yaw: cython.double) -> cython.double:
+        turned: cython.double = _mod(yaw - self._yaw + _PI) - _PI
+        if not isfinite(turned):
+            self._yaw = yaw
+            return 0.0
+        turned = self._step * rint(turned / self._step)
+        self._yaw += turned
+        return turned
+
+    @cython.cfunc
+    def _set_bearings(self, bearings, turned: cython.double):
+        """Take over the memory of other bearings."""
+        n: cython.Py_ssize_t = len(bearings)
+        had: cython.Py_ssize_t = self._n
+        old_order: cython.longlong[::1] = self._order
+        old_rising: cython.double[::1] = self._rising
+        self._old_ranges, self._old_seen_at = self._ranges, self._seen_at
+        self._old_near_at = self._near_at
+        self._given, self._n = bearings, n
+        values = np.array(bearings, dtype=np.float64, order="C")
+        order = np.argsort(values % _TURN, kind="stable")
+        self._bearings, self._order, self._rising = values, order, values[order] % _TURN
+        self._direction = 1.0
+        if n > 1:
+            self._direction = math.copysign(
+                1.0, math.remainder(values[n - 1] - values[n - 2], _TURN)
+            )
+        self._ranges, self._seen_at = np.full(n, NAN), np.full(n, -INFINITY)
+        self._near_at = np.full(n, -INFINITY)
+        if had:
+            self._recall(old_order, old_rising, turned)
+        self._old_ranges, self._old_seen_at = np.empty(n), np.empty(n)
+        self._old_near_at = np.empty(n)
+        self._is_zero, self._is_lost = np.empty(n, np.uint8), np.empty(n, np.uint8)
+        self._place = np.argsort(order)
+
+    @cython.cfunc
+    def _recall(
+        self, order: cython.longlong[::1], rising: cython.double[::1], turned: cython.double
+    ) -> cython.int:
+        """Give each ray the old memory of the ray that was nearest to it before the turn."""
+        had: cython.Py_ssize_t = rising.shape[0]
+        too_far: cython.double = 2.0 * _TURN / had
+        place: cython.Py_ssize_t = 0
+        ray: cython.Py_ssize_t
+        i: cython.Py_ssize_t
+        wanted: cython.double
+        for i in range(self._n):
+            wanted = _mod(self._bearings[i] + turned)
+            place = _nearest(rising, had, wanted, place)
+            ray = order[place]
+            self._ranges[i] = self._old_ranges[ray]
+            if _apart(rising[place], wanted) > too_far:
+                self._seen_at[i] = self._near_at[i] = -INFINITY
+            else:
+                self._seen_at[i], self._near_at[i] = self._old_seen_at[ray], self._old_near_at[ray]
+        return 0
+
+    @cython.cfunc
+    def _interpret(self, out: cython.double[::1]) -> cython.bint:
+        """Each ray as +inf, -inf, NaN or a distance; true if zeros of an LDS are left."""
+        i: cython.Py_ssize_t
+        value: cython.double
+        has_zeros: cython.bint = False
+        for i in range(out.shape[0]):
+            value = out[i]
+            self._is_zero[i] = value == 0.0
+            if self._range_min <= value <= self._range_max:
+                continue
+            if value == 0.0:
+                if self._is_lds:
+                    has_zeros = True
+                else:
+                    out[i] = self._zero
+            elif (0.0 < value < self._range_min) or value == -INFINITY:
+                out[i] = -INFINITY
+            else:
+                out[i] = INFINITY if value > self._range_max else NAN
+        return has_zeros
+
+    @cython.cfunc
+    def _interpret_zeros(self, out: cython.double[::1], now: cython.double) -> cython.int:
+        """The meaning of the zeros of an LDS that are left in `out`."""
+        n: cython.Py_ssize_t = out.shape[0]
+        first: cython.Py_ssize_t = 0
+        while first < n and out[first] == 0.0:
+            first += 1
+        begin: cython.Py_ssize_t = first
+        end: cython.Py_ssize_t = first + n
+        k: cython.Py_ssize_t
+        i: cython.Py_ssize_t
+        run: cython.Py_ssize_t
+        while begin < end:  # runs of zeros, the one around the end of the array last
+            if first < n and out[begin % n] != 0.0:
+                begin += 1
+                continue
+            run = 0
+            while run < n and begin + run < end and out[(begin + run) % n] == 0.0:
+                run += 1
+            for k in range(begin, begin + run):
+                i = k % n
+                out[i] = self._meaning(i, run, now)
+            begin += run
+        return 0
+
+    @cython.cfunc
+    def _meaning(
+        self, ray: cython.Py_ssize_t, run: cython.Py_ssize_t, now: cython.double
+    ) -> cython.double:
+        """The meaning of a zero in a run of so many; NaN: a drop-out."""
+        had_return: cython.bint = self._seen_at[ray] >= now - self._stale_after and isfinite(
+            self._ranges[ray]
+        )
+        # A short run over recent returns is a lost packet; a near obstacle hides more rays.
+        if not (had_return and run <= _PACKET_RAYS) and self._was_near(ray, now):
+            return -INFINITY
+        return NAN if had_return else INFINITY
+
+    @cython.cfunc
+    def _was_near(self, ray: cython.Py_ssize_t, now: cython.double) -> cython.bint:
+        """True beside a ray that was near lately."""
+        if not self._guesses_near:
+            return False
+        since: cython.double = now - _NEAR_MEMORY
+        direction: cython.Py_ssize_t
+        step: cython.Py_ssize_t
+        beside: cython.Py_ssize_t
+        n: cython.Py_ssize_t = self._n
+        for direction in range(-1, 2, 2):
+            for step in range(n):
+                beside = self._order[(self._place[ray] + direction * step + n) % n]
+                if _apart(self._bearings[ray], self._bearings[beside]) > _NEAR_SECTOR:
+                    break
+                if self._near_at[beside] >= since:
+                    return True
+        return False
+
+    @cython.cfunc
+    def _lost_since(self, now: cython.double) -> cython.double:
+        """The latest time from which on no sector wider than `max_gap` is lost."""
+        if self._widest(INFINITY) <= self._max_gap:
+            return now
+        before: cython.double = INFINITY
+        latest: cython.double
+        i: cython.Py_ssize_t
+        while True:
+            latest = -INFINITY
+            for i in range(self._n):
+                if self._is_lost[i] and latest < self._seen_at[i] < before:
+                    latest = self._seen_at[i]
+            if latest == -INFINITY or self._widest(latest) <= self._max_gap:
+                return latest
+            before = latest
+
+    @cython.cfunc
+    def _widest(self, before: cython.double) -> cython.double:
+        """The widest sector of lost rays that were last known before a time, between others."""
+        n: cython.Py_ssize_t = self._n
+        first: cython.Py_ssize_t = 0
+        while first < n and self._is_lost[first] and self._seen_at[first] < before:
+            first += 1
+        if first == n:
+            return INFINITY
+        widest: cython.double = 0.0
+        last: cython.Py_ssize_t = first
+        k: cython.Py_ssize_t
+        i: cython.Py_ssize_t
+        for k in range(first + 1, first + n + 1):
+            i = k % n
+            if self._is_lost[i] and self._seen_at[i] < before:
+                continue
+            if k - last > 1:
+                widest = max(
+                    widest,
+                    _TURN - _mod(self._direction * (self._bearings[last % n] - self._bearings[i])),
+                )
+            last = k
+        return widest
+
+    @cython.cfunc
+    def _bridge(self, out: cython.double[::1]) -> cython.bint:
+        """Fill unknown sectors up to `max_gap` with the nearer edge; false if one is left."""
+        n: cython.Py_ssize_t = out.shape[0]
+        first: cython.Py_ssize_t = 0
+        while first < n and isnan(out[first]):
+            first += 1
+        if first == n:
+            return False
+        # The angle unwraps as in numpy.unwrap, from a known ray on.
+        start: cython.double = self._bearings[first]
+        angle: cython.double = start
+        before: cython.double = start  # the angle of the last known ray
+        edge: cython.double = out[first]
+        last: cython.Py_ssize_t = first
+        shift: cython.double = 0.0
+        after: cython.double
+        step: cython.double
+        wrapped_step: cython.double
+        k: cython.Py_ssize_t
+        is_filled: cython.bint = True
+        for k in range(first + 1, first + n):
+            step = self._bearings[k % n] - self._bearings[(k - 1) % n]
+            if fabs(step) >= _PI:
+                wrapped_step = _mod(step + _PI) - _PI
+                if wrapped_step == -_PI and step > 0.0:
+                    wrapped_step = _PI
+                shift += wrapped_step - step
+            angle = self._bearings[k % n] + shift
+            if isnan(out[k % n]):
+                continue
+            if k - last > 1 and not self._fill(out, last, k, before, angle, edge, out[k % n]):
+                is_filled = False
+            last, before, edge = k, angle, out[k % n]
+        if last < first + n - 1:
+            after = start + math.copysign(_TURN, angle - start)
+            if not self._fill(out, last, first + n, before, after, edge, out[first]):
+                is_filled = False
+        return is_filled
+
+    @cython.cfunc
+    def _fill(
+        self,
+        out: cython.double[::1],
+        last: cython.Py_ssize_t,
+        end: cython.Py_ssize_t,
+        before: cython.double,
+        after: cython.double,
+        edge: cython.double,
+        other: cython.double,
+    ) -> cython.bint:
+        """Fill the rays between two known ones; false if the sector is too wide."""
+        if not fabs(after - before) <= self._max_gap:
+            return False
+        k: cython.Py_ssize_t
+        for k in range(last + 1, end):
+            out[k % out.shape[0]] = min(edge, other)
+        return True
