@@ -4,8 +4,11 @@ from __future__ import annotations
 
 import itertools
 import shlex
+import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import suppress
+from contextlib import ExitStack, suppress
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -13,15 +16,15 @@ import click
 
 from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, warn
-from swarmd.core.errors import SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_option
+from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.compare import Difference, Side
     from swarmd.sim.experiments.results import Results
 
 FAILED, PARTIAL = 1, 3  # exit codes if all runs failed, or some
-MAX_PROCESSES = 256
 _FAILURES_SHOWN = 5
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -33,9 +36,7 @@ _processes = click.option(
     "-j",
     "--jobs",
     type=click.IntRange(1, MAX_PROCESSES),
-    default=1,
-    show_default=True,
-    help="Runs at a time, each in a process of its own; results do not depend on it.",
+    help="Runs at a time, each in a process of its own; results do not depend on it [all cores].",
 )
 _timeout = click.option(
     "--timeout",
@@ -82,6 +83,12 @@ def exp() -> None:
 @_processes
 @_timeout
 @_out("Folder of the results; an interrupted experiment in it resumes [experiments/SCENARIO-N].")
+@click.option(
+    "--shard", metavar="K/N", help="Run only the K-th of N parts; `exp merge` joins their folders."
+)
+@click.option(
+    "--scheduler", metavar="ADDRESS", help="Run on the workers of a Dask cluster: tcp://HOST:8786."
+)
 @click.option("--no-traces", is_flag=True, help="Keep only metrics; fewer plots are possible.")
 @_metrics
 @output_option
@@ -92,9 +99,11 @@ def run(
     seeds: str,
     sets: tuple[str, ...],
     sweeps: tuple[str, ...],
-    jobs: int,
+    jobs: int | None,
     timeout: float | None,
     out: Path | None,
+    shard: str | None,
+    scheduler: str | None,
     no_traces: bool,
     metrics: str | None,
     is_json: bool,
@@ -104,33 +113,58 @@ def run(
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
     """
     need("mujoco")
-    from swarmd.sim.cli.progress import ends_on_sigterm, progress
-    from swarmd.sim.experiments.arguments import parse_seeds, parse_sets, parse_sweeps
+    from swarmd.sim.cli.progress import ends_on_sigterm, progress, time_span
+    from swarmd.sim.experiments.arguments import (
+        parse_seeds,
+        parse_sets,
+        parse_shard,
+        parse_sweeps,
+    )
     from swarmd.sim.experiments.manifest import manifest_of
-    from swarmd.sim.experiments.pool import STEP_TIMEOUT
+    from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
     from swarmd.sim.experiments.results import load_results
-    from swarmd.sim.experiments.simulate import plan_of, run_experiment
+    from swarmd.sim.experiments.simulate import Runner, plan_of, run_experiment
+
+    if scheduler is not None:
+        need("distributed", extra="sim,plot,cluster")
+        from swarmd.sim.experiments.cluster import connect
 
     names = chosen_metrics(metrics)
     plan = plan_of(scenario, parse_seeds(seeds), parse_sets(sets), parse_sweeps(sweeps))
+    if shard is not None:
+        plan = replace(plan, shard=parse_shard(shard))
+        if out is None:
+            raise ConfigError("--shard needs --out DIR, so that the same command resumes the part")
     stem = Path(scenario).stem
     folder = out or new_folder(Path("experiments"), (f"{stem}-{n}" for n in itertools.count(1)))
     command = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
     for option, values in (("--set", sets), ("--sweep", sweeps)):
         command += [word for value in values for word in (option, value)]
-    command += ["--jobs", str(jobs), "--out", str(folder), *(["--no-traces"] * no_traces)]
+    given = {"--jobs": jobs, "--shard": shard, "--scheduler": scheduler, "--out": folder}
+    command += [word for k, v in given.items() if v is not None for word in (k, str(v))]
+    command += ["--no-traces"] * no_traces
     command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
     manifest = manifest_of(plan, traces=not no_traces, command=command)
     limit = STEP_TIMEOUT if timeout is None else timeout
+    begin = time.monotonic()
     try:
-        with ends_on_sigterm(), progress() as on_progress:
-            results = run_experiment(manifest, folder, jobs, timeout=limit, on_progress=on_progress)
+        with ExitStack() as stack:
+            stack.enter_context(ends_on_sigterm())
+            if scheduler is None:
+                runner: Runner = partial(run_jobs, processes=jobs or usable_cores(), timeout=limit)
+            else:
+                cluster = stack.enter_context(connect(scheduler, manifest, limit, warn, jobs))
+                manifest, runner = cluster.manifest, cluster.run_jobs
+            on_progress = stack.enter_context(progress())
+            results = run_experiment(manifest, folder, runner, on_progress=on_progress)
     except (KeyboardInterrupt, SystemExit):
         with suppress(SwarmError):  # it had not even begun
             done = f"{len(load_results(folder).rows)} of {len(plan.runs)} runs are kept"
             warn(f"{done}; to go on: {shlex.join(command)}")
         raise
     _print_results(results, names, is_json)
+    took = time_span(time.monotonic() - begin)
+    warn(f"{len(results.runs)} of {len(plan.runs)} runs are there after {took}")
     warn(f"results: {folder}/ (to see them: swarmctl exp plot {shlex.quote(str(folder))})")
     ctx.exit(0 if not results.failures else PARTIAL if results.runs else FAILED)
 
@@ -146,7 +180,7 @@ def rerun(
     ctx: click.Context,
     folder: Path,
     out: Path | None,
-    jobs: int,
+    jobs: int | None,
     timeout: float | None,
     is_json: bool,
 ) -> None:
@@ -162,7 +196,9 @@ def rerun(
     for line in again.warnings(folder):
         warn(f"warning: {line}; results may differ")
     with ends_on_sigterm(), progress() as on_progress:
-        found = again.rerun(folder, out, jobs, on_progress, timeout or STEP_TIMEOUT)
+        found = again.rerun(
+            folder, out, jobs or usable_cores(), on_progress, timeout or STEP_TIMEOUT
+        )
     if is_json:
         listed = [{"run": run, "identical": not why, "why": why} for run, why in found.items()]
         print_json("Rerun", {"folder": str(folder), "runs": listed})
@@ -172,6 +208,39 @@ def rerun(
     same = list(found.values()).count("")
     warn(f"{same} of {len(found)} runs are identical")
     ctx.exit(0 if same == len(found) else PARTIAL if same else FAILED)
+
+
+@exp.command()
+@click.argument(
+    "folders", metavar="DIR..", nargs=-1, required=True, type=click.Path(path_type=Path)
+)
+@click.option(
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    required=True,
+    metavar="DIR",
+    help="Folder of all runs; it may hold parts that were merged before.",
+)
+@_metrics
+@output_option
+@click.pass_context
+def merge(
+    ctx: click.Context, folders: tuple[Path, ...], out: Path, metrics: str | None, is_json: bool
+) -> None:
+    """Join the folders of `exp run --shard` into the one that a single machine makes.
+
+    Exit code 0 if every run is there, 3 if some are missing; these are listed.
+    """
+    need("mujoco")
+    from swarmd.sim.experiments import merge as merging
+
+    names = chosen_metrics(metrics)
+    results, lacking = merging.merge(folders, out)
+    _print_results(results, names, is_json)
+    for line in lacking:
+        warn(f"missing: {line}")
+    warn(f"results: {out}/")
+    ctx.exit(PARTIAL if lacking else 0)
 
 
 @exp.command()

@@ -157,13 +157,13 @@ def fleet_for(
     )
 
 
-def need(*modules: str) -> None:
+def need(*modules: str, extra: str = "sim,plot") -> None:
     """PluginError with the command that installs it, for the first module that is missing."""
     for module in modules:
         if find_spec(module) is None:
             raise PluginError(
                 f"this verb needs {module}, which is not installed;"
-                " run: pip install 'swarmd[sim,plot]'"
+                f" run: pip install 'swarmd[{extra}]'"
             )
 
 

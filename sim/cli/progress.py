@@ -8,63 +8,69 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from types import FrameType
+from typing import TYPE_CHECKING
 
 from swarmd.cli.output import has_colour, warn
 
-OnProgress = Callable[[int, int, int], None]
+if TYPE_CHECKING:
+    from swarmd.sim.experiments.simulate import OnProgress, Progress
+
 MAX_LINES = 10  # where there is no terminal, besides the first two
+FIRST_ESTIMATE = 2.0  # s of progress before there is an estimate
 
 
 @contextmanager
 def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress]:
-    """A function to call with the numbers of finished, planned and failed runs.
+    """A function to call with the progress of an experiment.
 
-    A terminal shows a bar; other outputs get a line for each tenth. Both show the time left
-    once the first run has finished. It is based on the mean time of a run since the start: Rich's
-    own estimate needs two samples some time apart, so with few long runs it comes late.
+    A terminal shows a bar; other outputs get a line for the first estimate and for each tenth. The
+    time left follows from the robot-seconds that were simulated since the first report of progress:
+    runs need not end for it, and the start of workers does not count.
     """
-    start: tuple[float, int] | None = None  # time, and runs finished before
+    start: tuple[float, float] | None = None  # time, and work that was done before
 
-    def notes(done: int, total: int, failed: int) -> str:
+    def notes(now: Progress) -> str:
         nonlocal start
-        now = clock()
-        start = start or (now, done)  # a resumed experiment has finished runs
-        began, before = start
-        text = f", {failed} failed" if failed else ""
-        if not before < done < total:
+        text = f", {now.failed} failed" if now.failed else ""
+        if start is None and now.worked > 0.0:
+            start = clock(), now.worked
+        if start is None or now.left <= 0.0:
             return text
-        return f"{text}, about {_rounded((now - began) / (done - before) * (total - done))} left"
+        passed, worked = clock() - start[0], now.worked - start[1]
+        if passed < FIRST_ESTIMATE or worked <= 0.0:
+            return text
+        return f"{text}, about {time_span(passed / worked * now.left)} left"
 
     if not sys.stderr.isatty():
-        part = -1
+        part, has_estimate = -1, False
 
-        def show_lines(done: int, total: int, failed: int) -> None:
-            nonlocal part
-            text = notes(done, total, failed)
-            now = MAX_LINES * done // total if total else MAX_LINES
-            if now > part or (start is not None and done == start[1] + 1):
-                part = now
-                warn(f"{done} of {total} runs{text}")
+        def show_lines(now: Progress) -> None:
+            nonlocal part, has_estimate
+            text = notes(now)
+            tenth = MAX_LINES * now.done // now.total if now.total else MAX_LINES
+            is_first = not has_estimate and "left" in text
+            if tenth > part or is_first:
+                part, has_estimate = tenth, has_estimate or is_first
+                warn(f"{now.done} of {now.total} runs{text}")
 
         yield show_lines
         return
     from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
+    from rich.progress import BarColumn, MofNCompleteColumn, TextColumn
+    from rich.progress import Progress as Bar
 
     console = Console(stderr=True, no_color=not has_colour(True))
     columns = (BarColumn(), MofNCompleteColumn(), TextColumn("runs{task.fields[notes]}"))
-    with Progress(*columns, console=console, transient=True) as bar:
+    with Bar(*columns, console=console, transient=True) as bar:
         task = bar.add_task("", total=None, notes="")
-        yield lambda done, total, failed: bar.update(
-            task, completed=done, total=total, notes=notes(done, total, failed)
-        )
+        yield lambda now: bar.update(task, completed=now.done, total=now.total, notes=notes(now))
 
 
-def _rounded(left: float) -> str:
-    """A time left in whole seconds, above 120 s in minutes, above 120 min in hours."""
-    if left <= 120:
-        return f"{left:.0f} s"
-    return f"{left / 60:.0f} min" if left <= 7200 else f"{left / 3600:.0f} h"
+def time_span(seconds: float) -> str:
+    """A time in whole seconds, above 120 s in minutes, above 120 min in hours."""
+    if seconds <= 120:
+        return f"{seconds:.2g} s" if seconds < 10 else f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds <= 7200 else f"{seconds / 3600:.0f} h"
 
 
 @contextmanager

@@ -7,7 +7,7 @@ from collections.abc import Iterable
 from typing import Any
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.experiments.plan import MAX_RUNS, check_seeds
+from swarmd.sim.experiments.plan import MAX_RUNS, Shard, check_seeds
 from swarmd.sim.scenarios.overrides import SOURCE, SWEEP_SOURCE, parse_override
 
 
@@ -27,6 +27,17 @@ def parse_seeds(text: str) -> tuple[int, ...]:
         _bounded(len(seeds) + last - first + 1, text)
         seeds += range(first, last + 1)
     return check_seeds(seeds)
+
+
+def parse_shard(text: str) -> Shard:
+    """The part that `3/40` names: the third of forty."""
+    match = re.fullmatch(r"\s*(\d{1,6})/(\d{1,6})\s*", text)
+    try:
+        return Shard(*map(int, match.groups() if match else (0, 0)))
+    except ValueError:
+        raise ConfigError(
+            f"--shard {text!r} is no part; expected 3/40 for the third of forty, up to 40/40"
+        ) from None
 
 
 def parse_sets(words: Iterable[str]) -> dict[str, Any]:

@@ -13,11 +13,18 @@ import msgspec
 
 import swarmd
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.experiments.plan import Plan, Variant, check_seeds
-from swarmd.sim.experiments.provenance import GitState, digests_of_plugins, git_state, made_with
+from swarmd.sim.experiments.plan import Plan, Shard, Variant, check_seeds
+from swarmd.sim.experiments.provenance import (
+    GitState,
+    digests_of_folders,
+    git_state,
+    made_with,
+)
 
 NAME = "manifest.json"
 FORMAT = 1
+PROCESSOR = ("machine", "simd", "blas")
+"""What of `made_with` depends on the processor. It changes last bits at most."""
 
 
 class _Format(msgspec.Struct):
@@ -31,7 +38,8 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     resulting complete scenarios. `made_with`: versions and the digest of the code. `plugins`:
     digests of one-file patterns by name. `git`: the checkouts of swarmd and of the scenario's
     folder, None without one. `traces`: whether they are kept. `command`: the command line that
-    repeats it, empty if it was made from Python. `created` in UTC.
+    repeats it, empty if it was made from Python. `created` in UTC. `shard`: the part of the runs
+    that the folder holds, None for all.
     """
 
     format: int
@@ -46,6 +54,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     git: dict[str, GitState | None]
     plugins: dict[str, str]
     variants: list[Variant]
+    shard: Shard | None = None
 
     @property
     def plan(self) -> Plan:
@@ -56,6 +65,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
             variants=tuple(self.variants),
             sets=self.sets,
             sweep=self.sweep,
+            shard=self.shard,
         )
 
 
@@ -76,8 +86,9 @@ def manifest_of(plan: Plan, *, traces: bool, command: list[str]) -> Manifest:
             "swarmd": git_state(Path(swarmd.__file__).resolve().parent),
             "scenario": git_state(place.resolve().parent) if place.is_file() else None,
         },
-        plugins=_plugins(plan),
+        plugins=digests_of_folders(plugin_folders(plan)),
         variants=[Variant(v.name, plain(v.values), plain(v.effective)) for v in plan.variants],
+        shard=plan.shard,
     )
 
 
@@ -102,7 +113,8 @@ def read_manifest(folder: Path) -> Manifest:
         found = msgspec.json.decode(data, type=_Format).format
         if found == FORMAT:
             manifest = msgspec.json.decode(data, type=Manifest)
-            if manifest.plan.runs:
+            check_seeds(manifest.seeds)
+            if manifest.variants:
                 return manifest
             raise ConfigError("no variants")
     except FileNotFoundError:
@@ -119,7 +131,7 @@ def read_manifest(folder: Path) -> Manifest:
 
 def differences(old: Manifest, new: Manifest) -> Iterator[str]:
     """A text for each difference that changes results or files."""
-    for name in ("scenario", "seeds", "sets", "sweep", "traces"):
+    for name in ("scenario", "seeds", "sets", "sweep", "traces", "shard"):
         was, now = getattr(old, name), getattr(new, name)
         if was != now or (name == "sweep" and list(was) != list(now)):  # its order is that of rows
             yield f"{name} was {_clipped(was)}, now {_clipped(now)}"
@@ -144,6 +156,27 @@ def software_differences(old: Manifest, new: Manifest) -> Iterator[str]:
             yield f"plugin {name} has changed"
 
 
+def plugin_folders(plan: Plan) -> list[str]:
+    """The plugin folders of all variants."""
+    named = {variant.effective.get("plugin_dir") for variant in plan.variants}
+    return sorted(str(folder) for folder in named if folder is not None)
+
+
+def joined(a: Manifest, b: Manifest) -> Manifest:
+    """`a`, with the processors of both."""
+    both = {name: " or ".join(sorted({*_either(a, name), *_either(b, name)})) for name in PROCESSOR}
+    return msgspec.structs.replace(a, made_with={**a.made_with, **both})
+
+
+def software_conflict(a: Manifest, b: Manifest) -> str | None:
+    """The first difference of software other than the processor; None if there is none."""
+    return next(software_differences(joined(a, b), joined(b, a)), None)
+
+
+def _either(manifest: Manifest, name: str) -> list[str]:
+    return manifest.made_with.get(name, "unknown").split(" or ")
+
+
 def write_json(path: Path, data: Any) -> None:
     """Write a JSON file; it appears whole or not at all."""
     write_whole(path, json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n")
@@ -158,16 +191,6 @@ def write_whole(path: Path, text: str) -> None:
     except OSError:
         partial.unlink(missing_ok=True)
         raise
-
-
-def _plugins(plan: Plan) -> dict[str, str]:
-    named = {variant.effective.get("plugin_dir") for variant in plan.variants}
-    folders = sorted(str(folder) for folder in named if folder is not None)
-    return {
-        f"{folder}/{name}": digest
-        for folder in folders
-        for name, digest in digests_of_plugins(Path(folder)).items()
-    }
 
 
 def _clipped(value: object) -> str:

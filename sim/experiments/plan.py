@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import heapq
 import itertools
 import json
 import math
@@ -33,6 +34,20 @@ class Variant(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     effective: Mapping[str, Any]
 
 
+class Shard(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One part of an experiment: the `part`-th of `of`, from 1 on; ValueError if there is none."""
+
+    part: int
+    of: int
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.part <= self.of <= MAX_RUNS:
+            raise ValueError(f"there is no part {self}")
+
+    def __str__(self) -> str:
+        return f"{self.part}/{self.of}"
+
+
 @dataclass(frozen=True, slots=True)
 class Run:
     """One run: of a variant, with a seed. `id` is unique in its plan and a safe file name."""
@@ -41,12 +56,20 @@ class Run:
     variant: Variant
     seed: int
 
+    @property
+    def robot_seconds(self) -> float:
+        """Robots times simulated seconds, to which the time that a run takes is proportional."""
+        groups = self.variant.effective.get("groups", {}).values()
+        robots = sum(len(g.get("robots") or ()) or g.get("count") or 1 for g in groups)
+        return float(self.variant.effective.get("duration", 1.0)) * max(robots, 1)
+
 
 @dataclass(frozen=True, slots=True)
 class Plan:
     """Every run of an experiment, in order: variants as given, and seeds within each.
 
-    `sets` and `sweep` are the overrides that made the variants of `scenario`, by dotted key.
+    `sets` and `sweep` are the overrides that made the variants of `scenario`, by dotted key. With a
+    `shard`, `runs` are those of this part alone.
     """
 
     scenario: str
@@ -54,16 +77,18 @@ class Plan:
     variants: tuple[Variant, ...]
     sets: Mapping[str, Any] = field(default_factory=dict)
     sweep: Mapping[str, Sequence[Any]] = field(default_factory=dict)
+    shard: Shard | None = None
 
     @property
     def runs(self) -> tuple[Run, ...]:
         """The runs in order."""
         stems = _stems([variant.name for variant in self.variants])
-        return tuple(
+        every = tuple(
             Run(f"{stem}_s{seed:04d}" if stem else f"s{seed:04d}", variant, seed)
             for stem, variant in zip(stems, self.variants, strict=True)
             for seed in self.seeds
         )
+        return every if self.shard is None else _part(every, self.shard)
 
 
 def check_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
@@ -117,6 +142,21 @@ def shown(value: object) -> str:
     """A swept value as text in names and columns."""
     is_plain = isinstance(value, str) and value.isprintable()
     return str(value) if is_plain else json.dumps(value, separators=(",", ":"))
+
+
+def _part(runs: Sequence[Run], shard: Shard) -> tuple[Run, ...]:
+    """The runs of one part; all parts take about equally long.
+
+    The longest run goes first, each to the part that has least to do (Graham 1969).
+    """
+    loads = [(0.0, part) for part in range(1, shard.of + 1)]  # a heap
+    own = set()
+    for run in sorted(runs, key=lambda run: -run.robot_seconds):
+        load, part = loads[0]
+        heapq.heapreplace(loads, (load + run.robot_seconds, part))
+        if part == shard.part:
+            own.add(run.id)
+    return tuple(run for run in runs if run.id in own)
 
 
 def _check_sweep(

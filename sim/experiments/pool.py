@@ -19,7 +19,7 @@ from dataclasses import dataclass
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.processes import die_with_parent, how_it_ended
@@ -49,6 +49,10 @@ class Job:
     effective: Mapping[str, Any]
     seed: int
     trace: Path | None
+
+
+Shares: TypeAlias = Mapping[str, float]
+"""The simulated share of each run that is in progress, by run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,8 +109,8 @@ def one_line(text: str) -> str:
 
 def run_jobs(
     jobs: Iterable[Job], processes: int, timeout: float = STEP_TIMEOUT
-) -> Generator[JobResult, None, None]:
-    """The result of each job as it arrives, from `processes` workers.
+) -> Generator[JobResult | Shares, None, None]:
+    """The result of each job as it arrives, from `processes` workers, and meanwhile their progress.
 
     A run that makes no progress for `timeout` s is ended and has failed. Close the iterator
     (`contextlib.closing`) if it is not exhausted, which ends the workers.
@@ -122,7 +126,7 @@ def run_jobs(
     try:
         for _ in range(min(processes, len(waiting))):
             start(waiting.popleft())
-        before = time.monotonic()
+        before = told = time.monotonic()
         while workers:
             ready = wait(list(workers), _POLL_PERIOD)
             now = time.monotonic()
@@ -139,16 +143,23 @@ def run_jobs(
                     if waiting:
                         start(waiting.popleft())
                 yield result
+            if now >= told + _PROGRESS_PERIOD:
+                told = now
+                yield {worker.run: worker.share for worker in workers.values()}
     finally:
         for worker in workers.values():
             worker.kill()
 
 
 class _Worker:
-    """A worker process, its pipe and its job. `is_alive`: it can take another job."""
+    """A worker process, its pipe and its job. `is_alive`: it can take another job.
+
+    `share`: of the job, as last reported.
+    """
 
     def __init__(self) -> None:
         self.is_alive = True
+        self.share = 0.0
         self._has_started = False
         self.pipe, theirs = Pipe()
         self._log = tempfile.TemporaryFile()  # noqa: SIM115  # closed by `kill`
@@ -163,9 +174,15 @@ class _Worker:
                 process_group=0,  # Ctrl-C goes to the parent, which ends the workers
             )
 
+    @property
+    def run(self) -> str:
+        """The run of its job."""
+        return self._job.run
+
     def assign(self, job: Job) -> None:
         """Send it a job; if the worker has ended, `receive` returns that."""
         self._job = job
+        self.share = 0.0
         self._silence: float | None = 0.0
         self._begin = os.fstat(self._log.fileno()).st_size
         with suppress(OSError):
@@ -188,6 +205,7 @@ class _Worker:
         if isinstance(received, JobResult):
             return received
         self._has_started = True
+        self.share = received
         self._silence = 0.0 if received < 1.0 else None  # from here on no pattern runs
         return None
 

@@ -6,7 +6,7 @@ import hashlib
 import os
 import platform
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 
@@ -76,6 +76,15 @@ def digests_of_plugins(folder: Path) -> dict[str, str]:
         }
     except OSError as error:
         raise SwarmError(f"{error.filename}: cannot be read: {error.strerror}") from error
+
+
+def digests_of_folders(folders: Iterable[str]) -> dict[str, str]:
+    """The digests of the plugins in all folders, by path."""
+    return {
+        f"{folder}/{name}": digest
+        for folder in folders
+        for name, digest in digests_of_plugins(Path(folder)).items()
+    }
 
 
 def git_state(folder: Path) -> GitState | None:

@@ -13,7 +13,7 @@ import msgspec
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import manifest_of, read_manifest, software_differences
-from swarmd.sim.experiments.pool import STEP_TIMEOUT
+from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import OnProgress, run_experiment
 from swarmd.sim.trace import Trace
@@ -47,9 +47,8 @@ def rerun(
         raise ConfigError(f"--out {out} is the experiment itself; name another folder")
     old = read_manifest(folder)
     manifest = manifest_of(old.plan, traces=old.traces, command=old.command)
-    again = partial(
-        run_experiment, manifest, processes=processes, on_progress=on_progress, timeout=timeout
-    )
+    runner = partial(run_jobs, processes=processes, timeout=timeout)
+    again = partial(run_experiment, manifest, runner=runner, on_progress=on_progress)
     if out is not None:
         return _comparisons(before, again(out))
     only = {run.id for run in before.runs}

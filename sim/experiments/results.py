@@ -53,7 +53,8 @@ class Results:
     """The finished runs of an experiment, in the order of its plan.
 
     `failures`: the reason of each failed run, by run. `variants`: the names of the points of the
-    parameter sweep, one empty name without a sweep.
+    parameter sweep, one empty name without a sweep. `kernels`: `compiled`, or which code ran
+    instead.
     """
 
     def __init__(
@@ -63,11 +64,13 @@ class Results:
         rows: Iterable[Row],
         failures: Mapping[str, str],
         metrics: Sequence[str],
+        kernels: str = "",
     ) -> None:
         self.folder = folder
         self.plan = plan
         self.failures = dict(failures)
         self.metrics = tuple(metrics)
+        self.kernels = kernels
         self.variants = tuple(variant.name for variant in plan.variants)
         self._rows = tuple(rows)
         self._rows_of: dict[str, list[Row]] = {name: [] for name in self.variants}
@@ -103,6 +106,13 @@ class Results:
         """The seeds of the finished runs of a variant, in the order of `metric`."""
         return tuple(row.run.seed for row in self._of(variant))
 
+    @property
+    def times_real_time(self) -> Array:
+        """How many times faster than real time each run (runs,) went; a wall time has 1 ms."""
+        return np.array(
+            [row.run.variant.effective["duration"] / max(row.wall, 1e-3) for row in self._rows]
+        )
+
     def summary(
         self, variant: str | None = None, names: Sequence[str] | None = None
     ) -> dict[str, Summary]:
@@ -131,6 +141,10 @@ class Results:
             "runs": len(self.plan.runs),
             "finished": len(self._rows),
             "failed": len(self.failures),
+            "part": None if self.plan.shard is None else str(self.plan.shard),
+            "kernels": self.kernels,
+            "times_real_time": self._speed(),
+            "wall": sum(row.wall for row in self._rows),
             "level": LEVEL,
             "method": METHOD,
             "variants": [
@@ -150,7 +164,16 @@ class Results:
     def text(self, names: Sequence[str] | None = None) -> str:
         """A table of each variant, of all metrics without `names`."""
         failed = f", {len(self.failures)} failed" if self.failures else ""
-        found = [f"{self.plan.scenario}: {len(self._rows)} of {len(self.plan.runs)} runs{failed}"]
+        part = f"part {self.plan.shard}, " if self.plan.shard else ""
+        count = f"{len(self._rows)} of {len(self.plan.runs)} runs"
+        found = [f"{self.plan.scenario}: {part}{count}{failed}"]
+        if (speed := self._speed()) is not None:
+            some = (
+                f"{speed['median']:.3g} times real time ({speed['min']:.3g} to {speed['max']:.3g})"
+            )
+            found.append(f"each run: {some}; all runs: {sum(row.wall for row in self._rows):.3g} s")
+        if self.kernels not in ("", "compiled"):
+            found.append(f"kernels: {self.kernels}")
         for variant in self.variants:
             found += ["", variant] if variant else [""]
             found += aligned(HEADER, summary_rows(self.summary(variant, names)))
@@ -158,6 +181,13 @@ class Results:
 
     def __str__(self) -> str:
         return self.text()
+
+    def _speed(self) -> dict[str, float] | None:
+        found = self.times_real_time
+        if not found.size:
+            return None
+        values = float(np.median(found)), float(found.min()), float(found.max())
+        return dict(zip(("median", "min", "max"), values, strict=True))
 
     def _of(self, variant: str) -> Sequence[Row]:
         if variant not in self._rows_of:
@@ -171,10 +201,12 @@ def load_results(folder: str | Path) -> Results:
     ConfigError in one line if it is no such folder, or damaged.
     """
     place = Path(folder)
-    plan = read_manifest(place).plan
+    manifest = read_manifest(place)
+    plan = manifest.plan
     metrics, rows = read_table(place, plan)
     failures = {run: why for run, why in read_failures(place).items() if run not in rows}
-    return Results(place, plan, rows.values(), failures, metrics)
+    kernels = manifest.made_with.get("kernels", "")
+    return Results(place, plan, rows.values(), failures, metrics, kernels)
 
 
 def unit_of(metric: str) -> str:

@@ -16,14 +16,17 @@ import tempfile
 import weakref
 from collections.abc import Callable, Collection, Generator, Iterable, Mapping, Sequence
 from contextlib import closing, suppress
+from dataclasses import dataclass, replace
+from functools import partial
 from numbers import Integral
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, TypeAlias, cast
 
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.experiments.arguments import parse_shard
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan
-from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, run_job, run_jobs
+from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, Shares, run_job, run_jobs
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.store import Store, open_store
 from swarmd.sim.metrics.catalog import METRICS
@@ -31,8 +34,27 @@ from swarmd.sim.scenarios.overrides import SOURCE, SWEEP_SOURCE
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 
-OnProgress = Callable[[int, int, int], None]
-"""Called after each run with the number of runs that are done, of all, and that have failed."""
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """How far an experiment is: `done` of `total` runs have ended, `failed` of them in vain.
+
+    `worked`: the robot-seconds that were simulated since the start. `left`: those to come, or what
+    all workers could do until the longest run ends, if that is more.
+    """
+
+    done: int
+    total: int
+    failed: int
+    worked: float
+    left: float
+
+
+OnProgress: TypeAlias = Callable[[Progress], None]
+"""Called after each run, and several times a second while runs report progress."""
+
+Runner: TypeAlias = Callable[[Sequence[Job]], Generator[JobResult | Shares, None, None]]
+"""Does jobs, somewhere."""
 
 
 def simulate(
@@ -45,6 +67,7 @@ def simulate(
     out: str | Path | None = None,
     traces: bool = True,
     timeout: float = STEP_TIMEOUT,
+    shard: str | None = None,
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
@@ -54,6 +77,7 @@ def simulate(
     does them. The results are the same, bit by bit. In worker processes, a run without progress
     for `timeout` s is ended and has failed. `out` is a folder as of `swarmctl exp`; the same call
     continues an interrupted one. Without `out`, the results are deleted with the returned object.
+    With `shard="3/40"` only the third of forty parts is run; `merge` joins their folders.
 
     ConfigError before anything runs if scenario, seeds or overrides are invalid. Failed runs are
     in `failures` of the results; SwarmError if all runs failed.
@@ -64,10 +88,13 @@ def simulate(
         raise ConfigError(f"timeout is {timeout:g}; expected 1 s or more")
     listed = range(int(seeds)) if isinstance(seeds, Integral) else cast("Iterable[int]", seeds)
     plan = plan_of(scenario, listed, set, sweep)
+    if shard is not None:
+        plan = replace(plan, shard=parse_shard(shard))
     manifest = manifest_of(plan, traces=traces, command=[])
+    runner = partial(run_jobs, processes=jobs, timeout=timeout) if jobs > 1 else _run_here
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
-        results = run_experiment(manifest, folder, jobs, is_here=jobs == 1, timeout=timeout)
+        results = run_experiment(manifest, folder, runner)
     except BaseException:
         if out is None:
             shutil.rmtree(folder, ignore_errors=True)
@@ -102,26 +129,21 @@ def plan_of(
 def run_experiment(
     manifest: Manifest,
     folder: Path,
-    processes: int,
+    runner: Runner,
     *,
-    is_here: bool = False,
     only: Collection[str] | None = None,
-    timeout: float = STEP_TIMEOUT,
     on_progress: OnProgress | None = None,
 ) -> Results:
-    """Do all runs of a manifest that are missing in its folder, and write the summary.
+    """Let `runner` do all runs of a manifest that are missing in its folder; write the summary.
 
-    `only` limits the runs. `is_here`: in this process, without `timeout`. If it ends early, the
-    finished runs stay in the folder. SwarmError if the folder cannot be used or the disk is full.
+    `only` limits the runs. If it ends early, the finished runs stay in the folder. SwarmError if
+    the folder cannot be used or the disk is full.
     """
     with open_store(folder, manifest, tuple(METRICS)) as store:
         try:
             runs = [run for run in store.missing if only is None or run.id in only]
             jobs = [Job(r.id, r.variant.effective, r.seed, store.trace_of(r)) for r in runs]
-            found = (
-                (run_job(job) for job in jobs) if is_here else run_jobs(jobs, processes, timeout)
-            )
-            _gather(store, runs, found, on_progress)
+            _gather(store, runs, runner(jobs), on_progress)
         except BaseException:
             with suppress(SwarmError, OSError):  # the first error is the one to report
                 store.close(_results(store).document())
@@ -134,16 +156,31 @@ def run_experiment(
 def _gather(
     store: Store,
     runs: Sequence[Run],
-    run_jobs: Generator[JobResult, None, None],
+    run_jobs: Generator[JobResult | Shares, None, None],
     on_progress: OnProgress | None,
 ) -> None:
     """Keep each result as it arrives; SwarmError if one cannot be written."""
     by_id = {run.id: run for run in runs}
-    total = len(store.rows) + len(runs)
-    report = on_progress or (lambda done, total, failed: None)
+    work = {run.id: run.robot_seconds for run in runs}
+    total, ended, left = len(store.rows) + len(runs), 0.0, sum(work.values())
+    shares: dict[str, float] = {}
+
+    def report() -> None:
+        if on_progress is not None:
+            failed = len(store.failures)
+            begun = sum(work[run] * share for run, share in shares.items())
+            longest = max((work[run] * (1.0 - share) for run, share in shares.items()), default=0.0)
+            to_come = max(left - begun, longest * len(shares))
+            done = len(store.rows) + failed
+            on_progress(Progress(done, total, failed, ended + begun, to_come))
+
     with closing(run_jobs) as found:
-        report(len(store.rows), total, 0)
+        report()
         for result in found:
+            if not isinstance(result, JobResult):
+                shares = dict(result)
+                report()
+                continue
             if result.write_error:
                 text = f"{result.write_error}; {len(store.rows)} finished runs are kept"
                 raise SwarmError(f"{text}: mend it and give the same command again")
@@ -151,13 +188,22 @@ def _gather(
                 store.fail(by_id[result.run], result.reason)
             else:
                 store.add(by_id[result.run], result.metrics, result.wall)
-            failed = len(store.failures)
-            report(len(store.rows) + failed, total, failed)
+            share = shares.pop(result.run, 0.0) if result.metrics is None else 1.0
+            shares.pop(result.run, None)
+            ended += work[result.run] * share
+            left -= work[result.run]
+            report()
+
+
+def _run_here(jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
+    """The results of jobs done in this process, without time-outs."""
+    yield from map(run_job, jobs)
 
 
 def _results(store: Store) -> Results:
     rows = [store.rows[run.id] for run in store.plan.runs if run.id in store.rows]
-    return Results(store.folder, store.plan, rows, store.failures, tuple(METRICS))
+    kernels = store.manifest.made_with["kernels"]
+    return Results(store.folder, store.plan, rows, store.failures, tuple(METRICS), kernels)
 
 
 def _overridden(

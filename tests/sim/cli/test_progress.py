@@ -11,49 +11,64 @@ import sys
 import pytest
 
 from swarmd.sim.cli.progress import ends_on_sigterm, progress
+from swarmd.sim.experiments.simulate import Progress
 
 SHOW = """
 import time
 from swarmd.sim.cli.progress import progress
-with progress() as show:
+from swarmd.sim.experiments.simulate import Progress
+now = 0.0
+with progress(lambda: now) as show:
     for done in range(501):
-        show(done, 500, 3 if done > 400 else 0)
+        now += 1.0
+        show(Progress(done, 500, 3 if done > 400 else 0, done, 500 - done))
         if done == 250:
             time.sleep(0.3)  # so that Rich draws the time left
 """
 
 
+def at(done: int, total: int, failed: int = 0, worked: float = 0.0) -> Progress:
+    return Progress(done, total, failed, worked, left=total - worked)
+
+
 def test_without_a_terminal_there_are_few_lines(capsys: pytest.CaptureFixture[str]) -> None:
     with progress(clock=lambda: 0.0) as show:
         for done in range(501):
-            show(done, 500, 3 if done > 400 else 0)
+            show(at(done, 500, 3 if done > 400 else 0, float(done)))
     captured = capsys.readouterr()
     lines = captured.err.splitlines()
     assert captured.out == ""
-    assert len(lines) == 12
+    assert len(lines) == 11
     assert (lines[0], lines[-1]) == ("0 of 500 runs", "500 of 500 runs, 3 failed")
 
 
 @pytest.mark.parametrize(
     ("per_run", "left"),
-    [(4.93, "94 s"), (6.3, "120 s"), (30.0, "10 min"), (600.0, "3 h")],
+    [(0.5, "9.8 s"), (4.93, "97 s"), (6.09, "120 s"), (30.0, "10 min"), (600.0, "3 h")],
 )
-def test_the_time_left_is_shown_after_the_first_run(
+def test_the_time_left_is_shown_before_the_first_run_has_ended(
     per_run: float, left: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     now = 0.0
     with progress(clock=lambda: now) as show:
-        for done in range(4, 25):  # a resumed experiment with four finished runs
-            show(done, 24, 0)
-            now += per_run
+        show(at(4, 24))  # a resumed experiment with four finished runs
+        now = 100.0  # in which the workers have started
+        for _ in range(3):
+            show(Progress(4, 24, 0, (now - 100.0) / per_run + 0.1, 20.0 - (now - 100.0) / per_run))
+            now += max(0.2 * per_run, 1.0)
+        show(Progress(24, 24, 0, 20.1, 0.0))
     lines = capsys.readouterr().err.splitlines()
-    assert lines[:2] == ["4 of 24 runs", f"5 of 24 runs, about {left} left"]
+    assert lines[0] == "4 of 24 runs"
+    assert lines[1].startswith("4 of 24 runs, about ")
     assert lines[-1] == "24 of 24 runs"
+    value, unit = lines[1].split()[-3:-1]
+    assert unit == left.split()[1]
+    assert float(value) == pytest.approx(float(left.split()[0]), rel=0.25)
 
 
 def test_nothing_to_do_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     with progress() as show:
-        show(4, 4, 0)
+        show(at(4, 4, worked=4.0))
     assert capsys.readouterr().err == "4 of 4 runs\n"
 
 
@@ -67,7 +82,7 @@ def test_on_a_terminal_there_is_a_bar(no_colour: str) -> None:
     os.close(ours)
     assert "500/500" in shown
     assert "3 failed" in shown
-    assert " s left" in shown
+    assert " left" in shown
     assert ("\x1b[3" in shown) == (not no_colour)
 
 

@@ -42,7 +42,7 @@ def test_comes_back_as_it_was_and_gives_the_same_runs(manifest: Manifest, tmp_pa
 
 def test_says_what_it_was_made_with(manifest: Manifest, duo: Path) -> None:
     made = manifest.made_with
-    names = "swarmd python numpy mujoco scipy msgspec machine simd blas code"
+    names = "swarmd python numpy mujoco scipy msgspec kernels machine simd blas code"
     assert set(made) == set(names.split())
     assert all(made.values())
     assert list(manifest.plugins) == [f"{duo.parent}/plugins/moody.py"]

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Mapping
+from collections.abc import Generator, Mapping
 from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from swarmd.sim.experiments.pool import Job, JobResult, _Worker, run_job, run_jobs
+from swarmd.sim.experiments.pool import Job, JobResult, Shares, _Worker, run_job, run_jobs
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from tests.support.processes import children
 
@@ -26,9 +26,13 @@ def job(
     return Job(f"s{seed}", effective, seed, trace)
 
 
+def results(jobs: Generator[JobResult | Shares, None, None]) -> list[JobResult]:
+    with closing(jobs) as found:
+        return [item for item in found if isinstance(item, JobResult)]
+
+
 def done(jobs: list[Job], processes: int) -> dict[str, JobResult]:
-    with closing(run_jobs(jobs, processes)) as found:
-        listed = list(found)
+    listed = results(run_jobs(jobs, processes))
     assert sorted(result.run for result in listed) == sorted(job.run for job in jobs)
     return {result.run: result for result in listed}
 
@@ -77,8 +81,8 @@ def test_a_trace_that_cannot_be_written_is_a_write_error(duo: Path, tmp_path: Pa
 def test_a_run_that_freezes_fails_and_the_others_go_on(duo: Path, tmp_path: Path) -> None:
     (tmp_path / ".s0.npz.partial").write_bytes(b"half")  # ended while it wrote
     hanging = job(duo, 0, tmp_path / "s0.npz", {END: "freeze"})
-    with closing(run_jobs([hanging, job(duo, 1)], 1, timeout=3.0)) as listed:
-        found = {result.run: result for result in listed}
+    listed = results(run_jobs([hanging, job(duo, 1)], 1, timeout=3.0))
+    found = {result.run: result for result in listed}
     assert found["s0"].reason.startswith("no progress in 3 s")
     assert found["s1"].metrics is not None
     assert list(tmp_path.glob(".*")) == []
@@ -97,10 +101,17 @@ def test_the_start_of_a_worker_does_not_count_as_a_step(duo: Path) -> None:
 
 def test_a_slow_run_that_goes_on_may_take_longer_than_the_limit(duo: Path) -> None:
     slow = job(duo, 0, None, {END: "slow", "duration": 1.2})
-    with closing(run_jobs([slow], 1, timeout=3.0)) as listed:
-        (result,) = listed
+    (result,) = results(run_jobs([slow], 1, timeout=3.0))
     assert result.metrics is not None, result.reason
     assert result.wall > 3.0
+
+
+def test_progress_of_running_runs_is_reported_before_the_first_ends(duo: Path) -> None:
+    slow = job(duo, 0, None, {END: "slow", "duration": 1})
+    with closing(run_jobs([slow, job(duo, 1)], 2)) as found:
+        shares = [item["s0"] for item in found if not isinstance(item, JobResult) and "s0" in item]
+    assert shares == sorted(shares)
+    assert any(0.0 < share < 1.0 for share in shares)
 
 
 def test_runs_do_not_share_process_state(duo: Path) -> None:
@@ -112,8 +123,7 @@ def test_runs_do_not_share_process_state(duo: Path) -> None:
 def test_a_pattern_that_forks_has_one_result(duo: Path) -> None:
     before = set(children(os.getpid()))
     jobs = [job(duo, 0, None, {END: "fork"}), job(duo, 1), job(duo, 2)]
-    with closing(run_jobs(jobs, 1, timeout=20.0)) as listed:
-        found = list(listed)
+    found = results(run_jobs(jobs, 1, timeout=20.0))
     assert [result.run for result in found] == ["s0", "s1", "s2"]
     assert all(result.metrics is not None for result in found), found
     assert set(children(os.getpid())) == before
@@ -129,6 +139,6 @@ def test_closing_ends_all_processes(duo: Path) -> None:
     before = set(children(os.getpid()))
     long = [job(duo, seed, None, {"duration": 3600}) for seed in (1, 2)]
     with closing(run_jobs([job(duo, 0), *long], 2)) as found:
-        assert next(found).run == "s0"
+        assert next(item.run for item in found if isinstance(item, JobResult)) == "s0"
         assert len(set(children(os.getpid())) - before) == 2
     assert set(children(os.getpid())) == before

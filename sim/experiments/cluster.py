@@ -1,0 +1,337 @@
+"""Runs on the workers of a Dask cluster (dask.org).
+
+Each run goes to one thread of one worker, which does it as on one machine: in a process of its own,
+with the same time-outs. The worker keeps nothing: metrics and trace come back with the result. Runs
+of a worker that ends or falls silent are repeated on other workers.
+
+Scheduler and workers need the same software as the client. Each worker tells its own before its
+first run.
+"""
+
+from __future__ import annotations
+
+import queue
+import threading
+import time
+import uuid
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import closing, contextmanager
+from dataclasses import dataclass, replace
+from functools import partial, reduce
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING, Any
+
+from msgspec import structs
+
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.experiments.manifest import (
+    Manifest,
+    joined,
+    plugin_folders,
+    software_conflict,
+)
+from swarmd.sim.experiments.pool import (
+    Job,
+    JobResult,
+    Shares,
+    one_line,
+    remove_partial,
+    run_jobs,
+)
+from swarmd.sim.experiments.provenance import digests_of_folders, made_with
+
+if TYPE_CHECKING:
+    from distributed import Client, Future
+
+MAX_ATTEMPTS = 3
+"""A run whose worker was lost so often has failed: it may be what ends its workers."""
+CONNECT_TIMEOUT = 10.0  # s
+_LOOK_PERIOD = 1.0  # s between two looks at the workers
+_POLL_PERIOD = 0.25  # s
+_MIN_SILENCE = 5.0  # s; workers report to the scheduler every 0.5 s, of a large cluster every 5 s
+
+Note = Callable[[str], None]
+
+
+@dataclass(slots=True)
+class _Worker:
+    """A worker of the cluster: `threads` runs at a time, `seen` by the scheduler.
+
+    `changed`: when `seen` last changed, by this machine's clock. `is_fit`: None until it has told
+    its software.
+    """
+
+    threads: int
+    seen: float
+    changed: float
+    is_fit: bool | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class _Attempt:
+    job: Job
+    worker: str
+    future: Future[Any]
+
+
+@contextmanager
+def connect(
+    address: str, manifest: Manifest, timeout: float, note: Note, at_a_time: int | None = None
+) -> Iterator[Cluster]:
+    """The cluster at the scheduler's address, once its present workers have told their software.
+
+    ConfigError if there is no scheduler, or a worker's software differs from that of the manifest;
+    SwarmError if no worker answers. `note` receives a line about what happens to workers.
+    """
+    from distributed import Client
+
+    try:
+        client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        text = f"--scheduler {address}: {one_line(str(error))}"
+        raise ConfigError(f"{text}; expected the address of a Dask scheduler") from error
+    with client:
+        cluster = Cluster(client, address, manifest, timeout, note, at_a_time)
+        cluster.await_workers()
+        yield cluster
+
+
+class Cluster:
+    """A Dask cluster that does runs. `manifest` names the processors of its workers."""
+
+    def __init__(
+        self,
+        client: Client,
+        address: str,
+        manifest: Manifest,
+        timeout: float,
+        note: Note,
+        at_a_time: int | None,
+    ) -> None:
+        self.manifest = manifest
+        self._client, self._address = client, address
+        self._timeout, self._note, self._at_a_time = timeout, note, at_a_time
+        self._folders = plugin_folders(manifest.plan)
+        self._topic = f"swarmd-{uuid.uuid4().hex}"
+        self._workers: dict[str, _Worker] = {}
+        self._asked: dict[str, str] = {}  # worker by key of the question
+        self._answers: queue.Queue[tuple[str, Any]] = queue.Queue()
+        self._shares: dict[str, float] = {}
+        self._next_look = 0.0
+        self._refusal = ""
+        self._is_open = False
+        self._software: list[Manifest] = []  # of the workers that are fit
+        client.subscribe_topic(self._topic, lambda event: self._shares.update(event[1]))
+
+    def await_workers(self) -> None:
+        """Return once a worker is fit and all others have told their software, or are silent.
+
+        ConfigError if a worker's software differs.
+        """
+        deadline = time.monotonic() + self._timeout
+        while time.monotonic() < deadline:
+            self._look()
+            if self._workers and all(worker.is_fit for worker in self._workers.values()):
+                break
+            self._receive()
+            if self._refusal:
+                raise ConfigError(f"{self._refusal}; install the same software there")
+        if not self._software:
+            text = (
+                f"{len(self._workers)} workers, and none answers" if self._workers else "no worker"
+            )
+            raise SwarmError(f"the cluster at {self._address} has {text}; start some: dask worker")
+        # This machine runs nothing: the processors are those of the workers.
+        manifest = reduce(joined, self._software)
+        self.manifest = structs.replace(self.manifest, made_with=manifest.made_with)
+        self._is_open = True
+
+    def run_jobs(self, jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
+        """The result of each job as it arrives, and meanwhile their progress.
+
+        SwarmError if scheduler or workers are gone. Closing it cancels what is in progress.
+        """
+        waiting, attempts = deque(jobs), Counter[str]()
+        runs: dict[str, _Attempt] = {}
+        usable = time.monotonic()
+        try:
+            while waiting or runs:
+                self._look()
+                now = time.monotonic()
+                for key, attempt in [*runs.items()]:
+                    if not self._is_alive(attempt.worker, now):
+                        yield from self._repeat(runs.pop(key), waiting, attempts)
+                free = self._free(runs, now)
+                usable = now if runs or free else usable
+                if now > usable + self._timeout:
+                    raise SwarmError(
+                        f"the cluster at {self._address} has no worker left; finished runs are"
+                        " kept: start workers and give the same command again"
+                    )
+                for worker in free:
+                    if waiting:
+                        job = waiting.popleft()
+                        call = partial(_perform, job, self._timeout, self._topic)
+                        key, future = self._submit(call, worker)
+                        runs[key] = _Attempt(job, worker, future)
+                ids = {attempt.job.run for attempt in runs.values()}
+                yield {run: share for run, share in [*self._shares.items()] if run in ids}
+                key, answer = self._receive()
+                if key in runs:
+                    attempt = runs.pop(key)
+                    if isinstance(answer, BaseException):
+                        self._note(f"worker {attempt.worker}: {one_line(str(answer))}")
+                        yield from self._repeat(attempt, waiting, attempts)
+                    else:
+                        yield _kept(attempt.job, *answer)
+        finally:
+            if self._client.status == "running":
+                self._client.cancel([attempt.future for attempt in runs.values()])
+
+    def _repeat(
+        self, attempt: _Attempt, waiting: deque[Job], attempts: Counter[str]
+    ) -> Iterator[JobResult]:
+        """Put the run of a lost worker in front again; its failure if that happens too often."""
+        attempt.future.cancel()
+        run = attempt.job.run
+        attempts[run] += 1
+        self._shares.pop(run, None)
+        if attempts[run] < MAX_ATTEMPTS:
+            self._note(f"worker {attempt.worker} is lost; run {run} is repeated")
+            waiting.appendleft(attempt.job)
+        else:
+            reason = f"lost with its worker {MAX_ATTEMPTS} times, the last was {attempt.worker}"
+            yield JobResult(run, reason=reason)
+
+    def _look(self) -> None:
+        """Update what is known of the workers, once a second; ask new ones for their software."""
+        now = time.monotonic()
+        if now < self._next_look:
+            return
+        self._next_look = now + _LOOK_PERIOD
+        try:
+            listed = self._client.scheduler_info(n_workers=-1)["workers"]
+        except (OSError, RuntimeError, KeyError) as error:
+            raise SwarmError(
+                f"the scheduler at {self._address} is gone; finished runs are kept: start it and"
+                " give the same command again"
+            ) from error
+        for name in [name for name in self._workers if name not in listed]:
+            del self._workers[name]
+        for name, about in listed.items():
+            worker = self._workers.get(name)
+            if worker is None:
+                self._workers[name] = _Worker(about["nthreads"], about["last_seen"], now)
+                key, _ = self._submit(partial(_software, self._folders), name)
+                self._asked[key] = name
+            elif worker.seen != about["last_seen"]:
+                worker.seen, worker.changed = about["last_seen"], now
+
+    def _is_alive(self, name: str, now: float) -> bool:
+        worker = self._workers.get(name)
+        return worker is not None and now - worker.changed < max(self._timeout, _MIN_SILENCE)
+
+    def _free(self, runs: dict[str, _Attempt], now: float) -> list[str]:
+        """Workers that can take a run, once for each free thread; those with least to do first."""
+        busy = Counter(attempt.worker for attempt in runs.values())
+        slots = [
+            (number, name)
+            for name, worker in self._workers.items()
+            if worker.is_fit and self._is_alive(name, now)
+            for number in range(busy[name], worker.threads)
+        ]
+        limit = len(slots) if self._at_a_time is None else max(self._at_a_time - len(runs), 0)
+        return [name for _, name in sorted(slots)[:limit]]
+
+    def _submit(self, call: Callable[[], object], worker: str) -> tuple[str, Future[Any]]:
+        """Let one worker call something; its key, with which the answer arrives."""
+        key = f"swarmd-{uuid.uuid4().hex}"
+        future = self._client.submit(call, key=key, workers=[worker], pure=False)
+
+        def fetch() -> None:  # it may wait for ever, if the worker is silent
+            try:
+                answer: Any = future.result()
+            except BaseException as error:
+                answer = error
+            self._answers.put((key, answer))
+
+        threading.Thread(target=fetch, daemon=True).start()
+        return key, future
+
+    def _receive(self) -> tuple[str, Any]:
+        """An answer and its key, empty if none came; answers about software are used here."""
+        try:
+            key, answer = self._answers.get(timeout=_POLL_PERIOD)
+        except queue.Empty:
+            return "", None
+        name = self._asked.pop(key, None)
+        worker = self._workers.get(name or "")
+        if name is None or worker is None:
+            return key, answer
+        difference = self._difference(answer)
+        worker.is_fit = difference is None
+        if difference is not None:
+            self._refusal = f"worker {name} is not used: {difference}"
+            if self._is_open:
+                self._note(self._refusal)
+        return "", None
+
+    def _difference(self, answer: Any) -> str | None:
+        """Why a worker with this software, or error instead, cannot be used; None if it can."""
+        if isinstance(answer, BaseException):
+            return one_line(f"{type(answer).__name__}: {answer}")
+        made, plugins = answer
+        theirs = structs.replace(self.manifest, made_with=made, plugins=plugins)
+        difference = software_conflict(self.manifest, theirs)
+        if difference is None and self._is_open and joined(self.manifest, theirs) != self.manifest:
+            difference = "its processor is none of those that the manifest names"
+        if difference is None:
+            self._software.append(theirs)
+        return difference
+
+
+def _software(folders: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
+    """What a worker runs with: versions, and the digests of plugins."""
+    return made_with(), digests_of_folders(folders)
+
+
+def _perform(job: Job, timeout: float, topic: str) -> tuple[JobResult, bytes | None]:
+    """Do a job on a worker: its result, and its trace as a file's bytes.
+
+    RuntimeError if it was cancelled.
+    """
+    from distributed import get_worker
+
+    worker = get_worker()
+    key = worker.get_current_task()
+    # Dask removes this folder also after a crash.
+    with TemporaryDirectory(prefix="swarmd-", dir=worker.local_directory) as place:
+        trace = None if job.trace is None else Path(place) / "trace.npz"
+        with closing(run_jobs([replace(job, trace=trace)], 1, timeout)) as found:
+            for item in found:
+                if isinstance(item, JobResult):
+                    if item.write_error:
+                        return replace(item, reason=item.write_error, write_error=""), None
+                    has_trace = item.metrics is not None and trace is not None
+                    return item, trace.read_bytes() if has_trace and trace else None
+                task = worker.state.tasks.get(key)
+                if task is None or task.state != "executing":
+                    break  # the client has cancelled it, or is gone
+                worker.log_event(topic, dict(item))
+    raise RuntimeError("cancelled")
+
+
+def _kept(job: Job, result: JobResult, trace: bytes | None) -> JobResult:
+    """The result, with its trace written where the job wants it."""
+    if job.trace is None or trace is None:
+        return result
+    partial_file = job.trace.with_name(f".{job.trace.name}.partial")
+    try:
+        partial_file.write_bytes(trace)
+        partial_file.replace(job.trace)
+    except OSError as error:
+        remove_partial(job.trace)
+        return JobResult(job.run, write_error=f"{job.trace.parent}: {error.strerror or error}")
+    return result

@@ -1,0 +1,48 @@
+"""How many processes this machine lets a program use."""
+
+from __future__ import annotations
+
+import math
+import os
+from contextlib import suppress
+from pathlib import Path
+
+MAX_PROCESSES = 256
+
+
+def usable_cores(root: Path = Path("/")) -> int:
+    """The cores that this process may use, at least 1.
+
+    Those of its affinity mask, or fewer where a control group has a quota (cgroup v1 and v2); a
+    fraction of a core counts as one. `root` is the root of /proc and /sys.
+    """
+    quotas = [_quota(folder) for folder in _groups(root)]
+    limits = [math.ceil(quota) for quota in quotas if quota < math.inf]
+    return max(1, min(len(os.sched_getaffinity(0)), *limits, MAX_PROCESSES))
+
+
+def _groups(root: Path) -> list[Path]:
+    """The folders of the control groups of this process, and of all groups around them."""
+    base, found = root / "sys/fs/cgroup", []
+    with suppress(OSError):
+        for line in (root / "proc/self/cgroup").read_text().splitlines():
+            _, controllers, path = line.split(":", 2)
+            if controllers and "cpu" not in controllers.split(","):
+                continue
+            folder = (base / controllers if controllers else base) / path.strip("/")
+            # A container sees its own group as the root, whatever its path outside is.
+            found += [folder, *folder.parents[: len(folder.relative_to(base).parts)]]
+    return found
+
+
+def _quota(folder: Path) -> float:
+    """The cores that a control group may use; infinite without a quota."""
+    with suppress(OSError, ValueError, IndexError, ZeroDivisionError):
+        limit, period = (folder / "cpu.max").read_text().split()  # v2: "max 100000"
+        return float(limit) / float(period)
+    with suppress(OSError, ValueError, ZeroDivisionError):
+        limit, period = (
+            (folder / f"cpu.cfs_{name}_us").read_text() for name in ("quota", "period")
+        )
+        return float(limit) / float(period) if float(limit) > 0 else math.inf
+    return math.inf

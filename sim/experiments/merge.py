@@ -1,0 +1,138 @@
+"""Join the parts of an experiment that several machines have run into one folder."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+from msgspec import structs
+
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.experiments.manifest import Manifest, differences, joined, read_manifest
+from swarmd.sim.experiments.plan import Run
+from swarmd.sim.experiments.results import Results, load_results
+from swarmd.sim.experiments.store import Row, open_store, read_failures, read_table, trace_path
+
+_NAMED = 10  # runs that a message lists
+
+
+def merge(folders: Sequence[Path], out: Path) -> tuple[Results, list[str]]:
+    """Join parts in the folder `out`: its results, and a line for each part that lacks runs.
+
+    The folder is the one that a single machine makes, up to the durations of runs. Parts may
+    overlap, and `out` may hold parts already. ConfigError, with nothing changed, if they are not of
+    one experiment and software, if they have different results of a run, or lack a trace.
+    Processors may differ: the manifest then names them all.
+    """
+    if out.resolve() in [folder.resolve() for folder in folders]:
+        raise ConfigError(f"--out {out} is one of the parts; name another folder")
+    parts = {folder: read_manifest(folder) for folder in folders}
+    whole = _whole(parts, out)
+    rows: dict[str, tuple[Row, Path]] = {}
+    tables = {folder: read_table(folder, part.plan) for folder, part in parts.items()}
+    if (out / "manifest.json").exists():
+        tables[out] = read_table(out, read_manifest(out).plan)
+    for folder, (_, found) in tables.items():
+        for name, row in found.items():
+            known, place = rows.setdefault(name, (row, folder))
+            _check_same(known, place, row, folder, has_traces=whole.traces)
+    for (one, (metrics, _)), (other, (others, _)) in pairwise(tables.items()):
+        if metrics != others:
+            raise ConfigError(
+                f"{one} and {other}: their metrics differ; merge parts of one version"
+            )
+    failures = {run: why for folder in parts for run, why in read_failures(folder).items()}
+    with open_store(out, whole, metrics=next(iter(tables.values()))[0]) as store:
+        for run in store.missing:
+            if run.id in rows:
+                row, place = rows[run.id]
+                if (trace := store.trace_of(run)) is not None:
+                    _copy(trace_path(place, run), trace)
+                store.add(run, row.metrics, row.wall)
+            elif run.id in failures:
+                store.fail(run, failures[run.id])
+        results = load_results(out)
+        store.close(results.document())
+        return results, _lacking(parts, store.missing)
+
+
+def _whole(parts: dict[Path, Manifest], out: Path) -> Manifest:
+    """The manifest of all parts together; ConfigError if they do not belong together."""
+    (first, whole), *others = parts.items()
+    whole = structs.replace(whole, shard=None, command=_command(whole.command, out))
+    for folder, part in others:
+        whole = joined(whole, part)
+        alike = structs.replace(part, shard=None, made_with=joined(part, whole).made_with)
+        difference = next(differences(whole, alike), None)
+        if difference is not None:
+            raise ConfigError(f"{first} and {folder} are not of one experiment: {difference}")
+    return whole
+
+
+def _command(command: Sequence[str], out: Path) -> list[str]:
+    """The command without its part, for the joined folder."""
+    kept = [
+        word
+        for before, word in pairwise(["", *command])
+        if not {before, word} & {"--shard", "--out"}
+    ]
+    return [*kept, "--out", str(out)] if kept else []
+
+
+def _check_same(known: Row, place: Path, row: Row, folder: Path, *, has_traces: bool) -> None:
+    """ConfigError if two parts differ in a run (but for its duration), or a trace is missing."""
+    try:
+        is_same = known.metrics == row.metrics
+        if has_traces:
+            traces = [trace_path(where, row.run) for where in (place, folder)]
+            traces[1].stat()
+            is_same = is_same and (
+                place == folder or traces[0].read_bytes() == traces[1].read_bytes()
+            )
+    except OSError as error:
+        text = f"{error.filename}: the trace of a finished run cannot be read: {error.strerror}"
+        raise ConfigError(f"{text}; restore it, or remove the run's line from runs.csv") from error
+    if not is_same:
+        text = f"{place} and {folder}: their results of run {row.run.id} differ"
+        raise ConfigError(f"{text}; leave one of them out")
+
+
+def _copy(source: Path, target: Path) -> None:
+    """Copy a trace, which appears whole or not at all; SwarmError if it cannot be written."""
+    partial = target.with_name(f".{target.name}.partial")
+    try:
+        shutil.copyfile(source, partial)
+        partial.replace(target)
+    except OSError as error:
+        partial.unlink(missing_ok=True)
+        text = f"{target.parent}: {error.strerror or error}; merged runs are kept"
+        raise SwarmError(f"{text}: mend it and give the same command again") from error
+
+
+def _lacking(parts: dict[Path, Manifest], missing: Sequence[Run]) -> list[str]:
+    """A line for each part that lacks runs, and one for those that no part was to have."""
+    left = {run.id for run in missing}
+    lines, planned = [], set[str]()
+    for folder, part in parts.items():
+        own = [run.id for run in part.plan.runs]
+        lost = [run for run in own if run in left]
+        planned |= set(own)
+        if lost:
+            what = f"{folder}, part {part.shard}" if part.shard else str(folder)
+            lines.append(f"{what}: {len(lost)} of {len(own)} runs are missing: {_listed(lost)}")
+    nowhere = [run.id for run in missing if run.id not in planned]
+    if nowhere:
+        shards = [part.shard for part in parts.values()]
+        counts = {shard.of if shard else 1 for shard in shards}
+        have = {shard.part for shard in shards if shard}
+        absent = [f"{part}/{of}" for of in counts for part in range(1, of + 1) if part not in have]
+        what = f"part {_listed(absent)}" if len(counts) == 1 else "some runs"
+        lines.append(f"no folder has {what}: {len(nowhere)} runs are missing: {_listed(nowhere)}")
+    return lines
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return f"{', '.join(names[:_NAMED])}{more}"
