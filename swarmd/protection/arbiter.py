@@ -15,7 +15,7 @@ from msgspec.structs import replace
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Platform, Scan, TouchZone, Twist
-from swarmd.protection.barrier import Barrier
+from swarmd.protection.compiled_barrier import make_barrier
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, ModeDecision, Permit
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import Off, PotentialField, StopZone
@@ -48,7 +48,7 @@ class Arbiter(Protocol):
 
 MODES: Mapping[str, Callable[[Platform], Arbiter]] = MappingProxyType(
     {
-        "barrier": Barrier,
+        "barrier": make_barrier,
         "potential_field": PotentialField,
         "stop_zone": StopZone,
         "off": Off,

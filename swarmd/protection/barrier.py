@@ -26,7 +26,9 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import ZERO, Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
 from swarmd.protection.blind_zone import BlindZoneMemory
 from swarmd.protection.constraints import (
+    CREEP_SPEED,
     LIMIT_BOX,
+    MIN_BRAKING,
     BindingRange,
     Constraints,
     concatenated,
@@ -55,10 +57,6 @@ from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.stopping import StopCheck
 
-CREEP_SPEED = 0.015
-"""m/s: the fastest corner in contact, where part of the obstacle may be unseen."""
-
-_MIN_BRAKING = 0.02  # m/s2, for constraints that hardly any motion closes
 _AGE_TOLERANCE = 1e-6  # s, for the rounding of ages
 _MAX_ENVELOPES = 8  # kept at a time: a holonomic base moves in any direction
 
@@ -323,7 +321,7 @@ class Barrier:
         """(k,) m/s2: the rate at which the closing speeds of constraints (k,) can fall."""
         braking: Array = np.abs(linear) * self._settings.braking_linear
         braking += np.abs(lever) * self._settings.braking_angular
-        np.maximum(braking, _MIN_BRAKING, out=braking)
+        np.maximum(braking, MIN_BRAKING, out=braking)
         return braking
 
     def _caps(self, room: Array, braking: Array, unseen: float) -> Array:
@@ -391,18 +389,17 @@ class Barrier:
         shown = np.flatnonzero((scan.ranges <= within) & (scan.ranges > -np.inf))
         points = geometry.points_of_rays(scan, shown)
         gaps = self._outline.gaps(points)
-        bearings = scan.bearings[scan.ranges == -np.inf]
+        rays = geometry.directions(scan)[scan.ranges == -np.inf]
         if self._memory is not None and len(self._memory.bearings):
             touching, hidden = self._remembered(self._memory)
-            bearings = np.concatenate((bearings, touching))
+            rays = np.concatenate((rays, touching))
             points = np.concatenate((points, hidden))
             gaps = np.concatenate((gaps, self._outline.gaps(hidden)))
-        is_near = bool(len(bearings)) or float(gaps.min(initial=np.inf)) <= self._within
-        order = np.argsort(gaps)[: np.count_nonzero(gaps <= self._furthest)]
+        is_near = bool(len(rays)) or float(gaps.min(initial=np.inf)) <= self._within
+        order = np.argsort(gaps, kind="stable")[: np.count_nonzero(gaps <= self._furthest)]
         gaps, (x, y) = gaps.take(order), points.take(order, axis=0).T
-        if not len(bearings):
+        if not len(rays):
             return _NearObstacles(x, y, gaps, _NO_RAYS, is_near)
-        rays = np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
         depths = self._outline.along_rays(self._offset, rays)
         contacts = (self._offset + depths[:, None] * rays).T
         x, y = np.concatenate((contacts[0], x)), np.concatenate((contacts[1], y))
@@ -410,12 +407,12 @@ class Barrier:
         return _NearObstacles(x, y, gaps, rays, is_near)
 
     def _remembered(self, memory: BlindZoneMemory) -> tuple[Array, Array]:
-        """Bearings (k,) of hidden obstacles that may touch the robot, points (m, 2) of others."""
+        """Rays (k, 2) to hidden obstacles that may touch the robot, points (m, 2) of others."""
         rays = np.stack((np.cos(memory.bearings), np.sin(memory.bearings)), axis=1)
         outline = self._outline.along_rays(self._offset, rays)
         is_beyond = memory.nearest > outline
         points = self._offset + memory.nearest[is_beyond, None] * rays[is_beyond]
-        return memory.bearings[~is_beyond], points
+        return rays[~is_beyond], points
 
     def _hidden_gap(self, spec: ScanSpec) -> float:
         """m from the outline within which an obstacle may be that touches the robot unseen."""

@@ -28,8 +28,15 @@ MAX_REPORTED = 4
 LIMIT_BOX: tuple[Point, ...] = ((1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
 """All twists within the limits, as a polygon of (linear, angular) over their limits."""
 
-_DIRECTIONS = 48  # of the envelope, every 7.5 degrees: the corners of the box are among them
-_SIDE_ANGLE = math.radians(60.0)  # between a return and its two side constraints
+CREEP_SPEED = 0.015
+"""m/s: the fastest corner in contact, where part of the obstacle may be unseen."""
+
+MIN_BRAKING = 0.02
+"""m/s2, for constraints that hardly any motion closes."""
+
+SIDE_ANGLE = math.radians(60.0)
+"""rad between a return and its two side constraints."""
+
 _TOUCH_STEP = math.radians(15.0)  # directions between two of these are at most 1 % faster
 _SAME_FACE = 1e-9  # m by which corners of one face may differ
 
@@ -43,6 +50,17 @@ class Constraints(NamedTuple):
     x: Array
     y: Array
     gaps: Array
+
+
+def _envelope_directions() -> Array:
+    angles = 2.0 * np.pi * np.arange(48) / 48
+    directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    directions /= np.abs(directions).max(axis=1)[:, None]
+    return directions
+
+
+ENVELOPE_DIRECTIONS = _envelope_directions()
+"""(48, 2) directions of the envelope, on the box of the limits, whose corners are among them."""
 
 
 def concatenated(one: Constraints, other: Constraints) -> Constraints:
@@ -125,7 +143,10 @@ def reciprocal_caps(room: Array, braking: Array, unseen: float, tick: float) -> 
 
 
 class BindingRange:
-    """Gaps in m beyond which no obstacle constrains the robot; farther returns are ignored."""
+    """Gaps in m beyond which no obstacle constrains the robot; farther returns are ignored.
+
+    `fastest` m/s is the highest speed of the robot's surface, `fresh` m the gap for it at age 0.
+    """
 
     def __init__(self, platform: Platform, settings: BarrierSettings, tick: float) -> None:
         """The next decision comes after `tick` s."""
@@ -133,8 +154,8 @@ class BindingRange:
         self._outer = float(np.hypot(*platform.footprint.T).max())
         own = max(self._limits.linear, self._limits.lateral)
         # Far from obstacles the envelope does not apply, so the own limit may be the higher one.
-        self._fastest = max(settings.surface_speed or settings.others_speed, own)
-        self._fresh = self.for_fresh_scan(self._fastest)
+        self.fastest = max(settings.surface_speed or settings.others_speed, own)
+        self.fresh = self.for_fresh_scan(self.fastest)
 
     def for_fresh_scan(self, speed: float) -> float:
         """The gap for a scan of age 0 and a surface of the robot that moves at `speed` m/s."""
@@ -147,8 +168,8 @@ class BindingRange:
 
     def for_scan_age(self, age: float) -> float:
         """The gap for a scan of that age in s: robot and obstacle may have approached since."""
-        settings, speed = self._settings, self._fastest
-        gap = self._fresh + (settings.others_speed + speed) * age
+        settings, speed = self._settings, self.fastest
+        gap = self.fresh + (settings.others_speed + speed) * age
         if settings.keep_out is None:
             return gap
         half = speed * (2.0 * self._tick + age + 0.5 * speed / settings.braking_linear)
@@ -164,15 +185,12 @@ def envelope(corners: Array, along: Point, limits: Point, speed: float) -> tuple
     linear motion, `limits` in m/s and rad/s, `speed` in m/s. The polygon is an inner approximation
     of a convex set; its vertices are exact.
     """
-    angles = 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
-    directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
-    directions /= np.abs(directions).max(axis=1)[:, None]  # on the box of the limits
-    linear, angular = (directions * limits).T[:, :, None]
+    linear, angular = (ENVELOPE_DIRECTIONS * limits).T[:, :, None]
     x = linear * along[0] - angular * corners[:, 1]
     y = linear * along[1] + angular * corners[:, 0]
     fastest = np.hypot(x, y).max(axis=1)
     shares = np.minimum(1.0, speed / np.maximum(fastest, 1e-12))
-    return tuple((float(a), float(b)) for a, b in directions * shares[:, None])
+    return tuple((float(a), float(b)) for a, b in ENVELOPE_DIRECTIONS * shares[:, None])
 
 
 def half_planes(polygon: Sequence[Point]) -> tuple[Array, Array]:
@@ -181,7 +199,7 @@ def half_planes(polygon: Sequence[Point]) -> tuple[Array, Array]:
     edges = np.roll(corners, -1, axis=0) - corners
     normals = np.stack((edges[:, 1], -edges[:, 0]), axis=1)
     normals /= np.hypot(normals[:, 0], normals[:, 1])[:, None]
-    return normals, np.einsum("ka,ka->k", normals, corners)
+    return normals, normals[:, 0] * corners[:, 0] + normals[:, 1] * corners[:, 1]
 
 
 def side_constraints(
@@ -206,8 +224,8 @@ def side_constraints(
         np.concatenate((part[near], part[near]))
         for part in (rows.x, rows.y, rows.gaps, separations.nx, separations.ny)
     )
-    sin = np.repeat((math.sin(_SIDE_ANGLE), -math.sin(_SIDE_ANGLE)), len(near))
-    ax, ay = math.cos(_SIDE_ANGLE) * nx - sin * ny, sin * nx + math.cos(_SIDE_ANGLE) * ny
+    sin = np.repeat((math.sin(SIDE_ANGLE), -math.sin(SIDE_ANGLE)), len(near))
+    ax, ay = math.cos(SIDE_ANGLE) * nx - sin * ny, sin * nx + math.cos(SIDE_ANGLE) * ny
     foremost = corners[(corners[:, :1] * ax + corners[:, 1:] * ay).argmax(axis=0)]
     lever = foremost[:, 0] * ay - foremost[:, 1] * ax
     caps = np.maximum(rest[near], creep)
@@ -217,8 +235,10 @@ def side_constraints(
 
 def in_touch_zone(separations: Separations, zone: TouchZone) -> NDArray[np.bool_]:
     """(k,) true for points whose direction from the outline lies in the sector of the zone."""
-    off = np.arctan2(separations.ny, separations.nx) - zone.bearing
-    found: NDArray[np.bool_] = np.abs((off + np.pi) % (2.0 * np.pi) - np.pi) <= zone.half_width
+    cos, sin = math.cos(zone.bearing), math.sin(zone.bearing)
+    found: NDArray[np.bool_] = separations.nx * cos + separations.ny * sin >= math.cos(
+        zone.half_width
+    )
     return found
 
 

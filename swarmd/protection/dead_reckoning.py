@@ -14,7 +14,8 @@ REACTION_TIME = 0.05
 MAX_EXTRAPOLATION = 0.15
 """Seconds for which the last measured twist is extrapolated: three odometry periods."""
 
-_HISTORY = 40  # readings
+HISTORY = 40
+"""Readings that are kept."""
 
 
 class DeadReckoning:
@@ -26,7 +27,7 @@ class DeadReckoning:
     def __init__(self, braking_linear: float, braking_angular: float) -> None:
         """The base changes its speeds at least at these rates, in m/s2 and rad/s2."""
         self._braking = braking_linear, braking_angular
-        self._readings: deque[Odometry] = deque(maxlen=_HISTORY)
+        self._readings: deque[Odometry] = deque(maxlen=HISTORY)
         self.clock_resets = 0
 
     def update(self, context: DecisionContext) -> None:

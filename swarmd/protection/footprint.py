@@ -41,38 +41,45 @@ class ScanGeometry:
         is_seen = scan.ranges < np.inf if within == np.inf else scan.ranges <= within
         return self.points_of_rays(scan, np.flatnonzero(is_seen))
 
-    def points_of_rays(self, scan: Scan, rays: NDArray[np.intp]) -> Array:
-        """(k, 2) points of the rays with these indices (k,), which all have a return."""
+    def directions(self, scan: Scan) -> Array:
+        """(n, 2) unit vectors of the rays; the same array for the same bearings."""
         if scan.bearings is not self._bearings:  # most sensors keep theirs
             self._bearings = scan.bearings
             self._directions = np.stack((np.cos(scan.bearings), np.sin(scan.bearings)), axis=1)
+        return self._directions
+
+    def points_of_rays(self, scan: Scan, rays: NDArray[np.intp]) -> Array:
+        """(k, 2) points of the rays with these indices (k,), which all have a return."""
         distances = np.maximum(scan.ranges[rays], scan.range_min)
-        return self._offset + distances[:, None] * self._directions[rays]
+        return self._offset + distances[:, None] * self.directions(scan)[rays]
 
 
 class Footprint:
-    """A convex polygon (k, 2), counter-clockwise, in the base frame in m."""
+    """A convex polygon (k, 2), counter-clockwise, in the base frame in m.
+
+    `axes` (2k, 2) are the directions of its edges and then their outward normals, `origins` (2k,)
+    the coordinates of the start of each edge along them, `lengths` (k,) those of the edges in m.
+    """
 
     def __init__(self, corners: Array) -> None:
         self.corners = np.asarray(corners, dtype=np.float64)
         edges = np.roll(self.corners, -1, axis=0) - self.corners
-        self._lengths = np.maximum(np.hypot(edges[:, 0], edges[:, 1]), 1e-12)
-        along = edges / self._lengths[:, None]
+        self.lengths = np.maximum(np.hypot(edges[:, 0], edges[:, 1]), 1e-12)
+        along = edges / self.lengths[:, None]
         outward = np.stack((along[:, 1], -along[:, 0]), axis=1)
-        # One product gives a point's coordinate along each edge and its height above it, in m.
-        self._axes = np.concatenate((along, outward))
-        self._origins = np.einsum("ka,ka->k", self._axes, np.tile(self.corners, (2, 1)))[:, None]
+        # Less the origins, a point's coordinate along each edge and its height above it, in m.
+        self.axes = np.concatenate((along, outward))
+        starts = np.tile(self.corners, (2, 1))
+        self.origins = self.axes[:, 0] * starts[:, 0] + self.axes[:, 1] * starts[:, 1]
         self._outward = outward
         self._edges = np.concatenate((along.T, self.corners.T))
         self._known: dict[tuple[float, float], tuple[float, float]] = {}
 
     def gaps(self, points: Array) -> Array:
         """(n,) distances in m from the outline to points (n, 2); 0 for points inside."""
-        k = len(self._lengths)
         # Edges along the first axis: numpy reduces along a short last one three times as slowly.
-        placed = self._axes.dot(points.T) - self._origins
-        along, above = placed[:k], placed[k:]
-        beyond = along - np.minimum(np.maximum(along, 0.0), self._lengths[:, None])
+        along, above = self._placed(points[:, 0], points[:, 1])
+        beyond = along - np.minimum(np.maximum(along, 0.0), self.lengths[:, None])
         squares = (beyond * beyond + above * above).min(axis=0)
         squares[above.max(axis=0) <= 0.0] = 0.0
         distances: Array = np.sqrt(squares)
@@ -80,16 +87,13 @@ class Footprint:
 
     def separations(self, x: Array, y: Array) -> Separations:
         """The separations of points at `x`, `y` (n,) from the outline."""
-        k, n = len(self._lengths), len(x)
-        placed = self._axes.dot(np.array((x, y)))
-        placed -= self._origins
-        along, above = placed[:k], placed[k:]
-        on = np.minimum(np.maximum(along, 0.0), self._lengths[:, None])
+        along, above = self._placed(x, y)
+        on = np.minimum(np.maximum(along, 0.0), self.lengths[:, None])
         beyond = along - on
         squares = beyond * beyond
         squares += above * above
         edge = squares.argmin(axis=0)
-        cell = edge * n + np.arange(n)
+        cell = edge * len(x) + np.arange(len(x))
         gap = np.sqrt(squares.take(cell))
         gap[above.max(axis=0) <= 0.0] = 0.0
         far, high = beyond.take(cell), above.take(cell)
@@ -106,10 +110,21 @@ class Footprint:
         lever = (start_x + share * along_x) * ny - (start_y + share * along_y) * nx
         return Separations(gap, nx, ny, lever)
 
+    def _placed(self, x: Array, y: Array) -> tuple[Array, Array]:
+        """Coordinates (k, n) of points along each edge, and above it.
+
+        No matrix product: some machines fuse its operations, and some do not.
+        """
+        placed = self.axes[:, :1] * x
+        placed += self.axes[:, 1:] * y
+        placed -= self.origins[:, None]
+        return placed[: len(self.lengths)], placed[len(self.lengths) :]
+
     def along_rays(self, place: tuple[float, float], directions: Array) -> Array:
         """(n,) m from an inner point to the outline along `directions` (n, 2); 0 from outside."""
-        heights = self._origins[len(self._lengths) :, 0] - self._outward.dot(np.array(place))
-        approach = directions.dot(self._outward.T)
+        nx, ny = self._outward.T
+        heights = self.origins[len(nx) :] - (nx * place[0] + ny * place[1])
+        approach = directions[:, :1] * nx + directions[:, 1:] * ny
         with np.errstate(divide="ignore"):
             ways = np.where(approach > 1e-12, heights / approach, np.inf)
         distances: Array = np.maximum(ways.min(axis=1), 0.0)
@@ -147,7 +162,7 @@ class Footprint:
         """
         if place not in self._known:
             at = np.array(place)
-            inner = -float((self._outward.dot(at) - self._origins[len(self._lengths) :, 0]).max())
+            inner = -float((self._outward.dot(at) - self.origins[len(self.lengths) :]).max())
             if inner < 0.0:
                 inner = -float(self.gaps(at[None])[0])
             self._known[place] = inner, float(np.hypot(*(self.corners - at).T).max())

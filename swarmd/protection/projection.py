@@ -19,6 +19,9 @@ Point = tuple[float, float]
 TOLERANCE = 1e-12
 """By how much rounding may violate a constraint."""
 
+BINDING_TOLERANCE = 1e-9
+"""How near a constraint that counts as tight is to the point."""
+
 
 def nearest_feasible(
     requested: Point, polygon: Sequence[Point], normals: Array, caps: Array
@@ -32,7 +35,7 @@ def nearest_feasible(
     """
     point = nearest(polygon, requested)
     for _ in range(len(caps)):
-        excess = normals @ point - caps
+        excess = _excess(point, normals, caps)
         worst = int(excess.argmax())
         if excess[worst] <= TOLERANCE:
             break
@@ -41,8 +44,14 @@ def nearest_feasible(
         point = nearest(polygon, requested)
     if not len(caps):
         return point, []
-    tight = np.flatnonzero(normals @ point - caps >= -1e-9)
+    tight = np.flatnonzero(_excess(point, normals, caps) >= -BINDING_TOLERANCE)
     return point, tight.tolist()
+
+
+def _excess(point: Point, normals: Array, caps: Array) -> Array:
+    """(k,) by how much a point violates each constraint."""
+    excess: Array = normals[:, 0] * point[0] + normals[:, 1] * point[1] - caps
+    return excess
 
 
 def clipped(polygon: Sequence[Point], a: float, b: float, cap: float) -> list[Point]:
@@ -78,9 +87,9 @@ def nearest(polygon: Sequence[Point], requested: Point) -> Point:
         square = dx * dx + dy * dy
         share = (px * dx + py * dy) / square if square > 0.0 else 0.0
         share = min(max(share, 0.0), 1.0)
-        on = (x0 + share * dx, y0 + share * dy)
-        away = (x - on[0]) ** 2 + (y - on[1]) ** 2
+        on_x, on_y = x0 + share * dx, y0 + share * dy
+        away = (x - on_x) * (x - on_x) + (y - on_y) * (y - on_y)
         if away < best_square:
-            best, best_square = on, away
+            best, best_square = (on_x, on_y), away
         x0, y0 = x1, y1
     return requested if is_inside or best_square <= TOLERANCE * TOLERANCE else best

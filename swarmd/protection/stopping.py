@@ -19,7 +19,7 @@ NEGLIGIBLE_SPEED = 0.015
 
 _STEPS = 4  # poses of a simulated stop
 _GRID = (1.0, 0.75, 0.5, 0.25, 0.0)
-_SPEED_SHARES = np.array(
+SPEED_SHARES = np.array(
     sorted(
         ((a, b) for a in _GRID for b in _GRID if (a, b) != (1.0, 1.0)),
         key=lambda share: (1.0 - share[0]) ** 2 + (1.0 - share[1]) ** 2,
@@ -50,8 +50,8 @@ class StopCheck:
         """
         if self._is_clear(speeds[None], along, points, gaps, free)[0]:
             return speeds
-        for first in range(0, len(_SPEED_SHARES), _BATCH_SIZE):  # mostly one of the first is clear
-            candidates: Array = _SPEED_SHARES[first : first + _BATCH_SIZE] * speeds
+        for first in range(0, len(SPEED_SHARES), _BATCH_SIZE):  # mostly one of the first is clear
+            candidates: Array = SPEED_SHARES[first : first + _BATCH_SIZE] * speeds
             found = np.flatnonzero(self._is_clear(candidates, along, points, gaps, free))
             if len(found):
                 chosen: Array = candidates[found[0]]

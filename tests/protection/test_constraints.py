@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from swarmd.core.clock import TICK
 from swarmd.core.values import Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
-from swarmd.protection.barrier import CREEP_SPEED, Barrier
+from swarmd.protection.barrier import Barrier
 from swarmd.protection.constraints import (
+    CREEP_SPEED,
     LIMIT_BOX,
     BindingRange,
     Constraints,

@@ -1,0 +1,251 @@
+"""The compiled kernel of mode `barrier` decides as the numpy code does, for every input."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from swarmd.core.kernels import load_kernel
+from swarmd.core.values import ZERO, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
+from swarmd.protection.barrier import Barrier
+from swarmd.protection.compiled_barrier import CompiledBarrier
+from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.footprint import ScanGeometry
+from swarmd.settings.platforms import load_platform
+from swarmd.settings.settings import platform_names
+from swarmd.testing.scans import scan_from
+from tests.support.filter_sim import under_barrier
+
+KERNEL = load_kernel("swarmd.protection.barrier_kernel")
+pytestmark = pytest.mark.skipif(KERNEL is None, reason="the kernels are not compiled")
+
+AGREEMENT = 1e-12
+GIVEN = [load_platform(name) for name in sorted(platform_names())]
+PLATFORMS = [under_barrier(one) for one in GIVEN if one.protection["barrier"] is not None]
+BY_NAME = {platform.name: platform for platform in PLATFORMS}
+BURGER, WAFFLE, JACKAL = (BY_NAME[name] for name in ("burger", "waffle_pi", "jackal"))
+SIDEWAYS = Limits(0.22, 2.84, 0.2)
+HEXAGON = np.array([[0.1, -0.1], [0.2, 0.0], [0.1, 0.1], [-0.1, 0.12], [-0.2, 0.0], [-0.1, -0.1]])
+REPORTING = replace(JACKAL.scan, near="reported")
+VARIANTS = [
+    *PLATFORMS,
+    under_barrier(BURGER, responsibility="reciprocal"),
+    under_barrier(WAFFLE, responsibility="reciprocal", unseen_extent=0.0, surface_speed=0.3),
+    under_barrier(WAFFLE, keep_out=0.5),
+    under_barrier(JACKAL, keep_out=None, envelope_within=0.2),
+    under_barrier(replace(JACKAL, scan=REPORTING), unseen_extent=0.0),
+    under_barrier(replace(BURGER, limits=SIDEWAYS)),
+    under_barrier(replace(JACKAL, limits=SIDEWAYS, footprint=HEXAGON), keep_out=0.9),
+    under_barrier(BURGER, others_speed=0.001, surface_speed=5.0, unseen_extent=0.0),
+]
+
+
+class Face(NamedTuple):
+    """Returns of neighbouring rays: the first and the number of rays in shares, m and slope."""
+
+    first: float
+    width: float
+    beyond: float  # m beyond range_min; negative: too close to measure
+    slope: float
+
+
+class Seen(NamedTuple):
+    """A scan arrives: what it shows, and its age."""
+
+    faces: list[Face]
+    age: float
+
+
+class Moved(NamedTuple):
+    """A reading of odometry arrives: its stamp relative to the time, and shares of the limits."""
+
+    late: float
+    ahead: float
+    turn: float
+    aside: float
+
+
+class Asked(NamedTuple):
+    """A decision is asked for: time since the last one, requests as shares, zone, odometry's age.
+
+    The odometry is the latest, the one before it, or none.
+    """
+
+    after: float
+    requests: list[tuple[float, float, float]]
+    touch: TouchZone | None
+    age: float | None
+    which: int | None
+
+
+SHARE = st.one_of(st.floats(-1, 1), st.sampled_from([-1.0, 0.0, 1.0]))
+FACE = st.builds(
+    Face,
+    st.floats(0, 1),
+    st.one_of(st.just(0.0), st.floats(0, 0.3)),
+    st.one_of(st.floats(0, 0.3), st.floats(0, 2.5), st.just(-1.0)),
+    st.sampled_from([0.0, 0.0, 0.01, -0.02]),
+)
+SEEN = st.builds(Seen, st.lists(FACE, max_size=6), st.sampled_from([0.0, 0.0, 0.0, 0.1, 0.35]))
+MOVED = st.builds(Moved, st.sampled_from([0.0, 0.0, 0.02, 0.2, 5.0]), SHARE, SHARE, SHARE)
+TOUCH = st.one_of(
+    st.none(),
+    st.none(),
+    st.builds(TouchZone, st.floats(-3.2, 3.2), st.floats(0.05, 1.04), st.floats(0.01, 0.3)),
+)
+ASKED = st.builds(
+    Asked,
+    st.sampled_from([0.0, 0.001, 0.05, 0.05, 0.3]),
+    st.lists(st.tuples(SHARE, SHARE, SHARE), min_size=1, max_size=3),
+    TOUCH,
+    st.sampled_from([None, 0.0, 0.0, 0.03, 0.4]),
+    st.sampled_from([-1, -1, -1, -2, None]),
+)
+EVENTS = st.lists(st.one_of(SEEN, MOVED, ASKED, ASKED), max_size=10)
+
+
+class Pair:
+    """Both paths of mode `barrier`, for one robot with the same inputs."""
+
+    def __init__(self, platform: Platform) -> None:
+        self.platform, self.geometry = platform, ScanGeometry(platform.scan)
+        self.numpy, self.compiled = Barrier(platform), CompiledBarrier(platform, KERNEL)
+        self.now, self.pose, self.seq, self.command = 5.0, Pose(1.0, -2.0, 3.0), 0, ZERO
+        self.readings = [Odometry(self.now, self.pose, ZERO)]
+        self.decisions: list[ModeDecision] = []
+
+    def take(self, event: Seen | Moved | Asked) -> None:
+        """Let something happen, and hold both results together."""
+        if isinstance(event, Seen):
+            self._see(event)
+        elif isinstance(event, Moved):
+            self._move(event)
+        else:
+            self._ask(event)
+
+    def _see(self, seen: Seen) -> None:
+        self.seq += 1
+        scan = scan_of(self.platform, seen.faces, self.seq)
+        context = DecisionContext(self.now, seen.age, self.readings[-1], 0.0)
+        self.numpy.observe(scan, self.geometry, context)
+        self.compiled.observe(scan, self.geometry, context)
+        expected = self.numpy._outline.min_gap(scan, self.geometry)
+        found = self.compiled._kernel.min_gap
+        assert found == (None if expected is None else pytest.approx(expected, abs=AGREEMENT))
+
+    def _move(self, moved: Moved) -> None:
+        limits = self.platform.limits
+        twist = Twist(
+            moved.ahead * limits.linear, moved.turn * limits.angular, moved.aside * limits.lateral
+        )
+        self.now += 0.02
+        x, y, yaw = self.pose.x, self.pose.y, self.pose.yaw + 0.05 * twist.angular
+        self.pose = Pose(
+            x + 0.05 * twist.linear * math.cos(yaw), y + 0.05 * twist.linear * math.sin(yaw), yaw
+        )
+        self.readings.append(Odometry(self.now - moved.late, self.pose, twist))
+
+    def _ask(self, asked: Asked) -> None:
+        self.now += asked.after
+        odometry = None
+        if asked.which is not None:
+            odometry = self.readings[max(asked.which, -len(self.readings))]
+        context = DecisionContext(self.now, asked.after, odometry, asked.age)
+        limits = self.platform.limits
+        for v, w, aside in asked.requests:
+            requested = Twist(v * limits.linear, w * limits.angular, aside * limits.lateral)
+            for _ in range(2):  # the second time from memory
+                one, other = (
+                    path.decide(requested, context, command=self.command, touch=asked.touch)
+                    for path in (self.numpy, self.compiled)
+                )
+                assert_same(one, other)
+            self.command = limits.clip(one.twist)
+            self.decisions.append(one)
+
+
+def scan_of(platform: Platform, faces: list[Face], seq: int) -> Scan:
+    """A scan of the platform's rays with these faces."""
+    count = len(platform.scan.bearings)
+    ranges = np.full(count, math.inf)
+    for face in faces:
+        rays = np.arange(1 + int(face.width * count)) + int(face.first * count)
+        away = platform.scan.range_min + face.beyond + face.slope * np.arange(len(rays))
+        away = np.where(away < platform.scan.range_min, -math.inf, away)
+        ranges[rays % count] = np.minimum(ranges[rays % count], away)
+    return scan_from(platform, ranges, platform.scan.bearings, seq=seq)
+
+
+def assert_same(one: ModeDecision, other: ModeDecision) -> None:
+    """Commands, activity and reported constraints agree to within rounding."""
+    assert one.is_active == other.is_active
+    assert numbers(one) == pytest.approx(numbers(other), abs=AGREEMENT, rel=0.0, nan_ok=True)
+
+
+def numbers(decision: ModeDecision) -> list[float]:
+    """The command and the rows of a decision."""
+    twist = decision.twist
+    found = [twist.linear, twist.angular, twist.lateral]
+    for row in decision.rows:
+        found += [row.bearing, row.gap, row.cap]
+    return found
+
+
+@settings(max_examples=600)
+@given(st.sampled_from(VARIANTS), SEEN, EVENTS)
+def test_both_paths_decide_alike(
+    platform: Platform, seen: Seen, events: list[Seen | Moved | Asked]
+) -> None:
+    pair = Pair(platform)
+    for event in (seen, Asked(0.01, [(1.0, 0.3, 0.2)], None, 0.0, -1), *events):
+        pair.take(event)
+
+
+@pytest.mark.parametrize("platform", VARIANTS)
+def test_both_paths_decide_alike_in_a_crowd(platform: Platform) -> None:
+    """Most of these requests are limited, by several constraints or by the stop alone."""
+    pair, rng = Pair(platform), np.random.default_rng(5)
+    for _ in range(40):
+        distances = rng.uniform(0.0, rng.choice([0.1, 0.4, 1.5]), 4)
+        places, widths = rng.uniform(0.0, 1.0, 4), rng.uniform(0.0, 0.2, 4)
+        faces = [Face(*one, 0.001) for one in zip(places, widths, distances, strict=True)]
+        pair.take(Moved(0.0, *rng.uniform(-1.0, 1.0, 3)))
+        pair.take(Seen(faces, 0.0))
+        for after in (0.01, 0.05, 0.1):
+            zone = TouchZone(rng.uniform(-3.0, 3.0), 0.5, 0.05) if rng.random() < 0.2 else None
+            requests = [tuple(rng.uniform(-1.0, 1.0, 3)), (1.0, 0.0, 0.0)]
+            pair.take(Asked(after, requests, zone, 0.02, -1))
+    assert sum(decision.is_active for decision in pair.decisions) > 60
+    assert any(len(decision.rows) == 4 for decision in pair.decisions)
+    assert any(one != other for one, other in pairwise(pair.decisions))
+
+
+@pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("place", ["stamp", "x", "yaw", "linear"])
+def test_odometry_that_is_not_finite_lets_no_command_pass(place: str, number: float) -> None:
+    """Protection gives zero for a command that is not finite."""
+    values = {"stamp": 5.0, "x": 0.0, "yaw": 0.0, "linear": 0.0, place: number}
+    if place == "yaw" and math.isinf(number):
+        pytest.skip("the numpy code raises, and such a reading does not get so far")
+    pair = Pair(WAFFLE)
+    pose = Pose(values["x"], 0.0, values["yaw"])
+    pair.readings = [Odometry(values["stamp"], pose, Twist(values["linear"]))]
+    pair.take(Seen([Face(0.0, 0.1, 0.2, 0.0)], 0.0))
+    pair.take(Asked(0.01, [(1.0, 0.0, 0.0)], None, 0.0, -1))
+    twist = pair.decisions[-1].twist
+    assert twist.is_zero or not twist.is_finite
+
+
+def test_kernel_rejects_a_scan_with_other_rays_than_were_set() -> None:
+    barrier = CompiledBarrier(BURGER, KERNEL)
+    kernel = barrier._kernel
+    kernel.set_rays(np.ones((4, 2)))
+    with pytest.raises(IndexError):
+        kernel.take_scan(np.full(5, 0.3), 0.1, np.empty((0, 3)))
