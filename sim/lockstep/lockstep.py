@@ -2,6 +2,10 @@
 
 It uses the `World` and `Robot` of live runs; patterns run inline, messages pass the radio model.
 Nothing sleeps or reads a clock, and every random number comes from the seed.
+
+Several processes may share the robots of one run (`shards.py`). What concerns all robots happens in
+each of them: the world, the radio, the timeline. What robots put out for others, and the commands,
+wait for `exchange`, which puts them in the order of a single process.
 """
 
 from __future__ import annotations
@@ -10,6 +14,8 @@ import gc
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from itertools import compress
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -26,6 +32,7 @@ from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
 from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, Schedules
+from swarmd.sim.lockstep.shards import TIMEOUT, Shard, run_shards
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.lockstep.timeline import Timeline
 from swarmd.sim.scenarios.scenario import Scenario
@@ -33,7 +40,7 @@ from swarmd.sim.trace import Trace
 from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
-from swarmd.sim.world.radio import NEIGHBORS_RATE, Radio
+from swarmd.sim.world.radio import NEIGHBORS_RATE, Flight, Radio
 from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.world import World
@@ -42,28 +49,46 @@ BASE_TIMEOUT = 0.5
 """Seconds without a daemon after which a base stops."""
 
 
+Turn = tuple[int, int]
+"""A place in the order of a step: phase, and place within it."""
+
+
 def simulate_run(
-    scenario: Scenario, seed: int, on_progress: Callable[[float], None] | None = None
+    scenario: Scenario,
+    seed: int,
+    on_progress: Callable[[float], None] | None = None,
+    *,
+    cores: int = 1,
+    timeout: float = TIMEOUT,
 ) -> Trace:
     """Simulate a whole run. Raises SwarmError for an impossible start or a refused request.
 
-    `on_progress` is called after every step with the share done, and with 1 at the end.
+    `on_progress` is called after every step with the share done, and with 1 at the end. With
+    `cores` above 1 as many processes share the robots; the trace is the same to the last bit. A
+    process that ends, or makes no progress for `timeout` s, ends the run with SwarmError.
     """
-    run, duration = Lockstep(scenario, seed), scenario.duration
-    report = on_progress or (lambda share: None)
-    for part in range(1, 51):  # garbage is collected between two parts
-        run.advance(
-            part / 50.0 * duration - run.world.time, lambda now: report(min(now / duration, 0.99))
-        )
-    report(1.0)
-    return run.trace()
+
+    def simulate(shard: Shard) -> Trace:
+        run, duration = Lockstep(scenario, seed, shard), scenario.duration
+        report = (shard.index == 0 and on_progress) or (lambda share: None)
+        for part in range(1, 51):  # garbage is collected between two parts
+            run.advance(
+                part / 50.0 * duration - run.world.time,
+                lambda now: report(min(now / duration, 0.99)),
+            )
+        report(1.0)
+        return run.trace()
+
+    return run_shards(simulate, min(cores, len(scenario.robots)), timeout)
 
 
 class Lockstep:
     """A simulated swarm that `advance` moves on in time."""
 
-    def __init__(self, scenario: Scenario, seed: int) -> None:
+    def __init__(self, scenario: Scenario, seed: int, shard: Shard | None = None) -> None:
+        """`shard`: the robots of this process; None: all. `shells` has those alone."""
         self.scenario, self.seed = scenario, seed
+        self._shard = shard or Shard()
         self.world = World(
             scenario.robots,
             scenario.arena,
@@ -92,7 +117,7 @@ class Lockstep:
         self._readings_due = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self._alarms = Alarms(n, self.world.dt)
-        self._scans_in_transit: DelayQueue[tuple[int, Scan]] = DelayQueue()
+        self._scans_in_transit: DelayQueue[tuple[int, Scan | None]] = DelayQueue()
         self._commands = np.zeros((n, 3))
         self._silent_at: dict[int, float] = {}
         self._latches: dict[int, LatchRecord | None] = {}
@@ -100,8 +125,14 @@ class Lockstep:
         self._peer_latches: dict[int, dict[str, Latch]] = {}
         self._boots = [0] * n
         self._steps = 0
+        self.turn: Turn = (0, 0)
+        self._flights: list[tuple[Turn, list[Flight]]] = []
+        self._published: list[tuple[Turn, int, dict[str, Latch]]] = []
+        self._latched: set[int] = set()
         self.shells: list[RobotShell | None] = [None] * n
+        self.has_daemon = [False] * n
         self._absent_count = n
+        self._own = np.arange(n)[self._shard.rows]
         for row, robot in enumerate(ids):
             if robot not in scenario.absent:
                 self.start(row)
@@ -112,7 +143,20 @@ class Lockstep:
 
     def start(self, row: int) -> None:
         """Start a daemon on robot `row`, with the latches that its predecessor stored."""
-        now, robot_id = self.world.time, self.world.ids[row]
+        now = self.world.time
+        self._silent_at.pop(row, None)
+        self.has_daemon[row] = True
+        self._absent_count -= 1
+        shell = self.shells[row] = self._shell(row, now) if self._shard.owns(row) else None
+        self.exchange()
+        if shell is not None:
+            for latches in list(self._peer_latches.values()):  # before any request
+                shell.apply(shell.robot.on_latches(latches, now), now)
+        self.exchange()
+        self._update_neighbors(row)
+
+    def _shell(self, row: int, now: float) -> RobotShell:
+        robot_id = self.world.ids[row]
         layers = self.scenario.layers
         labels = tuple(name for name, ids in self.scenario.groups.items() if robot_id in ids)
         settings = RobotSettings(
@@ -131,26 +175,46 @@ class Lockstep:
             latches=self._latches.get(row),
         )
         self._boots[row] += 1
-        self._silent_at.pop(row, None)
-        self._absent_count -= 1
-        shell = self.shells[row] = RobotShell(row, robot, self._find, self, now)
-        for latches in list(self._peer_latches.values()):  # before any request
-            shell.apply(robot.on_latches(latches, now), now)
-        self._update_neighbors(row)
+        return RobotShell(row, robot, self._find, self, now)
 
     def end(self, row: int, *, in_order: bool) -> None:
         """End the daemon of robot `row`; after a kill the base stops by its timeout."""
         shell, now = self.shells[row], self.world.time
-        assert shell is not None
-        if in_order:
+        if in_order and shell is not None:
             shell.apply(shell.robot.on_leave(now), now)
-        else:
+        if not in_order:
             self._silent_at[row] = now + BASE_TIMEOUT
-        self._latches[row] = shell.latches
+        if shell is not None:
+            self._latches[row] = shell.latches
+        self.exchange()
         self._peer_latches.pop(row, None)
         self._alarms.set(row, None)
         self.shells[row] = None
+        self.has_daemon[row] = False
         self._absent_count += 1
+        self._latched.discard(row)
+
+    def exchange(self) -> None:
+        """Take over what the robots of all shards have put out since the last exchange."""
+        shard = self._shard
+        out = self._commands[shard.rows], self._flights, self._published
+        self._flights, self._published = [], []
+        sent: list[tuple[Turn, list[Flight]]] = []
+        published: list[tuple[Turn, int, dict[str, Latch]]] = []
+        for index, (commands, some_sent, some_published) in enumerate(shard.exchange(out)):
+            if index != shard.index:
+                self._commands[index :: shard.count] = commands
+            sent += some_sent
+            published += some_published
+        for _, flights in sorted(sent, key=itemgetter(0)):
+            self._radio.carry(
+                [(at, shard.own(rows), row, name, value) for at, rows, row, name, value in flights]
+            )
+        for _, row, latches in sorted(published, key=itemgetter(0)):
+            self._peer_latches.pop(row, None)
+            if latches:
+                self._peer_latches[row] = latches
+                self._new_latches.append((row, latches))
 
     # The outputs of robots
 
@@ -164,14 +228,14 @@ class Lockstep:
             plain = decode_value(encode_value(value))
         except CodecError:
             return
-        self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
+        flights = self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
+        self._flights.append((self.turn, flights))
 
     def publish_status(self, row: int, status: Status) -> None:
         """Keep the latches of a status, on which peers act now and when they join."""
-        self._peer_latches.pop(row, None)
-        if status.latches:
-            self._peer_latches[row] = dict(status.latches)
-            self._new_latches.append((row, self._peer_latches[row]))
+        if status.latches or row in self._latched:
+            self._published.append((self.turn, row, dict(status.latches)))
+            (self._latched.add if status.latches else self._latched.discard)(row)
 
     def set_alarm(self, row: int, at: float | None) -> None:
         """Tick robot `row` at `at`, even between two ticks."""
@@ -191,9 +255,10 @@ class Lockstep:
                     on_step(self.world.time)
 
     def trace(self) -> Trace:
-        """The trace up to now."""
+        """The trace up to now, in the first shard; each calls it."""
         self._recorder.record_instant(self.world.time, self._commands, self.shells)
-        return self._recorder.trace(self._meta())
+        kept = self._shard.collect(self._recorder.kept(self._shard.rows))
+        return self._recorder.trace(self._meta(), kept)
 
     def _step(self) -> None:
         world, now = self.world, self.world.time
@@ -201,6 +266,7 @@ class Lockstep:
         self._deliver(now)
         self._sense(now)
         self._tick(now)
+        self.exchange()
         if len(self._record_due.due(now)):
             self._recorder.record_instant(now, self._commands, self.shells)
         world.set_commands(self._commands)
@@ -214,9 +280,11 @@ class Lockstep:
             if shell is not None:
                 shell.robot.on_message(self.world.ids[sender], name, value, now)
         received, self._new_latches = self._new_latches, []
-        for row, latches in received:
-            for shell in self._present(range(len(self.shells))):
+        n = len(self.shells)
+        for place, (row, latches) in enumerate(received):
+            for shell in self._present(range(n)):
                 if shell.row != row:
+                    self.turn = (1, place * n + shell.row)
                     shell.apply(shell.robot.on_latches(latches, now), now)
         for row in self._neighbors_due.due(now):
             self._update_neighbors(int(row))
@@ -227,7 +295,7 @@ class Lockstep:
             return
         neighbors = self._radio.neighbors(row, self.world.poses(), self._boxes())
         if self._absent_count:
-            there = {one.robot.id for one in self.shells if one is not None}
+            there = set(compress(self.world.ids, self.has_daemon))
             neighbors = tuple(neighbor for neighbor in neighbors if neighbor.id in there)
         shell.robot.on_neighbors(neighbors, self.world.time)
 
@@ -235,24 +303,33 @@ class Lockstep:
         world = self.world
         due = self._scans_due.due(now)
         if len(due):
-            for row, scan in zip(due.tolist(), world.scans(due), strict=True):
-                self._scans_in_transit.put(now + float(world.scan_latency[row]), (row, scan))
-        for row, scan in self._scans_in_transit.due(now):
+            own = due[due % self._shard.count == self._shard.index]
+            scans = dict(zip(own.tolist(), world.scans(own), strict=True))
+            for row in due.tolist():
+                at = now + float(world.scan_latency[row])
+                self._scans_in_transit.put(at, (row, scans.get(row)))
+        for place, (row, scan) in enumerate(self._scans_in_transit.due(now)):
             shell = self.shells[row]
-            if shell is not None:
+            if shell is not None and scan is not None:
+                self.turn = (2, place)
                 shell.scan(scan, now)
         for shell in self._present(self._readings_due.due(now).tolist()):
             shell.robot.on_readings(world.readings(shell.row))
 
     def _tick(self, now: float) -> None:
+        world = self.world
         if len(self._odometry_due.due(now)):
+            own = self._own
             # All odometers are read at once: one takes as long as a hundred.
-            for shell, odometry in zip(self.shells, self.world.odometry(), strict=True):
+            for row, odometry in zip(own.tolist(), world.odometry(own), strict=True):
+                shell = self.shells[row]
                 if shell is not None:
                     shell.robot.on_odometry(odometry, now)
         for shell in self._present(self._ticks.due(now).tolist()):
+            self.turn = (3, shell.row)
             shell.tick(now)
         for shell in self._present(self._alarms.due(self._steps)):
+            self.turn = (4, shell.row)
             shell.tick(now)
         for row, at in list(self._silent_at.items()):
             if now >= at:
@@ -260,7 +337,7 @@ class Lockstep:
                 del self._silent_at[row]
 
     def _present(self, rows: Iterable[int]) -> list[RobotShell]:
-        """The shells of those robots that have a daemon."""
+        """The shells of those robots of this shard that have a daemon."""
         return [shell for row in rows if (shell := self.shells[row]) is not None]
 
     def _boxes(self) -> Array | None:

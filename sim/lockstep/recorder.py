@@ -15,6 +15,10 @@ from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.trace import WORD, Trace, TraceBuilder, blank_decisions, enter_decision
 from swarmd.sim.world.world import World
 
+_Reports = dict[tuple[str, str], list[tuple[int, int, float | str]]]
+Kept = tuple[slice, dict[str, NDArray[Any]], _Reports]
+"""What the robots of some rows reported: the rows, their columns, and their own reports."""
+
 
 class LockstepRecorder:
     """Builds a trace, one sample at a time."""
@@ -30,7 +34,7 @@ class LockstepRecorder:
         )
         self._samples = 0
         self._rows: dict[str, list[NDArray[Any]]] = {}
-        self._reports: dict[tuple[str, str], list[tuple[int, int, float | str]]] = {}
+        self._reports: _Reports = {}
 
     def record_contacts(self, now: float) -> None:
         """Record the contacts of the step that ended at `now`."""
@@ -49,12 +53,24 @@ class LockstepRecorder:
         for name, values in kept.items():
             self._rows.setdefault(name, []).append(values)
 
-    def trace(self, meta: Mapping[str, Any]) -> Trace:
-        """The trace of all samples."""
+    def kept(self, rows: slice) -> Kept:
+        """What the robots of these rows reported, for `trace`."""
+        columns = {name: np.array([one[rows] for one in kept]) for name, kept in self._rows.items()}
+        return rows, columns, self._reports
+
+    def trace(self, meta: Mapping[str, Any], kept: Sequence[Kept]) -> Trace:
+        """The trace of all samples; `kept` is of all rows."""
         shape = (self._samples, len(self._world.ids))
-        known: dict[str, Any] = {name: np.array(rows) for name, rows in self._rows.items()}
-        known |= {"report": {}, "words": {}}
-        for (kind, name), entries in sorted(self._reports.items()):
+        known: dict[str, Any] = {"report": {}, "words": {}}
+        reports: _Reports = {}
+        for own, columns, some in kept:
+            for name, values in columns.items():
+                if name not in known:
+                    known[name] = np.empty(shape + values.shape[2:], values.dtype)
+                known[name][:, own] = values
+            for key, entries in some.items():
+                reports.setdefault(key, []).extend(entries)
+        for (kind, name), entries in sorted(reports.items()):
             samples, rows, items = zip(*entries, strict=True)
             blank = np.full(shape, "", dtype=WORD) if kind == "words" else np.full(shape, np.nan)
             blank[list(samples), list(rows)] = items

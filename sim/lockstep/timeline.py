@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 from swarmd.core.errors import SwarmError
@@ -46,17 +47,19 @@ class Timeline:
             swarm.world.place(event.box, event.pose)
         elif event.box:
             swarm.world.remove(event.box)
-        for row in [self._rows[robot] for robot in event.robots]:
+        for place, row in enumerate(self._rows[robot] for robot in event.robots):
             shell = swarm.shells[row]
-            if shell is None:
+            swarm.turn = (0, place)
+            if not swarm.has_daemon[row]:
                 if event.action == "join":
                     swarm.start(row)
             elif event.action in ("leave", "kill", "remove"):
                 swarm.end(row, in_order=event.action == "leave")
-            elif event.action != "join":
+            elif event.action != "join" and shell is not None:
                 self._send_request(event, shell, now)
             if event.action == "remove":
                 swarm.world.take_out(row)
+        swarm.exchange()
 
     def _send_request(self, event: ScheduledEvent, shell: RobotShell, now: float) -> None:
         reply = shell.request(self._request(event, shell, now), now)
@@ -85,6 +88,7 @@ class Timeline:
         if event.action == "reset":
             return ResetRequest(**common, ids=tuple(robot.status(now).latches))
         if event.action == "estop":
-            others = {s.robot.id for s in self._swarm.shells if s is not None} - {*event.robots}
+            swarm = self._swarm
+            others = {*compress(swarm.world.ids, swarm.has_daemon)} - {*event.robots}
             return EstopRequest(**common, scope="robots" if others else "swarm")
         return StopRequest(**common)

@@ -21,6 +21,8 @@ from swarmd.sim.world.seeding import generator
 
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
 Arrival = tuple[int, int, str, Value]
+Flight = tuple[float, list[int], int, str, Value]
+"""A message on its way: when it arrives, then its hearers, sender, name and value."""
 
 NEIGHBORS_RATE = 2.0
 """Hz at which a robot learns its neighbors, in live worlds and in lockstep."""
@@ -169,8 +171,11 @@ class Radio:
         now: float,
         poses: Array,
         movable_boxes: Array | None = None,
-    ) -> None:
-        """Send `value` on channel `name` at `now` s from robot `row` to its present hearers."""
+    ) -> list[Flight]:
+        """The flights of `value` on channel `name`, sent at `now` s from robot `row`.
+
+        They go to its present hearers once `carry` has them.
+        """
         settings, rng = self._settings, self._loss_rngs[row]
         hearers = self.hearers(row, poses, movable_boxes)
         if settings.loss > 0.0:
@@ -180,8 +185,12 @@ class Radio:
         if settings.jitter > 0.0:
             spread = rng.uniform(-settings.jitter, settings.jitter, len(rows)).tolist()
             groups = [(due + off, [hearer]) for off, hearer in zip(spread, rows, strict=True)]
-        for at, group in groups:
-            self._in_flight.put(at, (group, row, name, value))
+        return [(at, group, row, name, value) for at, group in groups]
+
+    def carry(self, flights: Sequence[Flight]) -> None:
+        """Take flights on their way, in order of sending."""
+        for at, hearers, row, name, value in flights:
+            self._in_flight.put(at, (hearers, row, name, value))
 
     def arrived(self, now: float) -> list[Arrival]:
         """Take the messages that arrived by `now` s: (hearer, sender, name, value).

@@ -54,13 +54,13 @@ def test_a_movable_box_blocks_the_radio_if_given() -> None:
     assert air.hearers(0, ROW).tolist() == [1, 2]
     assert air.hearers(0, ROW, movable_boxes).tolist() == []
     assert radio(arena=ARENA).hearers(0, ROW, movable_boxes).tolist() == [1, 2]
-    air.send(0, "a/b", 1, 0.0, ROW, movable_boxes)
+    air.carry(air.send(0, "a/b", 1, 0.0, ROW, movable_boxes))
     assert air.arrived(0.0) == []
 
 
 def test_a_message_without_delay_arrives_at_once_and_once() -> None:
     air = radio()
-    air.send(1, "voting/opinion", {"option": 2}, 3.0, ROW)
+    air.carry(air.send(1, "voting/opinion", {"option": 2}, 3.0, ROW))
     assert air.arrived(2.99) == []
     assert air.arrived(3.0) == [
         (0, 1, "voting/opinion", {"option": 2}),
@@ -71,7 +71,7 @@ def test_a_message_without_delay_arrives_at_once_and_once() -> None:
 
 def test_a_delay_of_whole_steps_ends_with_its_step_despite_rounding() -> None:
     air = radio(delay=0.2)
-    air.send(0, "a/b", 1, 0.1, ROW)
+    air.carry(air.send(0, "a/b", 1, 0.1, ROW))
     assert 30 * 0.01 < 0.1 + 0.2  # in floating point
     assert air.arrived(29 * 0.01) == []
     assert len(air.arrived(30 * 0.01)) == 2
@@ -79,9 +79,9 @@ def test_a_delay_of_whole_steps_ends_with_its_step_despite_rounding() -> None:
 
 def test_simultaneous_arrivals_keep_the_order_of_sending_then_rows() -> None:
     air = radio(delay=0.1)
-    air.send(2, "a/b", "x", 0.0, ROW)
-    air.send(0, "a/b", "y", 0.0, ROW)
-    air.send(1, "a/b", "z", 0.05, ROW)
+    air.carry(air.send(2, "a/b", "x", 0.0, ROW))
+    air.carry(air.send(0, "a/b", "y", 0.0, ROW))
+    air.carry(air.send(1, "a/b", "z", 0.05, ROW))
     got = [(hearer, value) for hearer, _, _, value in air.arrived(1.0)]
     assert got == [(0, "x"), (1, "x"), (1, "y"), (2, "y"), (0, "z"), (2, "z")]
 
@@ -91,7 +91,7 @@ def test_loss_is_the_stated_share_of_messages_and_hearers() -> None:
     air, poses = radio(n, loss=0.3), crowd(n)
     counts = np.zeros(n)
     for _ in range(times):
-        air.send(4, "a/b", 1, 0.0, poses)
+        air.carry(air.send(4, "a/b", 1, 0.0, poses))
         for hearer, *_ in air.arrived(0.0):
             counts[hearer] += 1.0
     assert counts[4] == 0.0
@@ -102,14 +102,14 @@ def test_loss_is_the_stated_share_of_messages_and_hearers() -> None:
 
 def test_all_is_lost_and_nothing_at_the_ends_of_loss() -> None:
     deaf = radio(loss=1.0)
-    deaf.send(0, "a/b", 1, 0.0, ROW)
+    deaf.carry(deaf.send(0, "a/b", 1, 0.0, ROW))
     assert deaf.arrived(99.0) == []
 
 
 def test_jitter_is_even_within_its_bounds_and_each_hearers_own() -> None:
     n = 200
     air, poses = radio(n, delay=0.1, jitter=0.04), crowd(n)
-    air.send(0, "a/b", 1, 5.0, poses)
+    air.carry(air.send(0, "a/b", 1, 5.0, poses))
     arrivals = []
     for step in range(200):
         now = 5.0 + 0.001 * step
@@ -126,8 +126,8 @@ def test_messages_are_in_order_of_arrival() -> None:
     whole, poses = radio(n, delay=0.1, jitter=0.1), crowd(n)
     steps = radio(n, delay=0.1, jitter=0.1)
     for sender in (3, 1, 2):
-        whole.send(sender, "a/b", sender, 0.01 * sender, poses)
-        steps.send(sender, "a/b", sender, 0.01 * sender, poses)
+        whole.carry(whole.send(sender, "a/b", sender, 0.01 * sender, poses))
+        steps.carry(steps.send(sender, "a/b", sender, 0.01 * sender, poses))
     one_by_one = [arrival for step in range(300) for arrival in steps.arrived(0.001 * step)]
     assert whole.arrived(1.0) == one_by_one
 
@@ -136,9 +136,9 @@ def test_losses_do_not_depend_on_other_senders() -> None:
     alone, among = radio(20, loss=0.5), radio(20, loss=0.5)
     poses = crowd(20)
     for _ in range(5):
-        among.send(7, "a/b", "noise", 0.0, poses)
-        alone.send(3, "a/b", 1, 0.0, poses)
-        among.send(3, "a/b", 1, 0.0, poses)
+        among.carry(among.send(7, "a/b", "noise", 0.0, poses))
+        alone.carry(alone.send(3, "a/b", 1, 0.0, poses))
+        among.carry(among.send(3, "a/b", 1, 0.0, poses))
     of_three = [arrival for arrival in among.arrived(0.0) if arrival[1] == 3]
     assert alone.arrived(0.0) == of_three
 
@@ -147,7 +147,7 @@ def test_the_seed_decides_what_is_lost() -> None:
     poses, got = crowd(40), []
     for seed in (1, 1, 2):
         air = radio(40, seed=seed, loss=0.5)
-        air.send(0, "a/b", 1, 0.0, poses)
+        air.carry(air.send(0, "a/b", 1, 0.0, poses))
         got.append(air.arrived(0.0))
     assert got[0] == got[1] != got[2]
 

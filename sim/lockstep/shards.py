@@ -1,0 +1,247 @@
+"""One run over several processes: each holds a shard, every k-th robot.
+
+Bodies meet in MuJoCo alone, which gives the same bits in each process. So each process advances the
+whole world, with all clocks and the radio, and works out sensors, robots and patterns of its shard
+only. Once a step the processes exchange what their robots put out. What is exchanged lies in memory
+that they share; a semaphore for each pair of processes says that it is there.
+"""
+
+from __future__ import annotations
+
+import mmap
+import os
+import pickle
+import signal
+import struct
+import sys
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from multiprocessing import get_context
+from multiprocessing.synchronize import Semaphore
+from typing import TypeVar
+
+from swarmd.core.errors import SwarmError
+from swarmd.core.processes import die_with_parent, how_it_ended
+
+T = TypeVar("T")
+
+TIMEOUT = 50.0
+"""Limit in s of wall time for one step of a process; a bit below that of a step of a whole run."""
+
+_SPIN = 50e-6  # s of asking before a process sleeps, which takes about as long to end
+_POLL_PERIOD = 0.25  # s between two looks at processes that one waits for
+_CHUNK = 1 << 20  # bytes of each process that one round exchanges
+_HEAD = struct.Struct("q")
+_SLOT = _HEAD.size + _CHUNK
+_MAX_ERROR = 1 << 16  # bytes, which a pipe holds without a reader
+
+
+class Shard:
+    """Shard `index` of `count`: the robots whose row modulo `count` is `index`."""
+
+    def __init__(self, index: int = 0, count: int = 1) -> None:
+        self.index, self.count = index, count
+
+    def owns(self, row: int) -> bool:
+        """True if robot `row` is of this shard."""
+        return row % self.count == self.index
+
+    @property
+    def rows(self) -> slice:
+        """The rows of this shard."""
+        return slice(self.index, None, self.count)
+
+    def own(self, rows: list[int]) -> list[int]:
+        """Those of `rows` that are of this shard, in order."""
+        return rows if self.count == 1 else [row for row in rows if self.owns(row)]
+
+    def exchange(self, part: T) -> list[T]:
+        """The parts of all shards, in order of shards; each shard calls it equally often."""
+        return [part]
+
+    def collect(self, part: T) -> list[T]:
+        """As `exchange` for the first shard; empty for the others."""
+        return self.exchange(part)
+
+
+class _Member(Shard):
+    """A shard beside others."""
+
+    def __init__(
+        self,
+        index: int,
+        memory: mmap.mmap,
+        ready: list[list[Semaphore]],
+        watch: Callable[[int, float], None],
+    ) -> None:
+        """`ready[a][b]`: shard a has written what b may read. `watch(shard, seconds)` is called
+        while this one waits for `shard`, with the time since the call before; it may raise."""
+        super().__init__(index, len(ready))
+        self._memory, self._ready, self._watch = memory, ready, watch
+        # Two halves in turn: who writes one again knows that all have read it.
+        self._half = 0
+
+    def exchange(self, part: T) -> list[T]:
+        received = self._exchange_bytes(pickle.dumps(part, pickle.HIGHEST_PROTOCOL), keeps=True)
+        return self._loaded(received, part)
+
+    def collect(self, part: T) -> list[T]:
+        if self.index == 0:
+            return self._loaded(self._exchange_bytes(b"", keeps=True), part)
+        self._exchange_bytes(pickle.dumps(part, pickle.HIGHEST_PROTOCOL), keeps=False)
+        return []
+
+    def _loaded(self, received: list[bytearray], own: T) -> list[T]:
+        return [own if i == self.index else pickle.loads(data) for i, data in enumerate(received)]
+
+    def _exchange_bytes(self, data: bytes, *, keeps: bool) -> list[bytearray]:
+        """What all other shards sent, in rounds of `_CHUNK` until each has sent all of its own."""
+        others = [shard for shard in range(self.count) if shard != self.index]
+        received = [bytearray() for _ in range(self.count)]
+        done, longest = 0, 1
+        while done < longest:
+            self._write(len(data), data[done : done + _CHUNK])
+            for other in others:
+                self._ready[self.index][other].release()
+            longest = len(data)
+            for other in others:
+                self._wait(other)
+                at = self._slot(other)
+                (size,) = _HEAD.unpack_from(self._memory, at)
+                longest = max(longest, size)
+                if keeps:
+                    begin, end = at + _HEAD.size, at + _HEAD.size + min(_CHUNK, size - done)
+                    received[other] += self._memory[begin : max(begin, end)]
+            done += _CHUNK
+            self._half = 1 - self._half
+        return received
+
+    def _write(self, size: int, chunk: bytes) -> None:
+        at = self._slot(self.index)
+        _HEAD.pack_into(self._memory, at, size)
+        self._memory[at + _HEAD.size : at + _HEAD.size + len(chunk)] = chunk
+
+    def _slot(self, shard: int) -> int:
+        return (self._half * self.count + shard) * _SLOT
+
+    def _wait(self, other: int) -> None:
+        ready = self._ready[other][self.index]
+        end = time.perf_counter() + _SPIN
+        while time.perf_counter() < end:
+            if ready.acquire(False):
+                return
+        before = time.monotonic()
+        while not ready.acquire(True, _POLL_PERIOD):
+            now = time.monotonic()
+            # Time in which this process did not run either, as if suspended, does not count.
+            self._watch(other, min(now - before, 2.0 * _POLL_PERIOD))
+            before = now
+        self._watch(other, 0.0)
+
+
+class _Children:
+    """The processes of all shards but the first."""
+
+    def __init__(self, count: int, timeout: float) -> None:
+        self._count, self._timeout = count, timeout
+        self._silence = 0.0
+        self._pids: dict[int, int] = {}
+        self._errors: dict[int, int] = {}
+
+    def fork(self, shard: int, work: Callable[[], object]) -> None:
+        """Do the work of a shard in a process of its own."""
+        ours, theirs = os.pipe()
+        parent = os.getpid()
+        sys.stdout.flush()
+        sys.stderr.flush()
+        pid = os.fork()
+        if pid == 0:
+            code = 1
+            try:
+                die_with_parent(parent)
+                work()
+                code = 0
+            except BaseException as error:
+                os.write(theirs, _dumped(error))
+            finally:
+                with suppress(OSError, ValueError):
+                    sys.stdout.flush()
+                    sys.stderr.flush()
+                os._exit(code)
+        os.close(theirs)
+        os.set_blocking(ours, False)
+        self._pids[shard], self._errors[shard] = pid, ours
+
+    def watch(self, shard: int, seconds: float) -> None:
+        """Raise the error of a process that ended by it, or SwarmError for one that is no more.
+
+        `shard` is waited for, and was for `seconds` more; 0 if it is there.
+        """
+        if seconds == 0.0:
+            self._silence = 0.0
+            return
+        for one, pid in list(self._pids.items()):
+            ended, status = os.waitpid(pid, os.WNOHANG)
+            if ended:
+                del self._pids[one]
+                raise self._error(one, os.waitstatus_to_exitcode(status))
+        self._silence += seconds
+        if self._silence >= self._timeout:
+            raise SwarmError(
+                f"{self._name(shard)} made no progress in {self._timeout:g} s; a pattern may not"
+                " return"
+            )
+
+    def end(self) -> None:
+        """End all that still run."""
+        for pid in self._pids.values():
+            os.kill(pid, signal.SIGKILL)
+            os.waitpid(pid, 0)
+        for pipe in self._errors.values():
+            os.close(pipe)
+
+    def _name(self, shard: int) -> str:
+        return f"process {shard + 1} of the {self._count} of this run"
+
+    def _error(self, shard: int, code: int) -> BaseException:
+        with suppress(BlockingIOError):
+            written = os.read(self._errors[shard], _MAX_ERROR)
+            if written:
+                error: BaseException = pickle.loads(written)
+                return error
+        hint = " (out of memory, or killed by hand)" if code == -signal.SIGKILL else ""
+        return SwarmError(f"{self._name(shard)} {how_it_ended(code)}{hint}")
+
+
+def _dumped(error: BaseException) -> bytes:
+    """The error for another process, as SwarmError if it cannot be sent itself."""
+    with suppress(Exception):
+        data = pickle.dumps(error)
+        pickle.loads(data)
+        if isinstance(error, Exception) and len(data) <= _MAX_ERROR:
+            return data
+    return pickle.dumps(SwarmError(f"{type(error).__name__}: {error}"[:1000]))
+
+
+def run_shards(work: Callable[[Shard], T], count: int, timeout: float = TIMEOUT) -> T:
+    """What `work` returns for the first of `count` shards; each other one is a forked process.
+
+    Raises what `work` raises in any of them, and SwarmError with the number of a process that ended
+    or that made no progress for `timeout` s. No process is left behind.
+    """
+    if count == 1:
+        return work(Shard())
+    context = get_context("fork")
+    memory = mmap.mmap(-1, 2 * count * _SLOT)
+    ready = [[context.Semaphore(0) for _ in range(count)] for _ in range(count)]
+    children = _Children(count, timeout)
+    try:
+        for index in range(1, count):
+            # A child waits as long as its parent lives, which watches all of them.
+            other = _Member(index, memory, ready, lambda shard, seconds: None)
+            children.fork(index, partial(work, other))
+        return work(_Member(0, memory, ready, children.watch))
+    finally:
+        children.end()

@@ -1,0 +1,184 @@
+"""One run in several processes: the same bits, and an end that names the process at fault."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.lockstep.shards import Shard, run_shards
+from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.trace import Trace
+
+MIXED: dict[str, Any] = {
+    "duration": 2.5,
+    "arena": {"size": [7.0, 7.0], "boxes": [{"name": "crate", "size": [0.4, 0.4], "mass": 1.0}]},
+    "groups": {
+        "slow": {"count": 2, "prefix": "s", "pattern": "random_walk"},
+        "voters": {"platform": "burger", "count": 5, "prefix": "v", "pattern": "voter_model"},
+    },
+    "start": {"layout": "random", "clearance": 0.1},
+    "radio": {"loss": 0.2, "delay": 0.02, "jitter": 0.01, "line_of_sight": True,
+              "range_and_bearing": True},
+    "fields": [{"name": "light", "kind": "linear", "slope": 1.0}],
+    "trace_rate": 50.0,
+}  # fmt: skip
+AT_ONCE = {**MIXED, "radio": {}}
+BOXES = {
+    **MIXED,
+    "groups": {"all": {"count": 3, "prefix": "r", "pattern": "drive"}},
+    "start": {"layout": "row", "spacing": 1.5},
+    "platforms": {"waffle_pi": {"protection": {"mode": "off"}}},
+    "arena": {
+        "size": [20.0, 20.0],
+        "boxes": [
+            {"name": "crate", "at": [0.2, 0.0], "size": [0.1, 0.1], "mass": 0.2},
+            {"name": "late", "size": [0.2, 0.2], "mass": 5.0},
+        ],
+    },
+    "events": [
+        {"at": 0.5, "place": "late", "pose": [0.0, 3.0, 0.0]},
+        {"at": 2.0, "remove": "late"},
+    ],
+}
+# Latches of robots in each shard, daemons that end and return, and requests to all.
+LATCHES = {
+    **MIXED,
+    "events": [
+        {"at": 0.5, "estop": ["v-02", "s-01"]},
+        {"at": 0.7, "kill": ["v-01"]},
+        {"at": 0.7, "leave": ["v-02"]},
+        {"at": 0.9, "remove": "v-03"},
+        {"at": 1.0, "join": ["v-02", "v-01"]},
+        {"at": 1.3, "estop": "all"},
+        {"at": 1.6, "kill": ["s-02"]},
+        {"at": 1.7, "reset": ["s-01", "v-01", "v-02", "v-04", "v-05"]},
+        {"at": 1.8, "run": "random_walk", "targets": ["s-01", "v-01"]},
+        {"at": 2.0, "param": {"speed": 0.05}, "targets": ["s-01"]},
+        {"at": 2.1, "join": ["s-02"]},
+    ],
+}
+
+
+def same_bits(a: Trace, b: Trace) -> None:
+    for field in fields(Trace):
+        one, other = getattr(a, field.name), getattr(b, field.name)
+        if field.name in ("report", "words"):
+            assert one.keys() == other.keys()
+            assert all(one[name].tobytes() == other[name].tobytes() for name in one)
+        elif isinstance(one, np.ndarray):
+            assert (one.dtype, one.shape) == (other.dtype, other.shape)
+            assert one.tobytes() == other.tobytes(), field.name
+
+
+@pytest.mark.parametrize(
+    "data", [MIXED, AT_ONCE, BOXES, LATCHES], ids=["mixed", "at_once", "boxes", "latches"]
+)
+def test_shards_give_the_bits_of_one_process(data: dict[str, Any]) -> None:
+    whole = simulate_run(scenario_of(data), 4)
+    assert len(whole.t) > 100
+    for cores in (2, 3):
+        same_bits(whole, simulate_run(scenario_of(data), 4, cores=cores))
+
+
+@pytest.mark.parametrize("robot", ["r-01", "r-02"])
+def test_a_pattern_fault_and_a_refusal_are_told_from_each_shard(tmp_path: Path, robot: str) -> None:
+    (tmp_path / "raises.py").write_text(
+        "from swarmd.api import MovementPattern, Params\n"
+        "class Raises(MovementPattern[Params]):\n"
+        "    params_type = Params\n"
+        "    def drive(self, inputs):\n"
+        "        raise ValueError('on purpose')\n"
+    )
+    data = {
+        **BOXES,
+        "duration": 4.0,
+        "plugin_dir": str(tmp_path),
+        "events": [{"at": 0.1, "run": "raises", "targets": [robot]}],
+    }
+    same_bits(*(simulate_run(scenario_of(data), 0, cores=cores) for cores in (1, 2)))
+    refused = [*data["events"], {"at": 3.5, "run": "drive", "targets": [robot]}]
+    for cores in (1, 2):
+        with pytest.raises(SwarmError, match=rf"3.5 s run drive: {robot}"):
+            simulate_run(scenario_of({**data, "events": refused}), 0, cores=cores)
+
+
+def test_parts_longer_than_a_round_arrive_whole() -> None:
+    def work(shard: Shard) -> list[bool]:
+        part = (shard.index, bytes([shard.index]) * (3_000_000 * shard.index + 5))
+        for _ in range(3):
+            found = shard.exchange(part)
+        found = shard.collect(part)
+        return [data == bytes([index]) * (3_000_000 * index + 5) for index, data in found]
+
+    assert run_shards(work, 3) == [True] * 3
+
+
+def pids_of(path: Path) -> list[int]:
+    return [int(pid) for pid in path.read_text().split()]
+
+
+def has_ended(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return True
+    return False
+
+
+@pytest.mark.parametrize(
+    ("fault", "timeout", "words"),
+    [
+        (lambda: os.kill(os.getpid(), signal.SIGKILL), 30.0, "process 2 of the 3.*SIGKILL"),
+        (lambda: os.kill(os.getpid(), signal.SIGSTOP), 1.0, "process 2 of the 3.*1 s"),
+        (lambda: os._exit(3), 30.0, "process 2 of the 3.*code 3"),
+        (lambda: (_ for _ in ()).throw(ConfigError("told")), 30.0, "^told$"),
+        (lambda: (_ for _ in ()).throw(OSError("else")), 30.0, "else"),
+    ],
+    ids=["killed", "frozen", "ended", "raised", "raised another"],
+)
+def test_a_process_that_fails_ends_the_run_and_is_named(
+    tmp_path: Path, fault: Callable[[], object], timeout: float, words: str
+) -> None:
+    pids = tmp_path / "pids"
+
+    def work(shard: Shard) -> None:
+        if shard.index:
+            with pids.open("a") as file:
+                file.write(f"{os.getpid()} ")
+        for turn in range(1000):
+            shard.exchange(turn)
+            if turn == 100 and shard.index == 1:
+                fault()
+
+    begin = time.monotonic()
+    with pytest.raises(Exception, match=words):
+        run_shards(work, 3, timeout)
+    assert time.monotonic() - begin < 20.0
+    assert len(pids_of(pids)) == 2
+    assert all(has_ended(pid) for pid in pids_of(pids))
+
+
+def test_an_error_of_the_first_process_leaves_none_behind(tmp_path: Path) -> None:
+    pids = tmp_path / "pids"
+
+    def work(shard: Shard) -> None:
+        if shard.index:
+            pids.write_text(str(os.getpid()))
+        shard.exchange(None)
+        if shard.index == 0:
+            raise SwarmError("first")
+        shard.exchange(None)
+
+    with pytest.raises(SwarmError, match="first"):
+        run_shards(work, 2)
+    assert all(has_ended(pid) for pid in pids_of(pids))
