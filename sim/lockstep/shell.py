@@ -46,7 +46,12 @@ class RobotShell:
 
     def tick(self, now: float) -> None:
         """Tick the robot, periodically or by its alarm."""
-        self.apply(self.robot.tick(now), now)
+        actions = self.robot.tick(now)
+        if not actions.is_quiet:
+            self.apply(actions, now)
+        elif actions.twist is not self._twist:
+            self._twist = actions.twist
+            self._outputs.command(self.row, actions.twist)
 
     def request(self, request: Request, now: float) -> Reply | None:
         """Carry out an operator's request; the reply, which an inline pattern gives at once."""

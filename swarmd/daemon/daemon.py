@@ -300,6 +300,8 @@ class Daemon:
                 actions.requested_scan_seq,
                 is_stopped=actions.is_stopped,
             )
+        if actions.is_quiet:
+            return
         is_stored = actions.latches is None or self._latches.write(actions.latches)
         for command in (actions.trial, actions.host):
             if command is not None:

@@ -12,13 +12,14 @@ MAX_LATENESS_SAMPLES = 400
 
 
 class TickTimer:
-    """Calls `tick` every 50 ms, and once at `wake_in` seconds if that is sooner."""
+    """Calls `tick` every 50 ms, and once more at the time that `wake_in` has set."""
 
     def __init__(self, loop: asyncio.AbstractEventLoop, tick: Callable[[], None]) -> None:
         self._loop = loop
         self._tick = tick
         self._next = loop.time() + TICK
         self._handle = loop.call_at(self._next, self._on_time)
+        self._wake_at: float | None = None
         self._wake: asyncio.TimerHandle | None = None
         self._lateness: deque[float] = deque(maxlen=MAX_LATENESS_SAMPLES)
         self.stalls = 0
@@ -30,12 +31,12 @@ class TickTimer:
         return ranked[int(0.99 * (len(ranked) - 1))] if ranked else 0.0
 
     def wake_in(self, seconds: float | None) -> None:
-        """Set the wake-up, replacing the one before; None: the next tick is soon enough."""
+        """Set the wake-up, replacing the one before; None: the ticks are enough."""
         if self._wake is not None:
             self._wake.cancel()
             self._wake = None
-        if seconds is not None and (at := self._loop.time() + seconds) < self._next:
-            self._wake = self._loop.call_at(at, self._tick)
+        self._wake_at = None if seconds is None else self._loop.time() + seconds
+        self._arm()
 
     def stop(self) -> None:
         """Cancel all further ticks."""
@@ -52,4 +53,11 @@ class TickTimer:
         if self._next <= now:  # more than a period late: do not catch up
             self._next = now + TICK
         self._handle = self._loop.call_at(self._next, self._on_time)
+        self._arm()
         self._tick()
+
+    def _arm(self) -> None:
+        """Arm the wake-up once it comes before the next tick."""
+        at = self._wake_at
+        if at is not None and at < self._next:
+            self._wake_at, self._wake = None, self._loop.call_at(at, self._tick)

@@ -29,7 +29,8 @@ class Actions(Struct, frozen=True, eq=False):
     `requested_scan_seq` is the scan behind `twist` (-1: none). `is_idle`: the state is idle and the
     base is connected. `is_stopped`: the state is stopped, estopped or faulted. `replies` may answer
     earlier requests: a run is answered when its pattern has been loaded. A `trial` has a process of
-    its own and leaves the running pattern alone.
+    its own and leaves the running pattern alone. `is_quiet`: there is nothing but the command, and
+    `wake_at` is as before.
     """
 
     twist: Twist
@@ -37,6 +38,7 @@ class Actions(Struct, frozen=True, eq=False):
     requested_scan_seq: int = -1
     is_idle: bool = False
     is_stopped: bool = False
+    is_quiet: bool = False
     latches: LatchRecord | None = None
     trial: StartTrial | CancelTrial | None = None
     host: HostCommand | None = None
@@ -46,10 +48,15 @@ class Actions(Struct, frozen=True, eq=False):
 
 
 class Effects(Struct, eq=False):
-    """The effects of one event at `now`, gathered until the robot settles them into `Actions`."""
+    """The effects of one event at `now`, gathered until the robot settles them into `Actions`.
+
+    `is_routine`: the event is a tick, a scan or the answer to a step, and has not changed the
+    lifecycle, but for the requested command.
+    """
 
     now: float
     is_tick: bool = False
+    is_routine: bool = False
     is_latched: bool = False
     is_new_scan: bool = False
     is_new_run: bool = False

@@ -6,6 +6,7 @@ which trigger.
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
@@ -22,6 +23,7 @@ from swarmd.core.host_messages import (
     Load,
     Loaded,
     LoadRefused,
+    ParamSources,
     ParamsSet,
     PatternFailed,
     Stepped,
@@ -130,10 +132,7 @@ class Lifecycle:
     def permit(self) -> Permit:
         """The permit of the running pattern; NO_PERMIT without one and while it restarts."""
         running = self.pattern_run.running
-        if running is None or self.pattern_run.is_restarting:
-            return NO_PERMIT
-        may_recover, _ = running.values.get("recovery", (False, ""))
-        return Permit(may_recover=may_recover is True, touch=running.touch)
+        return NO_PERMIT if running is None or self.pattern_run.is_restarting else running.permit
 
     def log(self, text: str, now: float) -> None:
         """Record an event for `describe`."""
@@ -175,6 +174,9 @@ class Lifecycle:
 
     def on_host(self, event: HostEvent, effects: Effects) -> None:
         """Act on an event of the pattern host; events of other generations are ignored."""
+        if isinstance(event, Stepped):
+            self._on_stepped(event, effects)
+            return
         run = self.pattern_run
         is_loading = run.loading is not None and event.generation == run.loading.generation
         is_running = run.running is not None and event.generation == run.running.generation
@@ -182,8 +184,6 @@ class Lifecycle:
             self._on_loaded(event, effects)
         elif isinstance(event, LoadRefused) and is_loading:
             self._on_load_refused(event, effects)
-        elif isinstance(event, Stepped):
-            self._on_stepped(event, effects)
         elif isinstance(event, ParamsSet):
             self._on_params_set(event, effects)
         elif isinstance(event, PatternFailed) and is_running:
@@ -205,10 +205,11 @@ class Lifecycle:
             text = f"runs {loading.pattern}"
             self.applied(effects, loading.request, f"{text}; {event.note}" if event.note else text)
         # The touch zone is granted to this generation alone: it ends with `pattern_run.running`.
-        assert self.pattern_run.running is not None
+        running = self.pattern_run.running
+        assert running is not None
         granted = self.identity.settings.touch.get(loading.pattern)
         zone, text = effective_zone(loading.pattern, event.touches, granted)
-        self.pattern_run.running.touch = zone
+        running.permit = Permit(_may_recover(event.params), zone)
         if text:
             self.log(f"{loading.pattern} {text}", effects.now)
 
@@ -235,11 +236,15 @@ class Lifecycle:
         if twist is not None and not twist.is_finite:
             self.fault("its twist is not finite", effects)
             return
-        self.report = event.outputs.report
-        passed = self.outbox.take(event.outputs.messages, running.channels, effects.now)
-        effects.messages = {running.full_name(channel): value for channel, value in passed.items()}
-        if event.outputs.done is not None:
-            self.end(Trigger.FINISH, Reason.FINISHED, event.outputs.done, effects)
+        outputs = event.outputs
+        self.report = outputs.report
+        if outputs.messages:
+            passed = self.outbox.take(outputs.messages, running.channels, effects.now)
+            effects.messages = {running.full_name(name): value for name, value in passed.items()}
+        if outputs.done is not None:
+            self.end(Trigger.FINISH, Reason.FINISHED, outputs.done, effects)
+        else:
+            effects.is_routine = True
 
     def _on_params_set(self, event: ParamsSet, effects: Effects) -> None:
         if self.params_request is None or self.params_request[0].id != event.request:
@@ -251,6 +256,7 @@ class Lifecycle:
             self.refuse(effects, request, refusal, event.text or "no pattern is running")
             return
         running.values = event.params
+        running.permit = Permit(_may_recover(event.params), running.permit.touch)
         running.params = {**running.params, **request.params}
         self.applied(effects, request, event.text or "set")
 
@@ -399,6 +405,11 @@ class Lifecycle:
 
     # Time
 
+    def due_at(self) -> float:
+        """A time before which `advance` without a hold changes nothing; inf without one."""
+        is_waiting = self.params_request is not None or self.trial is not None
+        return -math.inf if is_waiting else self.pattern_run.lifecycle_due_at()
+
     def advance(self, hold: Reason | None, effects: Effects) -> Reason | None:
         """Act on all deadlines that have passed; returns the present hold, if any."""
         run, now = self.pattern_run, effects.now
@@ -448,3 +459,9 @@ class Lifecycle:
             self.end(Trigger.HOLD_LASTED, hold, text, effects)
             return None
         return hold
+
+
+def _may_recover(params: ParamSources) -> bool:
+    """True if the parameters of a pattern permit recovery."""
+    may_recover, _ = params.get("recovery", (False, ""))
+    return may_recover is True

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from msgspec import Struct
 
 from swarmd.core.host_messages import Loaded, Stepped
 from swarmd.core.messages import ReloadRequest, RunRequest
-from swarmd.core.values import Scalar, TouchZone, Twist
+from swarmd.core.values import Scalar, Twist
+from swarmd.protection.decision import NO_PERMIT, Permit
 
 LOAD_TIMEOUT = 3.0  # s
 STEP_TIMEOUT = 1.0  # s after which a host that does not answer a step is ended
@@ -19,6 +20,7 @@ MIN_EXPIRY = 0.3  # s for which a requested command holds at least
 FAULT_WINDOW = 60.0  # s within which faults count towards the quarantine
 FAULTS_BEFORE_QUARANTINE = 4
 FIRST_BACKOFF = 0.1  # s before the first restart; doubles with each fault
+STEP_TOLERANCE = 1e-3  # s by which a step may come early, with a tick
 ROUNDING = 1e-6  # s: a deadline must not be missed by the last bit of a float
 
 
@@ -60,7 +62,11 @@ class Trial:
 
 @dataclass(slots=True, eq=False)
 class Running:
-    """The running pattern. `touch`: its granted touch zone."""
+    """The running pattern.
+
+    `permit`: what it permits while it does not restart. `period`: s between two steps. `expiry`: s
+    for which a requested command holds: three steps, at least MIN_EXPIRY.
+    """
 
     generation: int
     pattern: str
@@ -71,7 +77,13 @@ class Running:
     values: Mapping[str, tuple[Scalar | None, str]]
     requested: RequestedCommand
     until: tuple[str, ...] = ()
-    touch: TouchZone | None = None
+    permit: Permit = NO_PERMIT
+    period: float = field(init=False)
+    expiry: float = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.period = 1.0 / self.rate
+        self.expiry = max(MIN_EXPIRY, 3.0 / self.rate)
 
     def channel(self, name: str) -> str | None:
         """The pattern's own name of `<pattern>/<channel>`; None if it does not declare it."""
@@ -83,11 +95,6 @@ class Running:
     def full_name(self, channel: str) -> str:
         """The `<pattern>/<channel>` under which a channel is published."""
         return channel if "/" in channel else f"{self.pattern}/{channel}"
-
-    @property
-    def expiry(self) -> float:
-        """Seconds for which a requested command holds: three steps, at least MIN_EXPIRY."""
-        return max(MIN_EXPIRY, 3.0 / self.rate)
 
 
 class PatternRun:
@@ -147,8 +154,8 @@ class PatternRun:
         running = self.running
         if running is None or self.restart_at is not None or self.loading is not None:
             return False
-        period = 1.0 / running.rate
-        if not (is_new_scan or self.is_due or now - self.last_step >= period - 1e-3):
+        is_time = now - self.last_step >= running.period - STEP_TOLERANCE
+        if not (is_new_scan or self.is_due or is_time):
             return False
         if self.awaiting_since is not None:
             self.is_due = True
@@ -196,12 +203,37 @@ class PatternRun:
         self.restart_at = None
         self.is_due = False
 
+    def lifecycle_due_at(self) -> float:
+        """A time before which no deadline passes but that of a step; inf without one.
+
+        -inf during a load. A restart is a hold, which its caller looks at.
+        """
+        running, soonest = self.running, math.inf
+        if self.loading is not None:
+            return -math.inf
+        if running is not None:
+            soonest = running.requested.at + running.expiry
+            if running.finish_at is not None and running.finish_at < soonest:
+                soonest = running.finish_at
+        if self.awaiting_since is not None and self.awaiting_since + STEP_TIMEOUT < soonest:
+            soonest = self.awaiting_since + STEP_TIMEOUT
+        return soonest
+
+    def step_due_at(self) -> float:
+        """A time before which `may_step` does nothing without a new scan; inf without one."""
+        running = self.running
+        if running is None:
+            return math.inf
+        if self.is_due:  # a busy host is asked again after its answer
+            return -math.inf if self.awaiting_since is None else math.inf
+        return self.last_step + running.period - STEP_TOLERANCE
+
     def next_deadline(self, now: float) -> float:
         """The next deadline after `now`; inf without one."""
         running, soonest = self.running, math.inf
         if running is not None:
             if self.awaiting_since is None and self.loading is None:
-                soonest = _sooner(self.last_step + 1.0 / running.rate, soonest, now)
+                soonest = _sooner(self.last_step + running.period, soonest, now)
             soonest = _sooner(running.requested.at + running.expiry, soonest, now)
             if running.finish_at is not None:
                 soonest = _sooner(running.finish_at, soonest, now)

@@ -17,6 +17,7 @@ from swarmd.protection.decision import Decision
 from swarmd.robot.actions import Actions, Effects
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.lifecycle import MAX_HOLD_TIME, Lifecycle, RobotIdentity, RobotSettings
+from swarmd.robot.pattern_run import ROUNDING
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state_machine import Trigger
@@ -48,6 +49,12 @@ class Robot:
         self.id = id
         self.platform = platform
         self._last_tick = now
+        # Quiet moments: `_look_ahead` sets these after each event. Inputs without an event
+        # (odometry, neighbours, readings, messages) invalidate none of them.
+        self._due_at = -math.inf  # before it only a step or the status can be due
+        self._quiet_until = -math.inf  # before it nothing is due: a tick only decides
+        self._is_status_due = True  # the lifecycle may have changed since the last look at it
+        self._settled: Actions  # those of the last event but a quiet tick
         self._sensors = Sensors(platform)
         self._protection = Protection(platform, f"{seed}/{id}")
         identity = RobotIdentity(id, platform, settings, seed, instance)
@@ -95,6 +102,7 @@ class Robot:
     def on_scan(self, scan: Scan, now: float) -> Actions:
         """A raw scan arrived."""
         effects = self._begin(now)
+        effects.is_routine = True
         effects.is_new_scan = self._sensors.on_scan(scan, now)
         if effects.is_new_scan and self._sensors.scan is not None:
             self._protection.observe(self._sensors.scan, self._sensors.context(now))
@@ -189,12 +197,24 @@ class Robot:
 
     def tick(self, now: float) -> Actions:
         """Check all deadlines: 20 times a second, and at `wake_at`."""
-        effects = self._begin(now)
-        effects.is_tick = True
+        is_quiet = now < self._quiet_until and now - self._last_tick <= STALL_TIMEOUT
+        effects = None if is_quiet else self._begin(now)
         self._last_tick = now
         if self._lifecycle.is_running:
             self._duty.decisions += 1
             self._duty.active += self.decision.is_active
+        if effects is None:
+            decision, last = self._decide(None, now), self._settled
+            self.decision = decision
+            return Actions(
+                decision.safe,
+                decision,
+                last.requested_scan_seq,
+                last.is_idle,
+                last.is_stopped,
+                True,
+            )
+        effects.is_tick = effects.is_routine = True
         return self._settle(effects)
 
     def wake_at(self, now: float) -> float | None:
@@ -220,32 +240,55 @@ class Robot:
         late = now - self._last_tick
         if late > STALL_TIMEOUT:
             self._last_tick = now
+            self._due_at = -math.inf
             self._lifecycle.stall(late, effects)
         return effects
 
     def _settle(self, effects: Effects) -> Actions:
         now, lifecycle = effects.now, self._lifecycle
-        self._requests.advance(effects)
-        hold = lifecycle.advance(self._sensors.hold(now), effects)
+        hold = self._sensors.hold(now)
+        if hold is not None or now >= self._due_at or not effects.is_routine:
+            self._requests.advance(effects)
+            hold = lifecycle.advance(hold, effects)
+            self._is_status_due = True
         self.decision = self._decide(hold, now)
         self._restart(effects)
         if effects.host is None and lifecycle.is_running:
             self._step(effects)
-        running = lifecycle.pattern_run.running
-        return Actions(
-            twist=self.decision.safe,
-            decision=self.decision,
-            requested_scan_seq=-1 if running is None else running.requested.scan_seq,
-            is_idle=self._sensors.is_driver_up and self.state is State.IDLE,
-            is_stopped=self.state not in (State.IDLE, State.RUNNING),
+        # Replies go first: a status may wait for the tick, an emergency stop may not.
+        is_looking = effects.is_tick or effects.is_latched
+        status = self._changed_status(now) if is_looking else None
+        self._look_ahead(hold)
+        running, state = lifecycle.pattern_run.running, lifecycle.state_machine.state
+        self._settled = Actions(
+            self.decision.safe,
+            self.decision,
+            -1 if running is None else running.requested.scan_seq,
+            self._sensors.is_driver_up and state is State.IDLE,
+            state is not State.IDLE and state is not State.RUNNING,
             latches=lifecycle.latches.record() if effects.is_latched else None,
             trial=effects.trial,
             host=effects.host,
             messages=effects.messages,
-            # Replies go first: a status may wait for the tick, an emergency stop may not.
-            status=self._changed_status(now) if effects.is_tick or effects.is_latched else None,
+            status=status,
             replies=effects.replies,
         )
+        return self._settled
+
+    def _look_ahead(self, hold: Reason | None) -> None:
+        """Set until when nothing is due if no event comes; a hold is looked at in each tick."""
+        lifecycle = self._lifecycle
+        self._due_at = self._quiet_until = -math.inf
+        if hold is not None:
+            return
+        due = lifecycle.due_at()
+        if lifecycle.is_running:
+            due = min(due, self._sensors.hold_due_at())
+        self._due_at = due - ROUNDING
+        if not self._is_status_due:
+            step_at = lifecycle.pattern_run.step_due_at()
+            status_at = self._published_at + STATUS_PERIOD
+            self._quiet_until = min(due, step_at, status_at) - ROUNDING
 
     def _decide(self, hold: Reason | None, now: float) -> Decision:
         running = self._lifecycle.pattern_run.running
@@ -275,6 +318,9 @@ class Robot:
 
     def _changed_status(self, now: float) -> Status | None:
         """The status if something that peers act on has changed, or after STATUS_PERIOD."""
+        if not self._is_status_due and now < self._published_at + STATUS_PERIOD - ROUNDING:
+            return None
+        self._is_status_due = False
         lifecycle, machine = self._lifecycle, self._lifecycle.state_machine
         reason = status_reason(lifecycle, self.decision)
         if reason in (Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -45,6 +46,7 @@ class Sensors:
         self._odometry_at: float | None = None
         self._scan_times: deque[float] = deque(maxlen=12)
         self._is_new_scan = False
+        self._context: DecisionContext | None = None  # the last one; a scan or odometry ends it
         self._neighbors: tuple[Neighbor, ...] = ()
         self._neighbor_ids: frozenset[str] = frozenset()
         self._aged: tuple[Neighbor, ...] = ()
@@ -66,6 +68,7 @@ class Sensors:
         at = self._odometry_at
         is_fresh = at is not None and now - at <= ODOMETRY_TIMEOUT
         conditioned = self._conditioner.take(scan, self.odometry if is_fresh else None, now)
+        self._context = None
         if isinstance(conditioned, Reason):
             self._problem = conditioned
             return False
@@ -83,6 +86,7 @@ class Sensors:
         """
         if not (odometry.pose.is_finite and odometry.twist.is_finite):
             return
+        self._context = None
         if self.odometry is None or odometry.stamp != self.odometry.stamp:
             self._odometry_at = now
         self.odometry = odometry
@@ -148,8 +152,12 @@ class Sensors:
         return None if self._odometry_at is None else now - self._odometry_at
 
     def context(self, now: float) -> DecisionContext:
-        """The context of a decision at `now`."""
-        return DecisionContext(now, self.scan_age(now), self.odometry, self.odometry_age(now))
+        """The context of a decision at `now`: the same object for the same time and inputs."""
+        context = self._context
+        if context is None or context.now != now:
+            scan_age, odometry_age = self.scan_age(now), self.odometry_age(now)
+            context = self._context = DecisionContext(now, scan_age, self.odometry, odometry_age)
+        return context
 
     def scan_rate(self, now: float) -> float:
         """Valid scans per second, over the last few; 0 once they have stopped."""
@@ -174,6 +182,13 @@ class Sensors:
         ):
             return Reason.STALE_ODOMETRY
         return None
+
+    def hold_due_at(self) -> float:
+        """The time until which `hold` stays None, if it is None now and nothing arrives."""
+        due = math.inf if self._scan_at is None else self._scan_at + self._stale_after
+        if self._needs_odometry and self._odometry_at is not None:
+            due = min(due, self._odometry_at + ODOMETRY_TIMEOUT)
+        return due
 
     def stale_at(self) -> float | None:
         """The time at which the present scan becomes too old; None before the first."""

@@ -219,3 +219,16 @@ def test_protection_acts_only_while_running() -> None:
     harness.ask("stop")
     harness.advance(1.0)
     assert harness.twist.is_zero
+
+
+def test_context_is_made_once_for_a_time_and_new_for_new_inputs() -> None:
+    platform = load_platform("waffle_pi")
+    sensors = Sensors(platform)
+    first = sensors.context(1.0)
+    assert sensors.context(1.0) is first
+    sensors.on_odometry(Odometry(1.0, Pose(), Twist()), 1.0)
+    second = sensors.context(1.0)
+    assert (second.odometry_age, first.odometry_age) == (0.0, None)
+    sensors.on_scan(empty_scan(platform, 1, 1.0), 1.0)
+    assert sensors.context(1.0).scan_age == 0.0
+    assert sensors.context(1.1).scan_age == pytest.approx(0.1)
