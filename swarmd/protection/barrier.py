@@ -24,7 +24,7 @@ import numpy as np
 from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import ZERO, Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
-from swarmd.protection.blind_zone import BlindZoneMemory
+from swarmd.protection.blind_zone import BlindZoneMemory, blind_zone_memory
 from swarmd.protection.constraints import (
     CREEP_SPEED,
     LIMIT_BOX,
@@ -120,7 +120,7 @@ class Barrier:
         self._memory: BlindZoneMemory | None = None
         if self._spec.near == "lost" and self._spec.range_min > 0.0:
             speed = settings.others_speed + own
-            self._memory = BlindZoneMemory(self._spec.range_min, speed, 1.0 / self._spec.rate)
+            self._memory = blind_zone_memory(self._spec.range_min, speed, 1.0 / self._spec.rate)
         self._radius = float(np.hypot(*platform.footprint.T).max())
         self._stop_check = StopCheck(
             self._outline, settings.braking_linear, settings.braking_angular, TICK

@@ -1,0 +1,1 @@
+from swarmd.protection.blind_zone_numpy import BlindZoneMemory as BlindZoneMemory
