@@ -15,7 +15,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from importlib.machinery import PathFinder
-from importlib.metadata import EntryPoint, entry_points
 from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
@@ -25,6 +24,8 @@ from swarmd.core.errors import ConfigError, PluginError, UnknownPatternError, un
 from swarmd.core.keys import check_id, is_id
 
 if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint, EntryPoints
+
     import click
 
     from swarmd.driver_api.driver import DriverFactory
@@ -108,7 +109,7 @@ def load_emulator(name: str) -> EmulatorFactory:
 
 def command_names() -> Mapping[str, EntryPoint]:
     """The verbs that plugins add to swarmctl."""
-    return {point.name: point for point in sorted(entry_points(group=COMMANDS))}
+    return {point.name: point for point in sorted(_entry_points(group=COMMANDS))}
 
 
 def command_summary(point: EntryPoint) -> str:
@@ -147,7 +148,7 @@ def load_command(name: str) -> click.Command:
 
 def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
     """One line: the plugin needs the module `missing`, and the command that installs it."""
-    point = next(iter(entry_points(group=group, name=name)), None)
+    point = next(iter(_entry_points(group=group, name=name)), None)
     extra = _extra_with(point, missing) if point is not None else None
     dist = point.dist.name if point is not None and point.dist is not None else ""
     wanted = f"'{dist}[{extra}]'" if extra else missing
@@ -155,7 +156,7 @@ def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
 
 
 def _installed() -> Iterator[tuple[str, Origin]]:
-    for point in entry_points(group=PATTERNS):
+    for point in _entry_points(group=PATTERNS):
         yield point.name, Origin(point.value, _source(point))
     for path in mission_files(Path(swarmd.config.__path__[0]) / "missions"):
         yield path.stem, Origin(str(path.resolve()), "swarmd", is_file=True)
@@ -205,9 +206,9 @@ def _bad_file_name(name: str, plugin_dir: Path | None) -> str:
 
 
 def _load(what: str, group: str, name: str) -> object:
-    points = entry_points(group=group, name=name)
+    points = _entry_points(group=group, name=name)
     if not points:
-        known = (point.name for point in entry_points(group=group))
+        known = (point.name for point in _entry_points(group=group))
         raise PluginError(unknown(what, name, known))
     if len(points) > 1:
         sources = " and ".join(_source(point) for point in points)
@@ -221,6 +222,12 @@ def _load(what: str, group: str, name: str) -> object:
             raise PluginError(how_to_install(missing, name, group)) from error
         text = f"{what} {name!r} of {_source(point)} cannot be loaded: {error}"
         raise PluginError(f"{text}; reinstall it or report it to its authors") from error
+
+
+def _entry_points(*, group: str, name: str | None = None) -> EntryPoints:
+    from importlib.metadata import entry_points  # it takes 2 MB; a pattern host reads no metadata
+
+    return entry_points(group=group) if name is None else entry_points(group=group, name=name)
 
 
 def _source(point: EntryPoint) -> str:

@@ -10,6 +10,9 @@ INTERRUPTED = 130
 def swarmctl() -> None:
     """Run swarmctl and exit with its code."""
     try:
+        import gc
+
+        gc.set_threshold(20_000)  # 30 collections during the imports would free next to nothing
         from swarmd.cli.swarmctl import main
 
         main()

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Collection, Iterable
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
+from msgspec.structs import replace
 
 from swarmd.cli.arguments import Failure, Targets
 from swarmd.cli.output import NOTHING, print_json, print_table, seconds, warn
@@ -35,7 +35,11 @@ _HELP = {
 
 
 def known_members(
-    options: CommonOptions, operator: Operator, *, is_request_next: bool = False
+    options: CommonOptions,
+    operator: Operator,
+    *,
+    is_request_next: bool = False,
+    needs_status: bool = True,
 ) -> MembersView:
     """The swarm, once all have answered or after `--timeout`; says what is missing on stderr.
 
@@ -45,7 +49,7 @@ def known_members(
     timeout = options.timeout
     if timeout is not None and is_request_next:
         timeout /= 2.0
-    view = operator.members(timeout=timeout)
+    view = operator.members(timeout=timeout, needs_status=needs_status)
     if not view.members:
         raise unreachable(operator)
     warn_of_gaps(view, view.missing)
@@ -120,7 +124,7 @@ def send_to(
 ) -> NoReturn:
     """Send a request to the targets and report."""
     with options.operator() as operator:
-        view = known_members(options, operator, is_request_next=True)
+        view = known_members(options, operator, is_request_next=True, needs_status=False)
         names = targets_of(view, targets)
         epochs, wait = view.epochs(names), time_left(options, view)
         report(options, operator.request(kind, epochs, timeout=wait, **fields))

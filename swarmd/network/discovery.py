@@ -10,11 +10,10 @@ from __future__ import annotations
 
 import ipaddress
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Annotated
 
-from msgspec import Meta
+from msgspec import Meta, Struct
 
 from swarmd.core import codec
 from swarmd.core.keys import is_id
@@ -75,6 +74,7 @@ class SeenMember(Member, frozen=True, kw_only=True):
     `age`: seconds since the figures were sent, or since it was heard last, or failed or left.
     `by`: the robot by whose word it is known, if it was not heard here. `state` is that of its
     beacon, `wire` the version of its requests, `header` what is read of another version's status.
+    `epoch`: of its status, else of its newest beacon.
     """
 
     contact: Contact = Contact.ANSWERED
@@ -83,10 +83,10 @@ class SeenMember(Member, frozen=True, kw_only=True):
     wire: int | None = None
     version: Word = ""
     header: StatusHeader | None = None
+    epoch: Epoch | None = None
 
 
-@dataclass(frozen=True, slots=True)
-class MembersView:
+class MembersView(Struct, frozen=True):
     """The swarm as one operator sees it.
 
     `members`: all robots by id. `answered`: those that answered for themselves, in this version
@@ -98,7 +98,7 @@ class MembersView:
     members: Mapping[str, SeenMember]
     answered: frozenset[str] = frozenset()
     roster: frozenset[str] = frozenset()
-    duplicates: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    duplicates: Mapping[str, tuple[str, ...]] = {}
     round_trip: float = 0.0
     loss: float = 0.0
     seconds: float = 0.0
@@ -137,13 +137,12 @@ class MembersView:
         return tuple(name for name, one in members if one.contact is Contact.OTHER_VERSION)
 
     def epochs(self, names: Iterable[str]) -> dict[str, Epoch | None]:
-        """The epoch seen of each robot, to quote in a request; None without an answer."""
+        """The epoch seen of each robot, to quote in a request; None if it was not heard."""
         members = ((name, self.members.get(name)) for name in names)
-        return {name: one.status.epoch if one and one.status else None for name, one in members}
+        return {name: one.epoch if one else None for name, one in members}
 
 
-@dataclass(slots=True)
-class _DirectMember:
+class _DirectMember(Struct):
     """An instance that the operator hears itself."""
 
     beacon: Beacon
@@ -151,12 +150,11 @@ class _DirectMember:
     first: float
     last: float
     asked: int  # solicits that were sent before it was first heard
-    echoes: set[int] = field(default_factory=set)
+    echoes: set[int] = set()
     version: str = ""
 
 
-@dataclass(frozen=True, slots=True)
-class _Report:
+class _Report(Struct, frozen=True):
     """What one robot says of another; `at`: when that was so."""
 
     instance: str
@@ -166,8 +164,7 @@ class _Report:
     address: Address | None
 
 
-@dataclass(frozen=True, slots=True)
-class _Answer:
+class _Answer(Struct, frozen=True):
     status: Status | StatusHeader
     members: tuple[Member, ...]
     at: float
@@ -198,7 +195,8 @@ class Discovery:
 
     `first_robot_timeout`: how long to wait for a first robot, in s. `earlier`: the result of an
     earlier look: its robots stay expected, and count as failed until they are heard again.
-    `is_local`: all robots are on this machine, by the loopback interface.
+    `is_local`: all robots are on this machine, by the loopback interface. `needs_status`: only a
+    status is an answer; else also a beacon that echoes a solicit, with a whole member list.
     """
 
     def __init__(
@@ -209,9 +207,11 @@ class Discovery:
         first_robot_timeout: float = FIRST_ROBOT_TIMEOUT,
         earlier: MembersView | None = None,
         is_local: bool = False,
+        needs_status: bool = True,
     ) -> None:
         self.started = now
         self._is_local = is_local
+        self._needs_status = needs_status
         self._nobody_wait = first_robot_timeout
         self.found_at = now  # when the last robot was found
         self._news = self._prolonging_news = now
@@ -412,11 +412,23 @@ class Discovery:
     @property
     def settled(self) -> frozenset[str]:
         """The robots of which every living instance has answered: both, if two hold one id."""
-        return frozenset(
+        found = {
             robot
             for robot, answers in self._answers.items()
             if answers and self.holders(robot) <= answers.keys()
-        )
+        }
+        if not self._needs_status:
+            found |= {robot for robot in self.heard - found if self._answered_by_datagram(robot)}
+        return frozenset(found)
+
+    def _answered_by_datagram(self, robot: str) -> bool:
+        """True if its only instance echoed a solicit and listed its members.
+
+        Of an id that two daemons hold, both must be linked before a request goes out.
+        """
+        heard, holders = self._heard[robot], self.holders(robot)
+        is_echoed = all(one in heard and heard[one].echoes for one in holders)
+        return len(holders) == 1 and is_echoed and self._has_full_list(robot)
 
     def holders(self, robot: str) -> frozenset[str]:
         """The living instances of an id, by beacons and by the word of any one robot."""
@@ -489,6 +501,8 @@ class Discovery:
             return False
         if not self.result(now).expected <= settled:
             return False
+        if not self._needs_status:
+            return self.has_all_lists(now)
         return self._views_agree(settled) or now - self._news >= self.quiet_time
 
     @property
@@ -606,6 +620,7 @@ class Discovery:
             wire=beacon.wire if beacon else None,
             version=status.version if status else heard.version if heard else "",
             header=status if isinstance(status, StatusHeader) else None,
+            epoch=_epoch(status, beacon),
         )
 
     # Parts
@@ -761,6 +776,12 @@ class Discovery:
                 if asked >= 4 and now - one.last <= FRESH_TIME:
                     worst = max(worst, 1.0 - len(one.echoes) / asked)
         return min(max(worst, 0.0), 1.0)
+
+
+def _epoch(status: Status | StatusHeader | None, beacon: Beacon | None) -> Epoch | None:
+    if isinstance(status, Status):
+        return status.epoch
+    return None if beacon is None else Epoch(beacon.instance.hex(), beacon.revision)
 
 
 def _seen_alive(members: tuple[Member, ...]) -> frozenset[str]:

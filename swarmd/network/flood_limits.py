@@ -13,7 +13,9 @@ Times are in s on one monotonic clock, handed in.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field, replace
+
+from msgspec import Struct, field
+from msgspec.structs import replace
 
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.datagram import URGENT, Address, Kind
@@ -31,8 +33,7 @@ MAX_BLOCKED, MAX_THINNED = 64, 8  # places in the kernel's filter
 MIN_SHARE = 1 / 128
 
 
-@dataclass(frozen=True, slots=True)
-class FloodRules:
+class FloodRules(Struct, frozen=True):
     """What the kernel's filter is to drop.
 
     `blocked`: sources whose datagrams are dropped unless urgent. `thinned`: sources, and the share
@@ -88,8 +89,7 @@ class _Budget:
         return True
 
 
-@dataclass(slots=True)
-class _Source:
+class _Source(Struct):
     first: float
     last: float
     is_known: bool = False

@@ -10,9 +10,11 @@ import ipaddress
 import socket
 import struct
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import TYPE_CHECKING
+
+from msgspec import Struct
+from msgspec.structs import replace
 
 from swarmd.core.errors import NetworkError
 
@@ -39,8 +41,7 @@ _MAX_MESSAGE = 65536
 _READS = 64  # messages of the kernel in a turn of the loop
 
 
-@dataclass(frozen=True, slots=True)
-class InterfaceState:
+class InterfaceState(Struct, frozen=True):
     """An interface; `is_up`: it is on and has a carrier; `addresses`: the usable ones, IPv4 first.
 
     `index`: its number, which changes if it goes and comes back; 0 if it is absent.
@@ -90,8 +91,7 @@ class InterfaceEvent(StrEnum):
     ADDRESS_CHANGED = "address_changed"
 
 
-@dataclass(frozen=True, slots=True)
-class InterfaceChange:
+class InterfaceChange(Struct, frozen=True):
     """A change, with a line for the log such as `wlan0: no address yet`.
 
     `must_reopen`: peers know the robot by an address that is gone, or the sockets are bound to an
@@ -233,8 +233,7 @@ def _lost(last: InterfaceState, state: InterfaceState) -> tuple[str, ...]:
 # Netlink: values in, values out
 
 
-@dataclass(frozen=True, slots=True)
-class LinkMessage:
+class LinkMessage(Struct, frozen=True):
     """The interface `index` is there, up or not, or has gone (not `exists`)."""
 
     index: int
@@ -243,8 +242,7 @@ class LinkMessage:
     is_up: bool
 
 
-@dataclass(frozen=True, slots=True)
-class AddressMessage:
+class AddressMessage(Struct, frozen=True):
     """An address of the interface `index` is usable, or not any more."""
 
     index: int

@@ -77,6 +77,10 @@ GATHER_TIME = 0.004
 MAX_SESSIONS, DIAL_PERIOD = 8, 0.01
 # A robot that is heard and does not answer is dialled again after this time, in s and round trips.
 REDIAL_WAIT, REDIAL_TRIPS = 1.5, 5.0
+# How often a request looks for links that have come up, in s.
+LINK_PERIOD = 0.003
+# A look that needs no status asks for them only after this time, in s: it takes longer than most.
+STATUS_DELAY = 0.1
 CLOSE_TIMEOUT = 0.2
 MAX_SWARMS = 256
 MAX_EXCUSED = 512  # names in a question for members: they fit one request
@@ -183,15 +187,17 @@ class Operator:
 
     # Looks
 
-    def members(self, *, timeout: float | None = None) -> MembersView:
+    def members(self, *, timeout: float | None = None, needs_status: bool = True) -> MembersView:
         """The members, once all that are expected have answered.
 
-        Else after `timeout` s, or after a time that follows from the round trip.
+        Else after `timeout` s, or after a time that follows from the round trip. Without
+        `needs_status` a datagram is answer enough: its beacon has the epoch for a request.
         """
         now = boottime()
-        discovery = self._new_discovery(now)
+        discovery = self._new_discovery(now, needs_status=needs_status)
         solicit, poll = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
         until = None if timeout is None else now + timeout
+        ask_at = now if needs_status else now + STATUS_DELAY
         over = RepeatTimer(now, ((float("inf"), 0.02),))
         while True:
             with self._news:
@@ -199,13 +205,17 @@ class Operator:
                 is_complete = discovery.is_complete(now)
                 is_late = until is not None and now >= until
                 is_over = until is None and over.is_due(now) and discovery.is_over(now)
-                if is_complete or is_late or is_over:
+            if is_complete or is_late or is_over:
+                while is_complete and (wait := self._dial(discovery, now)) < float("inf"):
+                    time.sleep(wait)
+                    now = boottime()
+                with self._news:
                     self._looked = discovery.result(now)
                     return self._looked
             if solicit.is_due(now):
                 self._solicit(discovery, now)
             wait = self._dial(discovery, now)
-            if poll.is_due(now):
+            if now >= ask_at and poll.is_due(now):
                 self._ask_members(discovery)
             ends = [0.02 if until is None else until - now, wait]
             self._wait(version, min(solicit.pause(now), poll.pause(now), *ends))
@@ -258,15 +268,28 @@ class Operator:
             timeout = min(timeout, max(least, REQUEST_CAP))
         patience = min(timeout, 1.0 + 6.0 * view.round_trip)
         started = now = boottime()
-        robots: tuple[str, ...] = (ANY,) if asked else ()
+        links = _Links(build(self.settings.swarm, ANY, "control", request.verb))
+        unlinked = set() if self.settings.profile == "routed" else set(asked)
+        robots = tuple(asked)
+        repeat_at = now
         while robots and (left := started + timeout - now) > 0:
-            for robot in robots:
-                self._get(robot, "control", request.verb, payload, left, _collect(acks))
+            linked = links.of(unlinked, self._sessions)
+            unlinked -= linked
+            is_due = now >= repeat_at
+            if is_due or linked:
+                repeat_at = now + REPEAT_PERIOD if is_due else repeat_at
+                asking = set(robots) - unlinked if is_due else linked
+                for robot in (ANY,) if len(asking) == len(asked) else sorted(asking):
+                    self._get(robot, "control", request.verb, payload, left, _collect(acks))
+            if unlinked and self._discovery is not None:
+                self._dial(self._discovery, now, only=unlinked)
+            pause = min(left, repeat_at - now, LINK_PERIOD if unlinked else REPEAT_PERIOD)
             with self._news:
-                self._news.wait_for(lambda: not acks.missing(asked), min(left, REPEAT_PERIOD))
+                self._news.wait_for(lambda: not acks.missing(asked), max(pause, 0.001))
                 robots, now = acks.missing(asked), boottime()
             if now - started >= patience and others.issuperset(robots):
                 break  # they may not know how to refuse it
+        links.close()
         with self._news:
             for name in acks.missing(others):
                 acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
@@ -377,7 +400,7 @@ class Operator:
             fields["reason"] = _sendable(fields["reason"], MAX_REASON, 4 * MAX_REASON)
         return kind(id=os.urandom(6).hex(), operator=self.name, **fields)
 
-    def _new_discovery(self, now: float) -> Discovery:
+    def _new_discovery(self, now: float, *, needs_status: bool = True) -> Discovery:
         wait = DEV_WAIT if self.settings.profile == "dev" else FIRST_ROBOT_TIMEOUT
         with self._news:
             earlier = None if self._discovery is None else self._discovery.result(now)
@@ -387,6 +410,7 @@ class Operator:
                 first_robot_timeout=wait,
                 earlier=earlier,
                 is_local=self.settings.interface_name == "lo",
+                needs_status=needs_status,
             )
             self._discovery = discovery
         return discovery
@@ -402,11 +426,16 @@ class Operator:
         for address in addresses:
             self._carrier.send_to(payload, self._reachable(address))
 
-    def _dial(self, discovery: Discovery, now: float) -> float:
-        """Dial the robots that were found; the time until it is to be called again, in s."""
+    def _dial(self, discovery: Discovery, now: float, only: Collection[str] | None = None) -> float:
+        """Dial the robots that were found; the time until it is to be called again, in s.
+
+        `only` None: all of them, again if their status does not come.
+        """
         with self._news:
             found = discovery.to_dial(now)
-            answered = discovery.settled
+            if only is not None:
+                found = {who: address for who, address in found.items() if who[0] in only}
+            answered = discovery.settled if only is None else frozenset[str]()
             trip = discovery.round_trip
         again = REDIAL_WAIT + REDIAL_TRIPS * trip
         wanted: dict[tuple[str, str], Address] = {}
@@ -580,6 +609,41 @@ class Operator:
     def _wait(self, version: int, timeout: float) -> None:
         with self._news:
             self._news.wait_for(lambda: self._version != version, max(0.001, timeout))
+
+
+class _Links:
+    """The robots that a query on `key` (with any robot) reaches by now."""
+
+    def __init__(self, key: str) -> None:
+        self._key = key
+        self._queriers: list[tuple[zenoh.Session, dict[str, zenoh.Querier]]] = []
+
+    def of(self, robots: Collection[str], sessions: Iterable[zenoh.Session]) -> set[str]:
+        """Those of `robots` that have declared the key in one of the sessions."""
+        if not robots:
+            return set()
+        known = [session for session, _ in self._queriers]
+        self._queriers += [(one, {}) for one in sessions if not any(one is old for old in known)]
+        return {robot for robot in robots if self._is_linked(robot)}
+
+    def close(self) -> None:
+        """Undeclare the queriers."""
+        from swarmd.network.session import undeclare
+
+        undeclare(*(one for _, queriers in self._queriers for one in queriers.values()))
+
+    def _is_linked(self, robot: str) -> bool:
+        import zenoh
+
+        from swarmd.network.session import has_queryable
+
+        for session, queriers in self._queriers:
+            with contextlib.suppress(zenoh.ZError):  # the session is closed
+                if robot not in queriers:
+                    queriers[robot] = session.declare_querier(self._key.replace(ANY, robot, 1))
+                if has_queryable(queriers[robot]):
+                    return True
+        return False
 
 
 def is_closing() -> bool:

@@ -17,7 +17,8 @@ An empty list of acks is never success. The exit codes of swarmctl:
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.network.datagram import Ack
@@ -38,8 +39,7 @@ _CODES = frozenset(Code)
 _SEVERITY = {Code.APPLIED: 0, Code.REFUSED: 1, Code.FAILED: 2}
 
 
-@dataclass(frozen=True, slots=True)
-class Outcome:
+class Outcome(Struct, frozen=True):
     """The replies to a request by robot, and the robots that did not answer (`missing`).
 
     `reached`: how many robots were heard at all, whether or not they answered. `unlisted`: robots

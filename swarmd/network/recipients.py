@@ -9,7 +9,8 @@ are heard, so that a silent address costs a beacon a second.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+
+from msgspec import Struct
 
 from swarmd.network.datagram import Address
 
@@ -17,8 +18,7 @@ MAX_ADDRESSES = 256
 MENTION_TIME = 30.0  # s for which the word of another robot counts
 
 
-@dataclass(slots=True)
-class _Known:
+class _Known(Struct):
     by_group: float = -1e9
     heard: float = -1e9
     mentioned: float = -1e9

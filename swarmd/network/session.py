@@ -160,6 +160,11 @@ def has_subscriber(publisher: zenoh.Publisher) -> bool:
     return bool(getattr(publisher.matching_status, "matching", False))
 
 
+def has_queryable(querier: zenoh.Querier) -> bool:
+    """True if another session answers queries on its key."""
+    return bool(getattr(querier.matching_status, "matching", False))
+
+
 def undeclare(*entities: Any) -> None:
     """Undeclare tokens, subscribers, queryables, publishers; harmless once the session closed."""
     for entity in entities:

@@ -59,7 +59,7 @@ class HostProcess:
         theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
         # -P: a random.py in the current folder must not shadow a module.
         command = [sys.executable, "-P", "-m", "swarmd.pattern_host.worker"]
-        command += ["--fd", str(theirs.fileno()), "--parent", str(os.getpid())]
+        command += [str(theirs.fileno()), str(os.getpid())]
         with theirs:
             self.process = subprocess.Popen(
                 command,

@@ -7,10 +7,10 @@ The daemon starts it with one end of a SOCK_SEQPACKET pair. It ends with the dae
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import os
 import socket
+import sys
 import time
 
 from msgspec.structs import replace
@@ -28,16 +28,13 @@ NICE = 10
 
 
 def main() -> None:
-    """Entry of `python -m swarmd.pattern_host.worker`."""
-    parser = argparse.ArgumentParser(prog="swarmd.pattern_host.worker", description=__doc__)
-    parser.add_argument("--fd", type=int, required=True, help="the daemon's socket")
-    parser.add_argument("--parent", type=int, required=True, help="end with this process")
-    args = parser.parse_args()
-    die_with_parent(args.parent)
+    """Entry of `python -m swarmd.pattern_host.worker FD PARENT`: the daemon's socket and id."""
+    fd, parent = map(int, sys.argv[1:])
+    die_with_parent(parent)
     _lower_priority()
-    os.set_inheritable(args.fd, False)
+    os.set_inheritable(fd, False)
     os.dup2(2, 1)  # what a pattern prints belongs into the daemon's log
-    with socket.socket(fileno=args.fd) as daemon:
+    with socket.socket(fileno=fd) as daemon:
         try:
             _serve(daemon)
         except MemoryError:

@@ -27,7 +27,7 @@ class Slow:
     def __exit__(self, *_: object) -> None:
         """Nothing is open."""
 
-    def members(self, *, timeout: float) -> MembersView:
+    def members(self, *, timeout: float, needs_status: bool) -> MembersView:
         self.waits.append(timeout)
         seen = SeenMember(
             robot="a",

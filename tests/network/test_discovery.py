@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core import codec
-from swarmd.core.messages import Member, PeerView, Presence, State, StatusHeader
+from swarmd.core.messages import Epoch, Member, PeerView, Presence, State, StatusHeader
 from swarmd.network.datagram import PRESENCES, STATES, Beacon, Flag, MemberList, MemberReport
 from swarmd.network.discovery import (
     ANSWER_WAIT,
@@ -87,8 +87,8 @@ def address(robot: str) -> tuple[str, int]:
 class Rig:
     """A look that began at 0."""
 
-    def __init__(self, *roster: str) -> None:
-        self.found = Discovery(0.0, roster)
+    def __init__(self, *roster: str, needs_status: bool = True) -> None:
+        self.found = Discovery(0.0, roster, needs_status=needs_status)
 
     def hear(self, *robots: str, at: float = 0.01, **changes: Any) -> None:
         for robot in robots:
@@ -241,9 +241,56 @@ def test_the_epochs_are_those_that_robots_showed(rig: Rig) -> None:
     rig.hear("a")
     rig.answer("a", instance=9)
     rig.hear("a", instance=9, at=0.03)
-    rig.hear("b")
+    rig.hear("b", sequence=2, revision=7)
+    rig.hear("b", sequence=1, revision=6)
     epochs = rig.found.result(0.1).epochs(["a", "b", "zz"])
-    assert epochs == {"a": light_status("a", life(9).hex()).epoch, "b": None, "zz": None}
+    b = Epoch(life().hex(), 7)
+    assert epochs == {"a": light_status("a", life(9).hex()).epoch, "b": b, "zz": None}
+
+
+def test_without_need_of_a_status_an_echo_and_a_list_are_an_answer() -> None:
+    rig = Rig(needs_status=False)
+    rig.found.on_solicit(5, 0.0)
+    rig.hear("a", "b", echo=5)
+    rig.tell("a", heard("b"))
+    assert not rig.found.is_complete(0.02)
+    rig.tell("b", heard("a"))
+    assert rig.found.is_complete(0.02)
+    assert rig.found.result(0.02).missing == ()
+
+
+def test_without_need_of_a_status_a_beacon_that_answers_nothing_is_no_answer() -> None:
+    rig = Rig(needs_status=False)
+    rig.found.on_solicit(5, 0.0)
+    rig.hear("a", echo=5)
+    rig.hear("b")
+    rig.tell("a", heard("b"))
+    rig.tell("b", heard("a"))
+    assert not rig.found.is_complete(1.0)
+    assert rig.found.result(1.0).missing == ("b",)
+
+
+def test_without_need_of_a_status_an_id_that_two_hold_needs_both_statuses() -> None:
+    rig = Rig(needs_status=False)
+    rig.found.on_solicit(5, 0.0)
+    for at in (0.01, 0.05):
+        rig.hear("a", instance=1, echo=5, at=at)
+        rig.hear("a", instance=2, echo=5, at=at)
+    rig.tell("a")
+    assert not rig.found.is_complete(1.0)
+    rig.answer("a", instance=1, at=1.0)
+    assert not rig.found.is_complete(2.0)
+    rig.answer("a", instance=2, at=1.0)
+    assert rig.found.is_complete(2.0)
+
+
+def test_without_need_of_a_status_a_robot_that_others_name_is_missing() -> None:
+    rig = Rig(needs_status=False)
+    rig.found.on_solicit(5, 0.0)
+    rig.hear("a", echo=5)
+    rig.tell("a", heard("b"))
+    assert not rig.found.is_complete(1.0)
+    assert rig.found.result(1.0).missing == ("b",)
 
 
 def test_both_daemons_of_one_id_must_answer(rig: Rig) -> None:

@@ -98,6 +98,21 @@ def test_a_request_reaches_its_targets_alone(settings: NetworkSettings, robots: 
     assert swarm["c"].requests == []
 
 
+def test_a_request_waits_for_links_that_are_not_up_when_it_begins(
+    settings: NetworkSettings, robots: Robots
+) -> None:
+    swarm = robots("a", "b", "c")
+    with Operator(settings) as operator:
+        view = operator.members(needs_status=False)
+        targets = view.epochs(["a", "b"])
+        outcome = operator.request(RunRequest, targets, pattern="x", least=20.0)
+    assert view.missing == ()
+    assert targets["a"] == swarm["a"].status().epoch
+    assert outcome.line == "2 targeted, 2 applied"
+    assert len(swarm["a"].requests) == 1
+    assert swarm["c"].requests == []
+
+
 def test_refusals_and_silence_are_named(settings: NetworkSettings, robots: Robots) -> None:
     robots("a")
     robots("b", answer=lambda request: Code.REFUSED)
