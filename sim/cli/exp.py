@@ -81,6 +81,12 @@ def exp() -> None:
     help="Values to run in turn; repeated, every combination of values is run.",
 )
 @_processes
+@click.option(
+    "--cores",
+    type=click.IntRange(1, MAX_PROCESSES),
+    help="Processes that share the robots of each run, for large ones; results do not depend on it"
+    " [1].",
+)
 @_timeout
 @_out("Folder of the results; an interrupted experiment in it resumes [experiments/SCENARIO-N].")
 @click.option(
@@ -100,6 +106,7 @@ def run(
     sets: tuple[str, ...],
     sweeps: tuple[str, ...],
     jobs: int | None,
+    cores: int | None,
     timeout: float | None,
     out: Path | None,
     shard: str | None,
@@ -125,6 +132,8 @@ def run(
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.experiments.simulate import Runner, plan_of, run_experiment
 
+    if scheduler is not None and cores is not None:
+        raise ConfigError("--cores is for runs on this machine; leave it out with --scheduler")
     if scheduler is not None:
         need("distributed", extra="sim,plot,cluster")
         from swarmd.sim.experiments.cluster import connect
@@ -140,7 +149,8 @@ def run(
     command = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]
     for option, values in (("--set", sets), ("--sweep", sweeps)):
         command += [word for value in values for word in (option, value)]
-    given = {"--jobs": jobs, "--shard": shard, "--scheduler": scheduler, "--out": folder}
+    given = {"--jobs": jobs, "--cores": cores, "--shard": shard, "--scheduler": scheduler,
+             "--out": folder}  # fmt: skip
     command += [word for k, v in given.items() if v is not None for word in (k, str(v))]
     command += ["--no-traces"] * no_traces
     command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
@@ -151,7 +161,9 @@ def run(
         with ExitStack() as stack:
             stack.enter_context(ends_on_sigterm())
             if scheduler is None:
-                runner: Runner = partial(run_jobs, processes=jobs or usable_cores(), timeout=limit)
+                share = cores or 1
+                at_once = jobs or max(1, usable_cores() // share)
+                runner: Runner = partial(run_jobs, processes=at_once, timeout=limit, cores=share)
             else:
                 cluster = stack.enter_context(connect(scheduler, manifest, limit, warn, jobs))
                 manifest, runner = cluster.manifest, cluster.run_jobs

@@ -15,7 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -31,6 +31,7 @@ STEP_TIMEOUT = 60.0
 """Limit in s of wall time for one step of a simulation, or for its set-up, and for the start of a
 worker, which takes 3 s on a busy machine."""
 _EXIT_TIMEOUT = 2.0  # s for a worker without work to end by itself
+_SHARE_OF_TIMEOUT = 0.8  # of the limit for a run, for each of several processes of it
 _POLL_PERIOD = 0.5  # s between two checks of workers that report nothing
 _PROGRESS_PERIOD = 0.25  # s between two reports of a worker
 _MAX_LOG_TAIL = 8192  # bytes of a worker's output that are searched for its last line
@@ -43,12 +44,17 @@ _ONE_THREAD = {
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """A run: its id, a complete scenario as plain values, a seed, and the path of its trace."""
+    """A run: its id, a complete scenario as plain values, a seed, and the path of its trace.
+
+    `cores` processes share its robots; one that makes no progress for `timeout` s ends the run.
+    """
 
     run: str
     effective: Mapping[str, Any]
     seed: int
     trace: Path | None
+    cores: int = 1
+    timeout: float = STEP_TIMEOUT
 
 
 Shares: TypeAlias = Mapping[str, float]
@@ -78,7 +84,9 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
     """
     begin = time.perf_counter()
     try:
-        trace = simulate_run(scenario_of(job.effective), job.seed, on_progress)
+        limit = _SHARE_OF_TIMEOUT * job.timeout  # so that the run names the process, not the pool
+        scenario = scenario_of(job.effective)
+        trace = simulate_run(scenario, job.seed, on_progress, cores=job.cores, timeout=limit)
         metrics = measure(trace)
     except SwarmError as error:
         return JobResult(job.run, reason=one_line(str(error)))
@@ -108,14 +116,15 @@ def one_line(text: str) -> str:
 
 
 def run_jobs(
-    jobs: Iterable[Job], processes: int, timeout: float = STEP_TIMEOUT
+    jobs: Iterable[Job], processes: int, timeout: float = STEP_TIMEOUT, cores: int = 1
 ) -> Generator[JobResult | Shares, None, None]:
     """The result of each job as it arrives, from `processes` workers, and meanwhile their progress.
 
-    A run that makes no progress for `timeout` s is ended and has failed. Close the iterator
-    (`contextlib.closing`) if it is not exhausted, which ends the workers.
+    A run that makes no progress for `timeout` s is ended and has failed. Each worker does its runs
+    in `cores` processes. Close the iterator (`contextlib.closing`) if it is not exhausted, which
+    ends the workers.
     """
-    waiting = deque(jobs)
+    waiting = deque(replace(job, cores=cores, timeout=timeout) for job in jobs)
     workers: dict[Connection, _Worker] = {}
 
     def start(job: Job) -> None:

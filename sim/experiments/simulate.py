@@ -68,6 +68,7 @@ def simulate(
     traces: bool = True,
     timeout: float = STEP_TIMEOUT,
     shard: str | None = None,
+    cores: int = 1,
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
@@ -77,6 +78,7 @@ def simulate(
     does them. The results are the same, bit by bit. In worker processes, a run without progress
     for `timeout` s is ended and has failed. `out` is a folder as of `swarmctl exp`; the same call
     continues an interrupted one. Without `out`, the results are deleted with the returned object.
+    With `cores` above 1 as many processes share the robots of each run, which is for large ones.
     With `shard="3/40"` only the third of forty parts is run; `merge` joins their folders.
 
     ConfigError before anything runs if scenario, seeds or overrides are invalid. Failed runs are
@@ -84,6 +86,8 @@ def simulate(
     """
     if jobs < 1:
         raise ConfigError(f"jobs is {jobs}; expected 1 or more")
+    if cores < 1:
+        raise ConfigError(f"cores is {cores}; expected 1 or more")
     if not timeout >= 1.0:
         raise ConfigError(f"timeout is {timeout:g}; expected 1 s or more")
     listed = range(int(seeds)) if isinstance(seeds, Integral) else cast("Iterable[int]", seeds)
@@ -91,7 +95,8 @@ def simulate(
     if shard is not None:
         plan = replace(plan, shard=parse_shard(shard))
     manifest = manifest_of(plan, traces=traces, command=[])
-    runner = partial(run_jobs, processes=jobs, timeout=timeout) if jobs > 1 else _run_here
+    in_workers = partial(run_jobs, processes=jobs, timeout=timeout, cores=cores)
+    runner = in_workers if max(jobs, cores) > 1 else _run_here
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
     try:
         results = run_experiment(manifest, folder, runner)

@@ -82,6 +82,7 @@ class _Member(Shard):
         self._memory, self._ready, self._watch = memory, ready, watch
         # Two halves in turn: who writes one again knows that all have read it.
         self._half = 0
+        self._pid: int | None = None
 
     def exchange(self, part: T) -> list[T]:
         received = self._exchange_bytes(pickle.dumps(part, pickle.HIGHEST_PROTOCOL), keeps=True)
@@ -98,6 +99,9 @@ class _Member(Shard):
 
     def _exchange_bytes(self, data: bytes, *, keeps: bool) -> list[bytearray]:
         """What all other shards sent, in rounds of `_CHUNK` until each has sent all of its own."""
+        self._pid = self._pid or os.getpid()
+        if self._pid != os.getpid():  # forked by a pattern: it has no part in the run
+            os._exit(0)
         others = [shard for shard in range(self.count) if shard != self.index]
         received = [bytearray() for _ in range(self.count)]
         done, longest = 0, 1

@@ -223,6 +223,7 @@ def test_a_signal_keeps_finished_runs_and_prints_how_to_resume(
         (["run", "DUO", "--out", "."], "it holds duo"),
         (["run", "DUO", "--out", "duo/duo.yaml"], "duo/duo.yaml"),
         (["run", "DUO", "-j", "0"], "--jobs"),
+        (["run", "DUO", "--cores", "0"], "--cores"),
         (["rerun", "."], "manifest.json"),
         (["show", "nowhere"], "nowhere"),
         (["compare", "a", "b"], "a: "),

@@ -88,6 +88,40 @@ def test_a_run_that_freezes_fails_and_the_others_go_on(duo: Path, tmp_path: Path
     assert list(tmp_path.glob(".*")) == []
 
 
+def test_several_processes_for_a_run_give_its_metrics(duo: Path) -> None:
+    before = set(children(os.getpid()))
+    forking = job(duo, 2, None, {END: "fork"})
+    several = {r.run: r for r in results(run_jobs([job(duo, 0), job(duo, 1), forking], 1, cores=2))}
+    for run, one in done([job(duo, 0), job(duo, 1)], 1).items():
+        assert several[run].metrics == one.metrics is not None
+    assert several["s2"].metrics is not None
+    assert set(children(os.getpid())) == before
+
+
+@pytest.mark.parametrize(
+    ("end", "words"), [("kill", "SIGKILL"), ("freeze", "no progress in 2.4 s")]
+)
+def test_a_process_of_a_run_that_fails_is_named(duo: Path, end: str, words: str) -> None:
+    last = {
+        "platform": "burger",
+        "count": 1,
+        "prefix": "z",
+        "pattern": "moody",
+        "parameters": {"end": end},
+        "start": {"layout": "list", "poses": [[2.0, 2.0, 0.0]]},
+    }
+    before = set(children(os.getpid()))
+    plain = job(duo, 0).effective
+    faulty = Job(
+        "s0", {**plain, "groups": {"first": plain["groups"]["all"], "last": last}}, 0, None
+    )
+    found = {r.run: r for r in results(run_jobs([faulty, job(duo, 1)], 1, timeout=3.0, cores=3))}
+    assert found["s0"].reason.startswith("process 3 of the 3 of this run")
+    assert words in found["s0"].reason
+    assert found["s1"].metrics is not None
+    assert set(children(os.getpid())) == before
+
+
 def test_the_start_of_a_worker_does_not_count_as_a_step(duo: Path) -> None:
     worker = _Worker()
     try:
