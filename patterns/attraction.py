@@ -22,20 +22,19 @@ robot, and groups farther apart than `range` meet only by chance.
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass
-from typing import Annotated
-
-import numpy as np
+from typing import Annotated, TypeAlias
 
 from swarmd.api import (
     ZERO,
-    Array,
     Bias,
     Context,
     FieldParams,
     FieldPattern,
     Inputs,
+    NearPoints,
     ObjectWidth,
     Scan,
     TurnIfAlone,
@@ -44,10 +43,8 @@ from swarmd.api import (
     clear_distance,
     closest_points,
     clusters,
-    from_base,
-    keep_clear,
     of_threshold,
-    steer,
+    polar_from_base,
 )
 
 # Pull, as a share of full speed, below which a moving robot stops and above which it starts.
@@ -73,6 +70,8 @@ _MAX_DRIFT = 0.4
 _DRIFT_TIMES = (2.0, 5.0)
 # Beyond this share of `range` the lidar sees only parts of an object, such as a wall.
 _MAX_RANGE_SHARE = 0.95
+
+Vector: TypeAlias = tuple[float, float]
 
 
 class AttractionParams(FieldParams, frozen=True, kw_only=True):
@@ -136,25 +135,29 @@ class AttractionParams(FieldParams, frozen=True, kw_only=True):
 class _Surroundings:
     """The robots and near surfaces in one scan, in the base frame.
 
-    `points` (p, 2) of near surfaces and `robots` (k, 2): range, bearing. `seen` counts the robots
-    and those partly hidden, `adjacent` the near ones. `pull` (2,) is the sum of all attraction, at
-    most 1 long; `free` is its length after `keep_clear`. `is_line`: all robots lie on one line
-    through this one.
+    `points` of near surfaces; the range and bearing of each of the `robots`. `seen` counts the
+    robots and those partly hidden, `adjacent` the near ones. `pull` is the sum of all attraction,
+    at most 1 long; `free` is its length once it keeps clear of the points. `is_line`: all robots
+    lie on one line through this one.
     """
 
     scan: Scan
-    points: Array
-    robots: Array
+    points: NearPoints
+    robots: list[tuple[float, float]]
     seen: int
     adjacent: int
-    pull: Array
+    pull: Vector
     free: float
     is_line: bool
 
     @property
-    def nearest(self) -> float:
-        """The bearing of the nearest robot."""
-        return float(self.robots[np.argmin(self.robots[:, 0]), 1])
+    def nearest(self) -> tuple[float, float]:
+        """The range and bearing of the nearest robot."""
+        return min(self.robots, key=_range)
+
+
+def _range(robot: tuple[float, float]) -> float:
+    return robot[0]
 
 
 class Attraction(FieldPattern[AttractionParams]):
@@ -195,7 +198,8 @@ class Attraction(FieldPattern[AttractionParams]):
         if state == "search":
             return self._follow(view, self._wander(now))
         if state == "lead":
-            return self._follow(view, _LEAD_SPEED * self._wander(now) - self._toward(view))
+            (x, y), (back_x, back_y) = self._wander(now), self._toward(view)
+            return self._follow(view, (_LEAD_SPEED * x - back_x, _LEAD_SPEED * y - back_y))
         return self._follow(view, self._around(view) if state == "roll" else view.pull)
 
     def _look(self, scan: Scan) -> _Surroundings:
@@ -203,47 +207,57 @@ class Attraction(FieldPattern[AttractionParams]):
         offset = self.context.platform.scan.offset
         spacing = params.spacing - params.slack
         reach = spacing + params.brake + math.hypot(*offset)
-        points = from_base(closest_points(scan, within=reach), offset)
+        surfaces = closest_points(scan, within=reach).tolist()
+        points = NearPoints(polar_from_base(surfaces, offset))
         robots, seen = self._robots(scan)
-        robots = from_base(robots, offset)
-        adjacent = int(np.count_nonzero(robots[:, 0] < _ADJACENT_SPACINGS * params.spacing))
+        robots = polar_from_base(robots, offset)
+        near = _ADJACENT_SPACINGS * params.spacing
+        adjacent = sum(distance < near for distance, _ in robots)
         pull = self._pull(robots)
-        free = keep_clear(pull, points, spacing=spacing, brake=params.brake)
-        axis = complex(np.exp(2j * robots[:, 1]).sum())
+        free = math.hypot(*points.keep_clear(*pull, spacing=spacing, brake=params.brake))
+        axis = sum(cmath.exp(2j * bearing) for _, bearing in robots)
         is_line = abs(axis) > _MIN_ALIGNMENT * len(robots)
-        return _Surroundings(scan, points, robots, seen, adjacent, pull, math.hypot(*free), is_line)
+        return _Surroundings(scan, points, robots, seen, adjacent, pull, free, is_line)
 
-    def _follow(self, view: _Surroundings, vector: Array) -> Twist:
+    def _follow(self, view: _Surroundings, vector: Vector) -> Twist:
         params = self.params
-        spacing, points = params.spacing - params.slack, view.points
-        vector = keep_clear(vector, points, spacing=spacing, brake=params.brake)
-        if self.state in ("search", "lead") and math.hypot(*vector) < _MIN_SEARCH_SPEED:
+        spacing, brake, points = params.spacing - params.slack, params.brake, view.points
+        x, y = points.keep_clear(*vector, spacing=spacing, brake=brake)
+        if self.state in ("search", "lead") and math.hypot(x, y) < _MIN_SEARCH_SPEED:
             return Twist(angular=math.copysign(0.5 * params.turn, self._drift))
-        return steer(
-            vector,
-            params.speed,
-            params.turn,
-            points=points,
-            spacing=spacing,
-            brake=params.brake,
-            may_back=bool(len(points)) and float(points[:, 0].min()) < spacing,
+        may_back = points.nearest < spacing
+        return points.steer(
+            x, y, params.speed, params.turn, spacing=spacing, brake=brake, may_back=may_back
         )
 
-    def _robots(self, scan: Scan) -> tuple[Array, int]:
-        """Robots (k, 2) as range, bearing, and their number with those partly hidden."""
-        objects = clusters(scan, within=self.params.range)
-        is_narrow = objects.widths <= self.params.object_width
-        is_narrow &= objects.ranges <= _MAX_RANGE_SHARE * self.params.range
-        is_robot = is_narrow & objects.is_free
-        robots = np.array((objects.ranges[is_robot], objects.bearings[is_robot])).T
-        return robots, int(np.count_nonzero(is_narrow))
+    def _robots(self, scan: Scan) -> tuple[list[tuple[float, float]], int]:
+        """Range and bearing of each robot, and their number with those partly hidden."""
+        params = self.params
+        objects = clusters(scan, within=params.range)
+        furthest = _MAX_RANGE_SHARE * params.range
+        robots, seen = [], 0
+        for distance, bearing, width, is_free in zip(
+            objects.ranges.tolist(),
+            objects.bearings.tolist(),
+            objects.widths.tolist(),
+            objects.is_free.tolist(),
+            strict=True,
+        ):
+            if width <= params.object_width and distance <= furthest:
+                seen += 1
+                if is_free:
+                    robots.append((distance, bearing))
+        return robots, seen
 
-    def _pull(self, robots: Array) -> Array:
+    def _pull(self, robots: list[tuple[float, float]]) -> Vector:
         """The sum over the robots, each 0 at `spacing` and growing with its range; at most 1."""
-        weights = np.maximum((robots[:, 0] - self.params.spacing) / self.params.brake, 0.0)
-        x = float(weights @ np.cos(robots[:, 1]))
-        y = float(weights @ np.sin(robots[:, 1]))
-        return np.array([x, y]) / max(1.0, math.hypot(x, y))
+        x = y = 0.0
+        for distance, bearing in robots:
+            weight = max((distance - self.params.spacing) / self.params.brake, 0.0)
+            x += weight * math.cos(bearing)
+            y += weight * math.sin(bearing)
+        length = max(1.0, math.hypot(x, y))
+        return x / length, y / length
 
     def _next_state(self, view: _Surroundings, now: float, received: int, is_in_line: bool) -> str:
         if len(view.robots) == 0:
@@ -273,29 +287,29 @@ class Attraction(FieldPattern[AttractionParams]):
     def _try(self, state: str, view: _Surroundings) -> str:
         """Start to roll or lead: away from the second robot if two are adjacent."""
         self._rest_time *= 2.0
-        order = np.argsort(view.robots[:, 0])
         if view.adjacent > 1:
-            turn = math.sin(float(view.robots[order[1], 1] - view.robots[order[0], 1]))
+            (_, first), (_, second) = sorted(view.robots, key=_range)[:2]
+            turn = math.sin(second - first)
             self._side = -math.copysign(1.0, turn) if abs(turn) > _MIN_SIDE_SINE else self._side
         return state
 
-    def _toward(self, view: _Surroundings) -> Array:
+    def _toward(self, view: _Surroundings) -> Vector:
         """Towards the nearest robot if it is near; a leading robot drives the opposite way."""
-        near, bearing = float(view.robots[:, 0].min()), view.nearest
+        near, bearing = view.nearest
         weight = min(max(2.0 - near / self.params.spacing, 0.0), 1.0)
-        return np.array([weight * math.cos(bearing), weight * math.sin(bearing)])
+        return weight * math.cos(bearing), weight * math.sin(bearing)
 
-    def _around(self, view: _Surroundings) -> Array:
+    def _around(self, view: _Surroundings) -> Vector:
         """Around the nearest robot, and along the pull of the others."""
-        ahead = view.nearest + self._side * math.pi / 2.0
-        along = np.array([math.cos(ahead), math.sin(ahead)])
-        way = along + view.pull
-        return way / max(1.0, math.hypot(*way))
+        ahead = view.nearest[1] + self._side * math.pi / 2.0
+        x, y = math.cos(ahead) + view.pull[0], math.sin(ahead) + view.pull[1]
+        length = max(1.0, math.hypot(x, y))
+        return x / length, y / length
 
-    def _wander(self, now: float) -> Array:
+    def _wander(self, now: float) -> Vector:
         """Ahead, with a drift that changes from time to time."""
         if now >= self._drift_until:
             rng = self.context.rng
             self._drift_until = now + float(rng.uniform(*_DRIFT_TIMES))
             self._drift = float(rng.uniform(-_MAX_DRIFT, _MAX_DRIFT))
-        return np.array([math.cos(self._drift), math.sin(self._drift)])
+        return math.cos(self._drift), math.sin(self._drift)

@@ -11,27 +11,24 @@ is no room for the distance.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from typing import Annotated
-
-import numpy as np
 
 from swarmd.api import (
     ZERO,
-    Array,
     ConfigError,
     Context,
     FieldParams,
     FieldPattern,
     Inputs,
+    NearPoints,
     Platform,
     Scan,
     Twist,
     about,
     closest_points,
-    from_base,
-    keep_clear,
     of_threshold,
-    steer,
+    polar_from_base,
     threshold,
 )
 
@@ -88,47 +85,60 @@ class Dispersion(FieldPattern[DispersionParams]):
         _check(params, context.platform)
         super().__init__(params, context)
         self.state = "settled"
+        self._scan: Scan | None = None
+        self._points, self._vector = NearPoints(()), (0.0, 0.0)
 
     def update(self, params: DispersionParams) -> None:
         """Apply changed parameters; ConfigError if protection forbids the distance."""
         _check(params, self.context.platform)
         super().update(params)
+        self._scan = None
 
     def settle(self, inputs: Inputs, scan: Scan) -> Twist:
         """Follow the push of the surfaces; its state is spread or settled."""
         params = self.params
-        offset = self.context.platform.scan.offset
-        # From the axle, so that a turn in place, which moves the lidar, changes nothing. A surface
-        # whose push is too small to start must not be nearer than the distance.
-        distance = params.distance + math.hypot(*offset) + _START_PUSH * params.ramp
-        reach = max(distance, params.spacing + params.ramp) + math.hypot(*offset)
-        points = from_base(closest_points(scan, within=reach), offset)
-        push = self._push(points, distance)
-        vector = keep_clear(push, points, spacing=params.spacing, brake=params.ramp)
+        if scan is not self._scan:
+            self._scan, (self._points, self._vector) = scan, self._look(scan)
+        x, y = self._vector
         limit = _START_PUSH if self.state == "settled" else _STOP_PUSH
-        self.state = "settled" if math.hypot(*vector) <= limit else "spread"
+        self.state = "settled" if math.hypot(x, y) <= limit else "spread"
         if self.state == "settled":
             return ZERO
-        return steer(
-            vector,
+        return self._points.steer(
+            x,
+            y,
             params.speed,
             params.turn,
-            points=points,
             spacing=params.spacing,
             brake=params.ramp,
             may_back=True,
         )
 
-    def _push(self, points: Array, distance: float) -> Array:
+    def _look(self, scan: Scan) -> tuple[NearPoints, tuple[float, float]]:
+        """The near points of a scan, and the vector along which they push."""
+        params, offset = self.params, self.context.platform.scan.offset
+        # From the axle, so that a turn in place, which moves the lidar, changes nothing. A surface
+        # whose push is too small to start must not be nearer than the distance.
+        distance = params.distance + math.hypot(*offset) + _START_PUSH * params.ramp
+        reach = max(distance, params.spacing + params.ramp) + math.hypot(*offset)
+        polar = polar_from_base(closest_points(scan, within=reach).tolist(), offset)
+        points = NearPoints(polar)
+        push = self._push(polar, distance)
+        return points, points.keep_clear(*push, spacing=params.spacing, brake=params.ramp)
+
+    def _push(self, points: Sequence[tuple[float, float]], distance: float) -> tuple[float, float]:
         """The sum over the surfaces nearer than `distance`; at most 1 long.
 
         In a confined space, where all push hard, only their differences count.
         """
-        weights = np.clip((distance - points[:, 0]) / self.params.ramp, 0.0, None)
-        weights /= max(1.0, float(weights.max(initial=0.0)))
-        x = -float(weights @ np.cos(points[:, 1]))
-        y = -float(weights @ np.sin(points[:, 1]))
-        return np.array([x, y]) / max(1.0, math.hypot(x, y))
+        weights = [max((distance - near) / self.params.ramp, 0.0) for near, _ in points]
+        most = max([1.0, *weights])
+        x = y = 0.0
+        for weight, (_, bearing) in zip(weights, points, strict=True):
+            x -= weight / most * math.cos(bearing)
+            y -= weight / most * math.sin(bearing)
+        length = max(1.0, math.hypot(x, y))
+        return x / length, y / length
 
 
 def _spacing(platform: Platform) -> float:

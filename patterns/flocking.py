@@ -18,17 +18,17 @@ robot without others in sight drives straight on.
 
 from __future__ import annotations
 
+import cmath
 import math
 from collections import deque
-from collections.abc import Mapping
-from typing import Annotated, Literal
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.api import (
     ZERO,
-    Array,
     Context,
     Inputs,
     MovementPattern,
@@ -65,6 +65,8 @@ _SECTOR = math.pi / 2.0
 _NEAR_WIDTH, _WALL_WIDTH = math.radians(4.0), math.radians(18.0)
 # The states of law "paper", and the sign of their turns.
 _TURNS = {"straight": 0.0, "left": 1.0, "right": -1.0}
+
+Polar: TypeAlias = tuple[float, float]  # range, bearing
 
 
 class FlockingParams(Params, frozen=True, kw_only=True):
@@ -212,7 +214,7 @@ class Flocking(MovementPattern[FlockingParams]):
         self._goes_on = False
         self._scan: Scan | None = None
         self._requested = ZERO
-        self._seen: deque[tuple[float, NDArray[np.complex128]]] = deque()
+        self._seen: deque[tuple[float, Sequence[complex]]] = deque()
 
     def report(self) -> Mapping[str, Scalar]:
         """The state: `flock` or `alone`; with `law: paper` `straight`, `left` or `right`."""
@@ -236,14 +238,14 @@ class Flocking(MovementPattern[FlockingParams]):
     def _follow(self, scan: Scan, inputs: Inputs) -> Twist:
         params = self.params
         robots, walls = self._look(scan)
-        force = self._springs(robots) + self._push(walls)
-        self._state = "flock" if len(robots) else "alone"
-        share = min(max(params.cruise + params.surge * float(force[0]), -_MAX_REVERSE_SHARE), 1.0)
+        force = self._springs(robots) - self._push(walls)
+        self._state = "flock" if robots else "alone"
+        share = min(max(params.cruise + params.surge * force.real, -_MAX_REVERSE_SHARE), 1.0)
         aside = self._motion(robots, inputs).imag / params.speed if params.speed else 0.0
-        turn = params.swing * float(force[1]) + params.align * min(max(aside, -1.0), 1.0)
+        turn = params.swing * force.imag + params.align * min(max(aside, -1.0), 1.0)
         return Twist(linear=share * params.speed, angular=min(max(turn, -params.turn), params.turn))
 
-    def _motion(self, robots: Array, inputs: Inputs) -> complex:
+    def _motion(self, robots: Sequence[Polar], inputs: Inputs) -> complex:
         """The mean velocity in m/s of the robots in sight: forward + i left.
 
         From their positions a second ago, by odometry; 0 without these.
@@ -251,23 +253,20 @@ class Flocking(MovementPattern[FlockingParams]):
         if inputs.odometry is None:
             return 0j
         pose, now = inputs.odometry.pose, inputs.now
-        heading = complex(math.cos(pose.yaw), math.sin(pose.yaw))
-        places = complex(pose.x, pose.y) + heading * _places(robots)
+        here, heading = complex(pose.x, pose.y), cmath.rect(1.0, pose.yaw)
+        places = [here + heading * cmath.rect(*robot) for robot in robots]
         self._seen.append((now, places))
         while len(self._seen) > 1 and self._seen[1][0] <= now - _MOTION_PERIOD:
             self._seen.popleft()
         then, before = self._seen[0]
-        if not 0.5 * _MOTION_PERIOD <= now - then <= 2.0 * _MOTION_PERIOD or not len(before):
+        if not 0.5 * _MOTION_PERIOD <= now - then <= 2.0 * _MOTION_PERIOD or not before:
             return 0j
-        off = np.abs(places[:, None] - before)
-        is_same = off.min(axis=1, initial=math.inf) < _MAX_MOTION
-        if not is_same.any():
-            return 0j
-        steps = places[is_same] - before[off[is_same].argmin(axis=1)]
-        return complex(steps.mean()) / (now - then) * heading.conjugate()
+        steps = (min((place - old for old in before), key=abs) for place in places)
+        same = [step for step in steps if abs(step) < _MAX_MOTION]
+        return sum(same) / len(same) / (now - then) * heading.conjugate() if same else 0j
 
-    def _look(self, scan: Scan) -> tuple[Array, Array]:
-        """Robots (k, 2) and the closest points of walls (p, 2): range, bearing from the lidar.
+    def _look(self, scan: Scan) -> tuple[Sequence[Polar], Sequence[Polar]]:
+        """Robots and the closest points of walls: range and bearing of each from the lidar.
 
         Measured from the lidar, not from the axle. What a scan shows of a robot is its lidar, which
         is behind its axle. From the axle all neighbours would appear shifted back, and that pull
@@ -275,34 +274,44 @@ class Flocking(MovementPattern[FlockingParams]):
         """
         params = self.params
         objects = clusters(scan, within=scan.range_max)
-        is_narrow = objects.widths <= params.object_width
-        is_narrow &= objects.ranges <= _MAX_RANGE_SHARE * scan.range_max
-        seen = np.array((objects.ranges, objects.bearings)).T
-        robots = seen[is_narrow & objects.is_free]
-        points = closest_points(scan, within=params.wall)
+        furthest = _MAX_RANGE_SHARE * scan.range_max
+        robots, narrow = [], []
+        for distance, bearing, width, is_free in zip(
+            objects.ranges.tolist(),
+            objects.bearings.tolist(),
+            objects.widths.tolist(),
+            objects.is_free.tolist(),
+            strict=True,
+        ):
+            if width <= params.object_width and distance <= furthest:
+                narrow.append(cmath.rect(distance, bearing))
+                if is_free:
+                    robots.append((distance, bearing))
         # A partly hidden robot is not counted, but it is not a wall either.
-        gaps = np.abs(_places(points)[:, None] - _places(seen[is_narrow]))
-        walls = points[gaps.min(axis=1, initial=math.inf) > _ROBOT_RADIUS]
+        walls = [
+            (distance, bearing)
+            for distance, bearing in closest_points(scan, within=params.wall).tolist()
+            if all(abs(cmath.rect(distance, bearing) - other) > _ROBOT_RADIUS for other in narrow)
+        ]
         return robots, walls
 
-    def _springs(self, robots: Array) -> Array:
-        """The force (2,) of the springs to the nearest robots: forward, left; 1 is full."""
-        params = self.params
-        nearest = robots[np.argsort(robots[:, 0], kind="stable")[: params.ties]]
-        stretch = (nearest[:, 0] - params.spacing) / params.give
-        force = np.clip(
-            np.where(stretch < 0.0, _COMPRESSED_STIFFNESS * stretch, stretch),
-            -_COMPRESSED_STIFFNESS,
-            1.0,
-        )
-        return _sum(force, nearest[:, 1])
+    def _springs(self, robots: Sequence[Polar]) -> complex:
+        """The force of the springs to the nearest robots: forward + i left; 1 is full."""
+        params, force = self.params, 0j
+        for distance, bearing in sorted(robots, key=_range)[: params.ties]:
+            stretch = (distance - params.spacing) / params.give
+            stretch *= _COMPRESSED_STIFFNESS if stretch < 0.0 else 1.0
+            force += cmath.rect(min(max(stretch, -_COMPRESSED_STIFFNESS), 1.0), bearing)
+        return force
 
-    def _push(self, walls: Array) -> Array:
-        """The force (2,) of the walls: forward, left; 1 is full."""
-        params = self.params
+    def _push(self, walls: Sequence[Polar]) -> complex:
+        """What the walls push against: forward + i left; 1 is full."""
+        params, force = self.params, 0j
         depth = max(params.wall - params.spacing, params.give)
-        push = (params.wall - walls[:, 0]) / depth
-        return -_sum(np.clip(push, 0.0, _COMPRESSED_STIFFNESS), walls[:, 1])
+        for distance, bearing in walls:
+            push = (params.wall - distance) / depth
+            force += cmath.rect(min(max(push, 0.0), _COMPRESSED_STIFFNESS), bearing)
+        return force
 
     def _follow_states(self, scan: Scan, is_new: bool) -> Twist:
         params = self.params
@@ -349,18 +358,11 @@ def _wall_distance(platform: Platform) -> float:
     return min(3.0 * threshold(platform), 0.9 * platform.scan.range_max)
 
 
-def _places(points: Array) -> NDArray[np.complex128]:
-    """Points (k, 2) of range, bearing as complex numbers (k,)."""
-    places: NDArray[np.complex128] = points[:, 0] * np.exp(1j * points[:, 1])
-    return places
+def _range(robot: Polar) -> float:
+    return robot[0]
 
 
 def _filled(sector: NDArray[np.int64], is_counted: NDArray[np.bool_]) -> list[float]:
     """The rad of the sectors ahead, left, behind and right that these rays fill."""
     ray = 2.0 * math.pi / max(len(sector), 1)
     return [ray * float(np.count_nonzero(is_counted & (sector == which))) for which in range(4)]
-
-
-def _sum(lengths: Array, bearings: Array) -> Array:
-    """The sum (2,) of vectors of lengths (k,) along bearings (k,)."""
-    return np.array([float(lengths @ np.cos(bearings)), float(lengths @ np.sin(bearings))])

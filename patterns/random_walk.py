@@ -12,8 +12,6 @@ import math
 from collections.abc import Mapping
 from typing import Annotated, Literal
 
-import numpy as np
-
 from swarmd.api import (
     ZERO,
     Context,
@@ -22,6 +20,7 @@ from swarmd.api import (
     Params,
     Ray,
     Scalar,
+    Scan,
     TopSpeed,
     Twist,
     about,
@@ -105,6 +104,8 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
         self._until: float | None = None  # before the first step
         self._is_turning = False
         self._begin: float | None = None
+        self._scan: Scan | None = None
+        self._ahead: Ray | None = None
 
     def report(self) -> Mapping[str, Scalar]:
         """Its state: straight, turn or wait."""
@@ -131,7 +132,12 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
 
     def _blocking(self, inputs: Inputs) -> Ray | None:
         """The nearest return ahead within the clearance."""
-        ray = nearest(inputs.scan, half_width=_AHEAD_HALF_WIDTH)
+        if inputs.scan is not self._scan:
+            self._scan, self._ahead = (
+                inputs.scan,
+                nearest(inputs.scan, half_width=_AHEAD_HALF_WIDTH),
+            )
+        ray = self._ahead
         return ray if ray is not None and ray.range < self.params.clearance else None
 
     def _go_straight(self, now: float) -> None:
@@ -145,5 +151,5 @@ class RandomWalk(MovementPattern[RandomWalkParams]):
         self._until = now + float(rng.uniform(0.0, self.params.turn_time))
         sign = float(rng.choice((-1.0, 1.0)))
         if blocking is not None:
-            sign = -float(np.sign(blocking.bearing)) or sign
+            sign = -math.copysign(1.0, blocking.bearing) if blocking.bearing else sign
         self._rate = sign * float(rng.uniform(0.2, 0.8)) * self.params.turn

@@ -39,7 +39,7 @@ from swarmd.kit.params import (
     of_threshold,
     threshold,
 )
-from swarmd.kit.steering import from_base, keep_clear, steer
+from swarmd.kit.steering import NearPoints, from_base, keep_clear, polar_from_base, steer
 from swarmd.kit.vote_windows import Ties, VoteWindow, majority, tally
 from swarmd.kit.voting_pattern import (
     Initial,
@@ -81,6 +81,7 @@ __all__ = [
     "Make",
     "Message",
     "MovementPattern",
+    "NearPoints",
     "Neighbor",
     "ObjectWidth",
     "Odometry",
@@ -123,6 +124,7 @@ __all__ = [
     "of_threshold",
     "place_on_circle",
     "place_on_line",
+    "polar_from_base",
     "potential_field",
     "radius_of",
     "sectors",

@@ -142,18 +142,18 @@ def _hidden_sides(seen: RayClusters, index: int) -> list[float]:
     return [side for side in (1.0, -1.0) if (is_before & (side * away > 0.0)).any()]
 
 
-def to_base_frame(point: Array, pose: Pose) -> Array:
-    """A point (2,) of the odometry frame, in the base frame at `pose`."""
+def to_base_frame(point: Sequence[float], pose: Pose) -> tuple[float, float]:
+    """A point x, y of the odometry frame, in the base frame at `pose`."""
     cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
-    x, y = float(point[0]) - pose.x, float(point[1]) - pose.y
-    return np.array([cos * x + sin * y, cos * y - sin * x])
+    x, y = point[0] - pose.x, point[1] - pose.y
+    return cos * x + sin * y, cos * y - sin * x
 
 
-def to_odometry_frame(point: Array, pose: Pose) -> Array:
-    """A point (2,) of the base frame at `pose`, in the odometry frame."""
+def to_odometry_frame(point: Sequence[float], pose: Pose) -> tuple[float, float]:
+    """A point x, y of the base frame at `pose`, in the odometry frame."""
     cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
-    x, y = float(point[0]), float(point[1])
-    return np.array([pose.x + cos * x - sin * y, pose.y + sin * x + cos * y])
+    x, y = point
+    return pose.x + cos * x - sin * y, pose.y + sin * x + cos * y
 
 
 @dataclass(slots=True)

@@ -34,7 +34,7 @@ from swarmd.kit.params import (
     of_threshold,
     threshold,
 )
-from swarmd.kit.steering import from_base, keep_clear, steer
+from swarmd.kit.steering import NearPoints, polar_from_base
 from swarmd.sensing.rays import closest_points
 
 _BEARINGS = frozenset({"neighbors.distance", "neighbors.bearing"})
@@ -140,8 +140,8 @@ class FormationPattern(MovementPattern[F]):
             self.needs = self.needs | _BEARINGS
         self._tracker = NeighborTracker()
         self._scan: Scan | None = None
-        self._points = np.empty((0, 2))
-        self._goal: Array | None = None
+        self._points = NearPoints(())
+        self._goal: tuple[float, float] | None = None
         self._aimed_at = -math.inf
         self._seen = 0
         self._is_settled = False
@@ -176,13 +176,13 @@ class FormationPattern(MovementPattern[F]):
         self._look(inputs, inputs.scan, pose)
         if self._goal is None or not pose.is_finite:
             return ZERO
-        way = to_base_frame(self._goal, pose)
-        length = math.hypot(*way)
+        x, y = to_base_frame(self._goal, pose)
+        length = math.hypot(x, y)
         # Its own position counts in the mean; this is the distance by the others alone.
         off = length * (self._seen + 1) / max(self._seen, 1)
         limit = self.params.tolerance
         self._is_settled = off <= (limit if self._is_settled else _ARRIVAL_SHARE * limit)
-        return ZERO if self._is_settled else self._follow(way, length)
+        return ZERO if self._is_settled else self._follow(x, y, length)
 
     def _look(self, inputs: Inputs, scan: Scan, pose: Pose) -> None:
         params = self.params
@@ -191,7 +191,8 @@ class FormationPattern(MovementPattern[F]):
         if is_new:
             self._scan = scan
             reach = params.clearance + params.brake + math.hypot(*offset)
-            self._points = from_base(closest_points(scan, within=reach), offset)
+            points = closest_points(scan, within=reach).tolist()
+            self._points = NearPoints(polar_from_base(points, offset))
         if not self._by_lidar:
             others = self._tracker.update(inputs.neighbors, pose, params.range, inputs.now)
         elif is_new:
@@ -203,24 +204,23 @@ class FormationPattern(MovementPattern[F]):
         if not len(others):
             self._goal = None
             return
-        goal = to_odometry_frame(self.place(others), pose)
+        goal = to_odometry_frame(self.place(others).tolist(), pose)
         passed = max(inputs.now - self._aimed_at, 0.0)
-        share = 1.0 if self._goal is None else 1.0 - math.exp(-passed / _PLACE_TIME_CONSTANT)
-        self._goal = goal if self._goal is None else self._goal + share * (goal - self._goal)
+        share = 1.0 - math.exp(-passed / _PLACE_TIME_CONSTANT)
+        if self._goal is not None:
+            (x, y), (to_x, to_y) = self._goal, goal
+            goal = x + share * (to_x - x), y + share * (to_y - y)
+        self._goal = goal
         self._aimed_at = inputs.now
 
-    def _follow(self, way: Array, length: float) -> Twist:
-        params = self.params
-        vector = way / length * min(max(length / params.brake, _MIN_SPEED_SHARE), 1.0)
-        vector = keep_clear(vector, self._points, spacing=params.clearance, brake=params.brake)
-        return steer(
-            vector,
-            params.speed,
-            params.turn,
-            points=self._points,
-            spacing=params.clearance,
-            brake=params.brake,
-            may_back=True,
+    def _follow(self, x: float, y: float, length: float) -> Twist:
+        params, points = self.params, self._points
+        spacing, brake = params.clearance, params.brake
+        share = min(max(length / brake, _MIN_SPEED_SHARE), 1.0)
+        x, y = x / length * share, y / length * share
+        x, y = points.keep_clear(x, y, spacing=spacing, brake=brake)
+        return points.steer(
+            x, y, params.speed, params.turn, spacing=spacing, brake=brake, may_back=True
         )
 
 
