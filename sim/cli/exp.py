@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 import shlex
 import time
 from collections.abc import Callable, Iterable, Sequence
@@ -312,21 +313,35 @@ def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None)
 @exp.command("list")
 @output_option
 def list_scenarios(is_json: bool) -> None:
-    """List the scenarios that come with swarmd."""
+    """List the scenarios that come with swarmd, and how long they take on this machine.
+
+    The times are estimates from recorded runs in experiments/, or from a short calibration.
+    """
     need("mujoco")
+    from swarmd.sim.cli.progress import time_span
+    from swarmd.sim.experiments.cost import measured_cost
     from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
 
-    scenarios = [(name, load_scenario(name)) for name in scenario_names()]
-    found = [
-        (name, len(one.robots), one.duration, " ".join(one.description.split()))
-        for name, one in scenarios
-    ]
-    keys = ("name", "robots", "duration", "description")
+    cost, cores = measured_cost(Path("experiments")), usable_cores()
+    keys = ("name", "robots", "duration", "run_seconds", "seeds_20_seconds", "description")
+    found = []
+    for name in scenario_names():
+        one = load_scenario(name)
+        robots, text = len(one.robots), " ".join(one.description.split())
+        run = cost.run_seconds(name, robots, one.duration)
+        found.append((name, robots, one.duration, run, run * math.ceil(20 / cores), text))
     if is_json:
-        print_json("Scenarios", {"scenarios": [dict(zip(keys, row, strict=True)) for row in found]})
+        listed = [dict(zip(keys, row, strict=True)) for row in found]
+        print_json("Scenarios", {"scenarios": listed, "cores": cores, "basis": cost.basis})
         return
-    rows = [(name, str(robots), f"{end:g} s", text) for name, robots, end, text in found]
-    print_table([*map(str.upper, keys)], rows)
+    rows = [
+        (name, str(robots), f"{end:g} s", time_span(run), time_span(all_seeds), text)
+        for name, robots, end, run, all_seeds, text in found
+    ]
+    heads = ("NAME", "ROBOTS", "DURATION", "ONE RUN", "20 SEEDS", "DESCRIPTION")
+    print_table(heads, rows)
+    many = "core" if cores == 1 else "cores"
+    warn(f"ONE RUN and 20 SEEDS (on {cores} {many}) are estimates, from {cost.basis}")
 
 
 @exp.command("metrics")

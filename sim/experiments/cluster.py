@@ -57,15 +57,15 @@ Note = Callable[[str], None]
 
 @dataclass(slots=True)
 class _Worker:
-    """A worker of the cluster: `threads` runs at a time, `seen` by the scheduler.
+    """A worker of the cluster: `threads` runs at a time, last `seen` by the scheduler.
 
-    `changed`: when `seen` last changed, by this machine's clock. `is_fit`: None until it has told
-    its software.
+    `silence`: the time in s since `seen` changed, by this machine's clock. `is_fit`: None until it
+    has told its software.
     """
 
     threads: int
     seen: float
-    changed: float
+    silence: float = 0.0
     is_fit: bool | None = None
 
 
@@ -86,8 +86,10 @@ def connect(
     SwarmError if no worker answers. `note` receives a line about what happens to workers.
     """
     from distributed import Client
+    from distributed.comm.addressing import resolve_address
 
     try:
+        resolve_address(address)  # an error in the client's constructor leaves a thread
         client = Client(address, timeout=CONNECT_TIMEOUT, set_as_default=False)
     except (OSError, ValueError, TypeError) as error:
         text = f"--scheduler {address}: {one_line(str(error))}"
@@ -161,9 +163,9 @@ class Cluster:
                 self._look()
                 now = time.monotonic()
                 for key, attempt in [*runs.items()]:
-                    if not self._is_alive(attempt.worker, now):
+                    if not self._is_alive(attempt.worker):
                         yield from self._repeat(runs.pop(key), waiting, attempts)
-                free = self._free(runs, now)
+                free = self._free(runs)
                 usable = now if runs or free else usable
                 if now > usable + self._timeout:
                     raise SwarmError(
@@ -210,6 +212,8 @@ class Cluster:
         now = time.monotonic()
         if now < self._next_look:
             return
+        # Time in which this process or the scheduler stood still is no silence of a worker.
+        passed = min(now - self._next_look, _LOOK_PERIOD) + _LOOK_PERIOD
         self._next_look = now + _LOOK_PERIOD
         try:
             listed = self._client.scheduler_info(n_workers=-1)["workers"]
@@ -223,23 +227,25 @@ class Cluster:
         for name, about in listed.items():
             worker = self._workers.get(name)
             if worker is None:
-                self._workers[name] = _Worker(about["nthreads"], about["last_seen"], now)
+                self._workers[name] = _Worker(about["nthreads"], about["last_seen"])
                 key, _ = self._submit(partial(_software, self._folders), name)
                 self._asked[key] = name
-            elif worker.seen != about["last_seen"]:
-                worker.seen, worker.changed = about["last_seen"], now
+            else:
+                is_same = worker.seen == about["last_seen"]
+                worker.seen = about["last_seen"]
+                worker.silence = worker.silence + passed if is_same else 0.0
 
-    def _is_alive(self, name: str, now: float) -> bool:
+    def _is_alive(self, name: str) -> bool:
         worker = self._workers.get(name)
-        return worker is not None and now - worker.changed < max(self._timeout, _MIN_SILENCE)
+        return worker is not None and worker.silence < max(self._timeout, _MIN_SILENCE)
 
-    def _free(self, runs: dict[str, _Attempt], now: float) -> list[str]:
+    def _free(self, runs: dict[str, _Attempt]) -> list[str]:
         """Workers that can take a run, once for each free thread; those with least to do first."""
         busy = Counter(attempt.worker for attempt in runs.values())
         slots = [
             (number, name)
             for name, worker in self._workers.items()
-            if worker.is_fit and self._is_alive(name, now)
+            if worker.is_fit and self._is_alive(name)
             for number in range(busy[name], worker.threads)
         ]
         limit = len(slots) if self._at_a_time is None else max(self._at_a_time - len(runs), 0)

@@ -112,7 +112,7 @@ def _copy(source: Path, target: Path) -> None:
 
 
 def _lacking(parts: dict[Path, Manifest], missing: Sequence[Run]) -> list[str]:
-    """A line for each part that lacks runs, and one for those that no part was to have."""
+    """A line for each part that lacks runs, and one for runs that are in no part."""
     left = {run.id for run in missing}
     lines, planned = [], set[str]()
     for folder, part in parts.items():
@@ -120,16 +120,16 @@ def _lacking(parts: dict[Path, Manifest], missing: Sequence[Run]) -> list[str]:
         lost = [run for run in own if run in left]
         planned |= set(own)
         if lost:
-            what = f"{folder}, part {part.shard}" if part.shard else str(folder)
-            lines.append(f"{what}: {len(lost)} of {len(own)} runs are missing: {_listed(lost)}")
+            what = f"{folder} (part {part.shard})" if part.shard else str(folder)
+            lines.append(f"{what}: {len(lost)} of {len(own)} runs: {_listed(lost)}")
     nowhere = [run.id for run in missing if run.id not in planned]
     if nowhere:
         shards = [part.shard for part in parts.values()]
         counts = {shard.of if shard else 1 for shard in shards}
         have = {shard.part for shard in shards if shard}
         absent = [f"{part}/{of}" for of in counts for part in range(1, of + 1) if part not in have]
-        what = f"part {_listed(absent)}" if len(counts) == 1 else "some runs"
-        lines.append(f"no folder has {what}: {len(nowhere)} runs are missing: {_listed(nowhere)}")
+        what = f"part {_listed(absent)}, " if len(counts) == 1 else ""
+        lines.append(f"{what}in no folder: {_listed(nowhere)}")
     return lines
 
 

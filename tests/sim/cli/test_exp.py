@@ -224,6 +224,11 @@ def test_a_signal_keeps_finished_runs_and_prints_how_to_resume(
         (["run", "DUO", "--out", "duo/duo.yaml"], "duo/duo.yaml"),
         (["run", "DUO", "-j", "0"], "--jobs"),
         (["run", "DUO", "--cores", "0"], "--cores"),
+        (["run", "DUO", "--shard", "0/40", "--out", "x"], "'0/40'"),
+        (["run", "DUO", "--shard", "41/40", "--out", "x"], "'41/40'"),
+        (["run", "DUO", "--shard", "1/2"], "--out"),
+        (["merge", "nowhere", "--out", "x"], "nowhere"),
+        (["merge", "."], "--out"),
         (["rerun", "."], "manifest.json"),
         (["show", "nowhere"], "nowhere"),
         (["compare", "a", "b"], "a: "),
@@ -248,6 +253,53 @@ def test_a_mistake_is_one_line_and_nothing_is_made(
     assert subject in captured.err
     assert captured.err.count("\n") == 1
     assert contents(tmp_path) == before
+
+
+@pytest.mark.integration
+def test_parts_are_run_apart_and_joined(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
+    command = ("exp", "run", duo, "--seeds", 2, "--set", "duration=0.5")
+    for part in ("1/3", "3/3"):  # the third of two runs is empty, as in an array of a fixed size
+        done = swarmctl(*command, "--shard", part, "--out", f"part-{part[0]}")
+        assert done.returncode == 0, done.stderr
+    again = swarmctl(*command, "--shard", "2/3", "--out", "part-1")
+    assert (again.returncode, again.stderr.count("\n")) == (2, 1)
+    assert "shard was 1/3, now 2/3" in again.stderr
+    joined = swarmctl("exp", "merge", "part-1", "part-3", "--out", "m", "-o", "json")
+    assert joined.returncode == 3
+    assert "missing: part 2/3, in no folder: s0001\n" in joined.stderr
+    assert json.loads(joined.stdout)["finished"] == 1
+    command_of_m = json.loads((tmp_path / "m" / "manifest.json").read_text())["command"]
+    assert command_of_m == [*map(str, ("swarmctl", *command)), "--out", "m"]
+    whole = swarmctl(*command_of_m[1:])  # the joined folder goes on as that of one machine
+    assert whole.returncode == 0, whole.stderr
+    assert swarmctl(*command, "--shard", "2/3", "--out", "part-2").returncode == 0
+    joined = swarmctl("exp", "merge", "part-1", "part-2", "part-3", "--out", "m2")
+    assert joined.returncode == 0, joined.stderr
+    assert rows(tmp_path / "m") == rows(tmp_path / "m2")
+    assert traces(tmp_path / "m") == traces(tmp_path / "m2")
+
+
+@pytest.mark.integration
+def test_the_summary_tells_the_speed_and_which_code_ran(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
+    words = ("exp", "run", duo, "--seeds", 2, "--set", "duration=1", "--no-traces", "--out", "x")
+    done = swarmctl(*words, SWARMD_COMPILED="0")
+    assert done.returncode == 0, done.stderr
+    assert " times real time (" in done.stdout
+    assert "kernels: numpy" in done.stdout
+    assert "2 of 2 runs are there after " in done.stderr
+    summary = json.loads((tmp_path / "x" / "summary.json").read_text())
+    walls = [
+        float(line.split(",")[-1]) for line in (tmp_path / "x/runs.csv").read_text().split()[1:]
+    ]
+    assert summary["wall"] == pytest.approx(sum(walls))
+    assert summary["times_real_time"]["min"] == pytest.approx(1.0 / max(walls))
+    manifest = json.loads((tmp_path / "x" / "manifest.json").read_text())
+    manifest["made_with"]["kernels"] = "of another kind"
+    (tmp_path / "x" / "manifest.json").write_text(json.dumps(manifest))
+    again = swarmctl("exp", "rerun", "x", "-o", "json")
+    assert "warning: kernels was of another kind, now " in again.stderr
 
 
 @pytest.mark.integration
@@ -288,6 +340,7 @@ def test_list_and_metrics_in_json(swarmctl: Swarmctl) -> None:
     listed = json.loads(swarmctl("exp", "list", "-o", "json").stdout)["scenarios"]
     (one,) = [scenario for scenario in listed if scenario["name"] == "aggregation"]
     assert one["robots"] > 1
+    assert 0.0 < one["run_seconds"] < one["seeds_20_seconds"]
     assert one["description"]
     metrics = json.loads(swarmctl("exp", "metrics", "-o", "json").stdout)["metrics"]
     assert {"path_length", "minimum_gap"} <= {metric["name"] for metric in metrics}
@@ -361,3 +414,16 @@ def test_an_unknown_metric_and_a_file_that_is_no_trace_are_named(
     words = ["measure", str(live.with_name("none.npz")), "--metrics", names]
     with pytest.raises(ConfigError, match=subject):
         CliRunner().invoke(exp, words, catch_exceptions=False)
+
+
+def test_a_missing_library_of_clusters_is_one_line(
+    duo: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(
+        "swarmd.sim.cli.options.find_spec", lambda name: name != "distributed" or None
+    )
+    words = ["exp", "run", str(duo), "--scheduler", "tcp://127.0.0.1:1", "--out", "x"]
+    assert run_cli(cli, words, "swarmctl", exit_code_of) == 2
+    error = capsys.readouterr().err
+    assert "pip install 'swarmd[sim,plot,cluster]'" in error
+    assert error.count("\n") == 1

@@ -8,7 +8,8 @@ from collections.abc import Callable
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.experiments.arguments import parse_seeds, parse_sets, parse_sweeps
+from swarmd.sim.experiments.arguments import parse_seeds, parse_sets, parse_shard, parse_sweeps
+from swarmd.sim.experiments.plan import Shard
 
 
 @pytest.mark.parametrize(
@@ -77,3 +78,15 @@ def test_an_invalid_sweep_is_named(word: str) -> None:
 def test_a_key_given_twice_is_refused(parse: Callable[[list[str]], object]) -> None:
     with pytest.raises(ConfigError, match=" a "):
         parse(["a=1", "a=2"])
+
+
+def test_a_part_is_counted_from_one() -> None:
+    assert parse_shard("3/40") == Shard(3, 40)
+    assert parse_shard(" 1/1 ") == Shard(1, 1)
+
+
+@pytest.mark.parametrize("text", ["0/40", "41/40", "x", "", "3", "3/", "1/0", "-1/3", "1.5/3"])
+def test_what_is_no_part_is_one_line(text: str) -> None:
+    with pytest.raises(ConfigError, match="--shard") as caught:
+        parse_shard(text)
+    assert "\n" not in str(caught.value)

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.experiments.plan import Plan, make_plan
+from swarmd.sim.experiments.plan import Plan, Run, Shard, Variant, make_plan
 
 
 def planned(
@@ -84,3 +87,46 @@ def test_a_sweep_that_cannot_be_is_one_line(
 def test_seeds_from_python_are_checked_too(seeds: tuple[Any, ...]) -> None:
     with pytest.raises(ConfigError, match="seeds: "):
         planned(seeds)
+
+
+@pytest.mark.parametrize("of", [1, 2, 3, 7, 40])
+def test_parts_are_disjoint_and_together_all_runs(of: int) -> None:
+    plan = long_and_short(seeds=range(6))
+    parts = [replace(plan, shard=Shard(k, of)).runs for k in range(1, of + 1)]
+    ids = [run.id for part in parts for run in part]
+    assert sorted(ids) == sorted(run.id for run in plan.runs)
+    order = [run.id for run in plan.runs]
+    for part in parts:
+        places = [order.index(run.id) for run in part]
+        assert places == sorted(places)
+
+
+@given(
+    durations=st.lists(st.floats(0.1, 100.0), min_size=1, max_size=8, unique=True),
+    seeds=st.integers(1, 9),
+    of=st.integers(1, 9),
+)
+def test_parts_are_equally_long_up_to_one_run(durations: list[float], seeds: int, of: int) -> None:
+    plan = long_and_short(range(seeds), durations)
+    parts = [replace(plan, shard=Shard(k, of)).runs for k in range(1, of + 1)]
+    loads = [sum(run.robot_seconds for run in part) for part in parts]
+    assert max(loads) - min(loads) <= max(run.robot_seconds for run in plan.runs) + 1e-9
+
+
+def test_the_time_of_a_run_follows_robots_and_duration() -> None:
+    groups = {"a": {"count": 3, "robots": None}, "b": {"count": None, "robots": ["x", "y"]}}
+    variant = Variant("", {}, {"duration": 10.0, "groups": groups})
+    assert Run("s0000", variant, 0).robot_seconds == 50.0
+
+
+def test_there_is_no_part_beyond_the_last_or_before_the_first() -> None:
+    for part, of in ((0, 3), (4, 3), (-1, 3), (1, 0)):
+        with pytest.raises(ValueError, match="no part"):
+            Shard(part, of)
+
+
+def long_and_short(seeds: Iterable[int], durations: Sequence[float] = (10.0, 1.0, 5.0)) -> Plan:
+    def effective(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
+        return {**overrides, "groups": {"all": {"count": 2}}}
+
+    return make_plan("x", seeds, {}, {"duration": list(durations)}, effective)

@@ -1,0 +1,195 @@
+"""A Dask cluster of real processes gives what one machine gives, also if workers are lost."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+
+import pytest
+
+from tests.sim.conftest import MAIN
+from tests.support.processes import children, wait_until
+
+Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
+
+pytestmark = [
+    pytest.mark.integration,
+    pytest.mark.skipif(find_spec("distributed") is None, reason="distributed is not installed"),
+]
+ENDS = "groups.all.parameters.end"
+
+
+@contextmanager
+def process(*words: object, log: Path, **environ: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A process of a cluster; it and its children are gone at the end."""
+    with log.open("wb") as file:
+        started = subprocess.Popen(
+            [sys.executable, "-m", *map(str, words)],
+            stdout=file,
+            stderr=file,
+            cwd=log.parent,
+            env={**os.environ, **environ},
+        )
+    try:
+        yield started
+    finally:
+        started.kill()
+        started.wait()
+
+
+class Cluster:
+    """A scheduler on loopback, and workers of one thread."""
+
+    def __init__(self, folder: Path, stack: ExitStack) -> None:
+        folder.mkdir()
+        self.folder, self._stack = folder, stack
+        self.about = folder / "scheduler.json"
+        self.workers: list[subprocess.Popen[bytes]] = []
+        words = ("dask", "scheduler", "--host", "tcp://127.0.0.1", "--port", 0, "--no-dashboard")
+        self._start(*words, "--scheduler-file", self.about, name="scheduler")
+        wait_until(self._has_address, "the scheduler has an address")
+        self.address = json.loads(self.about.read_text())["address"]
+
+    def add_worker(self, **environ: str) -> subprocess.Popen[bytes]:
+        """A worker that has joined."""
+        name = f"worker-{len(self.workers)}"
+        words = ("dask", "worker", self.address, "--host", "127.0.0.1", "--no-nanny")
+        more = ("--nthreads", 1, "--no-dashboard", "--local-directory", self.folder / name)
+        worker = self._start(*words, *more, "--name", name, name=name, **environ)
+        log = self.folder / f"{name}.log"
+        wait_until(lambda: "Registered to" in log.read_text(), f"{name} has joined")
+        self.workers.append(worker)
+        return worker
+
+    def _start(self, *words: object, name: str, **environ: str) -> subprocess.Popen[bytes]:
+        log = self.folder / f"{name}.log"
+        return self._stack.enter_context(process(*words, log=log, **environ))
+
+    def _has_address(self) -> bool:
+        return self.about.exists() and self.about.read_text().rstrip().endswith("}")
+
+
+@pytest.fixture
+def cluster(tmp_path: Path) -> Iterator[Cluster]:
+    with ExitStack() as stack:
+        yield Cluster(tmp_path / "cluster", stack)
+
+
+def table(folder: Path) -> list[str]:
+    """The rows without their durations."""
+    return [line.rpartition(",")[0] for line in (folder / "runs.csv").read_text().splitlines()]
+
+
+def traces(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in (folder / "traces").iterdir()}
+
+
+def is_running_one(worker: subprocess.Popen[bytes]) -> bool:
+    return bool(children(worker.pid))
+
+
+@pytest.mark.timeout(300)
+def test_all_runs_are_there_though_one_worker_is_killed_and_one_hangs(
+    tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
+) -> None:
+    killed, hung = cluster.add_worker(), cluster.add_worker()
+    command = ("exp", "run", duo, "--seeds", 6, "--set", "duration=5")
+    where = ("--scheduler", cluster.address, "--timeout", 6, "--out", "far")
+    running = subprocess.Popen(
+        [sys.executable, "-c", MAIN, *map(str, (*command, *where))],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+    )
+    wait_until(lambda: is_running_one(killed) and is_running_one(hung), "both work")
+    killed.kill()
+    hung.send_signal(signal.SIGSTOP)
+    cluster.add_worker()
+    _, told = running.communicate(timeout=200)
+    assert running.returncode == 0, told
+    assert told.count("is repeated") >= 2, told
+    near = swarmctl(*command, "--out", "near")
+    assert near.returncode == 0, near.stderr
+    assert len(table(tmp_path / "far")) == 7
+    assert table(tmp_path / "far") == table(tmp_path / "near")
+    assert traces(tmp_path / "far") == traces(tmp_path / "near")
+    hung.send_signal(signal.SIGCONT)
+    wait_until(lambda: not is_running_one(hung), "what it did is cancelled")
+    assert not list((cluster.folder / "worker-1").rglob("swarmd-*"))
+
+
+@pytest.mark.timeout(300)
+def test_runs_that_crash_or_hang_fail_alone(
+    tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
+) -> None:
+    cluster.add_worker()
+    command = ("exp", "run", duo, "--seeds", 1, "--sweep", f"{ENDS}=hang,exit,none", "--no-traces")
+    done = swarmctl(*command, "--scheduler", cluster.address, "--timeout", 3, "--out", "far")
+    assert done.returncode == 3, done.stderr
+    assert "failed: end=hang_s0000: no progress in 3 s" in done.stderr
+    assert "failed: end=exit_s0000: its process ended with code 7: moody" in done.stderr
+    assert [line.split(",")[0] for line in table(tmp_path / "far")[1:]] == ["end=none_s0000"]
+
+
+@pytest.mark.timeout(300)
+def test_ctrl_c_cancels_what_runs_and_the_command_goes_on_later(
+    tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
+) -> None:
+    worker = cluster.add_worker()
+    command = ["exp", "run", str(duo), "--seeds", "2", "--sweep", "duration=1,20", "--no-traces"]
+    command += ["--scheduler", cluster.address, "--out", "far"]
+    running = subprocess.Popen(
+        [sys.executable, "-c", MAIN, *command], stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    )
+    far = tmp_path / "far"
+    wait_until(lambda: (far / "runs.csv").exists() and len(table(far)) == 3, "two runs are done")
+    wait_until(lambda: is_running_one(worker), "the next one runs")
+    running.send_signal(signal.SIGINT)
+    _, told = running.communicate(timeout=60)
+    assert running.returncode == 130, told
+    assert "2 of 4 runs are kept; to go on: swarmctl exp run" in told
+    assert "Traceback" not in told
+    wait_until(lambda: not is_running_one(worker), "it is cancelled")
+    done = swarmctl(*command)
+    assert (done.returncode, len(table(far))) == (0, 5), done.stderr
+
+
+def test_other_software_of_a_worker_is_refused_by_its_name(
+    tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
+) -> None:
+    cluster.add_worker(OPENBLAS_CORETYPE="Nehalem", SWARMD_COMPILED="0")
+    words = ("exp", "run", duo, "--seeds", 1, "--scheduler", cluster.address, "--out", "far")
+    if "compiled" not in (done := swarmctl(*words, SWARMD_COMPILED="1")).stderr:
+        pytest.skip("the kernels are not compiled here")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
+    assert "worker tcp://127.0.0.1:" in done.stderr
+    assert "kernels was" in done.stderr
+    assert not (tmp_path / "far").exists()
+    alike = swarmctl(*words, SWARMD_COMPILED="0")
+    assert alike.returncode == 0, alike.stderr
+    made_with = json.loads((tmp_path / "far" / "manifest.json").read_text())["made_with"]
+    assert made_with["blas"] == "Nehalem"  # of the worker, and not of this machine
+
+
+def test_a_cluster_that_is_not_there_or_has_no_worker_is_one_line(
+    tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
+) -> None:
+    words = ("exp", "run", duo, "--seeds", 1, "--out", "far", "--timeout", 1, "--scheduler")
+    for address, code, subject in (
+        (cluster.address, 1, "no worker"),
+        ("tcp://127.0.0.1:1", 2, "--scheduler tcp://127.0.0.1:1"),
+        ("nonsense://x", 2, "--scheduler nonsense://x"),
+    ):
+        done = swarmctl(*words, address)
+        assert (done.returncode, done.stdout) == (code, ""), done.stderr
+        assert subject in done.stderr
+        assert done.stderr.count("\n") == 1, done.stderr
+        assert not (tmp_path / "far").exists()

@@ -1,0 +1,51 @@
+"""The cores that a program may use: its affinity, within the quotas of its control groups."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from swarmd.sim.experiments.cores import usable_cores
+
+V1 = {"cpu.cfs_quota_us": "250000", "cpu.cfs_period_us": "100000"}
+
+
+@pytest.mark.parametrize(
+    ("groups", "folder", "files", "cores"),
+    [
+        ("0::/job/step", "job", {"cpu.max": "150000 100000"}, 2),  # of a group around it
+        ("0::/job/step", "job/step", {"cpu.max": "50000 100000"}, 1),
+        ("0::/job", "job", {"cpu.max": "max 100000"}, 64),
+        ("0::/job", "job", {"cpu.max": "nonsense"}, 64),
+        ("4:cpu,cpuacct:/job\n0::/", "cpu,cpuacct/job", V1, 3),
+        ("4:cpu:/outside/job\n0::/", "cpu", V1, 3),  # in a container
+        ("4:cpu:/job", "cpu/job", {**V1, "cpu.cfs_quota_us": "-1"}, 64),
+        ("4:memory:/job", "memory/job", V1, 64),
+    ],
+)
+def test_a_quota_limits_the_cores(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    groups: str,
+    folder: str,
+    files: dict[str, str],
+    cores: int,
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: set(range(64)))
+    (tmp_path / "proc/self").mkdir(parents=True)
+    (tmp_path / "proc/self/cgroup").write_text(groups + "\n")
+    place = tmp_path / "sys/fs/cgroup" / folder
+    place.mkdir(parents=True)
+    for name, text in files.items():
+        (place / name).write_text(text + "\n")
+    assert usable_cores(tmp_path) == cores
+
+
+def test_the_affinity_limits_the_cores_of_a_machine_without_groups(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {3})
+    assert usable_cores(tmp_path) == 1
+    assert usable_cores() == 1
