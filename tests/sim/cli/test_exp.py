@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import os
+import shlex
 import shutil
 import signal
 import subprocess
@@ -277,6 +278,35 @@ def test_parts_are_run_apart_and_joined(tmp_path: Path, duo: Path, swarmctl: Swa
     assert joined.returncode == 0, joined.stderr
     assert rows(tmp_path / "m") == rows(tmp_path / "m2")
     assert traces(tmp_path / "m") == traces(tmp_path / "m2")
+
+
+@pytest.mark.integration
+def test_the_job_script_of_the_documentation_runs_every_part(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+) -> None:
+    text = (Path(__file__).parents[3] / "docs" / "experiments.md").read_text()
+    (script,) = [block for block in text.split("```") if block.lstrip().startswith("#!/bin/bash")]
+    assert script.count("aggregation --seeds 2000") == 1
+    job = tmp_path / "gather.sh"
+    job.write_text(
+        script.lstrip().replace("aggregation --seeds 2000", f"{duo} --seeds 3 --set duration=0.5")
+    )
+    activate = tmp_path / "swarmd" / ".venv" / "bin" / "activate"
+    activate.parent.mkdir(parents=True)
+    activate.write_text(
+        f'swarmctl() {{ {shlex.join([sys.executable, "-P", "-c", MAIN])} "$@"; }}\n'
+    )
+    environ = {"HOME": str(tmp_path), "SLURM_ARRAY_TASK_COUNT": "2"}
+    loop = "for SLURM_ARRAY_TASK_ID in 1 2; do export SLURM_ARRAY_TASK_ID; bash gather.sh; done"
+    done = subprocess.run(
+        ["bash", "-ec", loop], cwd=tmp_path, env={**os.environ, **environ}, timeout=120, check=False
+    )
+    assert done.returncode == 0
+    parts = sorted(path.name for path in (tmp_path / "runs").iterdir())
+    assert parts == ["gather-part-1", "gather-part-2"]
+    joined = swarmctl("exp", "merge", *(f"runs/{part}" for part in parts), "--out", "runs/gather")
+    assert joined.returncode == 0, joined.stderr
+    assert len(rows(tmp_path / "runs" / "gather")) == 3
 
 
 @pytest.mark.integration
