@@ -115,6 +115,7 @@ class Barrier:
         self._surface_speed = settings.surface_speed or settings.others_speed
         self._envelopes: dict[tuple[Point, float], tuple[Array, Array]] = {}
         self._feasible: _Feasible | None = None
+        self._decided: tuple[_Feasible, Twist, ModeDecision] | None = None
         self._dead_reckoning = DeadReckoning(settings.braking_linear, settings.braking_angular)
         own = max(self._limits.linear, self._limits.lateral)
         self._memory: BlindZoneMemory | None = None
@@ -193,6 +194,19 @@ class Barrier:
         along, speed = direction_and_speed(requested)
         limits = linear_limit(self._limits, along), self._limits.angular
         feasible = self._feasible_commands((context, along, touch), command, limits)
+        if (
+            self._decided is None
+            or self._decided[0] is not feasible
+            or self._decided[1] != requested
+        ):
+            self._decided = feasible, requested, self._limited(requested, speed, limits, feasible)
+        return self._decided[2]
+
+    def _limited(
+        self, requested: Twist, speed: float, limits: Point, feasible: _Feasible
+    ) -> ModeDecision:
+        """The decision on a request at a linear `speed` in m/s in the direction of `feasible`."""
+        along = feasible.situation[1]
         wanted = speed / limits[0], requested.angular / limits[1]
         point, tight = nearest_feasible(wanted, LIMIT_BOX, feasible.normals, feasible.caps)
         s, angular = point[0] * limits[0], point[1] * limits[1]

@@ -47,6 +47,7 @@ _reported = cython.declare(cython.Py_ssize_t, MAX_REPORTED)
 _inf = cython.declare(cython.double, float("inf"))
 _pi = cython.declare(cython.double, 3.141592653589793)
 _age_tolerance = cython.declare(cython.double, 1e-6)
+_slack = cython.declare(cython.double, 1e-6)  # far beyond BINDING_TOLERANCE
 _rounding = cython.declare(cython.double, 1e-9)  # m, of the way of an outline: it prunes nothing
 
 
@@ -314,6 +315,7 @@ class BarrierKernel:
         r[at + 4], r[at + 5], r[at + 6] = linear, angular, lateral
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _pose(self, odometry_age: cython.double, ago: cython.double) -> cython.int:
         """The pose `ago` s before the decision."""
         r: cython.double[::1] = self._readings
@@ -342,6 +344,7 @@ class BarrierKernel:
         return self._move(late, r[late + 4], r[late + 5], r[late + 6], at - r[late])
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _predicted_pose(
         self,
         odometry_age: cython.double,
@@ -368,6 +371,7 @@ class BarrierKernel:
         )
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _move(
         self,
         at: cython.Py_ssize_t,
@@ -429,6 +433,7 @@ class BarrierKernel:
         self._set_min_gap(nearest, smallest)
 
     @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
     def _ring(self, nearest: cython.double, range_min: cython.double) -> cython.double:
         """The range up to which a return may be the nearest to the outline.
 
@@ -440,6 +445,7 @@ class BarrierKernel:
         return _maximum(nearest - self._inner, 0.0) + self._outer
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _set_min_gap(self, nearest: cython.double, smallest: cython.double) -> cython.int:
         if nearest == _inf:
             self.min_gap = None
@@ -524,6 +530,7 @@ class BarrierKernel:
         self._points, self._contacts = contacts + found, contacts
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _place(
         self,
         ray: cython.Py_ssize_t,
@@ -540,6 +547,7 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _sort(self, count: cython.Py_ssize_t) -> cython.int:
         """Merge sort: the order of rising gaps; equal gaps keep their order."""
         i: cython.Py_ssize_t
@@ -573,6 +581,7 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _reserve_points(self, count: cython.Py_ssize_t) -> cython.int:
         """Buffers for so many points of a scan."""
         if self._x is not None and self._x.shape[0] >= count:
@@ -589,29 +598,31 @@ class BarrierKernel:
     # The outline.
 
     @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
     def _gap_of(self, x: cython.double, y: cython.double) -> cython.double:
         """The distance in m from the outline to a point; 0 for a point inside."""
         k: cython.Py_ssize_t
         edges: cython.Py_ssize_t = self._edges
         least: cython.double = _inf
-        highest: cython.double = -_inf
         for k in range(edges):
-            along: cython.double = self._axis_x[k] * x + self._axis_y[k] * y - self._origin[k]
             above: cython.double = (
                 self._axis_x[edges + k] * x + self._axis_y[edges + k] * y - self._origin[edges + k]
             )
-            on: cython.double = along if along > 0.0 else 0.0
-            if on > self._length[k]:
-                on = self._length[k]
-            beyond: cython.double = along - on
+            if above <= 0.0:
+                continue
+            along: cython.double = self._axis_x[k] * x + self._axis_y[k] * y - self._origin[k]
+            beyond: cython.double = 0.0
+            if along < 0.0:
+                beyond = along
+            elif along > self._length[k]:
+                beyond = along - self._length[k]
             square: cython.double = beyond * beyond + above * above
             if square < least or square != square:
                 least = square
-            if above > highest:
-                highest = above
-        return 0.0 if highest <= 0.0 and least == least else sqrt(least)
+        return 0.0 if least == _inf else sqrt(least)
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _separate(self, x: cython.double, y: cython.double) -> cython.int:
         """Gap, direction and lever of a point."""
         k: cython.Py_ssize_t
@@ -654,6 +665,7 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
     def _along_ray(self, ray_x: cython.double, ray_y: cython.double) -> cython.double:
         """m from the lidar to the outline along a ray; 0 from outside."""
         k: cython.Py_ssize_t
@@ -764,6 +776,7 @@ class BarrierKernel:
         return 1
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _build(
         self, linear: cython.double, angular: cython.double, lateral: cython.double
     ) -> cython.int:
@@ -823,6 +836,7 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
     def _binding_range(self, age: cython.double) -> cython.double:
         """The gap in m beyond which nothing binds; see BindingRange."""
         gap: cython.double = self._fresh + (self._others + self._fastest) * age
@@ -834,6 +848,7 @@ class BarrierKernel:
         return other if other > gap else gap
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _constrain(
         self,
         nx: cython.double,
@@ -857,18 +872,21 @@ class BarrierKernel:
         return self._add(linear, lever, cap, gap, source)
 
     @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
     def _reciprocal_cap(self, room: cython.double, braking: cython.double) -> cython.double:
         half: cython.double = 0.5 * _maximum(room, 0.0)
         first: cython.double = braking * (2.0 * _tick + self._unseen)
         return _maximum(sqrt(first * first + 2.0 * braking * half) - first, 0.0)
 
     @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
     def _braking(self, linear: cython.double, lever: cython.double) -> cython.double:
         braking: cython.double = fabs(linear) * self._braking_linear
         braking += fabs(lever) * self._braking_angular
         return _maximum(braking, _min_braking)
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _add(
         self,
         linear: cython.double,
@@ -885,6 +903,7 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _add_sides(self, count: cython.Py_ssize_t) -> cython.int:
         """Two rows for each point whose cap is 0; see side_constraints."""
         i: cython.Py_ssize_t
@@ -913,10 +932,12 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _add_corners(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
         """A row of each own corner for each near point; see Barrier._corner_constraints."""
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
+        has_copies: cython.bint = self._keep_out == self._keep_out
         reach: cython.double = 2.0 * self._free + self._others * (self._unseen + _tick)
         for k in range(self._edges):
             own_x: cython.double = self._corner_x[k]
@@ -931,9 +952,15 @@ class BarrierKernel:
                 dy /= away
                 lever: cython.double = own_x * dy - own_y * dx
                 self._constrain(dx, dy, lever, away - self._free, away, i)
+                # A row that no twist within the limits violates is dropped, unless it has a copy.
+                last: cython.Py_ssize_t = self._rows - 1
+                most: cython.double = fabs(self._row_x[last]) + fabs(self._row_y[last])
+                if self._row_cap[last] > most + _slack and not has_copies:
+                    self._rows = last
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _add_keep_out(self, count: cython.Py_ssize_t) -> cython.int:
         """A second row for each row: the circle around the sensor."""
         i: cython.Py_ssize_t
@@ -960,6 +987,7 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _grant_touch(self, count: cython.Py_ssize_t) -> cython.int:
         """Raise the caps in the touch zone, and limit any motion in its directions."""
         i: cython.Py_ssize_t
@@ -978,6 +1006,7 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _add_envelope(self) -> cython.int:
         """The rows of the envelope, which are not reported."""
         i: cython.Py_ssize_t
@@ -1001,6 +1030,7 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _find_envelope(self, which: cython.Py_ssize_t, speed: cython.double) -> cython.int:
         """The half-planes of the envelope; see constraints.envelope and half_planes."""
         i: cython.Py_ssize_t
@@ -1031,6 +1061,7 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _reserve_rows(self, count: cython.Py_ssize_t) -> cython.int:
         if self._row_x is not None and self._row_x.shape[0] >= count:
             return 0
@@ -1042,6 +1073,7 @@ class BarrierKernel:
     # The projection.
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _project(self, x: cython.double, y: cython.double) -> cython.int:
         """The feasible point nearest to a requested one; see projection.nearest_feasible."""
         i: cython.Py_ssize_t
@@ -1049,14 +1081,21 @@ class BarrierKernel:
         self._poly_x[0] = self._poly_x[1] = self._poly_y[1] = self._poly_y[2] = 1.0
         self._poly_x[2] = self._poly_x[3] = self._poly_y[0] = self._poly_y[3] = -1.0
         self._sides = 4
+        row_x: cython.double[::1] = self._row_x
+        row_y: cython.double[::1] = self._row_y
+        row_cap: cython.double[::1] = self._row_cap
         self._nearest(x, y)
         for _ in range(self._all):
             worst = 0
             most: cython.double = -_inf
+            px: cython.double = self._point_x
+            py: cython.double = self._point_y
             for i in range(self._all):
-                excess: cython.double = self._excess(i)
-                if excess > most or (excess != excess and most == most):
+                excess: cython.double = row_x[i] * px + row_y[i] * py - row_cap[i]
+                if not (excess <= most):
                     most, worst = excess, i
+                    if excess != excess:
+                        break
             if most <= _tolerance:
                 break
             self._clip(self._row_x[worst], self._row_y[worst], self._row_cap[worst])
@@ -1064,6 +1103,7 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
     @cython.inline
     def _excess(self, row: cython.Py_ssize_t) -> cython.double:
         """By how much the point violates a row."""
@@ -1072,6 +1112,7 @@ class BarrierKernel:
         )
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _clip(self, a: cython.double, b: cython.double, cap: cython.double) -> cython.int:
         """Cut off the part of the polygon where a x + b y > cap."""
         if self._clip_x.shape[0] < 2 * self._sides:
@@ -1103,6 +1144,7 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _nearest(self, x: cython.double, y: cython.double) -> cython.int:
         """The point of the polygon nearest to a requested one."""
         i: cython.Py_ssize_t
@@ -1211,8 +1253,11 @@ class BarrierKernel:
     _stop_y: cython.double[4]
     _stop_cos: cython.double[4]
     _stop_sin: cython.double[4]
+    _stop_way: cython.double[4]
+    _poses: cython.Py_ssize_t
 
     @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
     def _simulate(
         self,
         brake: cython.Py_ssize_t,
@@ -1230,6 +1275,7 @@ class BarrierKernel:
         x: cython.double = 0.0
         y: cython.double = 0.0
         yaw: cython.double = 0.0
+        self._poses = 0
         for j in range(4):
             braked: cython.double = _maximum(step * (j + 0.5) - _tick, 0.0)
             shed: cython.double = linear * braked if braked > 0.0 else 0.0
@@ -1243,7 +1289,11 @@ class BarrierKernel:
             y += move * (d * self._along_x + c * self._along_y)
             self._stop_x[j], self._stop_y[j] = x, y
             self._stop_cos[j], self._stop_sin[j] = cos(yaw), sin(yaw)
-            way += fabs(move) + fabs(turn) * self._radius
+            moved: cython.double = fabs(move) + fabs(turn) * self._radius
+            if not (moved + 1e-12 <= _negligible * step):
+                self._poses = j + 1  # those after it close on nothing
+            way += moved
+            self._stop_way[j] = -way
         return way
 
     @cython.cfunc
@@ -1258,10 +1308,11 @@ class BarrierKernel:
     ) -> cython.int:
         """1 if the outline closes on a point within its gap during the simulated stop."""
         j: cython.Py_ssize_t
-        before: cython.double = self._row_gap[point]
-        if before >= least:
+        gap: cython.double = self._row_gap[point]
+        if gap >= least:
             return 0
-        for j in range(4):
+        before: cython.double = gap
+        for j in range(self._poses):
             dx: cython.double = self._placed_x[point] - self._stop_x[j]
             dy: cython.double = self._placed_y[point] - self._stop_y[j]
             c: cython.double = self._stop_cos[j]
@@ -1270,6 +1321,8 @@ class BarrierKernel:
             is_free: cython.bint = left >= need + others * (step * (j + 1.0))
             if not is_free and not (before - left <= _negligible * step):
                 return 1
+            if left - self._stop_way[j] >= least:
+                return 0
             before = left
         return 0
 
@@ -1299,6 +1352,7 @@ class BarrierKernel:
         return shown
 
     @cython.cfunc
+    @cython.exceptval(-1)
     def _rank(self, found: list, row: cython.Py_ssize_t) -> cython.int:
         """Insert a row among those with the lowest caps, and of these the smallest gaps."""
         cap: cython.double = self._row_cap[row]

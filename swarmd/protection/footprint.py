@@ -80,8 +80,9 @@ class Footprint:
         # Edges along the first axis: numpy reduces along a short last one three times as slowly.
         along, above = self._placed(points[:, 0], points[:, 1])
         beyond = along - np.minimum(np.maximum(along, 0.0), self.lengths[:, None])
-        squares = (beyond * beyond + above * above).min(axis=0)
-        squares[above.max(axis=0) <= 0.0] = 0.0
+        # The nearest place lies on an edge that the point is above; an inner point is above none.
+        squares = np.where(above <= 0.0, np.inf, beyond * beyond + above * above).min(axis=0)
+        squares[squares == np.inf] = 0.0
         distances: Array = np.sqrt(squares)
         return distances
 

@@ -10,6 +10,7 @@ either of them ideal.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.protection.footprint import Footprint
@@ -27,6 +28,7 @@ SPEED_SHARES = np.array(
 )
 """Shares of the two speeds, those nearest to the whole first; the last is zero."""
 _BATCH_SIZE = 4  # shares checked together
+_ROUNDING = 1e-9  # m
 
 
 class StopCheck:
@@ -35,6 +37,7 @@ class StopCheck:
     def __init__(self, outline: Footprint, linear: float, angular: float, tick: float) -> None:
         """A command holds for `tick` s."""
         self._outline = outline
+        self._radius = float(np.hypot(*outline.corners.T).max())
         self._brakes = np.array(((linear, angular), (np.inf, angular), (linear, np.inf)))
         self._tick = tick
 
@@ -60,9 +63,15 @@ class StopCheck:
 
     def _is_clear(
         self, speeds: Array, along: Array, points: Array, gaps: Array, free: Array
-    ) -> Array:
+    ) -> NDArray[np.bool_]:
         """(c,) true for those of `speeds` (c, 2) from which every stop stays clear."""
-        poses, times, step = self._stops(speeds, along)
+        poses, times, step, way = self._stops(speeds, along)
+        # The outline comes no nearer to a point than by its own way.
+        is_beyond = gaps >= free[0] + free[1] * times.max() + way + _ROUNDING
+        if is_beyond.all():
+            return np.ones(len(speeds), np.bool_)
+        if is_beyond.any():
+            points, gaps = points[~is_beyond], gaps[~is_beyond]
         cos, sin = np.cos(poses[..., 2:]), np.sin(poses[..., 2:])
         dx, dy = points[:, 0] - poses[..., :1], points[:, 1] - poses[..., 1:2]
         seen = np.stack((cos * dx + sin * dy, cos * dy - sin * dx), axis=-1)
@@ -73,11 +82,14 @@ class StopCheck:
         )
         is_free = left >= free[0] + free[1] * times.reshape(shape[:3])[..., None]
         is_free |= before - left <= NEGLIGIBLE_SPEED * step[..., None]
-        clear: Array = is_free.all(axis=(1, 2, 3))
+        clear: NDArray[np.bool_] = is_free.all(axis=(1, 2, 3))
         return clear
 
-    def _stops(self, speeds: Array, along: Array) -> tuple[Array, Array, Array]:
-        """Poses (c, s, 3) and times (c, s) of the stops from `speeds` (c, 2), and the time step."""
+    def _stops(self, speeds: Array, along: Array) -> tuple[Array, Array, Array, Array]:
+        """Poses (c, s, 3) and times (c, s) of the stops from `speeds` (c, 2).
+
+        Also the time steps, and the m by which a place of the outline moves at most in each stop.
+        """
         v, w = np.abs(speeds[:, None, None, 0]), np.abs(speeds[:, None, None, 1])
         b_v, b_w = self._brakes[:, 0, None], self._brakes[:, 1, None]
         last = self._tick + np.maximum(v / b_v, w / b_w)
@@ -93,7 +105,8 @@ class StopCheck:
         times = step * (np.arange(_STEPS) + 1.0)
         flat = len(speeds), -1
         poses = np.stack((x.reshape(flat), y.reshape(flat), yaw.reshape(flat)), axis=2)
-        return poses, np.broadcast_to(times, x.shape).reshape(flat), step
+        way = (np.abs(moves) + self._radius * np.abs(turns)).sum(axis=2).max()
+        return poses, np.broadcast_to(times, x.shape).reshape(flat), step, way
 
 
 def _shed(brake: Array, seconds: Array) -> Array:
