@@ -42,11 +42,8 @@ class Twist(Struct, frozen=True, array_like=True):
     @property
     def is_finite(self) -> bool:
         """True if no component is NaN or infinite."""
-        return (
-            math.isfinite(self.linear)
-            and math.isfinite(self.angular)
-            and math.isfinite(self.lateral)
-        )
+        # 0 times NaN or infinity is NaN; three calls of math.isfinite take twice as long.
+        return self.linear * 0.0 + self.angular * 0.0 + self.lateral * 0.0 == 0.0
 
 
 ZERO = Twist()
@@ -74,7 +71,7 @@ class Pose(Struct, frozen=True, array_like=True):
     @property
     def is_finite(self) -> bool:
         """True if neither position nor yaw is NaN or infinite."""
-        return math.isfinite(self.x) and math.isfinite(self.y) and math.isfinite(self.yaw)
+        return self.x * 0.0 + self.y * 0.0 + self.yaw * 0.0 == 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,12 +10,11 @@ from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
-from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Platform, Scan, TouchZone, Twist
-from swarmd.protection.compiled_barrier import make_barrier
+from swarmd.protection.compiled_barrier import CompiledBarrier, make_barrier
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, ModeDecision, Permit
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import Off, PotentialField, StopZone
@@ -41,6 +40,8 @@ class Arbiter(Protocol):
         self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """The safe command for a requested one within the limits; the context has a scan age.
+
+        Asked again for the same command in the same context, a mode decides the same.
 
         `command` is the present safe command, `touch` the zone in which contact is granted.
         """
@@ -72,7 +73,7 @@ class Protection:
     """
 
     def __init__(self, platform: Platform, seed: str = "") -> None:
-        self._platform = platform
+        self._limits = platform.limits
         self._arbiter = make_arbiter(platform)
         self._footprint = Footprint(platform.footprint)
         self._geometry = ScanGeometry(platform.scan)
@@ -80,14 +81,25 @@ class Protection:
         self._min_gap: float | None = None
         self._scan: Scan | None = None
         self._safe = ZERO
+        self._requested: Twist | None = None
+        self._wanted = ZERO  # `_requested` within the limits
+        # The last decision without a hold is given again for the same case in the same context,
+        # which a scan or odometry ends: no mode decides anything else then.
+        self._context: DecisionContext | None = None
+        self._case: tuple[object, ...] = ()
+        self._last: Decision
         clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
         self._recovery = None if clearance is None else Recovery(clearance, platform.limits, seed)
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""
-        self._scan_seq, self._scan = scan.seq, scan
-        self._min_gap = self._footprint.min_gap(scan, self._geometry)
-        self._arbiter.observe(scan, self._geometry, context)
+        self._scan_seq, self._scan, self._context = scan.seq, scan, None
+        arbiter, geometry = self._arbiter, self._geometry
+        arbiter.observe(scan, geometry, context)
+        if isinstance(arbiter, CompiledBarrier):  # its kernel has looked at all returns
+            self._min_gap = arbiter.min_gap
+        else:
+            self._min_gap = self._footprint.min_gap(scan, geometry)
 
     def decide(
         self,
@@ -103,28 +115,40 @@ class Protection:
         Exactly zero outside `running`, under any hold and before the first scan. The limits apply
         to the requested command, so that an arbiter can rely on them, and to the result.
         """
-        limits = self._platform.limits
-        wanted = limits.clip(requested) if requested is not None and requested.is_finite else ZERO
+        recovery = self._recovery
+        if requested is not self._requested:  # most are judged more than once
+            self._requested, self._wanted = requested, ZERO
+            if requested is not None and requested.is_finite:
+                self._wanted = self._limits.clip(requested)
+        wanted = judged = self._wanted
         if is_running and hold is None and context.scan_age is None:
             hold = Reason.NO_SCAN
         if not is_running or hold is not None:
-            if self._recovery is not None:
-                self._recovery.reset()
+            if recovery is not None:
+                recovery.reset()
             return self._decision(wanted, _STOPPED, hold, context)
-        judged = wanted
-        if self._recovery is not None and permit.may_recover:
-            replacement = self._recovery.replacement(wanted, self._safe, context, self._points)
-            judged = limits.clip(replacement)
-        decision = self._arbiter.decide(judged, context, command=self._safe, touch=permit.touch)
+        if recovery is not None and permit.may_recover:
+            judged = recovery.replacement(wanted, self._safe, context, self._points)
+        is_recovering = recovery is not None and recovery.is_active
+        case = wanted, judged, judged is wanted, is_recovering, permit.touch
+        if context is self._context and case == self._case:
+            return self._last
+        decision = self._arbiter.decide(
+            judged if judged is wanted else self._limits.clip(judged),
+            context,
+            command=self._safe,
+            touch=permit.touch,
+        )
         if decision.twist is not wanted and not decision.twist.is_finite:
             decision = ModeDecision(ZERO, is_active=True, rows=decision.rows)
         elif judged is not wanted:
-            decision = replace(decision, is_active=True)
-        reason = None
-        twist = decision.twist
-        if max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) <= _ZERO_TOLERANCE:
+            decision = ModeDecision(decision.twist, is_active=True, rows=decision.rows)
+        reason, twist, least = None, decision.twist, _ZERO_TOLERANCE
+        if abs(twist.linear) <= least and abs(twist.angular) <= least >= abs(twist.lateral):
             reason = Reason.PROTECTION if decision.is_active else Reason.NO_REQUESTED_COMMAND
-        return self._decision(wanted, decision, reason, context)
+        last = self._last = self._decision(wanted, decision, reason, context)
+        self._context, self._case = context, case
+        return last
 
     def _points(self) -> Array:
         """(k, 2) returns of the last scan within the lookahead, in the base frame in m."""
@@ -134,21 +158,23 @@ class Protection:
 
     def _decision(
         self,
-        requested: Twist,
+        wanted: Twist,
         decision: ModeDecision,
         reason: Reason | None,
         context: DecisionContext,
     ) -> Decision:
-        self._safe = self._platform.limits.clip(decision.twist)
+        twist, recovery = decision.twist, self._recovery
+        self._safe = safe = twist if twist is wanted else self._limits.clip(twist)
+        self._context = None
         return Decision(
-            mode=self._arbiter.mode,
-            requested=requested,
-            safe=self._safe,
-            reason=reason,
-            is_active=decision.is_active,
-            rows=decision.rows,
-            min_gap=self._min_gap,
-            scan_age=context.scan_age,
-            scan_seq=self._scan_seq,
-            is_recovering=self._recovery is not None and self._recovery.is_active,
+            self._arbiter.mode,
+            wanted,
+            safe,
+            reason,
+            decision.is_active,
+            decision.rows,
+            self._min_gap,
+            context.scan_age,
+            self._scan_seq,
+            recovery is not None and recovery.is_active,
         )

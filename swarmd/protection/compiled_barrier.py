@@ -88,6 +88,12 @@ class CompiledBarrier(Barrier):
                 hidden = _rays_and_ranges(self._memory)
         kernel.take_scan(scan.ranges, scan.range_min, hidden)
 
+    @property
+    def min_gap(self) -> float | None:
+        """The m from the outline to the nearest return of the last scan; None without a return."""
+        gap: float | None = self._kernel.min_gap
+        return gap
+
     def decide(
         self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:

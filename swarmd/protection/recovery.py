@@ -59,6 +59,8 @@ class Recovery:
         self.lookahead = clearance.ahead + _FOLLOW_TIME * limits.linear
         self._half_width = clearance.beside
         self._limits = limits
+        self._least_linear = _MIN_SPEED_SHARE * limits.linear
+        self._least_angular = _MIN_SPEED_SHARE * limits.angular
         self._turn_rate = min(limits.angular, 1.5)
         self._rng = Random(seed)
         self._side, self._side_until = -1.0, -math.inf
@@ -150,11 +152,13 @@ class Recovery:
 
     def _is_moving(self, twist: Twist) -> bool:
         """True if the twist translates faster than the least speed."""
-        return math.hypot(twist.linear, twist.lateral) >= _MIN_SPEED_SHARE * self._limits.linear
+        if twist.lateral == 0.0:
+            return abs(twist.linear) >= self._least_linear
+        return math.hypot(twist.linear, twist.lateral) >= self._least_linear
 
     def _is_turning(self, twist: Twist) -> bool:
         """True if the twist turns faster than the least speed."""
-        return abs(twist.angular) >= _MIN_SPEED_SHARE * self._limits.angular
+        return abs(twist.angular) >= self._least_angular
 
     def _back_off(self, points: Array, now: float) -> None:
         """Move forward or backward, to the side with more room."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import pytest
@@ -170,3 +171,31 @@ def test_non_finite_command_of_an_arbiter_becomes_zero(twist: Twist) -> None:
 
 def test_command_of_an_arbiter_is_clipped_to_the_limits() -> None:
     assert safe_command(Twist(-9.0, 9.0, 9.0)) == (Twist(-0.22, 2.84, 0.0), None)
+
+
+def test_a_case_is_judged_once_until_something_changes(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The same command in the same context; a scan, another command or a hold ends it."""
+    protection = Protection(with_mode(load_platform("waffle_pi"), "off"))
+    arbiter, judged = protection._arbiter, list[Twist]()
+    judge = arbiter.decide
+
+    def counted(requested: Twist, *args: Any, **more: Any) -> ModeDecision:
+        judged.append(requested)
+        return judge(requested, *args, **more)
+
+    monkeypatch.setattr(arbiter, "decide", counted)
+    context = DecisionContext(1.0, 0.0)
+
+    def decided(twist: Twist, at: DecisionContext, hold: Reason | None = None) -> Decision:
+        return protection.decide(twist, at, is_running=True, hold=hold)
+
+    first = decided(Twist(0.1), context)
+    assert decided(Twist(0.1), context) is first
+    assert len(judged) == 1
+    assert decided(Twist(0.2), context).safe == Twist(0.2)
+    assert decided(Twist(0.1), context).safe == Twist(0.1)
+    assert decided(Twist(0.1), DecisionContext(1.0, 0.0)).safe == Twist(0.1)
+    assert len(judged) == 4
+    assert decided(Twist(0.1), context, Reason.STALE_SCAN).safe == Twist()
+    assert decided(Twist(0.1), context).safe == Twist(0.1)
+    assert len(judged) == 5
