@@ -67,9 +67,9 @@ def progress(clock: Callable[[], float] = time.monotonic) -> Iterator[OnProgress
 
 
 def time_span(seconds: float) -> str:
-    """A time in whole seconds, above 120 s in minutes, above 120 min in hours."""
+    """A time in seconds, above 120 s in minutes, above 120 min in hours."""
     if seconds <= 120:
-        return f"{seconds:.2g} s" if seconds < 10 else f"{seconds:.0f} s"
+        return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds <= 7200 else f"{seconds / 3600:.0f} h"
 
 

@@ -85,8 +85,11 @@ def connect(
     ConfigError if there is no scheduler, or a worker's software differs from that of the manifest;
     SwarmError if no worker answers. `note` receives a line about what happens to workers.
     """
-    from distributed import Client
-    from distributed.comm.addressing import resolve_address
+    import dask
+
+    with dask.config.set({"logging": {"distributed": "critical"}}):  # the errors below say it
+        from distributed import Client
+        from distributed.comm.addressing import resolve_address
 
     try:
         resolve_address(address)  # an error in the client's constructor leaves a thread
@@ -184,6 +187,7 @@ class Cluster:
                 if key in runs:
                     attempt = runs.pop(key)
                     if isinstance(answer, BaseException):
+                        self._check_scheduler()
                         self._note(f"worker {attempt.worker}: {one_line(str(answer))}")
                         yield from self._repeat(attempt, waiting, attempts)
                     else:
@@ -215,13 +219,11 @@ class Cluster:
         # Time in which this process or the scheduler stood still is no silence of a worker.
         passed = min(now - self._next_look, _LOOK_PERIOD) + _LOOK_PERIOD
         self._next_look = now + _LOOK_PERIOD
+        self._check_scheduler()
         try:
             listed = self._client.scheduler_info(n_workers=-1)["workers"]
         except (OSError, RuntimeError, KeyError) as error:
-            raise SwarmError(
-                f"the scheduler at {self._address} is gone; finished runs are kept: start it and"
-                " give the same command again"
-            ) from error
+            raise self._lost_scheduler() from error
         for name in [name for name in self._workers if name not in listed]:
             del self._workers[name]
         for name, about in listed.items():
@@ -234,6 +236,17 @@ class Cluster:
                 is_same = worker.seen == about["last_seen"]
                 worker.seen = about["last_seen"]
                 worker.silence = worker.silence + passed if is_same else 0.0
+
+    def _check_scheduler(self) -> None:
+        """SwarmError if the connection to the scheduler is lost, and with it all that runs."""
+        if self._client.status != "running":
+            raise self._lost_scheduler()
+
+    def _lost_scheduler(self) -> SwarmError:
+        return SwarmError(
+            f"the scheduler at {self._address} is gone; finished runs are kept: start it and give"
+            " the same command again"
+        )
 
     def _is_alive(self, name: str) -> bool:
         worker = self._workers.get(name)

@@ -53,7 +53,7 @@ class Cluster:
         self.about = folder / "scheduler.json"
         self.workers: list[subprocess.Popen[bytes]] = []
         words = ("dask", "scheduler", "--host", "tcp://127.0.0.1", "--port", 0, "--no-dashboard")
-        self._start(*words, "--scheduler-file", self.about, name="scheduler")
+        self.scheduler = self._start(*words, "--scheduler-file", self.about, name="scheduler")
         wait_until(self._has_address, "the scheduler has an address")
         self.address = json.loads(self.about.read_text())["address"]
 
@@ -160,6 +160,27 @@ def test_ctrl_c_cancels_what_runs_and_the_command_goes_on_later(
     wait_until(lambda: not is_running_one(worker), "it is cancelled")
     done = swarmctl(*command)
     assert (done.returncode, len(table(far))) == (0, 5), done.stderr
+
+
+@pytest.mark.timeout(300)
+def test_a_scheduler_that_ends_is_one_line_and_keeps_finished_runs(
+    tmp_path: Path, duo: Path, cluster: Cluster
+) -> None:
+    cluster.add_worker()
+    command = ["exp", "run", str(duo), "--seeds", "1", "--sweep", "duration=1,900", "--no-traces"]
+    running = subprocess.Popen(
+        [sys.executable, "-c", MAIN, *command, "--scheduler", cluster.address, "--out", "far"],
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+    )
+    far = tmp_path / "far"
+    wait_until(lambda: (far / "runs.csv").exists() and len(table(far)) == 2, "one run is done")
+    cluster.scheduler.kill()
+    _, told = running.communicate(timeout=100)
+    assert running.returncode == 1, told
+    assert told.splitlines()[-1].startswith(f"error: the scheduler at {cluster.address} is gone")
+    assert len(table(far)) == 2
 
 
 def test_other_software_of_a_worker_is_refused_by_its_name(
