@@ -21,6 +21,7 @@ from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import platform_names
 from swarmd.testing.scans import scan_from
+from tests.support.decision_corpus import Stream, decided, platform_of, read
 from tests.support.filter_sim import under_barrier
 
 KERNEL = load_kernel("swarmd.protection.barrier_kernel")
@@ -249,3 +250,18 @@ def test_kernel_rejects_a_scan_with_other_rays_than_were_set() -> None:
     kernel.set_rays(np.ones((4, 2)))
     with pytest.raises(IndexError):
         kernel.take_scan(np.full(5, 0.3), 0.1, np.empty((0, 3)))
+
+
+@pytest.mark.parametrize("stream", read(), ids=lambda stream: stream.scene)
+def test_recorded_decisions_are_made_again(stream: Stream) -> None:
+    """Robots in crowds and among rammers; studies/record_decisions.py wrote the file."""
+    platform = platform_of(stream)
+    one = decided(stream, Barrier(platform))
+    other = decided(stream, CompiledBarrier(platform, KERNEL))
+    for (event, expected), (_, found) in zip(one, other, strict=True):
+        assert_same(expected, found)
+        assert event.twist is not None
+        assert event.is_active == expected.is_active
+        assert numbers(expected)[:3] == pytest.approx(
+            numbers(ModeDecision(event.twist, is_active=True))[:3]
+        )

@@ -1,0 +1,121 @@
+"""Records decisions of mode `barrier` in adverse scenes, which tests replay through both paths.
+
+`python -m studies.record_decisions` writes the file of tests/support/decision_corpus.py anew: of
+each scene the robot and the seconds with most limited decisions, as the numpy code decides. Inputs
+are rounded, so that the file is small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from studies.safety.scenes import Scene, scenario
+from swarmd.core.values import Platform, Scan, TouchZone, Twist
+from swarmd.protection.arbiter import Arbiter
+from swarmd.protection.barrier import Barrier
+from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.footprint import ScanGeometry
+from swarmd.sim.lockstep.lockstep import Lockstep
+from tests.support import decision_corpus as corpus
+
+SCENES = (
+    Scene("ram", "burger"),
+    Scene("ram", "burger", "real"),
+    Scene("ram", "waffle_pi"),
+    Scene("ram", "waffle_pi", "real"),
+    Scene("ram", "jackal"),
+    Scene("ram", "jackal", "real"),
+    Scene("ram", "mixed"),
+    Scene("rush", "burger"),
+    Scene("rush", "waffle_pi", "real"),
+    Scene("rush", "jackal", "real"),
+    Scene("rush", "mixed"),
+    Scene("swap", "burger", "real"),
+    Scene("swap", "waffle_pi", mode="reciprocal"),
+    Scene("swap", "jackal", "real"),
+    Scene("twists", "burger", "real"),
+    Scene("twists", "waffle_pi"),
+    Scene("twists", "mixed"),
+    Scene("goals", "burger", mode="reciprocal"),
+    Scene("goals", "waffle_pi", "real"),
+    Scene("goals", "jackal"),
+)
+SECONDS = 25.0
+DECISIONS = 110
+FURTHEST = 4.0  # m: returns beyond constrain no robot
+
+
+class Recording:
+    """An arbiter that notes what it is given."""
+
+    def __init__(self, arbiter: Arbiter) -> None:
+        self.mode, self.clearance = arbiter.mode, arbiter.clearance
+        self.events: list[corpus.Event] = []
+        self._arbiter = arbiter
+
+    def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
+        """Note the scan."""
+        ranges = corpus.in_millimetres(scan, FURTHEST)
+        self.events.append(corpus.Event(corpus.rounded(context), ranges))
+        self._arbiter.observe(scan, geometry, context)
+
+    def decide(
+        self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
+    ) -> ModeDecision:
+        """Note the request."""
+        decision = self._arbiter.decide(requested, context, command=command, touch=touch)
+        event = corpus.Event(corpus.rounded(context), [], corpus.short(requested))
+        event.command, event.is_active = corpus.short(command), decision.is_active
+        self.events.append(event)
+        return decision
+
+
+def stream_of(scene: Scene, seed: int) -> corpus.Stream:
+    """The stream of the robot of a scene that is limited most often."""
+    run = Lockstep(scenario(scene), seed)
+    recordings: list[tuple[Platform, Recording]] = []
+    for shell, platform in zip(run.shells, run.world.platforms, strict=True):
+        assert shell is not None
+        protection = shell.robot._protection
+        if protection._arbiter.mode == "barrier":
+            recording = Recording(protection._arbiter)
+            protection._arbiter = recording
+            recordings.append((platform, recording))
+    run.advance(SECONDS)
+    best = max(recordings, key=lambda one: limited(busiest(one[1].events)))
+    platform = best[0]
+    settings = dict(platform.protection["barrier"])
+    stream = corpus.Stream(scene.name, kind_of(platform), settings, busiest(best[1].events))
+    for event, decision in corpus.decided(stream, Barrier(corpus.platform_of(stream))):
+        event.twist, event.is_active = decision.twist, decision.is_active
+    return stream
+
+
+def busiest(events: list[corpus.Event]) -> list[corpus.Event]:
+    """The part of so many decisions, from a scan on, of which most are limited."""
+    begins = [n for n, event in enumerate(events) if event.requested is None]
+    length = DECISIONS + DECISIONS // 7
+    parts = [events[n : n + length] for n in begins if n + length <= len(events)]
+    return max(parts, key=limited)
+
+
+def limited(events: Sequence[corpus.Event]) -> int:
+    """How many decisions limit the request."""
+    return sum(event.is_active for event in events)
+
+
+def kind_of(platform: Platform) -> str:
+    """The kind whose file gives the outline and the sensor."""
+    return next(kind for kind in ("burger", "waffle_pi", "jackal") if kind in platform.name)
+
+
+def main() -> None:
+    streams = [stream_of(scene, seed) for seed, scene in enumerate(SCENES)]
+    corpus.write(streams)
+    count = sum(event.requested is not None for stream in streams for event in stream.events)
+    active = sum(limited(stream.events) for stream in streams)
+    print(f"{count} decisions, {active} of them limited; {corpus.FILE.stat().st_size} bytes")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,110 @@
+"""Decisions of mode `barrier` as a file: what one robot was given, scan by scan and request."""
+
+from __future__ import annotations
+
+import lzma
+import math
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from swarmd.core.values import Odometry, Platform, Scan, Twist
+from swarmd.protection.barrier import Barrier
+from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.footprint import ScanGeometry
+from swarmd.settings.platforms import load_platform
+from swarmd.testing.scans import scan_from
+from tests.support.filter_sim import under_barrier
+
+FILE = Path(__file__).parent.parent / "protection" / "decisions.json.xz"
+_NOTHING, _TOO_CLOSE = -1, -2  # a range in mm
+
+
+class Event(Struct, array_like=True):
+    """A decision on `requested`, or a scan: `ranges` in mm.
+
+    `twist` and `is_active`: what the numpy code decided when the file was written.
+    """
+
+    context: DecisionContext
+    ranges: list[int] = []
+    requested: Twist | None = None
+    command: Twist | None = None
+    twist: Twist | None = None
+    is_active: bool = False
+
+
+class Stream(Struct, array_like=True):
+    """The events of one robot, with its kind and its settings of mode `barrier`."""
+
+    scene: str
+    kind: str
+    settings: dict[str, Any]
+    events: list[Event]
+
+
+def platform_of(stream: Stream) -> Platform:
+    """The platform of the robot."""
+    return under_barrier(load_platform(stream.kind), **stream.settings)
+
+
+def decided(stream: Stream, barrier: Barrier) -> Iterator[tuple[Event, ModeDecision]]:
+    """The decisions of an arbiter that is given the events."""
+    platform = platform_of(stream)
+    geometry = ScanGeometry(platform.scan)
+    for seq, event in enumerate(stream.events):
+        if event.requested is None:
+            barrier.observe(_scan(platform, event.ranges, seq), geometry, event.context)
+        else:
+            command = event.command or Twist()
+            yield event, barrier.decide(event.requested, event.context, command=command, touch=None)
+
+
+def in_millimetres(scan: Scan, furthest: float) -> list[int]:
+    """The ranges of a scan; those beyond `furthest` m are left out."""
+    return [
+        _TOO_CLOSE if one == -math.inf else _NOTHING if one > furthest else round(1000.0 * one)
+        for one in scan.ranges.tolist()
+    ]
+
+
+def rounded(context: DecisionContext) -> DecisionContext:
+    """The context with six decimals."""
+    odometry = context.odometry
+    some = [context.now, context.scan_age, context.odometry_age]
+    now, scan_age, odometry_age = (None if one is None else round(one, 6) for one in some)
+    if odometry is not None:
+        pose, twist = msgspec.to_builtins((odometry.pose, odometry.twist))
+        numbers = (round(odometry.stamp, 6), [_six(n) for n in pose], [_six(n) for n in twist])
+        odometry = msgspec.convert(numbers, Odometry)
+    return DecisionContext(now or 0.0, scan_age, odometry, odometry_age)
+
+
+def short(twist: Twist) -> Twist:
+    """The twist with six decimals."""
+    return Twist(_six(twist.linear), _six(twist.angular), _six(twist.lateral))
+
+
+def read() -> list[Stream]:
+    """The streams of the file."""
+    return msgspec.json.decode(lzma.decompress(FILE.read_bytes()), type=list[Stream])
+
+
+def write(streams: Sequence[Stream]) -> None:
+    """Write the file."""
+    FILE.write_bytes(lzma.compress(msgspec.json.encode(streams), preset=9))
+
+
+def _six(number: float) -> float:
+    return round(number, 6)
+
+
+def _scan(platform: Platform, ranges: Sequence[int], seq: int) -> Scan:
+    there = np.array(ranges, np.float64) / 1000.0
+    there[there == _NOTHING / 1000.0] = np.inf
+    there[there == _TOO_CLOSE / 1000.0] = -np.inf
+    return scan_from(platform, there, platform.scan.bearings, seq=seq)
