@@ -19,7 +19,6 @@ Every message names what is wrong, where, what was expected and what to do, in o
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 
 
 class SwarmError(Exception):
@@ -68,6 +67,8 @@ class IdHeldError(NetworkError):
 
 def unknown(what: str, name: str, known: Iterable[str]) -> str:
     """One line for an unknown name, with the nearest valid one or all of them."""
+    from difflib import get_close_matches  # 1 ms of each start of swarmctl
+
     names = sorted(known)
     close = get_close_matches(name, names, n=1, cutoff=0.6)
     if close:

@@ -19,7 +19,6 @@ swarmctl imports this module and must start fast, so asyncio is not imported.
 from __future__ import annotations
 
 import contextlib
-import ctypes
 import errno
 import ipaddress
 import os
@@ -27,6 +26,7 @@ import select
 import socket
 import struct
 import threading
+from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable
 from enum import Enum
@@ -464,8 +464,8 @@ class UdpCarrier:
         """Replace the kernel's filter; without one the limits and the reader do all the work."""
         for rules in (self._rules, self._rules.shortened()):
             program = swarm_filter(self._tag, rules, is_ipv6=sock.family == socket.AF_INET6)
-            code = ctypes.create_string_buffer(program, len(program))
-            filter_ = struct.pack("@HP", len(program) // 8, ctypes.addressof(code))
+            code = array("B", program)
+            filter_ = struct.pack("@HP", len(program) // 8, code.buffer_info()[0])
             with contextlib.suppress(OSError):  # no memory for a long one, or no filters here
                 sock.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, filter_)
                 return

@@ -15,6 +15,7 @@ import time
 
 from msgspec.structs import replace
 
+import swarmd.api  # noqa: F401  # all patterns import it: a first run need not wait for that
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import Load, Loaded, PatternFailed
 from swarmd.core.processes import OUT_OF_MEMORY, die_with_parent, limit_growth
