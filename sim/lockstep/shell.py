@@ -71,16 +71,19 @@ class RobotShell:
             outputs.command(self.row, actions.twist)
         if actions.latches is not None:
             self.latches = actions.latches
-        for command in (actions.trial, actions.host):
-            if command is not None:
-                self._drive(command, now)
-        for name, value in actions.messages.items():
-            outputs.send_message(self.row, name, value, now)
+        if actions.trial is not None:
+            self._drive(actions.trial, now)
+        if actions.host is not None:
+            self._drive(actions.host, now)
+        if actions.messages:
+            for name, value in actions.messages.items():
+                outputs.send_message(self.row, name, value, now)
         if actions.status is not None:
             outputs.publish_status(self.row, actions.status)
-        self.replies.extend(actions.replies)
+        if actions.replies:
+            self.replies.extend(actions.replies)
 
     def _drive(self, command: HostCommand, now: float) -> None:
-        self._runner.send(command)
-        for event in list(self._runner.events()):
+        event = self._runner.send(command)
+        if event is not None:
             self._carry_out(self.robot.on_host(event, now), now)

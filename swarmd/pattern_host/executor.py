@@ -51,13 +51,12 @@ class PatternExecutor:
 
     def handle(self, command: SentCommand) -> SentEvent | None:
         """Carry a command out; None if it belongs to another generation."""
+        is_current = self._load is not None and command.generation == self._load.generation
+        if isinstance(command, Step):
+            return self._on_step(command) if is_current else None
         if isinstance(command, Load):
             return self._on_load(command)
-        if self._load is None or command.generation != self._load.generation:
-            return None
-        if isinstance(command, Step):
-            return self._on_step(command)
-        return self._on_set(command)
+        return self._on_set(command) if is_current else None
 
     def _on_load(self, load: Load) -> SentEvent:
         assembled = _guard(
@@ -89,9 +88,12 @@ class PatternExecutor:
         assert self._assembled is not None
         pattern = self._assembled.pattern
         inputs, dropped = _typed(step.inputs, pattern.channels)
-        outputs = _guard(lambda: checked_outputs(pattern.step(inputs), pattern.channels))
-        if isinstance(outputs, _Fault):
-            return PatternFailed(step.generation, outputs.text)
+        try:
+            outputs = checked_outputs(pattern.step(inputs), pattern.channels)
+        except MemoryError:
+            raise
+        except Exception as error:  # a plugin may raise anything
+            return PatternFailed(step.generation, _fault_of(error).text)
         if self._until is not None:
             outputs = self._until.apply(inputs, outputs)
         scan_seq = -1 if inputs.scan is None else inputs.scan.seq
@@ -130,7 +132,9 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
     if twist is not None:
         if not isinstance(twist, Twist):
             raise PluginError(f"the command is {named(twist)}; expected a Twist or None")
-        twist = Twist(float(twist.linear), float(twist.angular), float(twist.lateral))
+        linear, angular, lateral = twist.linear, twist.angular, twist.lateral
+        if not type(linear) is type(angular) is type(lateral) is float:
+            twist = Twist(float(linear), float(angular), float(lateral))
     messages = {}
     for channel, said in outputs.messages.items():
         value, kind = _plain(said), channels.get(channel)
@@ -141,13 +145,12 @@ def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
                 wanted = f"expected {kind.__name__}, as channels declares"
                 raise PluginError(f"channel {channel!r} got {named(value)}; {wanted}") from None
         messages[str(channel)] = value
-    report = {str(name): _plain(value) for name, value in outputs.report.items()}
-    return Outputs(
-        twist=twist,
-        messages=messages,
-        report={k: v for k, v in report.items() if isinstance(v, bool | int | float | str)},
-        done=None if outputs.done is None else str(outputs.done),
-    )
+    report = {}
+    for name, reported in outputs.report.items():
+        value = _plain(reported)
+        if isinstance(value, (int, float, str)):
+            report[str(name)] = value
+    return Outputs(twist, messages, report, None if outputs.done is None else str(outputs.done))
 
 
 def _in_one_line(error: BaseException) -> str:
@@ -191,12 +194,16 @@ def _guard(call: Callable[[], T]) -> T | _Fault:
         return call()
     except MemoryError:
         raise
-    except ParameterError as error:
-        return _Fault(str(error), refusal_of(error), error.parameter)
-    except SwarmError as error:
-        return _Fault(str(error), refusal_of(error))
     except Exception as error:  # a plugin may raise anything
-        return _Fault(_in_one_line(error))
+        return _fault_of(error)
+
+
+def _fault_of(error: Exception) -> _Fault:
+    if isinstance(error, ParameterError):
+        return _Fault(str(error), refusal_of(error), error.parameter)
+    if isinstance(error, SwarmError):
+        return _Fault(str(error), refusal_of(error))
+    return _Fault(_in_one_line(error))
 
 
 def _typed(inputs: Inputs, channels: Mapping[str, type]) -> tuple[Inputs, int]:

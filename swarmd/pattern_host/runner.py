@@ -46,28 +46,20 @@ class InlineRunner:
     def __init__(self, make_executor: Callable[[], PatternExecutor]) -> None:
         self._make_executor = make_executor
         self._executor = make_executor()
-        self._events: deque[HostEvent] = deque()
 
-    def send(self, command: HostCommand) -> None:
-        """Carry the command out; `events` then has the answer."""
-        if isinstance(command, StartTrial | CancelTrial):
-            if isinstance(command, StartTrial):
-                answer = self._make_executor().handle(command.load)
-                self._events.append(trial_done(command.load.generation, answer))
-            return
+    def send(self, command: HostCommand) -> HostEvent | None:
+        """Carry the command out; the event that follows, if one does."""
+        if isinstance(command, StartTrial):
+            answer = self._make_executor().handle(command.load)
+            return trial_done(command.load.generation, answer)
+        if isinstance(command, CancelTrial):
+            return None
         if isinstance(command, KillHost):
             self._executor = self._make_executor()
-            return
+            return None
         if isinstance(command, Load) and command.is_fresh:
             self._executor = self._make_executor()
-        event = self._executor.handle(command)
-        if event is not None:
-            self._events.append(event)
-
-    def events(self) -> Iterable[HostEvent]:
-        """The events since the last call, in order."""
-        while self._events:
-            yield self._events.popleft()
+        return self._executor.handle(command)
 
 
 class ProcessRunner:

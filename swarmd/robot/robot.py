@@ -49,10 +49,12 @@ class Robot:
         self.id = id
         self.platform = platform
         self._last_tick = now
-        # Quiet moments: `_look_ahead` sets these after each event. Inputs without an event
-        # (odometry, neighbours, readings, messages) invalidate none of them.
+        # Quiet moments: a tick looks ahead after the last event. Each event but a quiet tick ends
+        # `_quiet_until`; one that may have changed the lifecycle ends `_due_at`, too. Odometry,
+        # neighbours, readings and messages end neither.
         self._due_at = -math.inf  # before it only a step or the status can be due
         self._quiet_until = -math.inf  # before it nothing is due: a tick only decides
+        self._hold: Reason | None = Reason.NO_SCAN  # that of the last event
         self._is_status_due = True  # the lifecycle may have changed since the last look at it
         self._settled: Actions  # those of the last event but a quiet tick
         self._sensors = Sensors(platform)
@@ -197,6 +199,8 @@ class Robot:
 
     def tick(self, now: float) -> Actions:
         """Check all deadlines: 20 times a second, and at `wake_at`."""
+        if now >= self._quiet_until:
+            self._look_ahead()
         is_quiet = now < self._quiet_until and now - self._last_tick <= STALL_TIMEOUT
         effects = None if is_quiet else self._begin(now)
         self._last_tick = now
@@ -250,19 +254,21 @@ class Robot:
         if hold is not None or now >= self._due_at or not effects.is_routine:
             self._requests.advance(effects)
             hold = lifecycle.advance(hold, effects)
-            self._is_status_due = True
-        self.decision = self._decide(hold, now)
-        self._restart(effects)
-        if effects.host is None and lifecycle.is_running:
+            self._is_status_due, self._due_at = True, -math.inf
+        self._quiet_until, self._hold = -math.inf, hold
+        decision = self.decision = self._decide(hold, now)
+        run, machine = lifecycle.pattern_run, lifecycle.state_machine
+        if run.restart_at is not None:
+            self._restart(effects)
+        if effects.host is None and machine.state is State.RUNNING:
             self._step(effects)
         # Replies go first: a status may wait for the tick, an emergency stop may not.
         is_looking = effects.is_tick or effects.is_latched
         status = self._changed_status(now) if is_looking else None
-        self._look_ahead(hold)
-        running, state = lifecycle.pattern_run.running, lifecycle.state_machine.state
-        self._settled = Actions(
-            self.decision.safe,
-            self.decision,
+        running, state = run.running, machine.state
+        actions = self._settled = Actions(
+            decision.safe,
+            decision,
             -1 if running is None else running.requested.scan_seq,
             self._sensors.is_driver_up and state is State.IDLE,
             state is not State.IDLE and state is not State.RUNNING,
@@ -273,14 +279,13 @@ class Robot:
             status=status,
             replies=effects.replies,
         )
-        return self._settled
+        return actions
 
-    def _look_ahead(self, hold: Reason | None) -> None:
-        """Set until when nothing is due if no event comes; a hold is looked at in each tick."""
-        lifecycle = self._lifecycle
-        self._due_at = self._quiet_until = -math.inf
-        if hold is not None:
+    def _look_ahead(self) -> None:
+        """Find until when nothing is due if no event comes; a hold is looked at in each tick."""
+        if self._hold is not None:
             return
+        lifecycle = self._lifecycle
         due = lifecycle.due_at()
         if lifecycle.is_running:
             due = min(due, self._sensors.hold_due_at())
@@ -291,13 +296,17 @@ class Robot:
             self._quiet_until = min(due, step_at, status_at) - ROUNDING
 
     def _decide(self, hold: Reason | None, now: float) -> Decision:
-        running = self._lifecycle.pattern_run.running
+        lifecycle = self._lifecycle
+        running = lifecycle.pattern_run.running
+        if running is None:
+            context = self._sensors.context(now)
+            return self._protection.decide(None, context, is_running=False, hold=hold)
         return self._protection.decide(
-            None if running is None else running.requested.twist,
+            running.requested.twist,
             self._sensors.context(now),
-            is_running=self._lifecycle.is_running and running is not None,
+            is_running=lifecycle.state_machine.state is State.RUNNING,
             hold=hold,
-            permit=self._lifecycle.permit,
+            permit=lifecycle.permit,
         )
 
     def _restart(self, effects: Effects) -> None:

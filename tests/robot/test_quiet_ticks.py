@@ -58,7 +58,7 @@ class Restless(Robot):
         effects.is_routine, self._is_status_due = False, True
         return super()._settle(effects)
 
-    def _look_ahead(self, hold: Reason | None) -> None:
+    def _look_ahead(self) -> None:
         """Nothing is known of the time to come."""
 
 

@@ -180,13 +180,15 @@ class RobotHarness:
         self.messages.extend(actions.messages.items())
         if actions.latches is not None:
             self.written.append(actions.latches)
+        events: list[HostEvent | None] = []
         for command in (actions.trial, actions.host):
             if command is not None:
                 self.sent.append(command)
                 if not self.is_hung or isinstance(command, KillHost):
-                    self._runner.send(command)
-        for event in list(self._runner.events()):
-            self.carry_out(self.robot.on_host(event, self.now if now is None else now), now)
+                    events.append(self._runner.send(command))
+        for event in events:
+            if event is not None:
+                self.carry_out(self.robot.on_host(event, self.now if now is None else now), now)
 
     def nan_scan(self, share: float, *, sector: tuple[float, float] | None = None) -> ScanSource:
         """A source whose scans lack a share of single rays, or the sector (rad, from and to)."""
