@@ -23,8 +23,6 @@ RESTART_SCANS = 3  # scans in order after which a lower sequence or stamp counts
 MOVES_LINEAR = 0.02  # m/s above which the robot counts as moving
 MOVES_ANGULAR = 0.05  # rad/s
 
-_rays = load_kernel("swarmd.sensing.scan_kernel") or conditioning_numpy
-
 
 class ScanConditioner:
     """Conditions the scans of one sensor; fills unknown rays from a short memory of each ray.
@@ -46,7 +44,8 @@ class ScanConditioner:
         self._spec = spec
         self._max_sector = max(spec.max_gap, _widest_between_rays(spec.bearings)) + 1e-9
         self._bearings = np.empty(0)  # the last valid ones
-        self._rays: conditioning_numpy.RayMemory = _rays.RayMemory(spec, guesses_near=guesses_near)
+        rays = load_kernel("swarmd.sensing.scan_kernel") or conditioning_numpy
+        self._rays: conditioning_numpy.RayMemory = rays.RayMemory(spec, guesses_near=guesses_near)
         self._last: Scan | None = None
         self._newest = (-math.inf, -math.inf)  # sequence and stamp
         self._in_order = 0

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Twist
-from swarmd.kit.steering import from_base, keep_clear, steer
+from swarmd.kit.steering import NearPoints, from_base, keep_clear, steer
 
 NOTHING = np.empty((0, 2))
 UNIT = st.floats(-1.0, 1.0)
@@ -90,3 +90,19 @@ def test_a_point_ahead_limits_speed_while_it_turns() -> None:
 @pytest.mark.parametrize("vector", [(0.0, 0.0), (math.nan, 0.0), (0.0, math.inf)])
 def test_no_direction_is_no_motion(vector: tuple[float, float]) -> None:
     assert command(*vector) == Twist()
+
+
+def test_near_points_know_the_nearest_range() -> None:
+    assert NearPoints(()).nearest == math.inf
+    assert NearPoints([(0.4, 1.0), (0.3, 2.0), (0.5, 0.0)]).nearest == 0.3
+
+
+@given(x=UNIT, y=UNIT, bearings=st.lists(BEARING, max_size=6))
+def test_near_points_serve_several_steps(x: float, y: float, bearings: list[float]) -> None:
+    points = np.array([[0.4 + 0.1 * i, b] for i, b in enumerate(bearings)]).reshape(-1, 2)
+    near = NearPoints(points.tolist())
+    for _ in range(2):
+        vector = near.keep_clear(x, y, spacing=0.5, brake=0.5)
+        assert list(vector) == list(keep_clear(np.array([x, y]), points, spacing=0.5, brake=0.5))
+        twist = near.steer(*vector, 0.2, 2.0, spacing=0.5, brake=0.5)
+        assert twist == command(*vector, points)

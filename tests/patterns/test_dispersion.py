@@ -47,6 +47,13 @@ def test_reverses_slowly_from_an_obstacle_ahead() -> None:
     assert -0.131 <= twist.linear < -0.05
 
 
+def test_changed_distance_counts_for_the_scan_at_hand() -> None:
+    pattern, scan = Subject(Dispersion, WAFFLE, {}).make(), scan_of(WAFFLE, [Disc(1.3, 0.0)])
+    assert pattern.step(Inputs(now=0.0, dt=0.0, scan=scan)).twist == Twist()
+    pattern.update(msgspec.structs.replace(pattern.params, distance=2.0))
+    assert pattern.step(Inputs(now=0.1, dt=0.1, scan=scan)).twist != Twist()
+
+
 @pytest.mark.parametrize("side", [-1.0, 1.0])
 def test_turns_its_back_or_front_to_the_side_that_is_free(side: float) -> None:
     ahead = requested(scan_of(WAFFLE, [Disc(-0.3, 0.7 * side)]))

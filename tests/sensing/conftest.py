@@ -6,18 +6,15 @@ from collections.abc import Iterator
 
 import pytest
 
-from swarmd.core.kernels import load_kernel
-from swarmd.sensing import conditioning, conditioning_numpy, rays, rays_numpy
+from swarmd.sensing import rays, rays_numpy
 
 
 @pytest.fixture(scope="module", params=["numpy", "compiled"], autouse=True)
 def path(request: pytest.FixtureRequest) -> Iterator[None]:
-    kernel = None
-    if request.param == "compiled":
-        kernel = load_kernel("swarmd.sensing.scan_kernel")
-        if kernel is None:
-            pytest.skip("scan_kernel was not built; `make kernels` builds it")
+    if request.param == "compiled" and rays._features is rays_numpy:
+        pytest.skip("scan_kernel was not built; `make kernels` builds it")
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(rays, "_features", kernel or rays_numpy)
-        patch.setattr(conditioning, "_rays", kernel or conditioning_numpy)
+        if request.param == "numpy":
+            patch.setenv("SWARMD_COMPILED", "0")
+            patch.setattr(rays, "_features", rays_numpy)
         yield
