@@ -156,45 +156,41 @@ class Cluster:
     def run_jobs(self, jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
         """The result of each job as it arrives, and meanwhile their progress.
 
-        SwarmError if scheduler or workers are gone. Closing it cancels what is in progress.
+        SwarmError if scheduler or workers are gone. What is in progress ends with the client.
         """
         waiting, attempts = deque(jobs), Counter[str]()
         runs: dict[str, _Attempt] = {}
         usable = time.monotonic()
-        try:
-            while waiting or runs:
-                self._look()
-                now = time.monotonic()
-                for key, attempt in [*runs.items()]:
-                    if not self._is_alive(attempt.worker):
-                        yield from self._repeat(runs.pop(key), waiting, attempts)
-                free = self._free(runs)
-                usable = now if runs or free else usable
-                if now > usable + self._timeout:
-                    raise SwarmError(
-                        f"the cluster at {self._address} has no worker left; finished runs are"
-                        " kept: start workers and give the same command again"
-                    )
-                for worker in free:
-                    if waiting:
-                        job = waiting.popleft()
-                        call = partial(_perform, job, self._timeout, self._topic)
-                        key, future = self._submit(call, worker)
-                        runs[key] = _Attempt(job, worker, future)
-                ids = {attempt.job.run for attempt in runs.values()}
-                yield {run: share for run, share in [*self._shares.items()] if run in ids}
-                key, answer = self._receive()
-                if key in runs:
-                    attempt = runs.pop(key)
-                    if isinstance(answer, BaseException):
-                        self._check_scheduler()
-                        self._note(f"worker {attempt.worker}: {one_line(str(answer))}")
-                        yield from self._repeat(attempt, waiting, attempts)
-                    else:
-                        yield _kept(attempt.job, *answer)
-        finally:
-            if self._client.status == "running":
-                self._client.cancel([attempt.future for attempt in runs.values()])
+        while waiting or runs:
+            self._look()
+            now = time.monotonic()
+            for key, attempt in [*runs.items()]:
+                if not self._is_alive(attempt.worker):
+                    yield from self._repeat(runs.pop(key), waiting, attempts)
+            free = self._free(runs)
+            usable = now if runs or free else usable
+            if now > usable + self._timeout:
+                raise SwarmError(
+                    f"the cluster at {self._address} has no worker left; finished runs are"
+                    " kept: start workers and give the same command again"
+                )
+            for worker in free:
+                if waiting:
+                    job = waiting.popleft()
+                    call = partial(_perform, job, self._timeout, self._topic)
+                    key, future = self._submit(call, worker)
+                    runs[key] = _Attempt(job, worker, future)
+            ids = {attempt.job.run for attempt in runs.values()}
+            yield {run: share for run, share in [*self._shares.items()] if run in ids}
+            key, answer = self._receive()
+            if key in runs:
+                attempt = runs.pop(key)
+                if isinstance(answer, BaseException):
+                    self._check_scheduler()
+                    self._note(f"worker {attempt.worker}: {one_line(str(answer))}")
+                    yield from self._repeat(attempt, waiting, attempts)
+                else:
+                    yield _kept(attempt.job, *answer)
 
     def _repeat(
         self, attempt: _Attempt, waiting: deque[Job], attempts: Counter[str]

@@ -140,11 +140,11 @@ def test_runs_that_crash_or_hang_fail_alone(
 
 
 @pytest.mark.timeout(300)
-def test_ctrl_c_cancels_what_runs_and_the_command_goes_on_later(
-    tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
+def test_ctrl_c_cancels_what_runs_and_keeps_what_is_finished(
+    tmp_path: Path, duo: Path, cluster: Cluster
 ) -> None:
     worker = cluster.add_worker()
-    command = ["exp", "run", str(duo), "--seeds", "2", "--sweep", "duration=1,20", "--no-traces"]
+    command = ["exp", "run", str(duo), "--seeds", "2", "--sweep", "duration=1,1e5", "--no-traces"]
     command += ["--scheduler", cluster.address, "--out", "far"]
     running = subprocess.Popen(
         [sys.executable, "-c", MAIN, *command], stderr=subprocess.PIPE, text=True, cwd=tmp_path
@@ -158,8 +158,6 @@ def test_ctrl_c_cancels_what_runs_and_the_command_goes_on_later(
     assert "2 of 4 runs are kept; to go on: swarmctl exp run" in told
     assert "Traceback" not in told
     wait_until(lambda: not is_running_one(worker), "it is cancelled")
-    done = swarmctl(*command)
-    assert (done.returncode, len(table(far))) == (0, 5), done.stderr
 
 
 @pytest.mark.timeout(300)
