@@ -16,7 +16,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
-from swarmd.sim.world.base_dynamics import Actuators, BaseDynamics
+from swarmd.sim.world.base_dynamics import Bases
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.lidar import RangeSensors, Visibility
@@ -64,14 +64,11 @@ class World:
         self.data = mujoco.MjData(self.model)
         # Views of MuJoCo's memory.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
-        self._applied = self.data.qfrc_applied
         self._qpos[: 3 * n] = starts.ravel()
         self._movable_boxes = MovableBoxes(arena, self.model, self.data, n)
         self.movable_boxes, self.box_shapes = self._movable_boxes.names, self._movable_boxes.shapes
         mujoco.mj_forward(self.model, self.data)
-        self._drives = BaseDynamics(self.platforms, dt)
-        self._driven: Array | None = None
-        self._actuators = Actuators(realism.actuation, self.platforms, dt)
+        self._bases = Bases(realism.actuation, self.platforms, self.data, dt)
         self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)
         self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
         self.scan_latency = self._noise.latency
@@ -97,7 +94,7 @@ class World:
         Each is clipped to its platform's limits, as firmware does; non-finite values become 0.
         `realism` sets the delay and acceleration of the bases.
         """
-        self._actuators.put(twists)
+        self._bases.put(twists)
 
     def step(self, k: int = 1) -> None:
         """Advance by `k` steps of `dt`."""
@@ -107,20 +104,13 @@ class World:
 
     def _step(self) -> None:
         data = self.data
-        driven = self._actuators.now()
-        if driven is not self._driven:  # ideal actuation returns the same array until a new command
-            self._driven = driven
-            self._drives.set(driven)
-        qpos, qvel = self._qpos.copy(), self._qvel.copy()
-        n = len(self.ids)
-        force = self._drives.forces(qpos.reshape(-1, 3)[:n], qvel.reshape(-1, 3)[:n])
-        self._applied[: 3 * n] = force.ravel()
+        self._bases.drive()
         if self.movable_boxes:
             self._movable_boxes.apply_friction()
         mujoco.mj_step(self.model, data)
         self._steps += 1
         if data.ncon:
-            self._touching.append(self._contacts.after_step(data, qpos, qvel))
+            self._touching.append(self._contacts.after_step(data, *self._bases.before))
 
     def poses(self) -> Array:
         """(n, 3) x, y in m and yaw in rad (not wrapped), world frame, ground truth.

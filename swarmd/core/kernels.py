@@ -15,6 +15,7 @@ KERNELS = (
     "swarmd.protection.barrier_kernel",
     "swarmd.protection.blind_zone_kernel",
     "swarmd.sensing.scan_kernel",
+    "swarmd.sim.world.base_kernel",
     "swarmd.sim.world.lidar_kernel",
 )
 
