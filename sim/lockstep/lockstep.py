@@ -267,7 +267,7 @@ class Lockstep:
         self._sense(now)
         self._tick(now)
         self.exchange()
-        if len(self._record_due.due(now)):
+        if self._record_due.due(now):
             self._recorder.record_instant(now, self._commands, self.shells)
         world.set_commands(self._commands)
         world.step()
@@ -287,7 +287,7 @@ class Lockstep:
                     self.turn = (1, place * n + shell.row)
                     shell.apply(shell.robot.on_latches(latches, now), now)
         for row in self._neighbors_due.due(now):
-            self._update_neighbors(int(row))
+            self._update_neighbors(row)
 
     def _update_neighbors(self, row: int) -> None:
         shell = self.shells[row]
@@ -302,10 +302,10 @@ class Lockstep:
     def _sense(self, now: float) -> None:
         world = self.world
         due = self._scans_due.due(now)
-        if len(due):
-            own = due[due % self._shard.count == self._shard.index]
-            scans = dict(zip(own.tolist(), world.scans(own), strict=True))
-            for row in due.tolist():
+        if due:
+            own = self._shard.own(due)
+            scans = dict(zip(own, world.scans(np.array(own, dtype=np.intp)), strict=True))
+            for row in due:
                 at = now + float(world.scan_latency[row])
                 self._scans_in_transit.put(at, (row, scans.get(row)))
         for place, (row, scan) in enumerate(self._scans_in_transit.due(now)):
@@ -313,19 +313,19 @@ class Lockstep:
             if shell is not None and scan is not None:
                 self.turn = (2, place)
                 shell.scan(scan, now)
-        for shell in self._present(self._readings_due.due(now).tolist()):
+        for shell in self._present(self._readings_due.due(now)):
             shell.robot.on_readings(world.readings(shell.row))
 
     def _tick(self, now: float) -> None:
         world = self.world
-        if len(self._odometry_due.due(now)):
+        if self._odometry_due.due(now):
             own = self._own
             # All odometers are read at once: one takes as long as a hundred.
             for row, odometry in zip(own.tolist(), world.odometry(own), strict=True):
                 shell = self.shells[row]
                 if shell is not None:
                     shell.robot.on_odometry(odometry, now)
-        for shell in self._present(self._ticks.due(now).tolist()):
+        for shell in self._present(self._ticks.due(now)):
             self.turn = (3, shell.row)
             shell.tick(now)
         for shell in self._present(self._alarms.due(self._steps)):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
+
 import numpy as np
 
 from swarmd.core.values import Array
-from swarmd.sim.world.geometry import Indices
 
 _ROUNDING = 1e-9
-_NONE: Indices = np.empty(0, dtype=np.intp)
+_AHEAD = 1.0  # s of times that are listed at once
 
 
 class Schedules:
@@ -23,19 +25,38 @@ class Schedules:
         self._period = 1.0 / np.asarray(rates, dtype=np.float64)
         starts = np.zeros(len(self._period)) if begins is None else begins
         self._phase = np.mod(starts, self._period)
-        self._ticks = np.zeros(len(self._period))
-        self._next = self._phase.copy()
-        self._soonest = float(self._next.min(initial=np.inf))
+        # The times up to `_end` are listed in order, with their rows; `_next` is the first to come.
+        self._times: list[float] = []
+        self._rows: list[int] = []
+        self._next, self._end = 0, -math.inf
+        self._listed = np.zeros(len(self._period), dtype=np.intp)
 
-    def due(self, now: float) -> Indices:
+    def due(self, now: float) -> list[int]:
         """The rows due by `now` s, in order; call it at every step."""
-        if self._soonest > now + _ROUNDING:
-            return _NONE
-        rows = (self._next <= now + _ROUNDING).nonzero()[0]
-        self._ticks[rows] += 1.0
-        self._next[rows] = self._phase[rows] + self._ticks[rows] * self._period[rows]
-        self._soonest = float(self._next.min())
-        return rows
+        until = now + _ROUNDING
+        if until >= self._end:
+            self._list(now + _AHEAD)
+        times, first = self._times, self._next
+        if first == len(times) or times[first] > until:
+            return []
+        self._next = last = bisect_right(times, until, first)
+        return sorted(self._rows[first:last])
+
+    def _list(self, end: float) -> None:
+        """List the times before `end` s: all of a second at once, since numpy takes long a call."""
+        upto = np.ceil((end - self._phase) / self._period).astype(np.intp)
+        counts = np.maximum(upto - self._listed, 0)
+        rows = np.repeat(np.arange(len(counts)), counts)
+        before = np.cumsum(counts) - counts
+        ticks = np.arange(len(rows)) + np.repeat(self._listed - before, counts)
+        times = self._phase[rows] + ticks * self._period[rows]
+        times = np.concatenate((self._times[self._next :], times))
+        rows = np.concatenate((np.array(self._rows[self._next :], dtype=np.intp), rows))
+        order = np.argsort(times, kind="stable")
+        self._times, self._rows = times[order].tolist(), rows[order].tolist()
+        # A time at the very end may have been left out by rounding: it is listed before it is due.
+        self._next, self._end = 0, end - 1e-3
+        self._listed += counts
 
 
 class Alarms:
