@@ -223,6 +223,11 @@ class TraceBuilder:
         )
 
 
+DECISION_ARRAYS = ("state", "reason", "active", "recovering", "gap", "scan_age", "bound")
+NO_DECISION = ("", "", False, False, np.nan, np.nan, (np.nan, np.nan, np.nan))
+"""What a robot reports that reports nothing, in the order of DECISION_ARRAYS."""
+
+
 def blank_decisions(shape: tuple[int, ...]) -> dict[str, NDArray[Any]]:
     """The arrays that `enter_decision` fills, as of robots that reported nothing."""
     return {
@@ -244,9 +249,22 @@ def enter_decision(
     decision: Decision | DecisionSummary,
 ) -> None:
     """Enter what a robot reports of its decision at `place`, an index of the arrays."""
-    arrays["state"][place], arrays["reason"][place] = state, reason
-    arrays["active"][place] = decision.is_active
-    arrays["recovering"][place] = decision.is_recovering
-    arrays["gap"][place] = np.nan if decision.min_gap is None else decision.min_gap
-    arrays["scan_age"][place] = np.nan if decision.scan_age is None else decision.scan_age
-    arrays["bound"][place] = astuple(decision.rows[0]) if decision.rows else np.nan
+    values = decision_values(state, reason, decision)
+    for name, value in zip(DECISION_ARRAYS, values, strict=True):
+        arrays[name][place] = value
+
+
+def decision_values(
+    state: str, reason: str, decision: Decision | DecisionSummary
+) -> tuple[Any, ...]:
+    """What a robot reports of its decision, in the order of DECISION_ARRAYS."""
+    gap, age, rows = decision.min_gap, decision.scan_age, decision.rows
+    return (
+        state,
+        reason,
+        decision.is_active,
+        decision.is_recovering,
+        np.nan if gap is None else gap,
+        np.nan if age is None else age,
+        astuple(rows[0]) if rows else NO_DECISION[-1],
+    )

@@ -197,6 +197,8 @@ class Lockstep:
     def exchange(self) -> None:
         """Take over what the robots of all shards have put out since the last exchange."""
         shard = self._shard
+        if shard.count == 1 and not (self._flights or self._published):
+            return
         out = self._commands[shard.rows], self._flights, self._published
         self._flights, self._published = [], []
         sent: list[tuple[Turn, list[Flight]]] = []
@@ -331,10 +333,9 @@ class Lockstep:
         for shell in self._present(self._alarms.due(self._steps)):
             self.turn = (4, shell.row)
             shell.tick(now)
-        for row, at in list(self._silent_at.items()):
-            if now >= at:
-                self._commands[row] = 0.0
-                del self._silent_at[row]
+        for row in [row for row, at in self._silent_at.items() if now >= at]:
+            self._commands[row] = 0.0
+            del self._silent_at[row]
 
     def _present(self, rows: Iterable[int]) -> list[RobotShell]:
         """The shells of those robots of this shard that have a daemon."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,14 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.sim.lockstep.shell import RobotShell
-from swarmd.sim.trace import WORD, Trace, TraceBuilder, blank_decisions, enter_decision
+from swarmd.sim.trace import (
+    NO_DECISION,
+    WORD,
+    Trace,
+    TraceBuilder,
+    blank_decisions,
+    decision_values,
+)
 from swarmd.sim.world.world import World
 
 _Reports = dict[tuple[str, str], list[tuple[int, int, float | str]]]
@@ -33,7 +41,7 @@ class LockstepRecorder:
             box_shapes=world.box_shapes,
         )
         self._samples = 0
-        self._rows: dict[str, list[NDArray[Any]]] = {}
+        self._rows: dict[str, list[NDArray[Any]]] = {name: [] for name in _COLUMNS}
         self._reports: _Reports = {}
 
     def record_contacts(self, now: float) -> None:
@@ -43,15 +51,16 @@ class LockstepRecorder:
 
     def record_instant(self, now: float, safe: Array, shells: Sequence[RobotShell | None]) -> None:
         """Record all robots at `now`, with the commands `safe` (n, 3) in force."""
-        world, kept = self._world, _blank(len(shells))
+        world = self._world
         self._builder.add(now, world.poses(), safe, world.box_poses())
         for row, shell in enumerate(shells):
-            if shell is not None:
-                _enter(kept, row, shell)
-                self._note(shell.robot.report, row)
+            if shell is not None and (report := shell.robot.report):
+                self._note(report, row)
         self._samples += 1
-        for name, values in kept.items():
-            self._rows.setdefault(name, []).append(values)
+        # A column at once: numpy takes as long to enter one value as Python to list ten.
+        columns = zip(*map(_values, shells), strict=True)
+        for (name, kind), values in zip(_COLUMNS.items(), columns, strict=True):
+            self._rows[name].append(np.array(values, dtype=kind))
 
     def kept(self, rows: slice) -> Kept:
         """What the robots of these rows reported, for `trace`."""
@@ -84,22 +93,27 @@ class LockstepRecorder:
             self._reports.setdefault(key, []).append((self._samples, row, item))
 
 
-def _blank(n: int) -> dict[str, NDArray[Any]]:
-    """The values of n robots without a daemon."""
-    return {
-        "present": np.zeros(n, dtype=bool),
-        "decided": np.zeros(n, dtype=np.int64),
-        "evaded": np.zeros(n, dtype=np.int64),
-        "requested": np.zeros((n, 3)),
-        **blank_decisions((n,)),
+_COLUMNS: Mapping[str, Any] = MappingProxyType(
+    {
+        "present": bool,
+        "decided": np.int64,
+        "evaded": np.int64,
+        "requested": np.float64,
+        **{name: values.dtype for name, values in blank_decisions((0,)).items()},
     }
+)
+"""The columns of a sample, each with its type."""
 
 
-def _enter(kept: Mapping[str, NDArray[Any]], row: int, shell: RobotShell) -> None:
-    """Enter the state of robot `row` and its decisions since the last sample."""
+def _values(shell: RobotShell | None) -> tuple[Any, ...]:
+    """A robot's state and its decisions since the last sample, in the order of _COLUMNS."""
+    if shell is None:
+        return _ABSENT
     robot, decision = shell.robot, shell.robot.decision
-    enter_decision(kept, row, robot.state.value, robot.reason or "", decision)
-    kept["present"][row] = True
-    kept["requested"][row] = astuple(decision.requested)
-    kept["decided"][row], kept["evaded"][row] = shell.decided, shell.evaded
+    decided, evaded = shell.decided, shell.evaded
     shell.decided = shell.evaded = 0
+    values = decision_values(robot.state, robot.reason or "", decision)
+    return True, decided, evaded, astuple(decision.requested), *values
+
+
+_ABSENT = (False, 0, 0, (0.0, 0.0, 0.0), *NO_DECISION)
