@@ -814,9 +814,12 @@ class BarrierKernel:
             self._placed_y[i] = frame_y + s * self._x[i] + c * self._y[i]
             self._separate(self._placed_x[i], self._placed_y[i])
             self._normal_x[i], self._normal_y[i] = self._nx, self._ny
-            self._constrain(
-                self._nx, self._ny, self._lever, self._gap_found - self._free, self._gap_found, i
+            lever: cython.double = self._lever
+            linear_part: cython.double = self._nx * self._along_x + self._ny * self._along_y
+            cap: cython.double = self._cap(
+                self._gap_found - self._free, self._braking(linear_part, lever)
             )
+            self._add(linear_part, lever, cap, self._gap_found, i)
         self._add_sides(count)
         if self._unseen_extent > 0.0:
             self._add_corners(contacts, count)
@@ -824,7 +827,7 @@ class BarrierKernel:
             self._row_cap[i] = 0.0
             nx: cython.double = c * self._ray_x[i] - s * self._ray_y[i]
             ny: cython.double = s * self._ray_x[i] + c * self._ray_y[i]
-            lever: cython.double = self._placed_x[i] * ny - self._placed_y[i] * nx
+            lever = self._placed_x[i] * ny - self._placed_y[i] * nx
             self._add(nx * self._along_x + ny * self._along_y, lever, 0.0, 0.0, i)
         if self._keep_out == self._keep_out:
             self._add_keep_out(count)
@@ -848,38 +851,28 @@ class BarrierKernel:
         return other if other > gap else gap
 
     @cython.cfunc
-    @cython.exceptval(-1)
-    def _constrain(
-        self,
-        nx: cython.double,
-        ny: cython.double,
-        lever: cython.double,
-        room: cython.double,
-        gap: cython.double,
-        source: cython.Py_ssize_t,
-    ) -> cython.int:
-        """A row for a point in a direction, with so much room in m."""
-        linear: cython.double = nx * self._along_x + ny * self._along_y
-        braking: cython.double = self._braking(linear, lever)
-        cap: cython.double
-        if self._is_passive:
-            left: cython.double = room - self._others * (self._unseen + _tick)
-            first: cython.double = braking * _tick + self._others
-            root: cython.double = sqrt(first * first + 2.0 * braking * _maximum(left, 0.0))
-            cap = _maximum(root - first, 0.0)
-        else:
-            cap = self._reciprocal_cap(room, braking)
-        return self._add(linear, lever, cap, gap, source)
+    @cython.inline
+    @cython.exceptval(check=False)
+    def _cap(self, room: cython.double, braking: cython.double) -> cython.double:
+        """The cap in m/s for so much room in m."""
+        if not self._is_passive:
+            return self._reciprocal_cap(room, braking)
+        left: cython.double = room - self._others * (self._unseen + _tick)
+        first: cython.double = braking * _tick + self._others
+        root: cython.double = sqrt(first * first + 2.0 * braking * _maximum(left, 0.0))
+        return _maximum(root - first, 0.0)
 
     @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
+    @cython.inline
+    @cython.exceptval(check=False)
     def _reciprocal_cap(self, room: cython.double, braking: cython.double) -> cython.double:
         half: cython.double = 0.5 * _maximum(room, 0.0)
         first: cython.double = braking * (2.0 * _tick + self._unseen)
         return _maximum(sqrt(first * first + 2.0 * braking * half) - first, 0.0)
 
     @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
+    @cython.inline
+    @cython.exceptval(check=False)
     def _braking(self, linear: cython.double, lever: cython.double) -> cython.double:
         braking: cython.double = fabs(linear) * self._braking_linear
         braking += fabs(lever) * self._braking_angular
@@ -937,26 +930,43 @@ class BarrierKernel:
         """A row of each own corner for each near point; see Barrier._corner_constraints."""
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
+        at: cython.Py_ssize_t = self._rows
+        x: cython.double[::1] = self._placed_x
+        y: cython.double[::1] = self._placed_y
+        row_x: cython.double[::1] = self._row_x
+        row_y: cython.double[::1] = self._row_y
+        row_cap: cython.double[::1] = self._row_cap
+        row_gap: cython.double[::1] = self._row_gap
+        along_x: cython.double = self._along_x
+        along_y: cython.double = self._along_y
+        limit: cython.double = self._limit
+        angular_limit: cython.double = self._angular_limit
+        free: cython.double = self._free
+        reach: cython.double = 2.0 * free + self._others * (self._unseen + _tick)
+        # A row that no twist within the limits violates is left out, unless it has a copy.
         has_copies: cython.bint = self._keep_out == self._keep_out
-        reach: cython.double = 2.0 * self._free + self._others * (self._unseen + _tick)
         for k in range(self._edges):
             own_x: cython.double = self._corner_x[k]
             own_y: cython.double = self._corner_y[k]
             for i in range(first, count):
-                if not (self._row_gap[i] <= reach):
+                if not (row_gap[i] <= reach):
                     continue
-                dx: cython.double = self._placed_x[i] - own_x
-                dy: cython.double = self._placed_y[i] - own_y
+                dx: cython.double = x[i] - own_x
+                dy: cython.double = y[i] - own_y
                 away: cython.double = _maximum(hypot(dx, dy), 1e-9)
                 dx /= away
                 dy /= away
+                linear: cython.double = dx * along_x + dy * along_y
                 lever: cython.double = own_x * dy - own_y * dx
-                self._constrain(dx, dy, lever, away - self._free, away, i)
-                # A row that no twist within the limits violates is dropped, unless it has a copy.
-                last: cython.Py_ssize_t = self._rows - 1
-                most: cython.double = fabs(self._row_x[last]) + fabs(self._row_y[last])
-                if self._row_cap[last] > most + _slack and not has_copies:
-                    self._rows = last
+                cap: cython.double = self._cap(away - free, self._braking(linear, lever))
+                linear *= limit
+                lever *= angular_limit
+                if cap > fabs(linear) + fabs(lever) + _slack and not has_copies:
+                    continue
+                row_x[at], row_y[at], row_cap[at] = linear, lever, cap
+                row_gap[at], self._source[at] = away, i
+                at += 1
+        self._rows = at
         return 0
 
     @cython.cfunc
