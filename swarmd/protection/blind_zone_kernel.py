@@ -159,7 +159,7 @@ class BlindZoneMemory:
         """See `blind_zone_numpy.BlindZoneMemory.update`."""
         if scan.bearings is not self._given:
             self._set_bearings(scan.bearings)
-        given: cython.const[cython.double][::1] = np.ascontiguousarray(scan.ranges)
+        given: cython.const[cython.double][::1] = np.ascontiguousarray(scan.ranges, np.float64)
         n: cython.Py_ssize_t = self._n
         step: cython.double = self._speed * min(seconds, 5.0 * self._period) + _RANGE_NOISE
         limit: cython.double = self._blind + 2.0 * step
