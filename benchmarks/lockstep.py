@@ -1,8 +1,9 @@
-"""Simulated time per second of processor time: `benchmarks.lockstep [--patterns ...]`.
+"""Simulated time per second of processor time: `benchmarks.lockstep [--patterns ...] [--only ...]`.
 
 Processor time of this process alone, with everything that an experiment has: physics, noisy lidars,
 odometry, robots with protection, patterns, radio and the trace. Each sample is a simulated second
-after the first, so that robots run and caches are as they are in a long run.
+after the first, so that robots run and caches are as they are in a long run. Rows of two cores
+have wall time, so they need an idle machine.
 """
 
 from __future__ import annotations
@@ -17,12 +18,26 @@ from typing import Any
 from benchmarks.table import Row, print_table
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.sim.lockstep.shards import Shard, run_shards
 from swarmd.sim.scenarios.scenariofile import load_scenario
 
+TABLES = ("experiment", "sizes", "argos", "growth", "cores")
 SIZES = (7, 100, 1000)
 PATTERNS = ("attraction", "random_walk", "drive")
 SECONDS = {7: 20, 100: 10, 1000: 5}
 BUDGETS = {7: ">= 60 x", 100: ">= 8 x", 1000: ">= 1 x"}
+
+GROWTH = (100, 300, 1000, 3000)
+GROWTH_SECONDS = 2
+# Like the proximity sensors of a foot-bot, which ARGoS gives 24 rays at 10 Hz.
+SHORT_RAYS = {
+    "groups.all.platform": "short_rays",
+    "platforms.short_rays": {
+        "extends": "waffle_pi",
+        "scan": {"rays": 24, "rate": 10.0, "range_max": 1.0, "max_gap_deg": 40.0},
+    },
+}
+CORE_PARTS = 6  # pairs of one core and two, in turn
 
 
 def seconds_of(name: str, overrides: Mapping[str, Any], count: int) -> list[float]:
@@ -68,14 +83,52 @@ def size_rows(patterns: Sequence[str]) -> Iterator[Row]:
             yield Row(f"robot-seconds a CPU-second, {n}, {pattern}", rates, unit="")
 
 
+def argos_rows() -> Iterator[Row]:
+    n, name = 1000, "robot-seconds a CPU-second, 1000, 24 rays of 1 m at 10 Hz"
+    for pattern in ("attraction", "random_walk"):
+        overrides = {**one_per_square_metre(n, pattern), **SHORT_RAYS}
+        rates = [n / one for one in seconds_of("thousand", overrides, SECONDS[n])]
+        yield Row(f"{name}, {pattern}", rates, note="ARGoS with such robots: 4650", unit="")
+
+
+def growth_rows() -> Iterator[Row]:
+    for n in GROWTH:
+        taken = seconds_of("thousand", one_per_square_metre(n, "attraction"), GROWTH_SECONDS)
+        yield Row(f"CPU a robot-second, {n} robots, attraction", [one / n for one in taken])
+
+
+def core_rows() -> Iterator[Row]:
+    scenario = load_scenario("thousand", one_per_square_metre(1000, "attraction"))
+
+    def simulate(shard: Shard) -> float:
+        run = Lockstep(scenario, 0, shard)
+        run.advance(0.2)
+        start = time.perf_counter()
+        run.advance(1.0)
+        return time.perf_counter() - start
+
+    pairs = [[run_shards(simulate, cores) for cores in (1, 2)] for _ in range(CORE_PARTS)]
+    factors = [one / two for one, two in pairs]
+    yield Row("two cores against one, wall time, 1000 robots", factors, ">= 1.7 x", unit="x")
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     # A matrix of two columns gains nothing from threads, and they would count as one processor.
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     parser = argparse.ArgumentParser(prog="python -m benchmarks.lockstep", description=__doc__)
     parser.add_argument("--patterns", nargs="*", default=PATTERNS)
-    patterns = parser.parse_args(arguments).patterns
-    print_table("Lockstep, one processor: experiment 1", experiment_rows())
-    print_table("Lockstep, one processor: one robot a square metre, realistic", size_rows(patterns))
+    parser.add_argument("--only", nargs="*", choices=TABLES, default=TABLES, help="these tables")
+    given = parser.parse_args(arguments)
+    tables = {
+        "experiment": ("one processor: experiment 1", experiment_rows()),
+        "sizes": ("one processor: one robot a square metre, realistic", size_rows(given.patterns)),
+        "argos": ("one processor: short rays", argos_rows()),
+        "growth": ("one processor: growth, one robot a square metre", growth_rows()),
+        "cores": ("one run on two cores", core_rows()),
+    }
+    for name in given.only:
+        title, rows = tables[name]
+        print_table(f"Lockstep, {title}", rows)
 
 
 if __name__ == "__main__":
