@@ -21,6 +21,8 @@ from swarmd.sim.world.seeding import generator
 ODOMETRY_RATE = 20.0
 """Hz, in live worlds and in lockstep."""
 
+_DRAWS = 32  # readings whose random numbers are drawn at once
+
 
 class Odometers:
     """The odometry of n bases, each in the frame of its own start."""
@@ -49,6 +51,9 @@ class Odometers:
             np.array([value(platform, "wheel_separation") for platform in platforms]),
             np.array([platform.limits.lateral > 0.0 for platform in platforms]),
         )
+        # Drawn in blocks: one draw for each reading takes as long as all the rest.
+        self._draws = np.empty((len(ids), _DRAWS, 2))
+        self._used = np.full(len(ids), _DRAWS)
         self._truth, self._reported = starts.copy(), np.zeros_like(starts)
 
     def read(self, rows: Indices, poses: Array, twists: Array) -> tuple[Array, Array]:
@@ -79,10 +84,12 @@ class Odometers:
 
     def _slips(self, rows: Indices) -> Array:
         """(m, 2) random slip factors near 1 on linear and angular motion, for one reading each."""
-        slips = np.zeros((len(rows), 2))
-        for place, row in enumerate(rows.tolist()):
-            self._rngs[row].standard_normal(out=slips[place])
-        return 1.0 + self._noise.slip * slips
+        used = self._used.take(rows)
+        for row in rows[used == _DRAWS].tolist():
+            self._rngs[row].standard_normal(out=self._draws[row])
+        used %= _DRAWS
+        self._used[rows] = used + 1
+        return 1.0 + self._noise.slip * self._draws[rows, used]
 
 
 def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral: Array) -> Array:
