@@ -44,7 +44,7 @@ from swarmd.core.messages import (
 )
 from swarmd.core.values import Platform, Scalar, TouchZone
 from swarmd.kit.touch import effective_zone
-from swarmd.protection.decision import NO_PERMIT, Permit
+from swarmd.protection.decision import Permit
 from swarmd.robot.actions import Effects
 from swarmd.robot.latches import Latches, LatchRecord
 from swarmd.robot.outbox import Outbox
@@ -127,12 +127,6 @@ class Lifecycle:
     def epoch(self) -> Epoch:
         """The epoch that a request must quote to change this robot."""
         return Epoch(self.identity.instance, self.revision)
-
-    @property
-    def permit(self) -> Permit:
-        """The permit of the running pattern; NO_PERMIT without one and while it restarts."""
-        running = self.pattern_run.running
-        return NO_PERMIT if running is None or self.pattern_run.is_restarting else running.permit
 
     def log(self, text: str, now: float) -> None:
         """Record an event for `describe`."""

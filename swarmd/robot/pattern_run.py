@@ -64,7 +64,7 @@ class Trial:
 class Running:
     """The running pattern.
 
-    `permit`: what it permits while it does not restart. `period`: s between two steps. `expiry`: s
+    `permit`: what it permits while it is not held. `period`: s between two steps. `expiry`: s
     for which a requested command holds: three steps, at least MIN_EXPIRY.
     """
 

@@ -13,7 +13,7 @@ from swarmd.core.host_messages import HostEvent, Step, TrialDone
 from swarmd.core.messages import Epoch, Latch, Reason, Request, State, Status
 from swarmd.core.values import Neighbor, Odometry, Platform, Scalar, Scan, Value
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import Decision
+from swarmd.protection.decision import NO_PERMIT, Decision
 from swarmd.robot.actions import Actions, Effects
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.lifecycle import MAX_HOLD_TIME, Lifecycle, RobotIdentity, RobotSettings
@@ -61,6 +61,7 @@ class Robot:
         self._protection = Protection(platform, f"{seed}/{id}")
         identity = RobotIdentity(id, platform, settings, seed, instance)
         self._lifecycle = Lifecycle(identity, latches, now)
+        self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._requests = RequestHandler(id, self._lifecycle, self._stop_text)
         self._duty = DutyCycle()
         self._published: tuple[object, ...] = ()
@@ -77,7 +78,7 @@ class Robot:
     @property
     def state(self) -> State:
         """The state."""
-        return self._lifecycle.state_machine.state
+        return self._machine.state
 
     @property
     def reason(self) -> Reason | None:
@@ -204,12 +205,12 @@ class Robot:
         is_quiet = now < self._quiet_until and now - self._last_tick <= STALL_TIMEOUT
         effects = None if is_quiet else self._begin(now)
         self._last_tick = now
-        if self._lifecycle.is_running:
+        if self._machine.state is State.RUNNING:
             self._duty.decisions += 1
             self._duty.active += self.decision.is_active
         if effects is None:
-            decision, last = self._decide(None, now), self._settled
-            self.decision = decision
+            last = self._settled
+            decision = self.decision = self._decide(None, now)
             return Actions(
                 decision.safe,
                 decision,
@@ -257,7 +258,7 @@ class Robot:
             self._is_status_due, self._due_at = True, -math.inf
         self._quiet_until, self._hold = -math.inf, hold
         decision = self.decision = self._decide(hold, now)
-        run, machine = lifecycle.pattern_run, lifecycle.state_machine
+        run, machine = self._run, self._machine
         if run.restart_at is not None:
             self._restart(effects)
         if effects.host is None and machine.state is State.RUNNING:
@@ -285,28 +286,26 @@ class Robot:
         """Find until when nothing is due if no event comes; a hold is looked at in each tick."""
         if self._hold is not None:
             return
-        lifecycle = self._lifecycle
-        due = lifecycle.due_at()
-        if lifecycle.is_running:
+        due = self._lifecycle.due_at()
+        if self._machine.state is State.RUNNING:
             due = min(due, self._sensors.hold_due_at())
         self._due_at = due - ROUNDING
         if not self._is_status_due:
-            step_at = lifecycle.pattern_run.step_due_at()
+            step_at = self._run.step_due_at()
             status_at = self._published_at + STATUS_PERIOD
             self._quiet_until = min(due, step_at, status_at) - ROUNDING
 
     def _decide(self, hold: Reason | None, now: float) -> Decision:
-        lifecycle = self._lifecycle
-        running = lifecycle.pattern_run.running
+        running, context = self._run.running, self._sensors.context(now)
         if running is None:
-            context = self._sensors.context(now)
             return self._protection.decide(None, context, is_running=False, hold=hold)
         return self._protection.decide(
             running.requested.twist,
-            self._sensors.context(now),
-            is_running=lifecycle.state_machine.state is State.RUNNING,
+            context,
+            is_running=self._machine.state is State.RUNNING,
             hold=hold,
-            permit=lifecycle.permit,
+            # Nothing is permitted under a hold, and a pattern that restarts is held.
+            permit=running.permit if hold is None else NO_PERMIT,
         )
 
     def _restart(self, effects: Effects) -> None:
@@ -320,10 +319,10 @@ class Robot:
             self._lifecycle.start_run(running.pattern, params, effects, until=until)
 
     def _step(self, effects: Effects) -> None:
-        run, now = self._lifecycle.pattern_run, effects.now
+        run, now = self._run, effects.now
         if run.running is not None and run.may_step(now, effects.is_new_scan):
-            dt = run.stepping(now)
-            effects.command_host(Step(run.running.generation, self._sensors.inputs(now, dt)))
+            inputs = self._sensors.inputs(now, run.stepping(now))
+            effects.command_host(Step(run.running.generation, inputs))
 
     def _changed_status(self, now: float) -> Status | None:
         """The status if something that peers act on has changed, or after STATUS_PERIOD."""

@@ -155,8 +155,13 @@ class Sensors:
         """The context of a decision at `now`: the same object for the same time and inputs."""
         context = self._context
         if context is None or context.now != now:
-            scan_age, odometry_age = self.scan_age(now), self.odometry_age(now)
-            context = self._context = DecisionContext(now, scan_age, self.odometry, odometry_age)
+            scan_at, odometry_at = self._scan_at, self._odometry_at
+            context = self._context = DecisionContext(
+                now,
+                None if scan_at is None else now - scan_at,
+                self.odometry,
+                None if odometry_at is None else now - odometry_at,
+            )
         return context
 
     def scan_rate(self, now: float) -> float:
@@ -196,6 +201,12 @@ class Sensors:
 
     def inputs(self, now: float, dt: float) -> Inputs:
         """The inputs of one step; a message, like the mark of a new scan, is in one step only."""
+        messages: tuple[Message, ...] = ()
+        if self._inbox:
+            messages = tuple(
+                Message(one.sender, one.channel, one.value, now - one.at) for one in self._inbox
+            )
+            self.forget_messages()
         inputs = Inputs(
             now=now,
             dt=dt,
@@ -203,10 +214,9 @@ class Sensors:
             is_new_scan=self._is_new_scan,
             odometry=self.odometry,
             neighbors=self.neighbors(now),
-            messages=tuple(Message(r.sender, r.channel, r.value, now - r.at) for r in self._inbox),
+            messages=messages,
             readings=self.readings,
         )
-        self.forget_messages()
         self._is_new_scan = False
         return inputs
 
