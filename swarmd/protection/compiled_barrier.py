@@ -75,10 +75,11 @@ class CompiledBarrier(Barrier):
         directions = geometry.directions(scan)
         if directions is not self._directions:
             self._directions = directions
-            kernel.set_rays(directions)
+            kernel.set_rays(np.ascontiguousarray(directions, np.float64))
+        ranges = np.asarray(scan.ranges, np.float64)
         age, odometry_age = context.scan_age or 0.0, context.odometry_age or 0.0
         if not kernel.begin_scan(context.now, age, odometry_age):
-            kernel.find_min_gap(scan.ranges, scan.range_min)
+            kernel.find_min_gap(ranges, scan.range_min)
             return
         hidden = _NOTHING_HIDDEN
         if self._memory is not None:
@@ -86,7 +87,7 @@ class CompiledBarrier(Barrier):
             self._memory.update(scan, geometry, moved, kernel.seconds)
             if len(self._memory.bearings):
                 hidden = _rays_and_ranges(self._memory)
-        kernel.take_scan(scan.ranges, scan.range_min, hidden)
+        kernel.take_scan(ranges, scan.range_min, hidden)
 
     @property
     def min_gap(self) -> float | None:

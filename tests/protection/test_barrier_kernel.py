@@ -244,6 +244,27 @@ def test_odometry_that_is_not_finite_lets_no_command_pass(place: str, number: fl
     assert twist.is_zero or not twist.is_finite
 
 
+def test_contact_stays_one_after_the_robot_has_moved_away() -> None:
+    """Its cap is 0 although there is room by then."""
+    pair = Pair(VARIANTS[-1])
+    pair.take(Seen([Face(0.0, 0.02, -1.0, 0.0)], 0.0))
+    for _ in range(12):
+        pair.take(Moved(0.0, -1.0, 0.0, 0.0))
+    pair.take(Asked(0.01, [(1.0, 0.3, 0.0), (1.0, -0.3, 0.0)], None, 0.0, -1))
+    assert all(decision.is_active for decision in pair.decisions)
+
+
+@pytest.mark.parametrize("kind", [np.float32, np.int64])
+def test_ranges_may_be_of_any_number_type(kind: type) -> None:
+    pair = Pair(JACKAL)
+    scan = scan_from(JACKAL, np.full(360, 1, kind), JACKAL.scan.bearings)
+    context = DecisionContext(pair.now, 0.0, pair.readings[-1], 0.0)
+    for path in (pair.numpy, pair.compiled):
+        path.observe(scan, pair.geometry, context)
+    pair.take(Asked(0.01, [(1.0, 0.3, 0.0)], None, 0.0, -1))
+    assert pair.decisions[-1].is_active
+
+
 def test_kernel_rejects_a_scan_with_other_rays_than_were_set() -> None:
     barrier = CompiledBarrier(BURGER, KERNEL)
     kernel = barrier._kernel
