@@ -1,8 +1,11 @@
-"""The forces on simulated bases, compiled: what `base_dynamics.py` does with numpy, same bits."""
+"""The forces on simulated bases and their odometry, compiled.
+
+What `base_dynamics.py` and `odometer.py` do with numpy, with the same bits.
+"""
 
 import cython
 import numpy as np
-from cython.cimports.libc.math import cos, fabs, hypot, isfinite, sin
+from cython.cimports.libc.math import cos, fabs, fmod, hypot, isfinite, sin
 
 if not cython.compiled:
     raise ImportError("swarmd.sim.world.base_kernel is not compiled")
@@ -108,3 +111,86 @@ class Servos:
                 (self._driven[row, 1] - self._qvel[3 * row + 2]) * self._inert[row, 2] / self._dt,
                 self._spin[row],
             )
+
+
+PI = cython.declare(cython.double, 3.141592653589793)
+
+
+@cython.cclass
+class Wheels:
+    """Odometry of n bases: `measured` (n, 3, 3), and the poses (n, 3) that `read` brings on."""
+
+    _measured: cython.double[:, :, ::1]
+    _truth: cython.double[:, ::1]
+    _reported: cython.double[:, ::1]
+
+    def __init__(self, measured, truth, reported):
+        self._measured, self._truth, self._reported = measured, truth, reported
+
+    def read(
+        self,
+        rows: cython.Py_ssize_t[::1],
+        poses: cython.double[:, ::1],
+        twists: cython.double[:, ::1],
+        slips: cython.double[:, ::1],
+        reported: cython.double[:, ::1],
+        measured: cython.double[:, ::1],
+    ):
+        """Fill `reported` and `measured` (m, 3), poses and twists of robots `rows` (m,)."""
+        place: cython.Py_ssize_t
+        row: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        x: cython.double
+        y: cython.double
+        turn: cython.double
+        middle: cython.double
+        c: cython.double
+        s: cython.double
+        linear: cython.double
+        lateral: cython.double
+        for place in range(rows.shape[0]):
+            row = rows[place]
+            x, y = poses[row, 0] - self._truth[row, 0], poses[row, 1] - self._truth[row, 1]
+            turn = poses[row, 2] - self._truth[row, 2]
+            middle = self._truth[row, 2] + turn / 2.0
+            c, s = cos(middle), sin(middle)
+            self._measure(row, place, c * x + s * y, turn, c * y - s * x, slips, measured)
+            linear, turn, lateral = measured[place, 0], measured[place, 1], measured[place, 2]
+            middle = self._reported[row, 2] + turn / 2.0
+            c, s = cos(middle), sin(middle)
+            self._reported[row, 0] += c * linear - s * lateral
+            self._reported[row, 1] += s * linear + c * lateral
+            self._reported[row, 2] += turn
+            for k in range(3):
+                self._truth[row, k] = poses[row, k]
+                reported[place, k] = self._reported[row, k]
+            reported[place, 2] = _wrapped(reported[place, 2])
+            self._measure(
+                row, place, twists[row, 0], twists[row, 1], twists[row, 2], slips, measured
+            )
+
+    @cython.cfunc
+    def _measure(
+        self,
+        row: cython.Py_ssize_t,
+        place: cython.Py_ssize_t,
+        linear: cython.double,
+        angular: cython.double,
+        lateral: cython.double,
+        slips: cython.double[:, ::1],
+        measured: cython.double[:, ::1],
+    ) -> cython.int:
+        m: cython.double[:, :, ::1] = self._measured
+        measured[place, 0] = (linear * m[row, 0, 0] + angular * m[row, 1, 0]) * slips[place, 0]
+        measured[place, 1] = (linear * m[row, 0, 1] + angular * m[row, 1, 1]) * slips[place, 1]
+        measured[place, 2] = lateral * m[row, 2, 2]
+        return 0
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _wrapped(yaw: cython.double) -> cython.double:
+    wrapped: cython.double = fmod(yaw + PI, 2.0 * PI)
+    if wrapped < 0.0:
+        wrapped += 2.0 * PI
+    return wrapped - PI

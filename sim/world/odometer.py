@@ -9,14 +9,19 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform
 from swarmd.sim.world.bodies import value
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.realism import OdometryNoise
 from swarmd.sim.world.seeding import generator
+
+if TYPE_CHECKING:  # where it is not compiled the numpy code runs
+    from swarmd.sim.world.base_kernel import Wheels
 
 ODOMETRY_RATE = 20.0
 """Hz, in live worlds and in lockstep."""
@@ -55,6 +60,10 @@ class Odometers:
         self._draws = np.empty((len(ids), _DRAWS, 2))
         self._used = np.full(len(ids), _DRAWS)
         self._truth, self._reported = starts.copy(), np.zeros_like(starts)
+        kernel = load_kernel("swarmd.sim.world.base_kernel")
+        self._wheels: Wheels | None = kernel and kernel.Wheels(
+            self._measured, self._truth, self._reported
+        )
 
     def read(self, rows: Indices, poses: Array, twists: Array) -> tuple[Array, Array]:
         """Poses x, y, yaw and twists linear, angular, lateral, (m, 3) each, of robots `rows` (m,).
@@ -65,12 +74,17 @@ class Odometers:
         """
         if self._noise.is_ideal:
             return self._relative(rows, poses), twists[rows]
+        slips = self._slips(rows)
+        if self._wheels is not None:
+            moved, measured = np.empty((len(rows), 3)), np.empty((len(rows), 3))
+            self._wheels.read(rows, poses, twists, slips, moved, measured)
+            return moved, measured
         truth = poses.take(rows, axis=0)
         motions = np.empty((len(rows), 2, 3))
         motions[:, 0] = _motion(self._truth.take(rows, axis=0), truth)
         motions[:, 1] = twists.take(rows, axis=0)
-        motions = motions @ self._measured.take(rows, axis=0)
-        motions[:, :, :2] *= self._slips(rows)[:, None]
+        motions = _measured(motions, self._measured.take(rows, axis=0))
+        motions[:, :, :2] *= slips[:, None]
         reported = _moved(self._reported.take(rows, axis=0), motions[:, 0])
         self._truth[rows], self._reported[rows] = truth, reported
         reported[:, 2] = _wrapped(reported[:, 2])
@@ -89,7 +103,8 @@ class Odometers:
             self._rngs[row].standard_normal(out=self._draws[row])
         used %= _DRAWS
         self._used[rows] = used + 1
-        return 1.0 + self._noise.slip * self._draws[rows, used]
+        slips: Array = 1.0 + self._noise.slip * self._draws[rows, used]
+        return slips
 
 
 def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral: Array) -> Array:
@@ -108,6 +123,20 @@ def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral
     matrix[:, 1, 1] = (right + left) / 2.0 * wheelbase
     matrix[:, 2, 2] = is_lateral
     return matrix
+
+
+def _measured(motions: Array, matrices: Array) -> Array:
+    """Motions (m, 2, 3) times matrices of `measurement` (m, 3, 3).
+
+    Without BLAS, whose rounding depends on the processor.
+    """
+    linear, angular, lateral = np.moveaxis(motions, 2, 0)
+    one = matrices[:, None]
+    measured = np.empty_like(motions)
+    measured[..., 0] = linear * one[..., 0, 0] + angular * one[..., 1, 0]
+    measured[..., 1] = linear * one[..., 0, 1] + angular * one[..., 1, 1]
+    measured[..., 2] = lateral * one[..., 2, 2]
+    return measured
 
 
 def _motion(before: Array, after: Array) -> Array:

@@ -1,4 +1,4 @@
-"""The compiled servos give the bits of the numpy code."""
+"""The compiled servos and odometers give the bits of the numpy code."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.layouts import parse_layout
+from swarmd.sim.world.odometer import Odometers
 from swarmd.sim.world.realism import IDEAL, REALISTIC, Actuation, Realism
 from swarmd.sim.world.world import World
 
@@ -63,3 +64,25 @@ def test_worlds_have_the_bits_of_the_numpy_code(
         states(kinds, realism, commands, is_compiled=is_one) for is_one in (True, False)
     )
     assert compiled == reference
+
+
+@settings(deadline=None, max_examples=40)
+@given(
+    st.lists(st.sampled_from(platform_names()), min_size=1, max_size=6), st.integers(0, 2**32 - 1)
+)
+def test_odometry_has_the_bits_of_the_numpy_code(kinds: list[str], seed: int) -> None:
+    rng, n = np.random.default_rng(seed), len(kinds)
+    platforms, ids = [load_platform(kind) for kind in kinds], [f"r{row}" for row in range(n)]
+    poses = rng.normal(0.0, 3.0, (n, 3))
+    both = []
+    for is_compiled in (True, False):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setenv("SWARMD_COMPILED", str(int(is_compiled)))
+            both.append(Odometers(REALISTIC.odometry, platforms, poses, ids, 3))
+    for _ in range(40):  # more than the block of random numbers
+        rows = np.flatnonzero(rng.random(n) < 0.8)
+        poses = poses + rng.normal(0.0, 0.5, (n, 3))
+        twists = rng.normal(0.0, 1.0, (n, 3))
+        read = [one.read(rows, poses, twists) for one in both]
+        for compiled, reference in zip(*read, strict=True):
+            assert (compiled + 0.0).tobytes() == (reference + 0.0).tobytes()
