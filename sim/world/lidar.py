@@ -187,7 +187,7 @@ class Lidar:
         """
         ranges = np.full((len(observers), len(self._spec.bearings)), np.inf)
         if self._caster is not None:
-            self._caster.cast(poses, observers, ranges)
+            self._caster.cast(poses, np.ascontiguousarray(observers), ranges)
             return ranges
         for first in range(0, len(observers), _BATCH):
             some = slice(first, first + _BATCH)

@@ -77,7 +77,8 @@ class Odometers:
         slips = self._slips(rows)
         if self._wheels is not None:
             moved, measured = np.empty((len(rows), 3)), np.empty((len(rows), 3))
-            self._wheels.read(rows, poses, twists, slips, moved, measured)
+            at = np.ascontiguousarray(rows)
+            self._wheels.read(at, poses, twists, slips, moved, measured)
             return moved, measured
         truth = poses.take(rows, axis=0)
         motions = np.empty((len(rows), 2, 3))
