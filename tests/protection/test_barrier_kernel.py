@@ -254,6 +254,15 @@ def test_contact_stays_one_after_the_robot_has_moved_away() -> None:
     assert all(decision.is_active for decision in pair.decisions)
 
 
+def test_other_odometry_at_the_same_time_is_another_situation() -> None:
+    pair, asked = Pair(WAFFLE), Asked(0.0, [(1.0, 0.0, 0.0)], None, 0.0, -1)
+    pair.take(Seen([Face(0.0, 0.1, 0.45, 0.0)], 0.0))
+    pair.take(asked)
+    pair.readings.append(Odometry(pair.now + 0.01, Pose(1.05, -2.0, 3.05), Twist(0.1)))
+    pair.take(asked)
+    assert pair.decisions[0].twist != pair.decisions[1].twist
+
+
 @pytest.mark.parametrize("kind", [np.float32, np.int64])
 def test_ranges_may_be_of_any_number_type(kind: type) -> None:
     pair = Pair(JACKAL)
