@@ -263,6 +263,22 @@ def test_other_odometry_at_the_same_time_is_another_situation() -> None:
     assert pair.decisions[0].twist != pair.decisions[1].twist
 
 
+@pytest.mark.parametrize("age", [0.0, 0.05, 0.6])
+def test_scan_is_placed_alike_between_readings_and_after_the_last(age: float) -> None:
+    """The yaw passes from pi to -pi between the readings."""
+    pair = Pair(WAFFLE)
+    pair.take(Asked(0.0, [(1.0, 0.0, 0.0)], None, 0.0, -1))
+    for stamp, yaw in ((4.7, 3.1), (5.0, -3.1)):
+        odometry = Odometry(stamp + 1.0, Pose(0.0, 0.0, yaw), Twist(0.2, 0.3))
+        context = DecisionContext(6.0, 0.0, odometry, age)
+        scan = scan_of(WAFFLE, [Face(0.0, 0.1, 0.4, 0.0)], 1)
+        pair.numpy.observe(scan, pair.geometry, context)
+        pair.compiled.observe(scan, pair.geometry, context)
+    pair.readings.append(odometry)
+    pair.now = 6.0
+    pair.take(Asked(0.05, [(1.0, 0.0, 0.0), (0.5, 1.0, 0.0)], None, 0.0, -1))
+
+
 @pytest.mark.parametrize("kind", [np.float32, np.int64])
 def test_ranges_may_be_of_any_number_type(kind: type) -> None:
     pair = Pair(JACKAL)
