@@ -18,7 +18,7 @@ from typing import Any
 from benchmarks.table import Row, print_table
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep
-from swarmd.sim.lockstep.shards import Shard, run_shards
+from swarmd.sim.lockstep.processes import RunProcess, run_processes
 from swarmd.sim.scenarios.scenariofile import load_scenario
 
 TABLES = ("experiment", "sizes", "argos", "growth", "cores")
@@ -100,14 +100,14 @@ def growth_rows() -> Iterator[Row]:
 def core_rows() -> Iterator[Row]:
     scenario = load_scenario("thousand", one_per_square_metre(1000, "attraction"))
 
-    def simulate(shard: Shard) -> float:
-        run = Lockstep(scenario, 0, shard)
+    def simulate(process: RunProcess) -> float:
+        run = Lockstep(scenario, 0, process)
         run.advance(0.2)
         start = time.perf_counter()
         run.advance(1.0)
         return time.perf_counter() - start
 
-    pairs = [[run_shards(simulate, cores) for cores in (1, 2)] for _ in range(CORE_PARTS)]
+    pairs = [[run_processes(simulate, cores) for cores in (1, 2)] for _ in range(CORE_PARTS)]
     factors = [one / two for one, two in pairs]
     yield Row("two cores against one, wall time, 1000 robots", factors, ">= 1.7 x", unit="x")
 

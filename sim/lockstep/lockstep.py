@@ -3,9 +3,9 @@
 It uses the `World` and `Robot` of live runs; patterns run inline, messages pass the radio model.
 Nothing sleeps or reads a clock, and every random number comes from the seed.
 
-Several processes may share the robots of one run (`shards.py`). What concerns all robots happens in
-each of them: the world, the radio, the timeline. What robots put out for others, and the commands,
-wait for `exchange`, which puts them in the order of a single process.
+Several processes may share the robots of one run (`processes.py`). What concerns all robots happens
+in each of them: the world, the radio, the timeline. What robots put out for others, and the
+commands, wait for `exchange`, which puts them in the order of a single process.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ from swarmd.plugins import pattern_names
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
+from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, Schedules
-from swarmd.sim.lockstep.shards import TIMEOUT, Shard, run_shards
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.lockstep.timeline import Timeline
 from swarmd.sim.scenarios.scenario import Scenario
@@ -68,9 +68,9 @@ def simulate_run(
     process that ends, or makes no progress for `timeout` s, ends the run with SwarmError.
     """
 
-    def simulate(shard: Shard) -> Trace:
-        run, duration = Lockstep(scenario, seed, shard), scenario.duration
-        report = (shard.index == 0 and on_progress) or (lambda share: None)
+    def simulate(process: RunProcess) -> Trace:
+        run, duration = Lockstep(scenario, seed, process), scenario.duration
+        report = (process.index == 0 and on_progress) or (lambda share: None)
         for part in range(1, 51):  # garbage is collected between two parts
             run.advance(
                 part / 50.0 * duration - run.world.time,
@@ -79,16 +79,19 @@ def simulate_run(
         report(1.0)
         return run.trace()
 
-    return run_shards(simulate, min(cores, len(scenario.robots)), timeout)
+    return run_processes(simulate, min(cores, len(scenario.robots)), timeout)
 
 
 class Lockstep:
     """A simulated swarm that `advance` moves on in time."""
 
-    def __init__(self, scenario: Scenario, seed: int, shard: Shard | None = None) -> None:
-        """`shard`: the robots of this process; None: all. `shells` has those alone."""
+    def __init__(self, scenario: Scenario, seed: int, process: RunProcess | None = None) -> None:
+        """`process`: which process of the run this is; None: the only one.
+
+        `shells` has its robots alone.
+        """
         self.scenario, self.seed = scenario, seed
-        self._shard = shard or Shard()
+        self._process = process or RunProcess()
         self.world = World(
             scenario.robots,
             scenario.arena,
@@ -132,7 +135,7 @@ class Lockstep:
         self.shells: list[RobotShell | None] = [None] * n
         self.has_daemon = [False] * n
         self._absent_count = n
-        self._own = np.arange(n)[self._shard.rows]
+        self._own = np.arange(n)[self._process.rows]
         for row, robot in enumerate(ids):
             if robot not in scenario.absent:
                 self.start(row)
@@ -147,7 +150,7 @@ class Lockstep:
         self._silent_at.pop(row, None)
         self.has_daemon[row] = True
         self._absent_count -= 1
-        shell = self.shells[row] = self._shell(row, now) if self._shard.owns(row) else None
+        shell = self.shells[row] = self._shell(row, now) if self._process.owns(row) else None
         self.exchange()
         if shell is not None:
             for latches in list(self._peer_latches.values()):  # before any request
@@ -195,22 +198,25 @@ class Lockstep:
         self._latched.discard(row)
 
     def exchange(self) -> None:
-        """Take over what the robots of all shards have put out since the last exchange."""
-        shard = self._shard
-        if shard.count == 1 and not (self._flights or self._published):
+        """Take over what the robots of all processes have put out since the last exchange."""
+        process = self._process
+        if process.count == 1 and not (self._flights or self._published):
             return
-        out = self._commands[shard.rows], self._flights, self._published
+        out = self._commands[process.rows], self._flights, self._published
         self._flights, self._published = [], []
         sent: list[tuple[Turn, list[Flight]]] = []
         published: list[tuple[Turn, int, dict[str, Latch]]] = []
-        for index, (commands, some_sent, some_published) in enumerate(shard.exchange(out)):
-            if index != shard.index:
-                self._commands[index :: shard.count] = commands
+        for index, (commands, some_sent, some_published) in enumerate(process.exchange(out)):
+            if index != process.index:
+                self._commands[index :: process.count] = commands
             sent += some_sent
             published += some_published
         for _, flights in sorted(sent, key=itemgetter(0)):
             self._radio.carry(
-                [(at, shard.own(rows), row, name, value) for at, rows, row, name, value in flights]
+                [
+                    (at, process.own(rows), row, name, value)
+                    for at, rows, row, name, value in flights
+                ]
             )
         for _, row, latches in sorted(published, key=itemgetter(0)):
             self._peer_latches.pop(row, None)
@@ -257,9 +263,9 @@ class Lockstep:
                     on_step(self.world.time)
 
     def trace(self) -> Trace:
-        """The trace up to now, in the first shard; each calls it."""
+        """The trace up to now, in the first process; each calls it."""
         self._recorder.record_instant(self.world.time, self._commands, self.shells)
-        kept = self._shard.collect(self._recorder.kept(self._shard.rows))
+        kept = self._process.collect(self._recorder.kept(self._process.rows))
         return self._recorder.trace(self._meta(), kept)
 
     def _step(self) -> None:
@@ -305,7 +311,7 @@ class Lockstep:
         world = self.world
         due = self._scans_due.due(now)
         if due:
-            own = self._shard.own(due)
+            own = self._process.own(due)
             scans = dict(zip(own, world.scans(np.array(own, dtype=np.intp)), strict=True))
             for row in due:
                 at = now + float(world.scan_latency[row])
@@ -338,7 +344,7 @@ class Lockstep:
             del self._silent_at[row]
 
     def _present(self, rows: Iterable[int]) -> list[RobotShell]:
-        """The shells of those robots of this shard that have a daemon."""
+        """The shells of those robots of this process that have a daemon."""
         return [shell for row in rows if (shell := self.shells[row]) is not None]
 
     def _boxes(self) -> Array | None:

@@ -80,7 +80,7 @@ def test_odometry_has_the_bits_of_the_numpy_code(kinds: list[str], seed: int) ->
             patch.setenv("SWARMD_COMPILED", str(int(is_compiled)))
             both.append(Odometers(REALISTIC.odometry, platforms, poses, ids, 3))
     for _ in range(40):  # more than the block of random numbers
-        rows = np.flatnonzero(rng.random(n) < 0.8)[::2]  # as those of a shard
+        rows = np.flatnonzero(rng.random(n) < 0.8)[::2]  # as those of one of two processes
         poses = poses + rng.normal(0.0, 0.5, (n, 3))
         twists = rng.normal(0.0, 1.0, (n, 3))
         read = [one.read(rows, poses, twists) for one in both]

@@ -1,9 +1,9 @@
-"""One run over several processes: each holds a shard, every k-th robot.
+"""One run over several processes: each works out every k-th robot.
 
 Bodies meet in MuJoCo alone, which gives the same bits in each process. So each process advances the
-whole world, with all clocks and the radio, and works out sensors, robots and patterns of its shard
-only. Once a step the processes exchange what their robots put out. What is exchanged lies in memory
-that they share; a semaphore for each pair of processes says that it is there.
+whole world, with all clocks and the radio, and works out sensors, robots and patterns of its own
+rows only. Once a step the processes exchange what their robots put out. What is exchanged lies in
+memory that they share; a semaphore for each pair of processes says that it is there.
 """
 
 from __future__ import annotations
@@ -38,36 +38,36 @@ _SLOT = _HEAD.size + _CHUNK
 _MAX_ERROR = 1 << 16  # bytes, which a pipe holds without a reader
 
 
-class Shard:
-    """Shard `index` of `count`: the robots whose row modulo `count` is `index`."""
+class RunProcess:
+    """Process `index` of the `count` of a run: its robots have this remainder of row by `count`."""
 
     def __init__(self, index: int = 0, count: int = 1) -> None:
         self.index, self.count = index, count
 
     def owns(self, row: int) -> bool:
-        """True if robot `row` is of this shard."""
+        """True if this process works out robot `row`."""
         return row % self.count == self.index
 
     @property
     def rows(self) -> slice:
-        """The rows of this shard."""
+        """The rows of its robots."""
         return slice(self.index, None, self.count)
 
     def own(self, rows: list[int]) -> list[int]:
-        """Those of `rows` that are of this shard, in order."""
+        """Those of `rows` that are its own, in order."""
         return rows if self.count == 1 else [row for row in rows if self.owns(row)]
 
     def exchange(self, part: T) -> list[T]:
-        """The parts of all shards, in order of shards; each shard calls it equally often."""
+        """The parts of all processes, in their order; each calls it equally often."""
         return [part]
 
     def collect(self, part: T) -> list[T]:
-        """As `exchange` for the first shard; empty for the others."""
+        """As `exchange` for the first process; empty for the others."""
         return self.exchange(part)
 
 
-class _Member(Shard):
-    """A shard beside others."""
+class _Member(RunProcess):
+    """A process beside others."""
 
     def __init__(
         self,
@@ -76,8 +76,9 @@ class _Member(Shard):
         ready: list[list[Semaphore]],
         watch: Callable[[int, float], None],
     ) -> None:
-        """`ready[a][b]`: shard a has written what b may read. `watch(shard, seconds)` is called
-        while this one waits for `shard`, with the time since the call before; it may raise."""
+        """`ready[a][b]`: process a has written what b may read. `watch(process, seconds)` is
+        called while this one waits for `process`, with the time since the call before; it may
+        raise."""
         super().__init__(index, len(ready))
         self._memory, self._ready, self._watch = memory, ready, watch
         # Two halves in turn: who writes one again knows that all have read it.
@@ -98,11 +99,11 @@ class _Member(Shard):
         return [own if i == self.index else pickle.loads(data) for i, data in enumerate(received)]
 
     def _exchange_bytes(self, data: bytes, *, keeps: bool) -> list[bytearray]:
-        """What all other shards sent, in rounds of `_CHUNK` until each has sent all of its own."""
+        """What all others sent, in rounds of `_CHUNK` until each has sent all of its own."""
         self._pid = self._pid or os.getpid()
         if self._pid != os.getpid():  # forked by a pattern: it has no part in the run
             os._exit(0)
-        others = [shard for shard in range(self.count) if shard != self.index]
+        others = [one for one in range(self.count) if one != self.index]
         received = [bytearray() for _ in range(self.count)]
         done, longest = 0, 1
         while done < longest:
@@ -127,8 +128,8 @@ class _Member(Shard):
         _HEAD.pack_into(self._memory, at, size)
         self._memory[at + _HEAD.size : at + _HEAD.size + len(chunk)] = chunk
 
-    def _slot(self, shard: int) -> int:
-        return (self._half * self.count + shard) * _SLOT
+    def _slot(self, process: int) -> int:
+        return (self._half * self.count + process) * _SLOT
 
     def _wait(self, other: int) -> None:
         ready = self._ready[other][self.index]
@@ -146,7 +147,7 @@ class _Member(Shard):
 
 
 class _Children:
-    """The processes of all shards but the first."""
+    """All processes of a run but the first."""
 
     def __init__(self, count: int, timeout: float) -> None:
         self._count, self._timeout = count, timeout
@@ -154,8 +155,8 @@ class _Children:
         self._pids: dict[int, int] = {}
         self._errors: dict[int, int] = {}
 
-    def fork(self, shard: int, work: Callable[[], object]) -> None:
-        """Do the work of a shard in a process of its own."""
+    def fork(self, process: int, work: Callable[[], object]) -> None:
+        """Do the work of a process in a fork."""
         ours, theirs = os.pipe()
         parent = os.getpid()
         sys.stdout.flush()
@@ -176,12 +177,12 @@ class _Children:
                 os._exit(code)
         os.close(theirs)
         os.set_blocking(ours, False)
-        self._pids[shard], self._errors[shard] = pid, ours
+        self._pids[process], self._errors[process] = pid, ours
 
-    def watch(self, shard: int, seconds: float) -> None:
+    def watch(self, process: int, seconds: float) -> None:
         """Raise the error of a process that ended by it, or SwarmError for one that is no more.
 
-        `shard` is waited for, and was for `seconds` more; 0 if it is there.
+        `process` is waited for, and was for `seconds` more; 0 if it is there.
         """
         if seconds == 0.0:
             self._silence = 0.0
@@ -194,7 +195,7 @@ class _Children:
         self._silence += seconds
         if self._silence >= self._timeout:
             raise SwarmError(
-                f"{self._name(shard)} made no progress in {self._timeout:g} s; a pattern may not"
+                f"{self._name(process)} made no progress in {self._timeout:g} s; a pattern may not"
                 " return"
             )
 
@@ -206,17 +207,17 @@ class _Children:
         for pipe in self._errors.values():
             os.close(pipe)
 
-    def _name(self, shard: int) -> str:
-        return f"process {shard + 1} of the {self._count} of this run"
+    def _name(self, process: int) -> str:
+        return f"process {process + 1} of the {self._count} of this run"
 
-    def _error(self, shard: int, code: int) -> BaseException:
+    def _error(self, process: int, code: int) -> BaseException:
         with suppress(BlockingIOError):
-            written = os.read(self._errors[shard], _MAX_ERROR)
+            written = os.read(self._errors[process], _MAX_ERROR)
             if written:
                 error: BaseException = pickle.loads(written)
                 return error
         hint = " (out of memory, or killed by hand)" if code == -signal.SIGKILL else ""
-        return SwarmError(f"{self._name(shard)} {how_it_ended(code)}{hint}")
+        return SwarmError(f"{self._name(process)} {how_it_ended(code)}{hint}")
 
 
 def _dumped(error: BaseException) -> bytes:
@@ -229,14 +230,14 @@ def _dumped(error: BaseException) -> bytes:
     return pickle.dumps(SwarmError(f"{type(error).__name__}: {error}"[:1000]))
 
 
-def run_shards(work: Callable[[Shard], T], count: int, timeout: float = TIMEOUT) -> T:
-    """What `work` returns for the first of `count` shards; each other one is a forked process.
+def run_processes(work: Callable[[RunProcess], T], count: int, timeout: float = TIMEOUT) -> T:
+    """What `work` returns for the first of `count` processes; the others are forks of this one.
 
     Raises what `work` raises in any of them, and SwarmError with the number of a process that ended
     or that made no progress for `timeout` s. No process is left behind.
     """
     if count == 1:
-        return work(Shard())
+        return work(RunProcess())
     context = get_context("fork")
     memory = mmap.mmap(-1, 2 * count * _SLOT)
     ready = [[context.Semaphore(0) for _ in range(count)] for _ in range(count)]
@@ -244,7 +245,7 @@ def run_shards(work: Callable[[Shard], T], count: int, timeout: float = TIMEOUT)
     try:
         for index in range(1, count):
             # A child waits as long as its parent lives, which watches all of them.
-            other = _Member(index, memory, ready, lambda shard, seconds: None)
+            other = _Member(index, memory, ready, lambda process, seconds: None)
             children.fork(index, partial(work, other))
         return work(_Member(0, memory, ready, children.watch))
     finally:

@@ -15,7 +15,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.lockstep.lockstep import simulate_run
-from swarmd.sim.lockstep.shards import Shard, run_shards
+from swarmd.sim.lockstep.processes import RunProcess, run_processes
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace
 
@@ -50,7 +50,7 @@ BOXES = {
         {"at": 2.0, "remove": "late"},
     ],
 }
-# Latches of robots in each shard, daemons that end and return, and requests to all.
+# Latches of robots in each process, daemons that end and return, and requests to all.
 LATCHES = {
     **MIXED,
     "events": [
@@ -83,7 +83,7 @@ def same_bits(a: Trace, b: Trace) -> None:
 @pytest.mark.parametrize(
     "data", [MIXED, AT_ONCE, BOXES, LATCHES], ids=["mixed", "at_once", "boxes", "latches"]
 )
-def test_shards_give_the_bits_of_one_process(data: dict[str, Any]) -> None:
+def test_processes_give_the_bits_of_one_process(data: dict[str, Any]) -> None:
     whole = simulate_run(scenario_of(data), 4)
     assert len(whole.t) > 100
     for cores in (2, 3):
@@ -91,7 +91,9 @@ def test_shards_give_the_bits_of_one_process(data: dict[str, Any]) -> None:
 
 
 @pytest.mark.parametrize("robot", ["r-01", "r-02"])
-def test_a_pattern_fault_and_a_refusal_are_told_from_each_shard(tmp_path: Path, robot: str) -> None:
+def test_a_pattern_fault_and_a_refusal_are_told_from_each_process(
+    tmp_path: Path, robot: str
+) -> None:
     (tmp_path / "raises.py").write_text(
         "from swarmd.api import MovementPattern, Params\n"
         "class Raises(MovementPattern[Params]):\n"
@@ -113,14 +115,14 @@ def test_a_pattern_fault_and_a_refusal_are_told_from_each_shard(tmp_path: Path, 
 
 
 def test_parts_longer_than_a_round_arrive_whole() -> None:
-    def work(shard: Shard) -> list[bool]:
-        part = (shard.index, bytes([shard.index]) * (3_000_000 * shard.index + 5))
+    def work(process: RunProcess) -> list[bool]:
+        part = (process.index, bytes([process.index]) * (3_000_000 * process.index + 5))
         for _ in range(3):
-            found = shard.exchange(part)
-        found = shard.collect(part)
+            found = process.exchange(part)
+        found = process.collect(part)
         return [data == bytes([index]) * (3_000_000 * index + 5) for index, data in found]
 
-    assert run_shards(work, 3) == [True] * 3
+    assert run_processes(work, 3) == [True] * 3
 
 
 def pids_of(path: Path) -> list[int]:
@@ -151,18 +153,18 @@ def test_a_process_that_fails_ends_the_run_and_is_named(
 ) -> None:
     pids = tmp_path / "pids"
 
-    def work(shard: Shard) -> None:
-        if shard.index:
+    def work(process: RunProcess) -> None:
+        if process.index:
             with pids.open("a") as file:
                 file.write(f"{os.getpid()} ")
         for turn in range(1000):
-            shard.exchange(turn)
-            if turn == 100 and shard.index == 1:
+            process.exchange(turn)
+            if turn == 100 and process.index == 1:
                 fault()
 
     begin = time.monotonic()
     with pytest.raises(Exception, match=words):
-        run_shards(work, 3, timeout)
+        run_processes(work, 3, timeout)
     assert time.monotonic() - begin < 20.0
     assert len(pids_of(pids)) == 2
     assert all(has_ended(pid) for pid in pids_of(pids))
@@ -171,14 +173,14 @@ def test_a_process_that_fails_ends_the_run_and_is_named(
 def test_an_error_of_the_first_process_leaves_none_behind(tmp_path: Path) -> None:
     pids = tmp_path / "pids"
 
-    def work(shard: Shard) -> None:
-        if shard.index:
+    def work(process: RunProcess) -> None:
+        if process.index:
             pids.write_text(str(os.getpid()))
-        shard.exchange(None)
-        if shard.index == 0:
+        process.exchange(None)
+        if process.index == 0:
             raise SwarmError("first")
-        shard.exchange(None)
+        process.exchange(None)
 
     with pytest.raises(SwarmError, match="first"):
-        run_shards(work, 2)
+        run_processes(work, 2)
     assert all(has_ended(pid) for pid in pids_of(pids))
