@@ -30,7 +30,6 @@ extensions = [
     Extension(
         name,
         [path],
-        optional=True,
         # Without contraction the results are those of numpy's operations, one by one.
         extra_compile_args=["-O2", "-ffp-contract=off"],
         define_macros=[("Py_LIMITED_API", STABLE_ABI)],
@@ -39,9 +38,12 @@ extensions = [
     for name, path in KERNELS.items()
     if Path(path).exists()
 ]
+modules = cythonize(
+    extensions, compiler_directives=DIRECTIVES, build_dir="build/cython", quiet=True
+)
+for module in modules:
+    module.optional = True  # cythonize drops it from the extensions that it is given
 setup(
-    ext_modules=cythonize(
-        extensions, compiler_directives=DIRECTIVES, build_dir="build/cython", quiet=True
-    ),
+    ext_modules=modules,
     options={"bdist_wheel": {"py_limited_api": "cp311"}},
 )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from importlib.util import find_spec
+from pathlib import Path
 
 import pytest
 
@@ -35,3 +37,42 @@ def test_a_description_imports_no_kernel() -> None:
     command = [sys.executable, "-c", script]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"
+
+
+@pytest.mark.parametrize("share", [0.0, 0.00002, 0.003, 0.3, 0.999])
+def test_a_kernel_that_was_cut_off_is_not_loaded_and_named(
+    share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SWARMD_COMPILED", raising=False)
+    name = "swarmd.protection.barrier_kernel"
+    spec = find_spec(name)
+    if spec is None or not str(spec.origin).endswith(".so"):
+        pytest.skip("the kernels are not compiled")
+    whole = Path(str(spec.origin)).read_bytes()
+    (tmp_path / "cut_kernel.abi3.so").write_bytes(whole[: int(share * len(whole))])
+    assert _said_of_cut_kernel(tmp_path) == "None numpy (not compiled)"
+
+
+def test_a_kernel_of_another_processor_is_not_loaded_and_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SWARMD_COMPILED", raising=False)
+    spec = find_spec("swarmd.protection.barrier_kernel")
+    if spec is None or not str(spec.origin).endswith(".so"):
+        pytest.skip("the kernels are not compiled")
+    foreign = bytearray(Path(str(spec.origin)).read_bytes())
+    foreign[18:20] = b"\xff\x7f"  # e_machine
+    (tmp_path / "cut_kernel.abi3.so").write_bytes(foreign)
+    assert _said_of_cut_kernel(tmp_path) == "None numpy (not compiled)"
+
+
+def _said_of_cut_kernel(folder: Path) -> str:
+    """What a process of its own says of a kernel there: a damaged one may end it."""
+    script = (
+        f"import sys; sys.path.insert(0, {str(folder)!r}); from swarmd.core import kernels;"
+        "kernels.KERNELS = ('cut_kernel',);"
+        "said = kernels.describe_kernels();"
+        "print(kernels.load_kernel('cut_kernel'), said)"
+    )
+    command = [sys.executable, "-c", script]
+    return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()

@@ -1,0 +1,31 @@
+"""The build of the kernels."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("Cython")
+SETUP = Path(__file__).parents[2] / "setup.py"
+FALSE = shutil.which("false")
+
+
+@pytest.mark.skipif(FALSE is None, reason="no program that always fails")
+def test_build_goes_on_without_a_kernel_that_does_not_compile(tmp_path: Path) -> None:
+    kernel = tmp_path / "swarmd/sensing/scan_kernel.py"
+    kernel.parent.mkdir(parents=True)
+    kernel.write_text("import cython\n")
+    shutil.copy(SETUP, tmp_path)
+    command = [sys.executable, "setup.py", "build_ext", "--build-lib", "built"]
+    environment = {**os.environ, "CC": str(FALSE)}
+    done = subprocess.run(
+        command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert "scan_kernel" in done.stderr  # it says so
+    assert not list(tmp_path.glob("built/**/*.so"))
