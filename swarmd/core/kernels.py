@@ -6,9 +6,13 @@ where the environment has SWARMD_COMPILED=0.
 
 from __future__ import annotations
 
+import ctypes
 import os
+import struct
+import sys
 from importlib import import_module
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Any
 
 KERNELS = (
@@ -22,11 +26,11 @@ KERNELS = (
 
 def load_kernel(name: str) -> Any:
     """The kernel of this module name; None where the numpy code runs instead."""
-    if not _is_wanted():
+    if not _is_wanted() or (name not in sys.modules and _library(name) is None):
         return None
     try:
         return import_module(name)
-    except ImportError:  # not built, or built for another processor
+    except ImportError:  # built for another processor
         return None
 
 
@@ -47,5 +51,35 @@ def _is_wanted() -> bool:
 
 
 def _is_built(name: str) -> bool:
+    """True if the kernel can be loaded; the library is tried, but not imported."""
+    library = _library(name)
+    if library is None:
+        return False
+    try:
+        ctypes.CDLL(str(library))
+    except OSError:  # damaged, or built for another processor
+        return False
+    return True
+
+
+def _library(name: str) -> Path | None:
+    """The compiled file of a kernel; None if it was not built or is not whole.
+
+    To load a file that was cut off may end the process with SIGBUS. An ELF file ends with its table
+    of sections; its header says where the table is.
+    """
     spec = find_spec(name)
-    return spec is not None and spec.origin is not None and spec.origin.endswith(".so")
+    if spec is None or spec.origin is None or not spec.origin.endswith(".so"):
+        return None
+    library = Path(spec.origin)
+    with library.open("rb") as file:
+        header = file.read(64)
+    if header[:5] == b"\x7fELF\x02":
+        if len(header) < 64:
+            return None
+        order = "<" if header[5] == 1 else ">"
+        (table,) = struct.unpack_from(order + "Q", header, 40)
+        size, count = struct.unpack_from(order + "HH", header, 58)
+        if library.stat().st_size < table + size * count:
+            return None
+    return library
