@@ -3,12 +3,16 @@
 What `base_dynamics.py` and `odometer.py` do with numpy, with the same bits.
 """
 
+import math
+
 import cython
 import numpy as np
 from cython.cimports.libc.math import cos, fabs, fmod, hypot, isfinite, sin
 
 if not cython.compiled:
     raise ImportError("swarmd.sim.world.base_kernel is not compiled")
+
+_PI = cython.declare(cython.double, math.pi)
 
 
 @cython.cfunc
@@ -113,9 +117,6 @@ class Servos:
             )
 
 
-PI = cython.declare(cython.double, 3.141592653589793)
-
-
 @cython.cclass
 class Wheels:
     """Odometry of n bases: `measured` (n, 3, 3), and the poses (n, 3) that `read` brings on."""
@@ -190,7 +191,7 @@ class Wheels:
 @cython.cfunc
 @cython.exceptval(check=False)
 def _wrapped(yaw: cython.double) -> cython.double:
-    wrapped: cython.double = fmod(yaw + PI, 2.0 * PI)
+    wrapped: cython.double = fmod(yaw + _PI, 2.0 * _PI)
     if wrapped < 0.0:
-        wrapped += 2.0 * PI
-    return wrapped - PI
+        wrapped += 2.0 * _PI
+    return wrapped - _PI

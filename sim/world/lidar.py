@@ -32,11 +32,11 @@ Visibility = Literal["body", "real"]
 
 _TURNS = 2.0 * np.pi * np.array([-2.0, -1.0, 0.0, 1.0])
 # Rad added to each interval, so that no ray passes between two surfaces that share a corner.
-_BEARING_MARGIN = 1e-12
+BEARING_MARGIN = 1e-12
 # Rad by which rays may differ from equal steps for their places to be computed, not searched.
 _MAX_UNEVENNESS = 1e-13
 # m2: a surface whose side (see `Lidar`) is smaller than this is seen edge-on and ignored.
-_MIN_SIDE = 1e-10
+MIN_SIDE = 1e-10
 # m added to ranges of interest, which are compared in single precision.
 _ROUNDING = 0.01
 _BATCH = 50  # sensors a step, so that its arrays stay within a processor's cache
@@ -122,8 +122,8 @@ class Rays:
 
         The places of all intervals are concatenated. Bearings lie within -5 pi and 3 pi.
         """
-        first = self._place(low - _BEARING_MARGIN)
-        counts = self._place(high + _BEARING_MARGIN) - first
+        first = self._place(low - BEARING_MARGIN)
+        counts = self._place(high + BEARING_MARGIN) - first
         end = counts.cumsum()
         places = (first - end + counts).repeat(counts)
         places += np.arange(len(places))
@@ -243,7 +243,7 @@ class Lidar:
         """For each pair that faces: the sensor (e,), the wall (4, e) and its side (e,)."""
         x, y, along_x, along_y = self._walls
         side = (x - sensors.x[:, None]) * along_y - (y - sensors.y[:, None]) * along_x
-        seen = _places((side < -_MIN_SIDE) & (side >= self._seen_walls))
+        seen = _places((side < -MIN_SIDE) & (side >= self._seen_walls))
         scan, wall = _divided(seen, len(x))
         return scan, self._walls.take(wall, axis=1), side.take(seen)
 
@@ -262,7 +262,7 @@ class Lidar:
         side = along_x.take(row, axis=0) * sensors.y.take(scan)[:, None]
         side -= along_y.take(row, axis=0) * sensors.x.take(scan)[:, None]
         side += (x * along_y - y * along_x).take(row, axis=0)
-        seen = _places(side < -_MIN_SIDE)
+        seen = _places(side < -MIN_SIDE)
         pair, edge = _divided(seen, corners)
         surfaces = edges.reshape(4, -1).take(row.take(pair) * corners + edge, axis=1)
         return scan.take(pair), surfaces, side.take(seen)

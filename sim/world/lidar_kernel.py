@@ -4,6 +4,8 @@ Operations and their order are those of the numpy code, so ranges have the same 
 of corners come from another arctangent; they only select rays, with a margin.
 """
 
+import math
+
 import cython
 import numpy as np
 from cython.cimports.libc.math import (
@@ -21,14 +23,17 @@ from cython.cimports.libc.math import (
     sqrt,
 )
 
+from swarmd.sim.world.lidar import BEARING_MARGIN, MIN_SIDE
+from swarmd.sim.world.noise import BLOCK
+
 if not cython.compiled:
     raise ImportError("swarmd.sim.world.lidar_kernel is not compiled")
 
-PI = cython.declare(cython.double, 3.141592653589793)
-_BEARING_MARGIN = cython.declare(cython.double, 1e-12)
-_MIN_SIDE = cython.declare(cython.double, 1e-10)
-_ROUNDING = cython.declare(cython.double, 1e-6)
-_BLOCK = cython.declare(cython.Py_ssize_t, 6)
+_PI = cython.declare(cython.double, math.pi)
+_BEARING_MARGIN = cython.declare(cython.double, BEARING_MARGIN)
+_MIN_SIDE = cython.declare(cython.double, MIN_SIDE)
+_ROUNDING = cython.declare(cython.double, 1e-6)  # m, added to ranges of interest
+_BLOCK = cython.declare(cython.Py_ssize_t, BLOCK)
 
 
 @cython.cclass
@@ -231,10 +236,10 @@ class Caster:
         self._cos_yaw, self._sin_yaw = cos(yaw), sin(yaw)
         self._x = x + (self._cos_yaw * self._ahead - self._sin_yaw * self._left)
         self._y = y + (self._sin_yaw * self._ahead + self._cos_yaw * self._left)
-        self._yaw = fmod(yaw + PI, 2.0 * PI)
+        self._yaw = fmod(yaw + _PI, 2.0 * _PI)
         if self._yaw < 0.0:
-            self._yaw += 2.0 * PI
-        self._yaw -= PI
+            self._yaw += 2.0 * _PI
+        self._yaw -= _PI
         return 0
 
     @cython.cfunc

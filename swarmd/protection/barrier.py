@@ -57,7 +57,7 @@ from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.stopping import StopCheck
 
-_AGE_TOLERANCE = 1e-6  # s, for the rounding of ages
+AGE_TOLERANCE = 1e-6  # s, for the rounding of ages
 _MAX_ENVELOPES = 8  # kept at a time: a holonomic base moves in any direction
 
 
@@ -170,7 +170,7 @@ class Barrier:
         self._dead_reckoning.update(context)
         latency, age = self._spec.latency, context.scan_age or 0.0
         taken = context.now - latency - age
-        if age > 0.0 and taken < self._taken + _AGE_TOLERANCE:
+        if age > 0.0 and taken < self._taken + AGE_TOLERANCE:
             return
         pose = self._dead_reckoning.pose(context, latency)
         if self._memory is not None:

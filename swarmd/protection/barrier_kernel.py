@@ -10,11 +10,14 @@ import cython
 if not cython.compiled:
     raise ImportError("swarmd.protection.barrier_kernel is not compiled")
 
+import math
 from array import array
 
 from cython.cimports.libc.math import atan2, copysign, cos, fabs, hypot, remainder, sin, sqrt
 
 from swarmd.core.clock import TICK
+from swarmd.protection.barrier import AGE_TOLERANCE
+from swarmd.protection.compiled_barrier import LIMITS, PASSES, REPEATS, STOPS
 from swarmd.protection.constraints import (
     CREEP_SPEED,
     ENVELOPE_DIRECTIONS,
@@ -24,12 +27,7 @@ from swarmd.protection.constraints import (
 )
 from swarmd.protection.dead_reckoning import HISTORY, MAX_EXTRAPOLATION, REACTION_TIME
 from swarmd.protection.projection import BINDING_TOLERANCE, TOLERANCE
-from swarmd.protection.stopping import NEGLIGIBLE_SPEED, SPEED_SHARES
-
-PASSES = 0
-LIMITS = 1
-REPEATS = 2
-STOPS = 3
+from swarmd.protection.stopping import NEGLIGIBLE_SPEED, ROUNDING, SPEED_SHARES
 
 _tick = cython.declare(cython.double, TICK)
 _creep = cython.declare(cython.double, CREEP_SPEED)
@@ -45,10 +43,14 @@ _binding = cython.declare(cython.double, BINDING_TOLERANCE)
 _history = cython.declare(cython.Py_ssize_t, HISTORY)
 _reported = cython.declare(cython.Py_ssize_t, MAX_REPORTED)
 _inf = cython.declare(cython.double, float("inf"))
-_pi = cython.declare(cython.double, 3.141592653589793)
-_age_tolerance = cython.declare(cython.double, 1e-6)
+_pi = cython.declare(cython.double, math.pi)
+_age_tolerance = cython.declare(cython.double, AGE_TOLERANCE)
 _slack = cython.declare(cython.double, 1e-6)  # far beyond BINDING_TOLERANCE
-_rounding = cython.declare(cython.double, 1e-9)  # m, of the way of an outline: it prunes nothing
+_rounding = cython.declare(cython.double, ROUNDING)
+_passes = cython.declare(cython.int, PASSES)
+_limits = cython.declare(cython.int, LIMITS)
+_repeats = cython.declare(cython.int, REPEATS)
+_stops = cython.declare(cython.int, STOPS)
 
 
 def _doubles(count):
@@ -111,7 +113,6 @@ class BarrierKernel:
     _surface_speed: cython.double
     _is_passive: cython.bint
     _keep_out: cython.double  # NaN: no circle
-    _linear_limit: cython.double
     _angular_limit: cython.double
     _offset_x: cython.double
     _offset_y: cython.double
@@ -227,7 +228,13 @@ class BarrierKernel:
     _clip_y: cython.double[::1]
     _point_x: cython.double
     _point_y: cython.double
-    # The stop check.
+    # The stop check: poses of a simulated stop, of which the first `_poses` count.
+    _stop_x: cython.double[4]
+    _stop_y: cython.double[4]
+    _stop_cos: cython.double[4]
+    _stop_sin: cython.double[4]
+    _stop_way: cython.double[4]
+    _poses: cython.Py_ssize_t
     _shares: cython.double[:, ::1]
     _forbidding: cython.Py_ssize_t
     _beside: cython.Py_ssize_t
@@ -249,7 +256,7 @@ class BarrierKernel:
         self._is_passive = settings.responsibility == "passive"
         self._keep_out = float("nan") if settings.keep_out is None else settings.keep_out
         self._surface_speed = derived.surface_speed
-        self._linear_limit, self._angular_limit = derived.linear, derived.angular
+        self._angular_limit = derived.angular
         self._offset_x, self._offset_y = derived.offset
         self._radius, self._contact_gap = derived.radius, derived.contact_gap
         self._inner, self._outer = outline.circles(derived.offset)
@@ -723,9 +730,9 @@ class BarrierKernel:
         """
         is_free: cython.bint = not (self._has_touch or self._is_near or self._points)
         if is_free or (speed == 0.0 and angular == 0.0):
-            return 0
+            return _passes
         if self._scan_resets != self._resets:
-            return 3
+            return _stops
         version: cython.Py_ssize_t = self._version if has_odometry else -1
         if not (
             self._has_situation
@@ -754,12 +761,12 @@ class BarrierKernel:
             self._build(command_linear, command_angular, command_lateral)
             self._has_situation = True
         elif self._is_decided and self._asked_speed == speed and self._asked_angular == angular:
-            return 2 if self._is_limited else 0
+            return _repeats if self._is_limited else _passes
         self._is_decided = False
         self._asked_speed, self._asked_angular = speed, angular
         self._is_limited = self._judge(speed, angular)
         self._is_decided = True
-        return 1 if self._is_limited else 0
+        return _limits if self._is_limited else _passes
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -1258,13 +1265,6 @@ class BarrierKernel:
                     self._forbidding = i
                     return 0
         return 1
-
-    _stop_x: cython.double[4]
-    _stop_y: cython.double[4]
-    _stop_cos: cython.double[4]
-    _stop_sin: cython.double[4]
-    _stop_way: cython.double[4]
-    _poses: cython.Py_ssize_t
 
     @cython.cfunc
     @cython.exceptval(-1.0, check=True)

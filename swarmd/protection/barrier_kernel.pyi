@@ -3,11 +3,6 @@ from swarmd.protection.compiled_barrier import Derived
 from swarmd.protection.footprint import Footprint
 from swarmd.protection.settings import BarrierSettings
 
-PASSES: int
-LIMITS: int
-REPEATS: int
-STOPS: int
-
 class BarrierKernel:
     moved_x: float
     moved_y: float

@@ -16,14 +16,13 @@ from swarmd.protection.constraints import direction_and_speed, linear_limit, tou
 from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import ScanGeometry
 
-_PASSES, _REPEATS, _STOPS = 0, 2, 3  # results of the kernel; see barrier_kernel.py
+PASSES, LIMITS, REPEATS, STOPS = range(4)  # what the kernel's `decide` returns
 _NOTHING_HIDDEN = np.empty((0, 3))
 
 
 class Derived(NamedTuple):
     """What the kernel needs beside the settings and the outline; units: m, s, rad."""
 
-    linear: float
     angular: float
     offset: tuple[float, float]
     radius: float
@@ -49,7 +48,6 @@ class CompiledBarrier(Barrier):
         """`kernel` is the module barrier_kernel."""
         super().__init__(platform)
         derived = Derived(
-            linear=platform.limits.linear,
             angular=platform.limits.angular,
             offset=platform.scan.offset,
             radius=self._radius,
@@ -124,11 +122,11 @@ class CompiledBarrier(Barrier):
             command.angular,
             command.lateral,
         )
-        if result == _PASSES:
+        if result == PASSES:
             return ModeDecision(requested, is_active=False)
-        if result == _REPEATS:
+        if result == REPEATS:
             return self._decision
-        if result == _STOPS:
+        if result == STOPS:
             return ModeDecision(ZERO, is_active=True)
         twist = Twist(kernel.linear * along[0], kernel.angular, kernel.linear * along[1])
         rows = tuple([LimitingObstacle(*row) for row in kernel.report()])

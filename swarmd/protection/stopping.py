@@ -18,7 +18,7 @@ from swarmd.protection.footprint import Footprint
 NEGLIGIBLE_SPEED = 0.015
 """m/s: a contact at a closing speed up to this is not a fault of the robot."""
 
-_STEPS = 4  # poses of a simulated stop
+_STEPS = 4  # poses of a simulated stop; the kernel has four, too
 _GRID = (1.0, 0.75, 0.5, 0.25, 0.0)
 SPEED_SHARES = np.array(
     sorted(
@@ -28,7 +28,7 @@ SPEED_SHARES = np.array(
 )
 """Shares of the two speeds, those nearest to the whole first; the last is zero."""
 _BATCH_SIZE = 4  # shares checked together
-_ROUNDING = 1e-9  # m
+ROUNDING = 1e-9  # m, of the way of an outline: it prunes nothing that binds
 
 
 class StopCheck:
@@ -67,7 +67,7 @@ class StopCheck:
         """(c,) true for those of `speeds` (c, 2) from which every stop stays clear."""
         poses, times, step, way = self._stops(speeds, along)
         # The outline comes no nearer to a point than by its own way.
-        is_beyond = gaps >= free[0] + free[1] * times.max() + way + _ROUNDING
+        is_beyond = gaps >= free[0] + free[1] * times.max() + way + ROUNDING
         if is_beyond.all():
             return np.ones(len(speeds), np.bool_)
         if is_beyond.any():

@@ -1,8 +1,6 @@
-"""Features of a scan: the nearest return, sectors, free gaps, objects.
+"""Features of a scan with numpy: the reference of scan_kernel.py.
 
-Rays may come in any order, number and spacing. NaN is unknown and left out, +inf is no return, and
-a range below `range_min` (or -inf) counts as `range_min`. A scan of None, as before the first scan,
-has no returns. Returned bearings are within [-pi, pi).
+`rays.py` says how ranges and bearings count.
 """
 
 from __future__ import annotations
@@ -21,7 +19,7 @@ T = TypeVar("T", bound=np.generic)
 
 _EMPTY = np.empty(0)
 _TWO_PI = 2.0 * math.pi
-_UNSEEN = 1e9  # m: the range given to rays without a return, so that they form runs
+UNSEEN = 1e9  # m: the range given to rays without a return, so that they form runs
 
 
 class Ray(NamedTuple):
@@ -59,7 +57,7 @@ class RayClusters:
 
 
 def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math.pi) -> Ray | None:
-    """The nearest return within `half_width` rad of a bearing; None without one."""
+    """See `rays.nearest`."""
     ranges, layout = _known(scan)
     bearings = wrapped(layout)
     if half_width < math.pi:
@@ -85,11 +83,7 @@ def sectors(scan: Scan | None, count: int) -> Array:
 
 
 def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Array:
-    """The points where surfaces come closest: (k, 2) of range in m and bearing in rad.
-
-    One point per robot, and one per straight wall (the foot of the perpendicular): the local
-    minima, among `count` equal sectors, of the ranges up to `within` m.
-    """
+    """See `rays.closest_points`."""
     ranges, layout = _known(scan)
     seen = (ranges <= within).nonzero()[0]
     if not len(seen):
@@ -150,18 +144,13 @@ def gaps(scan: Scan | None, *, beyond: float) -> list[Gap]:
 def clusters(
     scan: Scan | None, *, within: float, jump: float = 0.06, grazing: float = math.radians(10.0)
 ) -> RayClusters:
-    """The objects up to `within` m.
-
-    Two neighbouring rays belong together if their ranges differ by less than `jump` m plus what a
-    surface seen at an angle of `grazing` rad makes between them, which grows with the range
-    (Borges and Aldon, "Line extraction in 2D range images for mobile robotics", 2004).
-    """
+    """See `rays.clusters`."""
     ranges, layout = _known(scan)
     if not len(ranges) or ranges.min() > within:
         return RayClusters(_EMPTY, _EMPTY, _EMPTY, np.empty(0, np.int64), np.empty(0, np.bool_))
     order, bearings, _, spacing = in_order(layout)
     ranges = ranges.take(order)
-    ranges = np.where(ranges > within, _UNSEEN, ranges)
+    ranges = np.where(ranges > within, UNSEEN, ranges)
     slopes, is_apart = surfaces(layout, grazing)
     after = _rolled(ranges, 1)
     is_last = np.abs(ranges - after) > jump + np.minimum(ranges, after) * slopes
@@ -181,7 +170,7 @@ def _objects(
     """The runs that end at `ends`; runs of rays without a return are left out."""
     starts = np.concatenate(([0], ends[:-1] + 1))
     lowest = np.minimum.reduceat(ranges, starts)
-    seen = (lowest < _UNSEEN).nonzero()[0]
+    seen = (lowest < UNSEEN).nonzero()[0]
     lowest, first, last = lowest.take(seen), starts.take(seen), ends.take(seen)
     near, far = ranges.take(first), ranges.take(last)
     spread = bearings.take(last) - bearings.take(first)

@@ -32,14 +32,22 @@ from swarmd.sensing.conditioning_numpy import (
     NEAR_SECTOR,
     PACKET_RAYS,
 )
-from swarmd.sensing.rays_numpy import Ray, RayClusters, in_order, in_sectors, surfaces, wrapped
+from swarmd.sensing.rays_numpy import (
+    UNSEEN,
+    Ray,
+    RayClusters,
+    in_order,
+    in_sectors,
+    surfaces,
+    wrapped,
+)
 
 if not cython.compiled:
     raise ImportError("swarmd.sensing.scan_kernel is not compiled")
 
 _PI = cython.declare(cython.double, math.pi)
 _TURN = cython.declare(cython.double, 2.0 * math.pi)
-_UNSEEN = cython.declare(cython.double, 1e9)  # m: rays without a return form runs, too
+_UNSEEN = cython.declare(cython.double, UNSEEN)
 _MAX_LAYOUTS = cython.declare(cython.int, 8)
 _BLIND_SHARE = cython.declare(cython.double, BLIND_SHARE)
 _NEAR_MEMORY = cython.declare(cython.double, NEAR_MEMORY)
