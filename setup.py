@@ -5,8 +5,6 @@ build goes on without kernels, and the numpy code runs instead. The stable ABI o
 one wheel serve all later versions.
 """
 
-from pathlib import Path
-
 from Cython.Build import cythonize
 from setuptools import Extension, setup
 
@@ -36,7 +34,6 @@ extensions = [
         py_limited_api=True,
     )
     for name, path in KERNELS.items()
-    if Path(path).exists()
 ]
 modules = cythonize(
     extensions, compiler_directives=DIRECTIVES, build_dir="build/cython", quiet=True

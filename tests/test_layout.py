@@ -14,6 +14,9 @@ from typing import Any
 
 import pytest
 
+from studies import kernel_mutants
+from swarmd.core import kernels
+
 ROOT = Path(__file__).resolve().parent.parent
 LINKED = ("patterns", "drivers", "sim", "config")
 CODE = ("swarmd", *LINKED)
@@ -197,6 +200,18 @@ def test_every_folder_with_code_is_packaged() -> None:
     mapping = SETUPTOOLS["package-dir"]
     assert sorted(SETUPTOOLS["packages"]) == sorted(expected)
     assert {name: mapping.get(name, name.replace(".", "/")) for name in expected} == expected
+
+
+def test_every_kernel_is_built_looked_for_and_mutated() -> None:
+    files = {name_of(path) for path in sources("swarmd", "sim") if path.stem.endswith("_kernel")}
+    built = next(
+        ast.literal_eval(node.value)
+        for node in tree_of(ROOT / "setup.py").body
+        if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "KERNELS"
+    )
+    assert set(built.values()) == set(kernel_mutants.TESTS) == files
+    assert tuple(built) == kernels.KERNELS
+    assert all((ROOT / name).with_suffix(".pyi").exists() for name in files)
 
 
 def test_every_package_has_an_init_that_only_reexports() -> None:
