@@ -52,7 +52,8 @@ def checkout(commit: str) -> Path:
     if not folder.exists():
         print(f"checking {sha[:12]} out to {folder}", file=sys.stderr)
         subprocess.run(["git", "clone", "--quiet", "--shared", str(ROOT), str(folder)], check=True)
-        subprocess.run(["git", "-C", str(folder), "checkout", "--quiet", sha], check=True)
+    # An earlier call may have ended between the two.
+    subprocess.run(["git", "-C", str(folder), "checkout", "--quiet", sha], check=True)
     command = ["make", "--no-print-directory", f"PYTHON={sys.executable}", ".venv/tools"]
     subprocess.run(command, cwd=folder, check=True, stdout=subprocess.DEVNULL)
     return folder
