@@ -23,11 +23,15 @@ _HEADING_GAIN = 2.0
 def polar_from_base(
     points: Iterable[Sequence[float]], offset: tuple[float, float]
 ) -> list[tuple[float, float]]:
-    """Range and bearing of each point from the base; given are those from a sensor at `offset`."""
+    """Range (m) and bearing of each point from the base.
+
+    `points`: range and bearing of each from a sensor at `offset` (m).
+    """
     found = []
     for distance, bearing in points:
         x = distance * math.cos(bearing) + offset[0]
         y = distance * math.sin(bearing) + offset[1]
+        # With the bits of numpy's hypot; those of math.hypot may differ.
         found.append((abs(complex(x, y)), math.atan2(y, x)))
     return found
 

@@ -144,7 +144,11 @@ class Protection:
         elif judged is not wanted:
             decision = ModeDecision(decision.twist, is_active=True, rows=decision.rows)
         reason, twist, least = None, decision.twist, _ZERO_TOLERANCE
-        if abs(twist.linear) <= least and abs(twist.angular) <= least >= abs(twist.lateral):
+        if (
+            abs(twist.linear) <= least
+            and abs(twist.angular) <= least
+            and abs(twist.lateral) <= least
+        ):
             reason = Reason.PROTECTION if decision.is_active else Reason.NO_REQUESTED_COMMAND
         last = self._last = self._decision(wanted, decision, reason, context)
         self._context, self._case = context, case
