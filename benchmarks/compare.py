@@ -33,7 +33,7 @@ def compare(commit: str, names: Sequence[str], rounds: int) -> None:
             folder = other if side == "old" else ROOT
             text = "".join(run(folder, name) for name in names)
             runs[side].append(medians(text))
-    print(f"new: this tree; old: {commit}; {rounds} pairs\n")
+    print(f"new: this tree; old: {commit}; {rounds} pairs; times in s\n")
     print(markdown([("what", "old p50", "new p50", "new / old", "95 %"), *ratios(runs)]))
 
 
