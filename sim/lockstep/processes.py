@@ -188,10 +188,10 @@ class _Children:
             self._silence = 0.0
             return
         for one, pid in list(self._pids.items()):
-            ended, status = os.waitpid(pid, os.WNOHANG)
-            if ended:
+            has_ended, code = _ended(pid)
+            if has_ended:
                 del self._pids[one]
-                raise self._error(one, os.waitstatus_to_exitcode(status))
+                raise self._error(one, code)
         self._silence += seconds
         if self._silence >= self._timeout:
             raise SwarmError(
@@ -202,15 +202,17 @@ class _Children:
     def end(self) -> None:
         """End all that still run."""
         for pid in self._pids.values():
-            os.kill(pid, signal.SIGKILL)
-            os.waitpid(pid, 0)
+            if not _ended(pid)[0]:
+                os.kill(pid, signal.SIGKILL)
+                with suppress(ChildProcessError):  # a pattern ignores SIGCHLD
+                    os.waitpid(pid, 0)
         for pipe in self._errors.values():
             os.close(pipe)
 
     def _name(self, process: int) -> str:
         return f"process {process + 1} of the {self._count} of this run"
 
-    def _error(self, process: int, code: int) -> BaseException:
+    def _error(self, process: int, code: int | None) -> BaseException:
         with suppress(BlockingIOError):
             written = os.read(self._errors[process], _MAX_ERROR)
             if written:
@@ -218,6 +220,15 @@ class _Children:
                 return error
         hint = " (out of memory, or killed by hand)" if code == -signal.SIGKILL else ""
         return SwarmError(f"{self._name(process)} {how_it_ended(code)}{hint}")
+
+
+def _ended(pid: int) -> tuple[bool, int | None]:
+    """Whether a child has ended, and its exit code; None if a pattern ignores or took it."""
+    try:
+        ended, status = os.waitpid(pid, os.WNOHANG)
+    except ChildProcessError:
+        return True, None
+    return ended != 0, os.waitstatus_to_exitcode(status) if ended else None
 
 
 def _dumped(error: BaseException) -> bytes:

@@ -170,6 +170,27 @@ def test_a_process_that_fails_ends_the_run_and_is_named(
     assert all(has_ended(pid) for pid in pids_of(pids))
 
 
+@pytest.mark.parametrize("fault", [None, "killed"])
+def test_a_pattern_may_ignore_the_end_of_children(fault: str | None) -> None:
+    def work(process: RunProcess) -> list[int]:
+        if process.index == 0:
+            signal.signal(signal.SIGCHLD, signal.SIG_IGN)
+        process.exchange(None)
+        if process.index and fault:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return process.exchange(process.index)
+
+    before = signal.getsignal(signal.SIGCHLD)
+    try:
+        if fault:
+            with pytest.raises(SwarmError, match=r"process 2 of the 2 of this run ended$"):
+                run_processes(work, 2)
+        else:
+            assert run_processes(work, 2) == [0, 1]
+    finally:
+        signal.signal(signal.SIGCHLD, before)
+
+
 def test_an_error_of_the_first_process_leaves_none_behind(tmp_path: Path) -> None:
     pids = tmp_path / "pids"
 
