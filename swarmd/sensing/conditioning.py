@@ -80,10 +80,17 @@ class ScanConditioner:
         return Scan(scan.seq, scan.stamp, ranges, self._bearings, spec.range_min, spec.range_max)
 
     def _has_no_gap(self, bearings: Array) -> bool:
-        """True if no sector lacks rays; keeps the bearings."""
+        """True if no sector lacks rays; keeps the bearings.
+
+        A copy, if a driver may write others to the same array: all that follows takes the same
+        object for the same bearings.
+        """
         if not np.array_equal(bearings, self._bearings):
             if not np.isfinite(bearings).all() or _widest_between_rays(bearings) > self._max_sector:
                 return False
+            if bearings.flags.writeable or not bearings.flags.owndata:
+                bearings = np.array(bearings, np.float64)
+                bearings.flags.writeable = False
             self._bearings = bearings
         return True
 

@@ -76,6 +76,7 @@ class RayMemory:
         Bearings (n,) that are the same object as before are not looked at again. `yaw` of the
         robot in rad, NaN if unknown; `now` in s.
         """
+        raw = np.asarray(raw, np.float64)  # float32 would round the limits that it is compared to
         if self._goes_blind(raw):
             return None
         memory = self._memory.at(bearings, self._turned(yaw))

@@ -253,15 +253,17 @@ def _shape_fault(points: list[Point]) -> str:
 
 
 def _bearings(scan: ScanSection) -> Array:
-    """The bearings of the rays, (n,) rad."""
+    """The bearings of the rays, (n,) rad; read-only, so that nobody needs a copy."""
     given = scan.bearings_deg
+    first = math.radians(scan.first_bearing_deg)
     if given is None:
         rays = scan.rays or 0  # _check_scan: one of the two is set
         step = 2.0 * math.pi / rays
-        first = math.radians(scan.first_bearing_deg)
-        return np.array([wrap(first + i * step) for i in range(rays)])
-    turn = math.radians(scan.first_bearing_deg)
-    return np.array([wrap(turn + math.radians(bearing)) for bearing in given])
+        bearings = np.array([wrap(first + i * step) for i in range(rays)])
+    else:
+        bearings = np.array([wrap(first + math.radians(bearing)) for bearing in given])
+    bearings.flags.writeable = False
+    return bearings
 
 
 def _platform(name: str, file: PlatformFile) -> Platform:

@@ -358,3 +358,42 @@ def test_identical_scans_of_exact_sensors_are_valid(why: str) -> None:
     conditioner = ScanConditioner(spec)
     for n in range(30):
         assert isinstance(conditioner.take(raw_scan(seen, n), DRIVING, n * 0.2), Scan)
+
+
+def test_bearings_that_a_driver_changes_in_place_are_looked_at_again() -> None:
+    bearings, conditioner = BEARINGS.copy(), ScanConditioner(SPEC)
+    first = conditioner.take(raw_scan(1.0, 1, bearings), None, 0.0)
+    bearings += 0.1
+    second = conditioner.take(raw_scan(1.1, 2, bearings), None, 0.2)
+    assert isinstance(first, Scan)
+    assert isinstance(second, Scan)
+    assert second.bearings is not first.bearings
+    assert first.bearings == pytest.approx(BEARINGS)
+    assert second.bearings == pytest.approx(BEARINGS + 0.1)
+    bearings[:] = 0.0
+    assert conditioner.take(raw_scan(1.2, 3, bearings), None, 0.4) is Reason.INVALID_SCAN
+
+
+def test_bearings_that_stay_are_one_object() -> None:
+    conditioner = ScanConditioner(SPEC)
+    kept = [conditioner.take(raw_scan(1.0 + seq, seq), None, 0.2 * seq) for seq in (1, 2)]
+    assert isinstance(kept[0], Scan)
+    assert isinstance(kept[1], Scan)
+    assert kept[0].bearings is kept[1].bearings
+
+
+@pytest.mark.parametrize("kind", [np.float16, np.float32])
+def test_range_of_low_precision_is_compared_with_the_limit_as_it_is(
+    kind: type, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    spec = replace(SPEC, range_min=0.3 if kind is np.float16 else 0.12)
+    found: list[list[float]] = []
+    ranges: Array = np.full(len(BEARINGS), 2.0, kind)
+    ranges[3] = spec.range_min  # rounded
+    for path in ("1", "0"):
+        monkeypatch.setenv("SWARMD_COMPILED", path)
+        scan = Scan(1, 0.2, ranges, BEARINGS, spec.range_min, spec.range_max)
+        taken = ScanConditioner(spec).take(scan, None, 0.0)
+        assert isinstance(taken, Scan)
+        found.append(taken.ranges.tolist())
+    assert found[0] == found[1]
