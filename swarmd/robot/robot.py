@@ -49,11 +49,11 @@ class Robot:
         self.id = id
         self.platform = platform
         self._last_tick = now
-        # Quiet moments: a tick looks ahead after the last event. Each event but a quiet tick ends
-        # `_quiet_until`; one that may have changed the lifecycle ends `_due_at`, too. Odometry,
-        # neighbours, readings and messages end neither.
-        self._due_at = -math.inf  # before it only a step or the status can be due
-        self._quiet_until = -math.inf  # before it nothing is due: a tick only decides
+        # Quiet ticks: the first tick after an event finds until when nothing is due. Each event but
+        # a quiet tick resets `_quiet_until`; one that may have changed the lifecycle resets
+        # `_due_at`, too. Odometry, neighbours, readings and messages reset neither.
+        self._due_at = -math.inf  # s; before it only a step or the status can be due
+        self._quiet_until = -math.inf  # s; before it nothing is due: a tick only decides
         self._hold: Reason | None = Reason.NO_SCAN  # that of the last event
         self._is_status_due = True  # the lifecycle may have changed since the last look at it
         self._settled: Actions  # those of the last event but a quiet tick
