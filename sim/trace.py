@@ -114,10 +114,15 @@ class Trace:
         kept |= {f"report/{name}": values for name, values in self.report.items()}
         kept |= {f"words/{name}": values for name, values in self.words.items()}
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = path.with_name(f".{path.name}.partial")
+        partial = partial_path(path)
         with partial.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, head=np.array(json.dumps(head)), **kept)
         partial.replace(path)
+
+
+def partial_path(path: Path) -> Path:
+    """Where a file is written, until it is whole and gets its name."""
+    return path.with_name(f".{path.name}.partial")
 
 
 def load_trace(path: Path) -> Trace:

@@ -41,6 +41,7 @@ from swarmd.sim.experiments.pool import (
     run_jobs,
 )
 from swarmd.sim.experiments.provenance import digests_of_folders, made_with
+from swarmd.sim.trace import partial_path
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -342,10 +343,9 @@ def _kept(job: Job, result: JobResult, trace: bytes | None) -> JobResult:
     """The result, with its trace written where the job wants it."""
     if job.trace is None or trace is None:
         return result
-    partial_file = job.trace.with_name(f".{job.trace.name}.partial")
     try:
-        partial_file.write_bytes(trace)
-        partial_file.replace(job.trace)
+        partial_path(job.trace).write_bytes(trace)
+        partial_path(job.trace).replace(job.trace)
     except OSError as error:
         remove_partial(job.trace)
         return JobResult(job.run, write_error=f"{job.trace.parent}: {error.strerror or error}")

@@ -14,6 +14,7 @@ from swarmd.sim.experiments.manifest import Manifest, differences, joined, read_
 from swarmd.sim.experiments.plan import Run
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.store import Row, open_store, read_failures, read_table, trace_path
+from swarmd.sim.trace import partial_path
 
 _NAMED = 10  # runs that a message lists
 
@@ -101,7 +102,7 @@ def _check_same(known: Row, place: Path, row: Row, folder: Path, *, has_traces: 
 
 def _copy(source: Path, target: Path) -> None:
     """Copy a trace, which appears whole or not at all; SwarmError if it cannot be written."""
-    partial = target.with_name(f".{target.name}.partial")
+    partial = partial_path(target)
     try:
         shutil.copyfile(source, partial)
         partial.replace(target)

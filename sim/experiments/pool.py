@@ -26,6 +26,7 @@ from swarmd.core.processes import die_with_parent, how_it_ended
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.trace import partial_path
 
 STEP_TIMEOUT = 60.0
 """Limit in s of wall time for one step of a simulation, or for its set-up, and for the start of a
@@ -106,7 +107,7 @@ def remove_partial(trace: Path | None) -> None:
     """Remove a partly written trace, if there is one."""
     with suppress(OSError):
         if trace is not None:
-            trace.with_name(f".{trace.name}.partial").unlink(missing_ok=True)
+            partial_path(trace).unlink(missing_ok=True)
 
 
 def one_line(text: str) -> str:
