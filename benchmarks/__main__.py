@@ -1,4 +1,4 @@
-"""All benchmarks, one after the other: `python -m benchmarks [NAME...]`, about ten minutes.
+"""All benchmarks, one after the other: `python -m benchmarks [NAME...]`, about fifteen minutes.
 
 `--compare COMMIT` runs another commit in turn and prints ratios.
 """

@@ -50,7 +50,10 @@ BASE_TIMEOUT = 0.5
 
 
 Turn = tuple[int, int]
-"""A place in the order of a step: phase, and place within it."""
+"""A place in the order of a step: phase, and place within it.
+
+Phases: 0 the scenario's events, 1 latches of others, 2 scans, 3 ticks, 4 deadlines.
+"""
 
 
 def simulate_run(
