@@ -29,7 +29,7 @@ help:
 	@echo "make voting      how voting scales with the number of robots; ten minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
 	@echo "make mutants   small changes of the code and the tests that notice them; a night"
-	@echo "make kernel-mutants  the same for the compiled kernels; ARGS=40 draws so many, 20 s each"
+	@echo "make kernel-mutants  the same for the compiled kernels; ARGS=40 draws so many; 20 s each, 2 min if none notices"
 	@echo "make lock      writes constraints.txt again, with the newest versions that fit"
 	@echo "make clean     removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
