@@ -39,7 +39,8 @@ class Cost:
 def measured_cost(folder: Path) -> Cost:
     """The cost by the newest experiments in `folder` of the present software; else by calibration.
 
-    Experiments that were made with other software or on another processor are left out.
+    Experiments that were made with other software, on another processor, with `--cores` or on a
+    cluster are left out.
     """
     software = made_with()
     found: dict[str, list[float]] = {}
@@ -47,7 +48,9 @@ def measured_cost(folder: Path) -> Cost:
     for place in places[:_NEWEST]:
         try:
             manifest = read_manifest(place.parent)
-            if manifest.made_with != software:
+            # A run's time with several cores, or on another machine, is not that of one core here.
+            is_other = {"--cores", "--scheduler"} & {*manifest.command}
+            if manifest.made_with != software or is_other:
                 continue
             plan = manifest.plan
             rows = read_table(place.parent, plan)[1].values()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from msgspec import structs
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import Manifest, differences, joined, read_manifest
-from swarmd.sim.experiments.plan import Run
+from swarmd.sim.experiments.plan import Run, parts_of
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.store import Row, open_store, read_failures, read_table, trace_path
 from swarmd.sim.trace import partial_path
@@ -125,10 +126,10 @@ def _lacking(parts: dict[Path, Manifest], missing: Sequence[Run]) -> list[str]:
             lines.append(f"{what}: {len(lost)} of {len(own)} runs: {_listed(lost)}")
     nowhere = [run.id for run in missing if run.id not in planned]
     if nowhere:
-        shards = [part.shard for part in parts.values()]
-        counts = {shard.of if shard else 1 for shard in shards}
-        have = {shard.part for shard in shards if shard}
-        absent = [f"{part}/{of}" for of in counts for part in range(1, of + 1) if part not in have]
+        counts = {part.shard.of if part.shard else 1 for part in parts.values()}
+        every = replace(next(iter(parts.values())).plan, shard=None).runs
+        found = [(of, parts_of(every, of)) for of in counts]
+        absent = [f"{k}/{of}" for of, by in found for k in sorted({by[run] for run in nowhere})]
         what = f"part {_listed(absent)}, " if len(counts) == 1 else ""
         lines.append(f"{what}in no folder: {_listed(nowhere)}")
     return lines

@@ -88,7 +88,10 @@ class Plan:
             for stem, variant in zip(stems, self.variants, strict=True)
             for seed in self.seeds
         )
-        return every if self.shard is None else _part(every, self.shard)
+        if self.shard is None:
+            return every
+        parts = parts_of(every, self.shard.of)
+        return tuple(run for run in every if parts[run.id] == self.shard.part)
 
 
 def check_seeds(seeds: Iterable[int]) -> tuple[int, ...]:
@@ -144,19 +147,18 @@ def shown(value: object) -> str:
     return str(value) if is_plain else json.dumps(value, separators=(",", ":"))
 
 
-def _part(runs: Sequence[Run], shard: Shard) -> tuple[Run, ...]:
-    """The runs of one part; all parts take about equally long.
+def parts_of(runs: Sequence[Run], count: int) -> dict[str, int]:
+    """Which of `count` parts does each run, by the run's id; all parts take about equally long.
 
     The longest run goes first, each to the part that has least to do (Graham 1969).
     """
-    loads = [(0.0, part) for part in range(1, shard.of + 1)]  # a heap
-    own = set()
+    loads = [(0.0, part) for part in range(1, count + 1)]  # a heap
+    found = {}
     for run in sorted(runs, key=lambda run: -run.robot_seconds):
         load, part = loads[0]
         heapq.heapreplace(loads, (load + run.robot_seconds, part))
-        if part == shard.part:
-            own.add(run.id)
-    return tuple(run for run in runs if run.id in own)
+        found[run.id] = part
+    return found
 
 
 def _check_sweep(

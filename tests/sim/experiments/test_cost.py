@@ -28,6 +28,16 @@ def test_recorded_runs_tell_the_cost(duo: Path, tmp_path: Path) -> None:
     assert cost.run_seconds("another", 4, 10.0) == pytest.approx(80.0)
 
 
+@pytest.mark.parametrize("option", ["--cores", "--scheduler"])
+def test_runs_with_several_cores_or_elsewhere_are_no_basis(
+    duo: Path, tmp_path: Path, option: str
+) -> None:
+    simulate(duo, seeds=1, set={"duration": 0.1}, out=tmp_path / "duo-1")
+    path = tmp_path / "duo-1" / "manifest.json"
+    write_json(path, {**json.loads(path.read_text()), "command": ["swarmctl", option, "2"]})
+    assert measured_cost(tmp_path).basis.startswith("a calibration")
+
+
 def test_without_runs_of_this_software_there_is_a_calibration(duo: Path, tmp_path: Path) -> None:
     simulate(duo, seeds=1, set={"duration": 0.1}, out=tmp_path / "duo-1")
     path = tmp_path / "duo-1" / "manifest.json"

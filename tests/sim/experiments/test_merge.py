@@ -71,6 +71,14 @@ def test_an_incomplete_merge_names_what_is_missing_and_goes_on(
     assert table(tmp_path / "m") == table(run(duo, tmp_path / "whole"))
 
 
+def test_only_parts_with_missing_runs_are_named(duo: Path, tmp_path: Path) -> None:
+    parts = [run(duo, tmp_path / f"of-6-{k}", shard=f"{k}/6") for k in (1, 2)]
+    merge([parts[0]], tmp_path / "m")
+    _, (line,) = merge([parts[1]], tmp_path / "m")
+    # Part 1 is there already, and parts 5 and 6 have no runs: the experiment has four.
+    assert line.startswith("part 3/6, 4/6, in no folder: ")
+
+
 def test_parts_may_overlap_if_they_agree(parts: list[Path], tmp_path: Path) -> None:
     shutil.copytree(parts[0], tmp_path / "again")
     assert merge([*parts, tmp_path / "again"], tmp_path / "m")[1] == []
