@@ -438,6 +438,8 @@ class RayMemory:
         if self._goes_blind(out):
             return None
         turned: cython.double = self._turned(yaw)
+        if bearings is not self._given and self._n and np.array_equal(bearings, self._bearings):
+            self._given = bearings
         if bearings is not self._given:
             self._set_bearings(bearings, turned)
         elif turned != 0.0:

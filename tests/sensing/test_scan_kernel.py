@@ -159,3 +159,13 @@ def test_conditioning_is_that_of_numpy(
         if got is not None:
             assert got.dtype == expected.dtype
             assert got.tolist() == expected.tolist()
+
+
+def test_two_rays_in_one_direction_keep_a_memory_each() -> None:
+    """The bearings come in another array that holds the same."""
+    spec = replace(load_platform("burger").scan, zero="no_return")
+    bearings = np.tile(spec.bearings, 2)
+    pair = [module.RayMemory(spec, guesses_near=False) for module in (conditioning_numpy, kernel)]
+    for raw in (np.linspace(1.0, 2.0, 720), np.where(np.arange(720) % 9, 1.5, np.nan)):
+        expected, got = (memory.condition(raw, bearings.copy(), 0.0, 1.0) for memory in pair)
+        assert got.tolist() == expected.tolist()
