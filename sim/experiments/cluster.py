@@ -10,18 +10,19 @@ first run.
 
 from __future__ import annotations
 
+import math
 import queue
 import threading
 import time
 import uuid
 from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterator, Sequence
-from contextlib import closing, contextmanager
+from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial, reduce
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 from msgspec import structs
 
@@ -217,10 +218,7 @@ class Cluster:
         passed = min(now - self._next_look, _LOOK_PERIOD) + _LOOK_PERIOD
         self._next_look = now + _LOOK_PERIOD
         self._check_scheduler()
-        try:
-            listed = self._client.scheduler_info(n_workers=-1)["workers"]
-        except (OSError, RuntimeError, KeyError) as error:
-            raise self._lost_scheduler() from error
+        listed = self._listed()
         for name in [name for name in self._workers if name not in listed]:
             del self._workers[name]
         for name, about in listed.items():
@@ -234,14 +232,35 @@ class Cluster:
                 worker.seen = about["last_seen"]
                 worker.silence = worker.silence + passed if is_same else 0.0
 
+    def _listed(self) -> dict[str, Any]:
+        """What the scheduler tells of each worker; SwarmError if it is gone or silent."""
+        answers: queue.SimpleQueue[Any] = queue.SimpleQueue()
+
+        def ask() -> None:  # it may wait for ever, if the scheduler is silent
+            try:
+                answers.put(self._client.scheduler_info(n_workers=-1)["workers"])
+            except Exception as error:
+                answers.put(error)
+
+        threading.Thread(target=ask, daemon=True).start()
+        limit = max(self._timeout, _MIN_SILENCE)
+        # In small waits, so that time in which this process stood still does not count.
+        for _ in range(math.ceil(limit / _POLL_PERIOD)):
+            with suppress(queue.Empty):
+                found = answers.get(timeout=_POLL_PERIOD)
+                if isinstance(found, Exception):
+                    raise self._lost_scheduler() from found
+                return cast("dict[str, Any]", found)
+        raise self._lost_scheduler(f"has not answered for {limit:g} s")
+
     def _check_scheduler(self) -> None:
         """SwarmError if the connection to the scheduler is lost, and with it all that runs."""
         if self._client.status != "running":
             raise self._lost_scheduler()
 
-    def _lost_scheduler(self) -> SwarmError:
+    def _lost_scheduler(self, what: str = "is gone") -> SwarmError:
         return SwarmError(
-            f"the scheduler at {self._address} is gone; finished runs are kept: start it and give"
+            f"the scheduler at {self._address} {what}; finished runs are kept: start it and give"
             " the same command again"
         )
 

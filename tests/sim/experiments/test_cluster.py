@@ -161,11 +161,16 @@ def test_ctrl_c_cancels_what_runs_and_keeps_what_is_finished(
 
 
 @pytest.mark.timeout(300)
-def test_a_scheduler_that_ends_is_one_line_and_keeps_finished_runs(
-    tmp_path: Path, duo: Path, cluster: Cluster
+@pytest.mark.parametrize(
+    ("number", "words"),
+    [(signal.SIGKILL, "is gone"), (signal.SIGSTOP, "has not answered for 5 s")],
+)
+def test_a_scheduler_that_ends_or_hangs_is_one_line_and_keeps_finished_runs(
+    tmp_path: Path, duo: Path, cluster: Cluster, number: signal.Signals, words: str
 ) -> None:
     cluster.add_worker()
     command = ["exp", "run", str(duo), "--seeds", "1", "--sweep", "duration=1,900", "--no-traces"]
+    command += ["--timeout", "2"]
     running = subprocess.Popen(
         [sys.executable, "-c", MAIN, *command, "--scheduler", cluster.address, "--out", "far"],
         stderr=subprocess.PIPE,
@@ -174,10 +179,10 @@ def test_a_scheduler_that_ends_is_one_line_and_keeps_finished_runs(
     )
     far = tmp_path / "far"
     wait_until(lambda: (far / "runs.csv").exists() and len(table(far)) == 2, "one run is done")
-    cluster.scheduler.kill()
+    cluster.scheduler.send_signal(number)
     _, told = running.communicate(timeout=100)
     assert running.returncode == 1, told
-    assert told.splitlines()[-1].startswith(f"error: the scheduler at {cluster.address} is gone")
+    assert told.splitlines()[-1].startswith(f"error: the scheduler at {cluster.address} {words}")
     assert len(table(far)) == 2
 
 
