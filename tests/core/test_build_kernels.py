@@ -17,9 +17,10 @@ FALSE = shutil.which("false")
 
 @pytest.mark.skipif(FALSE is None, reason="no program that always fails")
 def test_build_goes_on_without_a_kernel_that_does_not_compile(tmp_path: Path) -> None:
-    kernel = tmp_path / "swarmd/sensing/scan_kernel.py"
-    kernel.parent.mkdir(parents=True)
-    kernel.write_text("import cython\n")
+    for source in SETUP.parent.glob("s*/**/*_kernel.py"):
+        kernel = tmp_path / source.relative_to(SETUP.parent)
+        kernel.parent.mkdir(parents=True, exist_ok=True)
+        kernel.write_text("import cython\n")
     shutil.copy(SETUP, tmp_path)
     command = [sys.executable, "setup.py", "build_ext", "--build-lib", "built"]
     environment = {**os.environ, "CC": str(FALSE)}
