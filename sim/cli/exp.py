@@ -240,7 +240,7 @@ def rerun(
 def merge(
     ctx: click.Context, folders: tuple[Path, ...], out: Path, metrics: str | None, is_json: bool
 ) -> None:
-    """Join the folders of `exp run --shard` into the one that a single machine makes.
+    """Join the folders of `exp run --shard` into one, as a single machine makes it.
 
     Exit code 0 if every run is there, 3 if some are missing; these are listed.
     """

@@ -321,7 +321,7 @@ class Cluster:
         theirs = structs.replace(self.manifest, made_with=made, plugins=plugins)
         difference = software_conflict(self.manifest, theirs)
         if difference is None and self._is_open and joined(self.manifest, theirs) != self.manifest:
-            difference = "its processor is none of those that the manifest names"
+            difference = "the manifest does not name its processor"
         if difference is None:
             self._software.append(theirs)
         return difference

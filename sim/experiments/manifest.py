@@ -169,7 +169,7 @@ def joined(a: Manifest, b: Manifest) -> Manifest:
 
 
 def software_conflict(a: Manifest, b: Manifest) -> str | None:
-    """The first difference of software other than the processor; None if there is none."""
+    """The first difference of software, the processor left out; None if all is equal."""
     return next(software_differences(joined(a, b), joined(b, a)), None)
 
 

@@ -23,7 +23,7 @@ _NAMED = 10  # runs that a message lists
 def merge(folders: Sequence[Path], out: Path) -> tuple[Results, list[str]]:
     """Join parts in the folder `out`: its results, and a line for each part that lacks runs.
 
-    The folder is the one that a single machine makes, up to the durations of runs. Parts may
+    The folder equals that of a single machine, except for the durations of runs. Parts may
     overlap, and `out` may hold parts already. ConfigError, with nothing changed, if they are not of
     one experiment and software, if they have different results of a run, or lack a trace.
     Processors may differ: the manifest then names them all.

@@ -35,7 +35,7 @@ class Variant(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
 
 
 class Shard(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One part of an experiment: the `part`-th of `of`, from 1 on; ValueError if there is none."""
+    """Part `part` of `of` of an experiment, from 1 on; ValueError if `part` is out of range."""
 
     part: int
     of: int

@@ -47,7 +47,7 @@ _ONE_THREAD = {
 class Job:
     """A run: its id, a complete scenario as plain values, a seed, and the path of its trace.
 
-    `cores` processes share its robots; one that makes no progress for `timeout` s ends the run.
+    `cores` processes share its robots. A process without progress for `timeout` s ends the run.
     """
 
     run: str

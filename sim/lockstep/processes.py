@@ -180,7 +180,7 @@ class _Children:
         self._pids[process], self._errors[process] = pid, ours
 
     def watch(self, process: int, seconds: float) -> None:
-        """Raise the error of a process that ended by it, or SwarmError for one that is no more.
+        """Raise the error that ended a process, or SwarmError if a process ended without one.
 
         `process` is waited for, and was for `seconds` more; 0 if it is there.
         """

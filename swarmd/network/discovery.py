@@ -285,7 +285,7 @@ class Discovery:
             left_at, sequence = self._gone[who]
             has_answered = self._echoes.get(beacon.echo, left_at) > left_at
             if beacon.sequence <= sequence and not has_answered:
-                return  # a delayed beacon of one that left
+                return  # a delayed beacon of a robot that has left
             del self._gone[who]
             if len(self._returned) < MAX_ROBOTS:
                 self._returned.add(who)

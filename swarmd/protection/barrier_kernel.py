@@ -468,15 +468,18 @@ class BarrierKernel:
     ):
         """Find the near obstacles of a scan, and among `hidden` (m, 3): rays, and m from the lidar.
 
-        A hidden obstacle that may touch the robot counts as a return too close to measure.
+        A hidden obstacle that may touch the robot counts as a return too close to measure. A scan
+        that is refused leaves the obstacles of the last scan.
         """
         count: cython.Py_ssize_t = ranges.shape[0]
         unseen: cython.Py_ssize_t = hidden.shape[0]
-        self._has_situation = False
-        self._points = self._contacts = 0
+        if count > self._directions.shape[0]:
+            raise IndexError(f"{count} ranges, but {self._directions.shape[0]} rays")
         self._reserve_points(count + unseen)
         if self._ray_x.shape[0] < count + unseen:
             self._ray_x, self._ray_y = _doubles(count + unseen), _doubles(count + unseen)
+        self._has_situation = False
+        self._points = self._contacts = 0
         i: cython.Py_ssize_t
         found: cython.Py_ssize_t = 0
         contacts: cython.Py_ssize_t = 0

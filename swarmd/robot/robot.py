@@ -50,7 +50,7 @@ class Robot:
         self.platform = platform
         self._last_tick = now
         # Quiet ticks: the first tick after an event finds until when nothing is due. Each event but
-        # a quiet tick resets `_quiet_until`; one that may have changed the lifecycle resets
+        # a quiet tick resets `_quiet_until`. An event that may change the lifecycle resets
         # `_due_at`, too. Odometry, neighbours, readings and messages reset neither.
         self._due_at = -math.inf  # s; before it only a step or the status can be due
         self._quiet_until = -math.inf  # s; before it nothing is due: a tick only decides

@@ -253,7 +253,7 @@ def _shape_fault(points: list[Point]) -> str:
 
 
 def _bearings(scan: ScanSection) -> Array:
-    """The bearings of the rays, (n,) rad; read-only, so that nobody needs a copy."""
+    """The bearings of the rays, (n,) rad; read-only, so that readers need no copy."""
     given = scan.bearings_deg
     first = math.radians(scan.first_bearing_deg)
     if given is None:

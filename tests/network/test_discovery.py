@@ -546,7 +546,7 @@ def test_a_robot_that_is_heard_after_a_false_leave_is_there(rig: Rig, sequence: 
 
 @pytest.mark.parametrize("forger", ["forger", "a"])
 def test_a_robot_that_was_named_once_is_dropped(rig: Rig, forger: str) -> None:
-    """Its name came by a forged list: of an unknown robot, or of one that lists others since."""
+    """A forged list named it: of an unknown robot, or of a robot that lists others since."""
     rig.hear("a")
     rig.tell(forger, heard("ghost"), heard("b"), at=0.1, echo=1)
     assert "ghost" in rig.found.known
@@ -561,7 +561,7 @@ def test_a_robot_that_was_named_once_is_dropped(rig: Rig, forger: str) -> None:
 
 
 def test_no_robot_is_dropped_while_no_newer_list_comes(rig: Rig) -> None:
-    """A list counts although the robot that sent it fell silent, and one that was heard stays."""
+    """The list of a silent robot counts, and a robot that was heard stays listed."""
     rig.hear("a", "b")
     rig.tell("a", heard("c"))
     rig.found.is_over(60.0)

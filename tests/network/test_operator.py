@@ -400,7 +400,7 @@ class Suspended:
                 raise KeyboardInterrupt
 
     def send_to(self, payload: bytes, address: Address) -> None:
-        raise AssertionError("nobody is known")
+        raise AssertionError("no robot is known")
 
     def start_thread(self, on_datagram: object) -> None:
         """Nothing arrives."""

@@ -290,12 +290,18 @@ def test_ranges_may_be_of_any_number_type(kind: type) -> None:
     assert pair.decisions[-1].is_active
 
 
-def test_kernel_rejects_a_scan_with_other_rays_than_were_set() -> None:
+def test_a_scan_with_more_ranges_than_rays_is_refused_and_frees_no_way() -> None:
     barrier = CompiledBarrier(BURGER, KERNEL)
     kernel = barrier._kernel
-    kernel.set_rays(np.ones((4, 2)))
+    kernel.set_rays(np.array([[1.0, 0.0]]))
+    kernel.begin_scan(1.0, 0.0, 0.0)
+    kernel.take_scan(np.array([0.2]), 0.1, np.empty((0, 3)))
     with pytest.raises(IndexError):
-        kernel.take_scan(np.full(5, 0.3), 0.1, np.empty((0, 3)))
+        kernel.take_scan(np.full(2, np.inf), 0.1, np.empty((0, 3)))
+    context = DecisionContext(1.0, 0.0)
+    decision = barrier.decide(Twist(0.22), context, command=ZERO, touch=None)
+    assert decision.is_active
+    assert decision.twist.linear < 0.22
 
 
 @pytest.mark.parametrize("stream", read(), ids=lambda stream: stream.scene)
