@@ -62,9 +62,11 @@ class Reason(StrEnum):
     STALE_SCAN = "stale_scan"
     SCAN_CONFLICT = "two_scan_sources"
     FROZEN_SCAN = "frozen_scan"
+    LATE_SCAN = "late_scan"
     STALE_ODOMETRY = "stale_odometry"
     COMMAND_EXPIRED = "command_expired"
     DRIVER_LOST = "driver_lost"
+    INCOMPATIBLE_PEER = "incompatible_peer"
     PATTERN_RESTARTING = "pattern_restarting"
     # running, with a command of zero
     NO_REQUESTED_COMMAND = "no_requested_command"

@@ -81,7 +81,8 @@ class Scan:
     `ranges` and `bearings` are (n,) float64 arrays of the same length; n may vary from scan to
     scan. A range is in m: +inf no return, -inf too close to measure, NaN unknown. `bearings` are
     in rad, 0 ahead, counter-clockwise positive. `stamp` is the sensor's own clock in s: compare it
-    only with other stamps of the sensor.
+    only with other stamps of the sensor. `ages` (n,) s: how much older than the newest ray each ray
+    is. None: the driver does not know (raw scan), or all are of one instant (conditioned scan).
     """
 
     seq: int
@@ -90,6 +91,7 @@ class Scan:
     bearings: Array
     range_min: float
     range_max: float
+    ages: Array | None = None
 
 
 class Odometry(Struct, frozen=True, array_like=True):
@@ -148,6 +150,19 @@ class Limits:
 
 
 @dataclass(frozen=True, slots=True)
+class Sweep:
+    """How a rotating sensor measures its rays one after the other.
+
+    It begins at bearing `start` in rad and turns once in `duration` s. `direction`: 1.0
+    counter-clockwise, -1.0 clockwise.
+    """
+
+    start: float
+    direction: float
+    duration: float
+
+
+@dataclass(frozen=True, slots=True)
 class ScanSpec:
     """The platform's range sensor.
 
@@ -157,6 +172,7 @@ class ScanSpec:
     or lds (the rule of the LDS family in `sensing/conditioning.py`). `is_noisy`: identical scans
     reveal a frozen sensor. `near`: whether the sensor reports returns nearer than `range_min`, or
     loses them as if there were none. `latency`: mean age of the rays in s when a scan arrives.
+    `sweep`: None if all rays are measured at once.
     """
 
     bearings: Array
@@ -169,6 +185,7 @@ class ScanSpec:
     is_noisy: bool = True
     near: Literal["reported", "lost"] = "reported"
     latency: float = 0.0
+    sweep: Sweep | None = None
 
     @property
     def stale_after(self) -> float:

@@ -8,16 +8,33 @@ from swarmd.core.messages import LimitingObstacle, Reason
 from swarmd.core.values import Odometry, TouchZone, Twist
 
 
+class ToldObstacle(Struct, frozen=True, array_like=True):
+    """A disc that the robot is told of, by range and bearing or in a shared frame.
+
+    Its centre `x`, `y` in m in the base frame `age` s before the decision, when its place was
+    measured; `radius` in m, the error of the place included.
+    """
+
+    x: float
+    y: float
+    radius: float
+    age: float
+
+
 class DecisionContext(Struct, frozen=True):
     """The time of a decision in s on the robot's clock, and the age of its inputs at that time.
 
-    `scan_age` and `odometry_age` in s since arrival; None: none has arrived.
+    `scan_age` and `odometry_age` in s since arrival; None: none has arrived. `scan_delay` in s: how
+    much later than the platform's `latency` scans arrive, as measured. `told`: obstacles that
+    others tell of.
     """
 
     now: float
     scan_age: float | None = None
     odometry: Odometry | None = None
     odometry_age: float | None = None
+    scan_delay: float = 0.0
+    told: tuple[ToldObstacle, ...] = ()
 
 
 class Permit(Struct, frozen=True):

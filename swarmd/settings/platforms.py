@@ -13,7 +13,7 @@ from msgspec import Meta, Struct, to_builtins
 import swarmd.config
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.values import Array, Limits, Platform, ScanSpec, Value, input_fault
+from swarmd.core.values import Array, Limits, Platform, ScanSpec, Sweep, Value, input_fault
 from swarmd.protection.footprint import Footprint
 from swarmd.protection.settings import (
     BarrierSettings,
@@ -44,6 +44,19 @@ class LimitsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     lateral: Annotated[float, Meta(ge=0.0, le=20.0)] = 0.0
 
 
+class SweepSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a rotating sensor measures its rays one after the other.
+
+    - `start_deg`: bearing at which a scan begins.
+    - `direction`: in which the sensor turns, seen from above: ccw (counter-clockwise) or cw.
+    - `duration`: s of one scan; None: the scan period. Wrong: obstacles are shifted in a turn.
+    """
+
+    start_deg: Bearing = 0.0
+    direction: Literal["ccw", "cw"] = "ccw"
+    duration: Annotated[float, Meta(gt=0.0, le=10.0)] | None = None
+
+
 class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The range sensor.
 
@@ -59,6 +72,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `near`: `lost` if an object nearer than `range_min` looks like no object.
     - `latency`: mean age of its rays in s when a scan arrives; None: half a scan period, as of a
       rotating lidar. Too low: protection acts on where obstacles were.
+    - `sweep`: how a rotating sensor turns; None: it measures all rays at once.
     """
 
     rays: Annotated[int, Meta(ge=1, le=10_000)] | None = None
@@ -73,6 +87,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     max_gap_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 12.0
     near: Literal["reported", "lost"] = "reported"
     latency: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    sweep: SweepSection | None = None
 
 
 class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -266,6 +281,14 @@ def _bearings(scan: ScanSection) -> Array:
     return bearings
 
 
+def _sweep(section: SweepSection, rate: float) -> Sweep:
+    return Sweep(
+        start=math.radians(section.start_deg),
+        direction=1.0 if section.direction == "ccw" else -1.0,
+        duration=1.0 / rate if section.duration is None else section.duration,
+    )
+
+
 def _platform(name: str, file: PlatformFile) -> Platform:
     scan, protection = file.scan, file.protection
     return Platform(
@@ -283,6 +306,7 @@ def _platform(name: str, file: PlatformFile) -> Platform:
             is_noisy=scan.noisy,
             near=scan.near,
             latency=0.5 / scan.rate if scan.latency is None else scan.latency,
+            sweep=None if scan.sweep is None else _sweep(scan.sweep, scan.rate),
         ),
         provides=frozenset(file.provides),
         protection={
