@@ -264,6 +264,33 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
     decisions: Count = 0
 
 
+class DelayFigure(Struct, frozen=True, kw_only=True):
+    """How late scans arrive, by one method: the mean age of their rays on arrival, in s.
+
+    `delay` None: not known, for the reason in `text`. `spread`: its standard deviation, of single
+    scans (`stamps`) or of the figure (`turns`). `age`: since the last of its `samples`.
+    """
+
+    method: Word
+    delay: Seconds | None = None
+    spread: Seconds = 0.0
+    samples: Count = 0
+    age: Seconds = 0.0
+    text: Line = ""
+
+
+class ScanDelaySummary(Struct, frozen=True, kw_only=True):
+    """The delay of scans: declared by the platform, and measured. In s.
+
+    `added`: what protection counts beyond `declared`. Beyond `bound` it holds the robot.
+    """
+
+    declared: Seconds
+    added: Seconds
+    bound: Seconds
+    figures: tuple[DelayFigure, ...] = ()
+
+
 class Health(Struct, frozen=True, kw_only=True):
     """Measurements of the daemon itself. Rates in Hz, times in s.
 
@@ -335,6 +362,7 @@ class Status(Struct, frozen=True, kw_only=True):
     events: tuple[LoggedEvent, ...] = ()
     version: Word = ""
     kernels: Word = ""
+    scan_delay: ScanDelaySummary | None = None
 
 
 class StatusHeader(Struct, frozen=True, kw_only=True):

@@ -80,9 +80,10 @@ class Scan:
 
     `ranges` and `bearings` are (n,) float64 arrays of the same length; n may vary from scan to
     scan. A range is in m: +inf no return, -inf too close to measure, NaN unknown. `bearings` are
-    in rad, 0 ahead, counter-clockwise positive. `stamp` is the sensor's own clock in s: compare it
-    only with other stamps of the sensor. `ages` (n,) s: how much older than the newest ray each ray
-    is. None: the driver does not know (raw scan), or all are of one instant (conditioned scan).
+    in rad, 0 ahead, counter-clockwise positive. `stamp` in s: when the oldest ray was measured, on
+    the sensor's own clock, which need not be that of other stamps. `ages` (n,) s: how much older
+    than the newest ray each ray is. None: the driver does not know (raw scan), or all are of one
+    instant (conditioned scan).
     """
 
     seq: int
@@ -191,6 +192,15 @@ class ScanSpec:
     def stale_after(self) -> float:
         """Age in s beyond which a scan is stale: 3.5 nominal periods within 0.35 to 1.0 s."""
         return min(max(3.5 / self.rate, 0.35), 1.0)
+
+    @property
+    def max_scan_delay(self) -> float:
+        """Delay in s beyond `latency` with which protection still works; a longer one is a hold.
+
+        Delay and age together stay within `stale_after`, for which protection is computed; the age
+        needs one and a half periods of it.
+        """
+        return max(self.stale_after - 1.5 / self.rate, 0.05)
 
     @property
     def slowest_period(self) -> float:

@@ -12,6 +12,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import Inputs, Message, Neighbor, Odometry, Platform, Scan, Value
 from swarmd.protection.decision import DecisionContext
 from swarmd.sensing.conditioning import ScanConditioner
+from swarmd.sensing.scan_delay import ScanDelay
 
 ODOMETRY_TIMEOUT = 0.5
 NEIGHBOR_TIMEOUT = 3.0  # s without an update after which there are no neighbours
@@ -41,6 +42,7 @@ class Sensors:
         # Mode barrier has a better memory of its own for its blind zone.
         guesses_near = platform.protection.get("mode") != "barrier"
         self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
+        self.scan_delay = ScanDelay(platform.scan)
         self._scan_at: float | None = None
         self._problem: Reason | None = None
         self._odometry_at: float | None = None
@@ -72,6 +74,7 @@ class Sensors:
         if isinstance(conditioned, Reason):
             self._problem = conditioned
             return False
+        self.scan_delay.on_scan(scan, now)
         self._scan_at = self._conditioner.known_at
         self._problem = None if self._scan_at == now else Reason.INVALID_SCAN
         self._scan_times.append(now)
@@ -89,6 +92,7 @@ class Sensors:
         self._context = None
         if self.odometry is None or odometry.stamp != self.odometry.stamp:
             self._odometry_at = now
+            self.scan_delay.on_odometry(odometry, now)
         self.odometry = odometry
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
@@ -161,6 +165,7 @@ class Sensors:
                 None if scan_at is None else now - scan_at,
                 self.odometry,
                 None if odometry_at is None else now - odometry_at,
+                self.scan_delay.added,
             )
         return context
 
@@ -180,7 +185,9 @@ class Sensors:
         age = self.scan_age(now)
         if age is None:
             return self._problem or Reason.NO_SCAN
-        if age > self._stale_after:
+        if self.scan_delay.is_late and age <= self._stale_after:
+            return Reason.LATE_SCAN
+        if age + self.scan_delay.added > self._stale_after:
             return self._problem or Reason.STALE_SCAN
         if self._needs_odometry and (
             self._odometry_at is None or now - self._odometry_at > ODOMETRY_TIMEOUT
@@ -190,14 +197,17 @@ class Sensors:
 
     def hold_due_at(self) -> float:
         """The time until which `hold` stays None, if it is None now and nothing arrives."""
-        due = math.inf if self._scan_at is None else self._scan_at + self._stale_after
+        stale_at = self.stale_at()
+        due = math.inf if stale_at is None else stale_at
         if self._needs_odometry and self._odometry_at is not None:
             due = min(due, self._odometry_at + ODOMETRY_TIMEOUT)
         return due
 
     def stale_at(self) -> float | None:
         """The time at which the present scan becomes too old; None before the first."""
-        return None if self._scan_at is None else self._scan_at + self._stale_after
+        if self._scan_at is None:
+            return None
+        return self._scan_at + self._stale_after - self.scan_delay.added
 
     def inputs(self, now: float, dt: float) -> Inputs:
         """The inputs of one step; a message, like the mark of a new scan, is in one step only."""

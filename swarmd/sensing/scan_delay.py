@@ -1,0 +1,373 @@
+"""How late scans arrive: measured by the stamps of one clock, and by turns. Pure.
+
+The delay of a scan is the mean age of its rays when it arrives. Two methods measure it:
+
+- Stamps. Where scan and odometry are stamped by one clock, the fastest odometry of the last second
+  tells the time of that clock. The stamp of a scan is the time of its oldest ray, as in ROS. The
+  delay of odometry itself is not seen; a delay that both share for more than a second is not, too.
+- Turns. The turn between two scans, by circular correlation of their ranges, is compared with the
+  turn by odometry at candidate delays, in least squares with a free scale of the odometry. It needs
+  a rate of turn that changes: at a constant rate all delays explain the turns alike, and then there
+  is no figure. After the temporal calibration of sensors by correlated rotations (Rehder, Siegwart
+  and Furgale, IEEE T-RO 2016), with one axis and a grid.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmd.core.messages import DelayFigure, ScanDelaySummary
+from swarmd.core.values import Array, Odometry, Scan, ScanSpec
+
+TOLERANCE = 0.01
+"""Seconds beyond the declared latency that count as none: the clocks of a tick resolve no less."""
+
+_CLEARS = 0.8  # share of the bound below which a late scan counts as in time again
+_WINDOW = 20  # scans of which the third-latest is the delay: one late scan counts for itself alone
+_RANK = 3
+_MIN_STAMPS = 5  # scans before stamps give a figure
+_PERIOD = 0.5  # s of odometry whose lowest lag is kept
+_MAX_DRIFT = 0.005  # s between periods: beyond it, three times one way, the clock is no real time
+_MAX_AGE = 5.0  # s: a scan that seems older has another clock
+_MAX_LEAD = -0.05  # s: as one that seems to come from the future
+
+_CANDIDATES = np.linspace(0.0, 1.2, 49)  # s
+_STEP = float(_CANDIDATES[1])
+_HISTORY = 96  # headings
+_SPACING = 0.02  # s between two of them, at least
+_MIN_RATE_CHANGE = 0.15  # rad/s
+_MIN_TURN_SPREAD = 0.06  # rad by which candidates must differ for a pair of scans to tell anything
+_SEARCHED = 0.25  # rad beyond all candidates within which the turn is searched
+_MAX_SEARCHED = 1.2  # rad; beyond it a square room looks like itself
+_MAX_SHIFT = 0.03  # m between two scans: a shift of near things looks like a turn
+_MIN_RAYS = 90
+_MAX_RANGE = 6.0  # m; farther returns count as if they were there
+_MIN_RELIEF = 0.1  # m, standard deviation of ranges below which a scene has no features
+_MIN_LIKENESS = 0.6  # correlation of two scans at the turn found
+_FORGETTING = 0.98  # of earlier pairs, for each new one: some 50 count
+_MIN_PAIRS = 8
+_MIN_SPREAD = 0.015  # rad of one measured turn
+_MAX_INTERVAL = 0.2  # s of candidates within three deviations: a wider one is no figure
+_SCALES = 0.85, 1.15  # of odometry
+_ENOUGH_PAIRS = 20  # after which only each fourth pair of scans is compared
+_EXPIRES = 60.0  # s after which turns no longer say that scans are late
+
+
+class ScanDelay:
+    """Measures the delay of one sensor's scans. Times in s on the robot's clock.
+
+    `added` is what protection counts beyond the declared latency: an upper estimate, at least the
+    age of the last scan by its stamp; 0 within TOLERANCE of the declared one. `is_late`: it exceeds
+    the platform's `max_scan_delay`, until it falls below 0.8 of that.
+    """
+
+    def __init__(self, spec: ScanSpec) -> None:
+        self._spec = spec
+        self._stamps, self._turns = _Stamps(spec), _Turns()
+        self.added = 0.0
+        self.is_late = False
+
+    def on_odometry(self, odometry: Odometry, now: float) -> None:
+        """Take in a reading that arrived at `now`."""
+        if self._stamps.on_odometry(odometry.stamp, now):
+            self._turns.forget_headings()
+        self._turns.on_odometry(odometry)
+
+    def on_scan(self, scan: Scan, now: float) -> None:
+        """Take in a raw scan that arrived at `now` and is valid."""
+        offset, latency = self._stamps.offset, self._spec.latency
+        stamps = self._stamps.on_scan(scan, now)
+        if offset < math.inf:
+            self._turns.on_scan(scan, now - offset, now)
+        turns = self._turns
+        added = stamps - latency
+        if turns.delay is not None and turns.delay - 2.0 * turns.spread > latency + TOLERANCE:
+            upper = turns.delay + 2.0 * turns.spread - latency
+            if upper > self._spec.max_scan_delay and now - turns.at > _EXPIRES:
+                turns.forget()  # a robot that is held cannot turn to measure anew
+            else:
+                added = max(added, upper)
+        self.added = added if added > TOLERANCE else 0.0
+        bound = self._spec.max_scan_delay
+        self.is_late = self.added > (_CLEARS * bound if self.is_late else bound)
+
+    def summary(self, now: float) -> ScanDelaySummary:
+        """The figures of both methods, for the status."""
+        return ScanDelaySummary(
+            declared=self._spec.latency,
+            added=self.added,
+            bound=self._spec.max_scan_delay,
+            figures=(self._stamps.figure(now), self._turns.figure(now)),
+        )
+
+
+class _Stamps:
+    """Delays by stamps. `offset`: the least arrival minus stamp of recent odometry; inf: none."""
+
+    def __init__(self, spec: ScanSpec) -> None:
+        self._sweep = 0.0 if spec.sweep is None else spec.sweep.duration
+        self.offset = math.inf
+        self._stamp = -math.inf
+        self._lowest, self._until = math.inf, -math.inf
+        self._minima: deque[float] = deque(maxlen=4)
+        self._ages: deque[float] = deque(maxlen=_WINDOW)
+        self._at = 0.0
+        self._is_shared = False
+        self._why = "no odometry yet"
+        self._seen: tuple[Array | None, float] = (None, 0.5 * self._sweep)
+
+    def on_odometry(self, stamp: float, now: float) -> bool:
+        """Take in the stamp of a reading; true if its clock was set back."""
+        if stamp == self._stamp:
+            return False
+        is_back, self._stamp = stamp < self._stamp, stamp
+        if is_back:
+            self._minima.clear()
+            self._lowest, self._until, self.offset = math.inf, now + _PERIOD, math.inf
+            self._is_shared = False
+        elif now >= self._until:
+            if self._lowest < math.inf:
+                self._minima.append(self._lowest)
+            self._lowest, self._until = math.inf, now + _PERIOD
+        self._lowest = min(self._lowest, now - stamp)
+        self.offset = min(self._lowest, *list(self._minima)[-2:], math.inf)
+        return is_back
+
+    def on_scan(self, scan: Scan, now: float) -> float:
+        """Take in a scan; the delay that counts, or 0 if stamps do not tell it."""
+        if self.offset == math.inf:
+            return 0.0
+        if scan.ages is not self._seen[0]:
+            lead = 0.5 * self._sweep
+            if scan.ages is not None and len(scan.ages):
+                lead = float(scan.ages.max() - scan.ages.mean())
+            self._seen = scan.ages, lead
+        age = now - self.offset - scan.stamp - self._seen[1]
+        if self._drifts():
+            self._forget("the stamps of odometry do not run at real time")
+        elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):
+            self._forget(f"scan and odometry have different clocks ({age:.3g} s apart)")
+        else:
+            self._ages.append(max(age, 0.0))
+            self._at = now
+        if len(self._ages) < _MIN_STAMPS or len(self._minima) < 4:
+            return 0.0
+        self._is_shared = True
+        return max(sorted(self._ages)[-_RANK], self._ages[-1])
+
+    def figure(self, now: float) -> DelayFigure:
+        """The mean delay of the last scans, with its deviation."""
+        ages = self._ages
+        if not self._is_shared or not ages:
+            why = self._why if not ages else "too few scans yet"
+            return DelayFigure(method="stamps", text=why)
+        mean = sum(ages) / len(ages)
+        spread = math.sqrt(sum((age - mean) ** 2 for age in ages) / len(ages))
+        return DelayFigure(
+            method="stamps",
+            delay=mean,
+            spread=spread,
+            samples=len(ages),
+            age=max(now - self._at, 0.0),
+        )
+
+    def _drifts(self) -> bool:
+        """True if the clock of the stamps is not real time, as that of a slow simulator."""
+        minima = self._minima
+        if len(minima) < 4:
+            return False
+        changes = [minima[i + 1] - minima[i] for i in range(3)]
+        return min(changes) > _MAX_DRIFT or max(changes) < -_MAX_DRIFT
+
+    def _forget(self, why: str) -> None:
+        self._ages.clear()
+        self._is_shared, self._why = False, why
+
+
+class _Candidates(NamedTuple):
+    """Sums over pairs of scans: of measured turns m, and of turns p (c,) by candidate delay."""
+
+    mm: float
+    mp: Array
+    pp: Array
+    pairs: float
+
+
+def _no_pairs() -> _Candidates:
+    return _Candidates(0.0, np.zeros(len(_CANDIDATES)), np.zeros(len(_CANDIDATES)), 0.0)
+
+
+class _Turns:
+    """Delay by turns: `delay` and `spread` in s (None: not known), of pairs of scans up to `at`."""
+
+    def __init__(self) -> None:
+        self.delay: float | None = None
+        self.spread = 0.0
+        self.at = 0.0
+        self._times, self._yaws = np.empty(_HISTORY), np.empty(_HISTORY)
+        self._count = 0
+        self._yaw = 0.0
+        self._slow_rate = 0.0
+        self._changed_at = -math.inf
+        self._place = (0.0, 0.0)
+        self._last: tuple[float, tuple[float, float], Array] | None = None
+        self._spectrum: tuple[Array, np.ndarray[tuple[int], np.dtype[np.complex128]], float] | None
+        self._spectrum = None
+        self._sums, self._pairs, self._skipped = _no_pairs(), 0, 0
+        self._bearings: Array | None = None
+        self._ray = 0.0
+        self._why = "it has not turned at a changing rate yet"
+
+    def forget(self) -> None:
+        """Measure anew."""
+        self.delay, self._sums, self._pairs = None, _no_pairs(), 0
+        self._why = "its last figure was older than a minute"
+
+    def forget_headings(self) -> None:
+        """The clock of odometry was set."""
+        self._count, self._last = 0, None
+
+    def on_odometry(self, odometry: Odometry) -> None:
+        """Keep a heading."""
+        pose, count = odometry.pose, self._count
+        self._place = pose.x, pose.y
+        rate = odometry.twist.angular
+        self._slow_rate += 0.1 * (rate - self._slow_rate)
+        if abs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
+            self._changed_at = odometry.stamp
+        times, yaws = self._times, self._yaws
+        if count and odometry.stamp - times[-1] < _SPACING:
+            return
+        turned = math.remainder(pose.yaw - self._yaw, 2.0 * math.pi) if count else 0.0
+        unwrapped = yaws[-1] + turned if count else 0.0
+        times[:-1], yaws[:-1] = times[1:], yaws[1:]
+        times[-1], yaws[-1] = odometry.stamp, unwrapped
+        self._yaw, self._count = pose.yaw, min(count + 1, _HISTORY)
+
+    def on_scan(self, scan: Scan, at: float, now: float) -> None:
+        """Compare a scan with the last one; `at` is its arrival on the clock of odometry."""
+        longest = _CANDIDATES[-1] + 0.5
+        if at - self._changed_at > longest or not self._can_correlate(scan):
+            self._last = self._spectrum = None
+            return
+        last, self._last = self._last, (at, self._place, np.array(scan.ranges, np.float64))
+        if last is None or not self._count:
+            return
+        first = self._times[_HISTORY - self._count]
+        if at - last[0] > 0.5 or last[0] - _CANDIDATES[-1] < first:
+            return
+        (x, y), (before_x, before_y) = self._place, last[1]
+        if math.hypot(x - before_x, y - before_y) > _MAX_SHIFT:
+            return
+        times, yaws = self._times[-self._count :], self._yaws[-self._count :]
+        turns = np.interp(at - _CANDIDATES, times, yaws)
+        turns -= np.interp(last[0] - _CANDIDATES, times, yaws)
+        low, high = float(turns.min()), float(turns.max())
+        if high - low < _MIN_TURN_SPREAD or max(-low, high) + _SEARCHED > _MAX_SEARCHED:
+            return
+        self._skipped += 1
+        if self._pairs >= _ENOUGH_PAIRS and self._skipped % 4:
+            return
+        ranges = self._last[2] if self._last is not None else last[2]
+        turn = self._measured(last[2], ranges, scan, low - _SEARCHED, high + _SEARCHED)
+        if turn is not None:
+            self._add(turn, turns)
+            self.at = now
+
+    def figure(self, now: float) -> DelayFigure:
+        """The delay with its deviation."""
+        if self.delay is None:
+            return DelayFigure(method="turns", text=self._why)
+        return DelayFigure(
+            method="turns",
+            delay=self.delay,
+            spread=self.spread,
+            samples=self._pairs,
+            age=max(now - self.at, 0.0),
+        )
+
+    def _can_correlate(self, scan: Scan) -> bool:
+        """True if the rays cover a full turn evenly. `_ray`: the angle from one to the next."""
+        if scan.bearings is not self._bearings:
+            self._bearings, self._ray = scan.bearings, 0.0
+            self._last = None
+            steps = np.diff(np.unwrap(scan.bearings))
+            if len(steps) + 1 >= _MIN_RAYS:
+                step = float(steps.mean())
+                is_even = float(np.abs(steps - step).max()) < 0.1 * abs(step)
+                is_full = abs(abs(step) * (len(steps) + 1) - 2.0 * math.pi) < 1.5 * abs(step)
+                self._ray = step if is_even and is_full else 0.0
+            if self._ray == 0.0:
+                self._why = "its rays do not cover a full turn evenly"
+        return self._ray != 0.0
+
+    def _measured(
+        self, before: Array, after: Array, scan: Scan, low: float, high: float
+    ) -> float | None:
+        """The turn in rad from one scan (n,) to the next, between `low` and `high`; None: unclear.
+
+        A turn by k rays to the left moves all that is seen k rays to the right.
+        """
+        one, size_one = _spectrum(before, scan)
+        other, size_other = _spectrum(after, scan)
+        n, ray = len(after), abs(self._ray)
+        least = _MIN_RELIEF * math.sqrt(n)
+        if min(size_one, size_other) < least:
+            self._why = "it sees no features to tell a turn by"
+            return None
+        likeness = np.fft.irfft(one * np.conj(other), n)
+        if self._ray < 0.0:
+            likeness = np.roll(likeness[::-1], 1)
+        shifts = np.arange(math.floor(low / ray), math.ceil(high / ray) + 1)
+        found = likeness[shifts % n]
+        best = int(found.argmax())
+        if not 0 < best < len(found) - 1 or found[best] < _MIN_LIKENESS * size_one * size_other:
+            return None
+        a, b, c = found[best - 1 : best + 2]
+        return float(shifts[best] + 0.5 * (a - c) / (a - 2.0 * b + c)) * ray
+
+    def _add(self, turn: float, turns: Array) -> None:
+        """Add a measured turn, and what odometry says of it for each candidate (c,)."""
+        keep, sums = _FORGETTING, self._sums
+        sums = self._sums = _Candidates(
+            keep * sums.mm + turn * turn,
+            keep * sums.mp + turn * turns,
+            keep * sums.pp + turns * turns,
+            keep * sums.pairs + 1.0,
+        )
+        self._pairs += 1
+        self.delay = None
+        if sums.pairs < _MIN_PAIRS:
+            self._why = "too few turns yet"
+            return
+        self._why = "its turns do not tell one delay from another"
+        scales = np.clip(sums.mp / np.maximum(sums.pp, 1e-12), *_SCALES)
+        errors = sums.mm - 2.0 * scales * sums.mp + scales * scales * sums.pp
+        best = int(errors.argmin())
+        variance = max(float(errors[best]) / (sums.pairs - 2.0), _MIN_SPREAD**2)
+        likely = np.flatnonzero(errors <= errors[best] + 9.0 * variance)
+        low, high = int(likely[0]), int(likely[-1])
+        if high == len(errors) - 1 or (high - low) * _STEP > _MAX_INTERVAL:
+            return
+        i = max(best, 1)
+        a, b, c = (float(error) for error in errors[i - 1 : i + 2])
+        bend = a - 2.0 * b + c
+        if bend <= 0.0:
+            return
+        self.delay = max(_CANDIDATES[i] + 0.5 * _STEP * (a - c) / bend, 0.0)
+        self.spread = max(_STEP * math.sqrt(2.0 * variance / bend), 0.005)
+
+
+def _spectrum(
+    ranges: Array, scan: Scan
+) -> tuple[np.ndarray[tuple[int], np.dtype[np.complex128]], float]:
+    """The spectrum of ranges (n,) about their mean, no return as far away, and their norm."""
+    farthest = min(scan.range_max, _MAX_RANGE)
+    is_return = (ranges >= scan.range_min) & (ranges <= farthest)
+    relief = np.where(is_return, ranges, farthest)
+    relief -= relief.mean()
+    return np.fft.rfft(relief), float(np.linalg.norm(relief))
