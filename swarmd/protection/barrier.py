@@ -64,16 +64,19 @@ _MAX_ENVELOPES = 8  # kept at a time: a holonomic base moves in any direction
 class _NearObstacles(NamedTuple):
     """The near obstacles of one scan, in the base frame at the time it was taken.
 
-    Points `x`, `y` (k,) m in the order of rising `gaps` (k,) m. The first c of them lie on the
-    outline, along the unit vectors `rays` (c, 2) of returns that are too close to measure.
-    `is_near`: an obstacle is so near that the envelope applies.
+    Points `x`, `y` (k,) m in the order of rising `gaps` (k,) m, measured `ages` (k,) s before that
+    time. The first c of them lie on the outline, along the unit vectors `rays` (c, 2) of returns
+    that are too close to measure. `is_near`: an obstacle is so near that the envelope applies.
+    `oldest` is the greatest age of a ray of the scan in s.
     """
 
     x: Array
     y: Array
     gaps: Array
+    ages: Array
     rays: Array
     is_near: bool
+    oldest: float
 
 
 _Situation: TypeAlias = tuple[DecisionContext, Point, TouchZone | None]
@@ -93,7 +96,9 @@ class _Feasible(NamedTuple):
 
 
 _NO_RAYS = np.empty((0, 2))
-_NO_OBSTACLES = _NearObstacles(np.empty(0), np.empty(0), np.empty(0), _NO_RAYS, is_near=False)
+_NO_OBSTACLES = _NearObstacles(
+    np.empty(0), np.empty(0), np.empty(0), np.empty(0), _NO_RAYS, is_near=False, oldest=0.0
+)
 
 
 class Barrier:
@@ -133,10 +138,9 @@ class Barrier:
         self._lag, self._clock_resets = 0.0, 0
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
         self._binding_range = BindingRange(platform, settings, TICK)
-        stale = platform.scan.stale_after + platform.scan.latency + REACTION_TIME
-        self._furthest = self._binding_range.for_scan_age(stale)
+        self._stale = platform.scan.stale_after + platform.scan.latency + REACTION_TIME
         within = self._binding_range.for_fresh_scan(self._surface_speed)
-        within += settings.others_speed * stale
+        within += settings.others_speed * self._stale
         given_within = settings.envelope_within
         self._within = within if given_within is None else given_within
 
@@ -163,12 +167,15 @@ class Barrier:
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.
 
-        A scan that lacks a sector has the age of what the conditioner remembers of that sector. A
-        scan that is not newer than the last one by this age is ignored: the last one is
-        dead-reckoned, the remembered sector is not.
+        The time of a scan is that of its newest ray. A scan that lacks a sector has the age of what
+        the conditioner remembers of that sector. A scan that is not newer than the last one by this
+        age is ignored: the last one is dead-reckoned, the remembered sector is not.
         """
         self._dead_reckoning.update(context)
-        latency, age = self._spec.latency, context.scan_age or 0.0
+        ages = np.zeros(len(scan.ranges)) if scan.ages is None else scan.ages
+        mean, oldest = (float(ages.mean()), float(ages.max())) if len(ages) else (0.0, 0.0)
+        latency = max(self._spec.latency - mean, 0.0) + context.scan_delay
+        age = context.scan_age or 0.0
         taken = context.now - latency - age
         if age > 0.0 and taken < self._taken + AGE_TOLERANCE:
             return
@@ -178,7 +185,9 @@ class Barrier:
             self._memory.update(scan, geometry, moved, max(taken - self._taken, 0.0))
         self._taken_at, self._taken = pose, taken
         self._lag, self._clock_resets = age, self._dead_reckoning.clock_resets
-        self._obstacles, self._feasible = self._near_obstacles(scan, geometry), None
+        late = context.scan_delay + oldest
+        self._obstacles = self._near_obstacles(scan, geometry, ages, oldest, late)
+        self._feasible = None
 
     def decide(
         self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
@@ -234,12 +243,14 @@ class Barrier:
         context, along, touch = feasible.situation
         settings, first = self._settings, len(self._obstacles.rays)
         radius, age = self._radius, context.now - self._taken + REACTION_TIME
+        obstacles = self._obstacles
         seconds = TICK + max(
             abs(s) / settings.braking_linear, abs(angular) / settings.braking_angular
         )
         free = self._free(context)
         others = settings.others_speed if settings.responsibility == "passive" else 0.0
-        reached = free + others * (age + seconds) + (abs(s) + abs(angular) * radius) * seconds
+        reached = free + others * (age + obstacles.oldest + seconds)
+        reached += (abs(s) + abs(angular) * radius) * seconds
         rows = feasible.rows
         near = np.flatnonzero(rows.gaps[first : feasible.points] <= reached) + first
         if not len(near):
@@ -248,9 +259,9 @@ class Barrier:
             separations = self._outline.separations(rows.x[near], rows.y[near])
             near = near[~in_touch_zone(separations, touch)]
         points = np.stack((rows.x[near], rows.y[near]), axis=1)
-        need = np.array((free + others * age, others))
+        need = free + others * (age + obstacles.ages[near])
         speeds = self._stop_check.limited(
-            np.array((s, angular)), np.array(along), points, rows.gaps[near], need
+            np.array((s, angular)), np.array(along), points, rows.gaps[near], need, others
         )
         return float(speeds[0]), float(speeds[1])
 
@@ -281,55 +292,59 @@ class Barrier:
         """All constraints, first one for each near point, and the number of these points."""
         frame = relative(self._taken_at, self._dead_reckoning.predicted_pose(context, command))
         age = context.now - self._taken + REACTION_TIME
-        count = int(obstacles.gaps.searchsorted(self._binding_range.for_scan_age(age)))
+        furthest = self._binding_range.for_scan_age(age + obstacles.oldest)
+        count = int(obstacles.gaps.searchsorted(furthest))
+        ages = age + obstacles.ages[:count]
         x, y = placed(obstacles.x[:count], obstacles.y[:count], frame)
         separations = self._outline.separations(x, y)
         free = self._free(context)
         room = separations.gap - free
-        rows = self._point_constraints(separations, room, x, y, along, age)
-        rest = 0.5 * (separations.gap - self._contact_gap) / (age + TICK)
+        rows = self._point_constraints(separations, room, x, y, along, ages)
+        rest = 0.5 * (separations.gap - self._contact_gap) / (ages + TICK)
         corners = self._outline.corners
         rows = concatenated(
             rows, side_constraints(rows, separations, corners, along, rest, CREEP_SPEED)
         )
         if self._settings.unseen_extent > 0.0:
             contacts = len(obstacles.rays)  # their places on the outline are a guess
-            beyond = separations.gap[contacts:], x[contacts:], y[contacts:]
-            rows = concatenated(rows, self._corner_constraints(*beyond, along, age, free))
+            corner_rows = self._corner_constraints(
+                separations.gap[contacts:], x[contacts:], y[contacts:], ages[contacts:], along, free
+            )
+            rows = concatenated(rows, corner_rows)
         if len(obstacles.rays):
             rows = self._with_contacts(rows, obstacles, frame, along)
         if self._settings.keep_out is not None:
-            rows = self._with_keep_out(rows, self._settings.keep_out, along, age)
+            rows = self._with_keep_out(rows, self._settings.keep_out, along, ages)
         if touch is not None:
             rows = self._with_touch_zone(rows, touch, along)
         return rows, len(x)
 
     def _point_constraints(
-        self, separations: Separations, room: Array, x: Array, y: Array, along: Point, age: float
+        self, separations: Separations, room: Array, x: Array, y: Array, along: Point, ages: Array
     ) -> Constraints:
         """The constraints of points at `x`, `y` (k,) with so much room (k,) in m."""
         linear = separations.nx * along[0] + separations.ny * along[1]
-        caps = self._caps(room, self._braking(linear, separations.lever), age)
+        caps = self._caps(room, self._braking(linear, separations.lever), ages)
         return Constraints(linear, separations.lever, caps, x, y, separations.gap)
 
     def _corner_constraints(
-        self, gaps: Array, x: Array, y: Array, along: Point, age: float, free: float
+        self, gaps: Array, x: Array, y: Array, ages: Array, along: Point, free: float
     ) -> Constraints:
         """Constraints of each own corner, for obstacles that extend beyond their visible part.
 
         Then the nearest place of the outline is not the only one that can touch the obstacle: a
         corner that swings past it can, too.
         """
-        near = np.flatnonzero(gaps <= 2.0 * free + self._settings.others_speed * (age + TICK))
+        near = np.flatnonzero(gaps <= 2.0 * free + self._settings.others_speed * (ages + TICK))
         corners = self._outline.corners
         count = len(near)
-        x, y = np.tile(x[near], len(corners)), np.tile(y[near], len(corners))
+        x, y, ages = (np.tile(part[near], len(corners)) for part in (x, y, ages))
         own_x, own_y = np.repeat(corners[:, 0], count), np.repeat(corners[:, 1], count)
         dx, dy = x - own_x, y - own_y
         distance = np.maximum(np.hypot(dx, dy), 1e-9)
         nx, ny = dx / distance, dy / distance
         separations = Separations(distance, nx, ny, own_x * ny - own_y * nx)
-        return self._point_constraints(separations, distance - free, x, y, along, age)
+        return self._point_constraints(separations, distance - free, x, y, along, ages)
 
     def _braking(self, linear: Array, lever: Array) -> Array:
         """(k,) m/s2: the rate at which the closing speeds of constraints (k,) can fall."""
@@ -338,7 +353,7 @@ class Barrier:
         np.maximum(braking, MIN_BRAKING, out=braking)
         return braking
 
-    def _caps(self, room: Array, braking: Array, unseen: float) -> Array:
+    def _caps(self, room: Array, braking: Array, unseen: Array | float) -> Array:
         settings = self._settings
         if settings.responsibility == "reciprocal":
             return reciprocal_caps(room, braking, unseen, TICK)
@@ -366,19 +381,21 @@ class Barrier:
         )
 
     def _with_keep_out(
-        self, rows: Constraints, radius: float, along: Point, age: float
+        self, rows: Constraints, radius: float, along: Point, ages: Array
     ) -> Constraints:
         """Constraints that keep the circle around a sensor with a blind zone free.
 
-        Each of two robots keeps out of the circle by half of the distance.
+        Each of two robots keeps out of the circle by half of the distance. The first of `rows` are
+        those of the points, which were seen `ages` (k,) s ago.
         """
-        dx, dy = rows.x - self._offset[0], rows.y - self._offset[1]
+        x, y, gaps = (part[: len(ages)] for part in (rows.x, rows.y, rows.gaps))
+        dx, dy = x - self._offset[0], y - self._offset[1]
         distance = np.maximum(np.hypot(dx, dy), 1e-9)
         nx, ny = dx / distance, dy / distance
         linear = nx * along[0] + ny * along[1]
         lever = self._offset[0] * ny - self._offset[1] * nx  # of the centre: a circle has no corner
-        caps = reciprocal_caps(distance - radius, self._braking(linear, lever), age, TICK)
-        return concatenated(rows, Constraints(linear, lever, caps, rows.x, rows.y, rows.gaps))
+        caps = reciprocal_caps(distance - radius, self._braking(linear, lever), ages, TICK)
+        return concatenated(rows, Constraints(linear, lever, caps, x, y, gaps))
 
     def _with_touch_zone(self, rows: Constraints, touch: TouchZone, along: Point) -> Constraints:
         """The constraints with the speed of the touch zone granted for obstacles in its sector.
@@ -397,28 +414,40 @@ class Barrier:
             rows._replace(caps=caps), Constraints(linear, lever, speeds, x, y, gaps)
         )
 
-    def _near_obstacles(self, scan: Scan, geometry: ScanGeometry) -> _NearObstacles:
-        """The returns that can bind the robot, and the rays that are too close to measure."""
-        within = max(self._within, self._furthest) + self._outer
-        shown = np.flatnonzero((scan.ranges <= within) & (scan.ranges > -np.inf))
-        points = geometry.points_of_rays(scan, shown)
+    def _near_obstacles(
+        self, scan: Scan, geometry: ScanGeometry, ages: Array, oldest: float, late: float
+    ) -> _NearObstacles:
+        """The returns that can bind the robot, and the rays that are too close to measure.
+
+        `ages` (n,) and `oldest` in s are those of the rays; `late` s more than the platform's
+        latency may have passed since the oldest.
+        """
+        furthest = self._binding_range.for_scan_age(self._stale + late)
+        within = self._within + self._settings.others_speed * late
+        outermost = max(within, furthest) + self._outer
+        shown = np.flatnonzero((scan.ranges <= outermost) & (scan.ranges > -np.inf))
+        points, since = geometry.points_of_rays(scan, shown), ages[shown]
         gaps = self._outline.gaps(points)
-        rays = geometry.directions(scan)[scan.ranges == -np.inf]
+        is_close = scan.ranges == -np.inf
+        rays, close_since = geometry.directions(scan)[is_close], ages[is_close]
         if self._memory is not None and len(self._memory.bearings):
             touching, hidden = self._remembered(self._memory)
             rays = np.concatenate((rays, touching))
+            close_since = np.concatenate((close_since, np.full(len(touching), oldest)))
             points = np.concatenate((points, hidden))
+            since = np.concatenate((since, np.full(len(hidden), oldest)))
             gaps = np.concatenate((gaps, self._outline.gaps(hidden)))
-        is_near = bool(len(rays)) or float(gaps.min(initial=np.inf)) <= self._within
-        order = np.argsort(gaps, kind="stable")[: np.count_nonzero(gaps <= self._furthest)]
-        gaps, (x, y) = gaps.take(order), points.take(order, axis=0).T
+        is_near = bool(len(rays)) or float(gaps.min(initial=np.inf)) <= within
+        order = np.argsort(gaps, kind="stable")[: np.count_nonzero(gaps <= furthest)]
+        gaps, since, (x, y) = gaps.take(order), since.take(order), points.take(order, axis=0).T
         if not len(rays):
-            return _NearObstacles(x, y, gaps, _NO_RAYS, is_near)
+            return _NearObstacles(x, y, gaps, since, _NO_RAYS, is_near, oldest)
         depths = self._outline.along_rays(self._offset, rays)
         contacts = (self._offset + depths[:, None] * rays).T
         x, y = np.concatenate((contacts[0], x)), np.concatenate((contacts[1], y))
         gaps = np.concatenate((np.zeros(len(rays)), gaps))
-        return _NearObstacles(x, y, gaps, rays, is_near)
+        since = np.concatenate((close_since, since))
+        return _NearObstacles(x, y, gaps, since, rays, is_near, oldest)
 
     def _remembered(self, memory: BlindZoneMemory) -> tuple[Array, Array]:
         """Rays (k, 2) to hidden obstacles that may touch the robot, points (m, 2) of others."""

@@ -123,7 +123,7 @@ class BarrierKernel:
     _fresh: cython.double
     _fastest: cython.double
     _within: cython.double
-    _furthest: cython.double
+    _stale: cython.double
     _latency: cython.double
     # The outline: corners, and for each edge its direction, normal and their origins.
     _edges: cython.Py_ssize_t
@@ -153,6 +153,8 @@ class BarrierKernel:
     _taken_yaw: cython.double
     _taken: cython.double
     _lag: cython.double
+    _oldest: cython.double
+    _late: cython.double
     _scan_resets: cython.Py_ssize_t
     moved_x = cython.declare(cython.double, visibility="readonly")
     moved_y = cython.declare(cython.double, visibility="readonly")
@@ -166,11 +168,14 @@ class BarrierKernel:
     _x: cython.double[::1]
     _y: cython.double[::1]
     _gap: cython.double[::1]
+    _age: cython.double[::1]
     _ray_x: cython.double[::1]
     _ray_y: cython.double[::1]
+    _ray_age: cython.double[::1]
     _found_x: cython.double[::1]
     _found_y: cython.double[::1]
     _found_gap: cython.double[::1]
+    _found_age: cython.double[::1]
     _order: cython.longlong[::1]
     _spare: cython.longlong[::1]
     # The touch zone: direction, cosine of its half width, speed, and rows of nx, ny, x, y.
@@ -196,7 +201,7 @@ class BarrierKernel:
     _at_half: cython.double
     _at_speed: cython.double
     # The feasible set: placed points, then rows, of which the last belong to the envelope.
-    _unseen: cython.double
+    _since: cython.double
     _free: cython.double
     _count: cython.Py_ssize_t
     _rows: cython.Py_ssize_t
@@ -261,7 +266,7 @@ class BarrierKernel:
         self._radius, self._contact_gap = derived.radius, derived.contact_gap
         self._inner, self._outer = outline.circles(derived.offset)
         self._fresh, self._fastest = derived.fresh, derived.fastest
-        self._within, self._furthest = derived.within, derived.furthest
+        self._within, self._stale = derived.within, derived.stale
         self._latency = derived.latency
         self._edges = len(outline.corners)
         self._corner_x = array("d", outline.corners[:, 0].tolist())
@@ -274,7 +279,7 @@ class BarrierKernel:
         self._taken = -_inf
         self._directions = ENVELOPE_DIRECTIONS[:0]
         self._reserve_points(64)
-        self._ray_x, self._ray_y = _doubles(16), _doubles(16)
+        self._ray_x, self._ray_y, self._ray_age = _doubles(16), _doubles(16), _doubles(16)
         self._reserve_rows(256)
         count: cython.Py_ssize_t = len(ENVELOPE_DIRECTIONS)
         self._way_x, self._way_y = _doubles(count), _doubles(count)
@@ -402,12 +407,34 @@ class BarrierKernel:
 
     # The scan.
 
-    def begin_scan(self, now: cython.double, age: cython.double, odometry_age: cython.double):
-        """False if a scan is not newer than the last one; else the motion between the two."""
-        taken: cython.double = now - self._latency - age
+    def begin_scan(
+        self,
+        now: cython.double,
+        age: cython.double,
+        delay: cython.double,
+        odometry_age: cython.double,
+        ages: cython.const[cython.double][:],
+    ):
+        """False if a scan is not newer than the last one; else the motion between the two.
+
+        `delay`: how much later than the platform's latency it arrives. `ages` (n,) of its rays;
+        empty: all are 0.
+        """
+        i: cython.Py_ssize_t
+        oldest: cython.double = 0.0
+        mean: cython.double = 0.0
+        for i in range(ages.shape[0]):
+            mean += ages[i]
+            if ages[i] > oldest:
+                oldest = ages[i]
+        if ages.shape[0]:
+            mean /= ages.shape[0]
+        latency: cython.double = _maximum(self._latency - mean, 0.0) + delay
+        taken: cython.double = now - latency - age
         if age > 0.0 and taken < self._taken + _age_tolerance:
             return False
-        self._pose(odometry_age, self._latency)
+        self._oldest, self._late = oldest, delay + oldest
+        self._pose(odometry_age, latency)
         dx: cython.double = self._pose_x - self._taken_x
         dy: cython.double = self._pose_y - self._taken_y
         c: cython.double = cos(self._taken_yaw)
@@ -464,10 +491,12 @@ class BarrierKernel:
         self,
         ranges: cython.const[cython.double][:],
         range_min: cython.double,
+        ages: cython.const[cython.double][:],
         hidden: cython.double[:, ::1],
     ):
         """Find the near obstacles of a scan, and among `hidden` (m, 3): rays, and m from the lidar.
 
+        `ages` (n,) of the rays; empty: all are 0.
         A hidden obstacle that may touch the robot counts as a return too close to measure. A scan
         that is refused leaves the obstacles of the last scan.
         """
@@ -475,9 +504,13 @@ class BarrierKernel:
         unseen: cython.Py_ssize_t = hidden.shape[0]
         if count > self._directions.shape[0]:
             raise IndexError(f"{count} ranges, but {self._directions.shape[0]} rays")
+        has_ages: cython.bint = ages.shape[0] > 0
+        if has_ages and ages.shape[0] != count:
+            raise IndexError(f"{count} ranges, but {ages.shape[0]} ages")
         self._reserve_points(count + unseen)
         if self._ray_x.shape[0] < count + unseen:
             self._ray_x, self._ray_y = _doubles(count + unseen), _doubles(count + unseen)
+            self._ray_age = _doubles(count + unseen)
         self._has_situation = False
         self._points = self._contacts = 0
         i: cython.Py_ssize_t
@@ -487,9 +520,9 @@ class BarrierKernel:
         for i in range(count):
             if ranges[i] < nearest:
                 nearest = ranges[i]
-        outermost: cython.double = (
-            self._within if self._within > self._furthest else self._furthest
-        ) + self._outer
+        within: cython.double = self._within + self._others * self._late
+        furthest: cython.double = self._binding_range(self._stale + self._late)
+        outermost: cython.double = (within if within > furthest else furthest) + self._outer
         # All returns among which the nearest to the outline is; see Footprint.nearest.
         ring: cython.double = self._ring(nearest, range_min)
         smallest: cython.double = _inf  # gap of all returns
@@ -499,16 +532,18 @@ class BarrierKernel:
             if away == -_inf:
                 self._ray_x[contacts] = self._directions[i, 0]
                 self._ray_y[contacts] = self._directions[i, 1]
+                self._ray_age[contacts] = ages[i] if has_ages else 0.0
                 contacts += 1
             elif away <= outermost or away <= ring:
                 self._place(i, away, range_min, found)
+                self._found_age[found] = ages[i] if has_ages else 0.0
                 gap: cython.double = self._found_gap[found]
                 if gap < smallest:
                     smallest = gap
                 if away <= outermost:
                     if gap < closest:
                         closest = gap
-                    if gap <= self._furthest:
+                    if gap <= furthest:
                         found += 1
         self._set_min_gap(nearest, smallest)
         for i in range(unseen):
@@ -517,26 +552,29 @@ class BarrierKernel:
                 y: cython.double = self._offset_y + hidden[i, 2] * hidden[i, 1]
                 gap = self._gap_of(x, y)
                 self._found_x[found], self._found_y[found], self._found_gap[found] = x, y, gap
+                self._found_age[found] = self._oldest
                 if gap < closest:
                     closest = gap
-                if gap <= self._furthest:
+                if gap <= furthest:
                     found += 1
             else:
                 self._ray_x[contacts], self._ray_y[contacts] = hidden[i, 0], hidden[i, 1]
+                self._ray_age[contacts] = self._oldest
                 contacts += 1
-        self._is_near = contacts > 0 or closest <= self._within
+        self._is_near = contacts > 0 or closest <= within
         self._sort(found)
         for i in range(contacts):
             away = self._along_ray(self._ray_x[i], self._ray_y[i])
             self._x[i] = self._offset_x + away * self._ray_x[i]
             self._y[i] = self._offset_y + away * self._ray_y[i]
-            self._gap[i] = 0.0
+            self._gap[i], self._age[i] = 0.0, self._ray_age[i]
         at: cython.Py_ssize_t
         for i in range(found):
             at = self._order[i]
             self._x[contacts + i] = self._found_x[at]
             self._y[contacts + i] = self._found_y[at]
             self._gap[contacts + i] = self._found_gap[at]
+            self._age[contacts + i] = self._found_age[at]
         self._points, self._contacts = contacts + found, contacts
 
     @cython.cfunc
@@ -598,7 +636,11 @@ class BarrierKernel:
             return 0
         self._x, self._y, self._gap = _doubles(count), _doubles(count), _doubles(count)
         self._found_x, self._found_y = _doubles(count), _doubles(count)
-        self._found_gap = _doubles(count)
+        self._age, self._found_gap, self._found_age = (
+            _doubles(count),
+            _doubles(count),
+            _doubles(count),
+        )
         self._order, self._spare = _indices(count), _indices(count)
         self._placed_x, self._placed_y = _doubles(count), _doubles(count)
         self._normal_x, self._normal_y = _doubles(count), _doubles(count)
@@ -804,19 +846,17 @@ class BarrierKernel:
         frame_yaw: cython.double = self._taken_yaw - self._pose_yaw
         c, s = cos(frame_yaw), sin(frame_yaw)
         age: cython.double = self._now - self._taken + _reaction
-        self._unseen = age
+        self._since = age
         late: cython.double = _maximum(odometry_age - _max_extrapolation, 0.0)
         self._free = self._margin + self._unseen_extent + (late + self._lag) * self._surface_speed
-        furthest: cython.double = self._binding_range(age)
+        furthest: cython.double = self._binding_range(age + self._oldest)
         count: cython.Py_ssize_t = 0
         while count < self._points and not (self._gap[count] >= furthest):
             count += 1
         self._count = count
         contacts: cython.Py_ssize_t = min(self._contacts, count)
         touch_rows: cython.Py_ssize_t = self._touch_table.shape[0] if self._has_touch else 0
-        self._reserve_rows(
-            2 * (count * (3 + self._edges) + contacts) + touch_rows + self._way_x.shape[0]
-        )
+        self._reserve_rows(count * (4 + self._edges) + contacts + touch_rows + self._way_x.shape[0])
         self._rows = 0
         i: cython.Py_ssize_t
         for i in range(count):
@@ -827,7 +867,9 @@ class BarrierKernel:
             lever: cython.double = self._lever
             linear_part: cython.double = self._nx * self._along_x + self._ny * self._along_y
             cap: cython.double = self._cap(
-                self._gap_found - self._free, self._braking(linear_part, lever)
+                self._gap_found - self._free,
+                self._braking(linear_part, lever),
+                age + self._age[i],
             )
             self._add(linear_part, lever, cap, self._gap_found, i)
         self._add_sides(count)
@@ -863,11 +905,13 @@ class BarrierKernel:
     @cython.cfunc
     @cython.inline
     @cython.exceptval(check=False)
-    def _cap(self, room: cython.double, braking: cython.double) -> cython.double:
-        """The cap in m/s for so much room in m."""
+    def _cap(
+        self, room: cython.double, braking: cython.double, unseen: cython.double
+    ) -> cython.double:
+        """The cap in m/s for so much room in m, `unseen` s after an obstacle was seen."""
         if not self._is_passive:
-            return self._reciprocal_cap(room, braking)
-        left: cython.double = room - self._others * (self._unseen + _tick)
+            return self._reciprocal_cap(room, braking, unseen)
+        left: cython.double = room - self._others * (unseen + _tick)
         first: cython.double = braking * _tick + self._others
         root: cython.double = sqrt(first * first + 2.0 * braking * _maximum(left, 0.0))
         return _maximum(root - first, 0.0)
@@ -875,9 +919,11 @@ class BarrierKernel:
     @cython.cfunc
     @cython.inline
     @cython.exceptval(check=False)
-    def _reciprocal_cap(self, room: cython.double, braking: cython.double) -> cython.double:
+    def _reciprocal_cap(
+        self, room: cython.double, braking: cython.double, unseen: cython.double
+    ) -> cython.double:
         half: cython.double = 0.5 * _maximum(room, 0.0)
-        first: cython.double = braking * (2.0 * _tick + self._unseen)
+        first: cython.double = braking * (2.0 * _tick + unseen)
         return _maximum(sqrt(first * first + 2.0 * braking * half) - first, 0.0)
 
     @cython.cfunc
@@ -929,7 +975,9 @@ class BarrierKernel:
                         most, foremost = ahead, k
                 lever: cython.double = self._corner_x[foremost] * ay - self._corner_y[foremost] * ax
                 gap: cython.double = self._row_gap[i]
-                rest: cython.double = 0.5 * (gap - self._contact_gap) / (self._unseen + _tick)
+                rest: cython.double = (
+                    0.5 * (gap - self._contact_gap) / (self._since + self._age[i] + _tick)
+                )
                 linear: cython.double = ax * self._along_x + ay * self._along_y
                 self._add(linear, lever, _maximum(rest, _creep), gap, i)
         return 0
@@ -952,14 +1000,13 @@ class BarrierKernel:
         limit: cython.double = self._limit
         angular_limit: cython.double = self._angular_limit
         free: cython.double = self._free
-        reach: cython.double = 2.0 * free + self._others * (self._unseen + _tick)
-        # A row that no twist within the limits violates is left out, unless it has a copy.
-        has_copies: cython.bint = self._keep_out == self._keep_out
+        # A row that no twist within the limits violates is left out.
         for k in range(self._edges):
             own_x: cython.double = self._corner_x[k]
             own_y: cython.double = self._corner_y[k]
             for i in range(first, count):
-                if not (row_gap[i] <= reach):
+                unseen: cython.double = self._since + self._age[i]
+                if not (row_gap[i] <= 2.0 * free + self._others * (unseen + _tick)):
                     continue
                 dx: cython.double = x[i] - own_x
                 dy: cython.double = y[i] - own_y
@@ -968,10 +1015,10 @@ class BarrierKernel:
                 dy /= away
                 linear: cython.double = dx * along_x + dy * along_y
                 lever: cython.double = own_x * dy - own_y * dx
-                cap: cython.double = self._cap(away - free, self._braking(linear, lever))
+                cap: cython.double = self._cap(away - free, self._braking(linear, lever), unseen)
                 linear *= limit
                 lever *= angular_limit
-                if cap > fabs(linear) + fabs(lever) + _slack and not has_copies:
+                if cap > fabs(linear) + fabs(lever) + _slack:
                     continue
                 row_x[at], row_y[at], row_cap[at] = linear, lever, cap
                 row_gap[at], self._source[at] = away, i
@@ -982,10 +1029,8 @@ class BarrierKernel:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_keep_out(self, count: cython.Py_ssize_t) -> cython.int:
-        """A second row for each row: the circle around the sensor."""
+        """A second row for each point: the circle around the sensor."""
         i: cython.Py_ssize_t
-        like: cython.Py_ssize_t
-        rows: cython.Py_ssize_t = self._rows
         for i in range(count):
             dx: cython.double = self._placed_x[i] - self._offset_x
             dy: cython.double = self._placed_y[i] - self._offset_y
@@ -995,15 +1040,9 @@ class BarrierKernel:
             linear: cython.double = dx * self._along_x + dy * self._along_y
             lever: cython.double = self._offset_x * dy - self._offset_y * dx
             cap: cython.double = self._reciprocal_cap(
-                away - self._keep_out, self._braking(linear, lever)
+                away - self._keep_out, self._braking(linear, lever), self._since + self._age[i]
             )
             self._add(linear, lever, cap, self._row_gap[i], i)
-        for i in range(count, rows):  # of the same points
-            like = rows + self._source[i]
-            self._row_x[rows + i], self._row_y[rows + i] = self._row_x[like], self._row_y[like]
-            self._row_cap[rows + i] = self._row_cap[like]
-            self._row_gap[rows + i], self._source[rows + i] = self._row_gap[i], self._source[i]
-        self._rows = 2 * rows
         return 0
 
     @cython.cfunc
@@ -1210,14 +1249,12 @@ class BarrierKernel:
         i: cython.Py_ssize_t
         s: cython.double = self.linear
         w: cython.double = self.angular
-        age: cython.double = self._now - self._taken + _reaction
         slow: cython.double = fabs(s) / self._braking_linear
         turning: cython.double = fabs(w) / self._braking_angular
         seconds: cython.double = _tick + (turning if turning > slow else slow)
         others: cython.double = self._others if self._is_passive else 0.0
-        reached: cython.double = (
-            self._free + others * (age + seconds) + (fabs(s) + fabs(w) * self._radius) * seconds
-        )
+        reached: cython.double = self._free + others * (self._since + self._oldest + seconds)
+        reached += (fabs(s) + fabs(w) * self._radius) * seconds
         self._beside = 0
         for i in range(self._contacts, self._count):
             if self._row_gap[i] <= reached and not (self._has_touch and self._inside[i]):
@@ -1226,14 +1263,13 @@ class BarrierKernel:
         if self._beside == 0:
             return 0
         self._forbidding = 0
-        need: cython.double = self._free + others * age
-        if self._is_clear(s, w, need, others):
+        if self._is_clear(s, w, others):
             return 0
         self.linear = self.angular = 0.0
         for i in range(self._shares.shape[0]):
             some: cython.double = self._shares[i, 0] * s
             turn: cython.double = self._shares[i, 1] * w
-            if self._is_clear(some, turn, need, others):
+            if self._is_clear(some, turn, others):
                 self.linear, self.angular = some, turn
                 break
         # The zero command is always clear; shares of a speed of 0 are 0.
@@ -1241,12 +1277,10 @@ class BarrierKernel:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _is_clear(
-        self, s: cython.double, w: cython.double, need: cython.double, others: cython.double
-    ) -> cython.int:
+    def _is_clear(self, s: cython.double, w: cython.double, others: cython.double) -> cython.int:
         """1 if every stop from two speeds stays clear.
 
-        The gap that a point must keep is `need` m now and grows at `others` m/s. The outline comes
+        The gap that a point must keep grows at `others` m/s. The outline comes
         no nearer to a point than by its own way: points beyond need no distance. The point that
         forbade the last speeds is asked first.
         """
@@ -1260,11 +1294,10 @@ class BarrierKernel:
             last: cython.double = _tick + (until if until > slow else slow)
             step: cython.double = last / 4
             way: cython.double = self._simulate(k, s, w, v, turning, step)
-            least: cython.double = need + others * (step * 4.0) + way + _rounding
-            if self._forbids(self._near[self._forbidding], least, step, need, others):
+            if self._forbids(self._near[self._forbidding], way, step, others):
                 return 0
             for i in range(self._beside):
-                if self._forbids(self._near[i], least, step, need, others):
+                if self._forbids(self._near[i], way, step, others):
                     self._forbidding = i
                     return 0
         return 1
@@ -1314,14 +1347,15 @@ class BarrierKernel:
     def _forbids(
         self,
         point: cython.Py_ssize_t,
-        least: cython.double,
+        way: cython.double,
         step: cython.double,
-        need: cython.double,
         others: cython.double,
     ) -> cython.int:
         """1 if the outline closes on a point within its gap during the simulated stop."""
         j: cython.Py_ssize_t
         gap: cython.double = self._row_gap[point]
+        need: cython.double = self._free + others * (self._since + self._age[point])
+        least: cython.double = need + others * (step * 4.0) + way + _rounding
         if gap >= least:
             return 0
         before: cython.double = gap

@@ -18,6 +18,7 @@ from swarmd.protection.footprint import ScanGeometry
 
 PASSES, LIMITS, REPEATS, STOPS = range(4)  # what the kernel's `decide` returns
 _NOTHING_HIDDEN = np.empty((0, 3))
+_NO_AGES = np.empty(0)
 
 
 class Derived(NamedTuple):
@@ -31,7 +32,7 @@ class Derived(NamedTuple):
     fresh: float
     fastest: float
     within: float
-    furthest: float
+    stale: float
     latency: float
 
 
@@ -56,7 +57,7 @@ class CompiledBarrier(Barrier):
             fresh=self._binding_range.fresh,
             fastest=self._binding_range.fastest,
             within=self._within,
-            furthest=self._furthest,
+            stale=self._stale,
             latency=platform.scan.latency,
         )
         self._kernel = kernel.BarrierKernel(self._settings, self._outline, derived)
@@ -75,8 +76,9 @@ class CompiledBarrier(Barrier):
             self._directions = directions
             kernel.set_rays(np.ascontiguousarray(directions, np.float64))
         ranges = np.asarray(scan.ranges, np.float64)
+        ages = _NO_AGES if scan.ages is None else np.asarray(scan.ages, np.float64)
         age, odometry_age = context.scan_age or 0.0, context.odometry_age or 0.0
-        if not kernel.begin_scan(context.now, age, odometry_age):
+        if not kernel.begin_scan(context.now, age, context.scan_delay, odometry_age, ages):
             kernel.find_min_gap(ranges, scan.range_min)
             return
         hidden = _NOTHING_HIDDEN
@@ -85,7 +87,7 @@ class CompiledBarrier(Barrier):
             self._memory.update(scan, geometry, moved, kernel.seconds)
             if len(self._memory.bearings):
                 hidden = _rays_and_ranges(self._memory)
-        kernel.take_scan(ranges, scan.range_min, hidden)
+        kernel.take_scan(ranges, scan.range_min, ages, hidden)
 
     @property
     def min_gap(self) -> float | None:

@@ -113,13 +113,13 @@ def placed(x: Array, y: Array, frame: Pose) -> tuple[Array, Array]:
 
 
 def passive_caps(
-    room: Array, braking: Array, others_speed: float, unseen: float, tick: float
+    room: Array, braking: Array, others_speed: float, unseen: Array | float, tick: float
 ) -> Array:
     """Caps (k,) in m/s on the closing speed for obstacles that approach at `others_speed`.
 
     From a cap the robot can still stop before the two use up `room` (k,), the gap in m less the
     clearance. `braking` (k,) m/s2 is the rate at which the closing speed can fall, `unseen` s the
-    time since the obstacle was seen, `tick` s the time until the next decision. Solves
+    time since each obstacle was seen, `tick` s the time until the next decision. Solves
     s tick + s^2 / 2b + V (unseen + tick + s / b) = room. After the dynamic window with moving
     obstacles and "passive safety" (Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017).
     """
@@ -130,7 +130,7 @@ def passive_caps(
     return caps
 
 
-def reciprocal_caps(room: Array, braking: Array, unseen: float, tick: float) -> Array:
+def reciprocal_caps(room: Array, braking: Array, unseen: Array | float, tick: float) -> Array:
     """Caps (k,) in m/s towards robots with the same rule: each may use half of the room.
 
     As `passive_caps`, with others at rest and a reaction of two ticks plus the time unseen. After

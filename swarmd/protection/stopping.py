@@ -42,36 +42,36 @@ class StopCheck:
         self._tick = tick
 
     def limited(
-        self, speeds: Array, along: Array, points: Array, gaps: Array, free: Array
+        self, speeds: Array, along: Array, points: Array, gaps: Array, need: Array, others: float
     ) -> Array:
         """(2,) `speeds`, or the nearest combination of quarters of them whose stops stay clear.
 
         `speeds` (2,) in m/s along the unit vector `along` (2,) and in rad/s. `points` (k, 2) in the
-        base frame, at `gaps` (k,) m from the outline. `free` (2,): the gap in m within which the
-        outline must not close on a point, and the rate in m/s at which that gap grows. The zero
-        command is always clear.
+        base frame, at `gaps` (k,) m from the outline. `need` (k,) m: the gap within which the
+        outline must not close on a point; it grows at `others` m/s. The zero command is always
+        clear.
         """
-        if self._is_clear(speeds[None], along, points, gaps, free)[0]:
+        if self._is_clear(speeds[None], along, points, gaps, need, others)[0]:
             return speeds
         for first in range(0, len(SPEED_SHARES), _BATCH_SIZE):  # mostly one of the first is clear
             candidates: Array = SPEED_SHARES[first : first + _BATCH_SIZE] * speeds
-            found = np.flatnonzero(self._is_clear(candidates, along, points, gaps, free))
+            found = np.flatnonzero(self._is_clear(candidates, along, points, gaps, need, others))
             if len(found):
                 chosen: Array = candidates[found[0]]
                 return chosen
         return np.zeros(2)
 
     def _is_clear(
-        self, speeds: Array, along: Array, points: Array, gaps: Array, free: Array
+        self, speeds: Array, along: Array, points: Array, gaps: Array, need: Array, others: float
     ) -> NDArray[np.bool_]:
         """(c,) true for those of `speeds` (c, 2) from which every stop stays clear."""
         poses, times, step, way = self._stops(speeds, along)
         # The outline comes no nearer to a point than by its own way.
-        is_beyond = gaps >= free[0] + free[1] * times.max() + way + ROUNDING
+        is_beyond = gaps >= need + others * times.max() + way + ROUNDING
         if is_beyond.all():
             return np.ones(len(speeds), np.bool_)
         if is_beyond.any():
-            points, gaps = points[~is_beyond], gaps[~is_beyond]
+            points, gaps, need = points[~is_beyond], gaps[~is_beyond], need[~is_beyond]
         cos, sin = np.cos(poses[..., 2:]), np.sin(poses[..., 2:])
         dx, dy = points[:, 0] - poses[..., :1], points[:, 1] - poses[..., 1:2]
         seen = np.stack((cos * dx + sin * dy, cos * dy - sin * dx), axis=-1)
@@ -80,9 +80,9 @@ class StopCheck:
         before = np.concatenate(
             (np.broadcast_to(gaps, left[:, :, :1].shape), left[:, :, :-1]), axis=2
         )
-        is_free = left >= free[0] + free[1] * times.reshape(shape[:3])[..., None]
+        is_free = left >= need + others * times.reshape(shape[:3])[..., None]
         is_free |= before - left <= NEGLIGIBLE_SPEED * step[..., None]
-        clear: NDArray[np.bool_] = is_free.all(axis=(1, 2, 3))
+        clear: NDArray[np.bool_] = np.asarray(is_free.all(axis=(1, 2, 3)))
         return clear
 
     def _stops(self, speeds: Array, along: Array) -> tuple[Array, Array, Array, Array]:

@@ -106,16 +106,39 @@ def test_any_input_gives_a_finite_command_within_limits(
         assert platform.limits.clip(safe) == safe
 
 
-@given(st.sampled_from([*PLATFORMS, SIDEWAYS, WEAK]), RETURNS, SHARE, SHARE, SHARE, AGE)
-@example(WEAK, [(304, 0.35)], 1.0, 0.0, 0.0, 0.0)
+SWEEP = st.sampled_from([0.0, 0.05, 0.2, 0.6])  # s
+DELAY = st.sampled_from([0.0, 0.1, 0.3])
+
+
+def sweeping(scan: Scan, seconds: float) -> Scan:
+    """The scan as of a sensor that turns once in so many seconds."""
+    ages = seconds * (1.0 - (1.0 + np.arange(len(scan.ranges))) / len(scan.ranges))
+    return replace(scan, ages=ages) if seconds else scan
+
+
+def since_seen(platform: Platform, scan: Scan) -> Array:
+    """(n,) s between the measurement of each ray and the arrival of the scan."""
+    if scan.ages is None:
+        return np.full(len(scan.ranges), platform.scan.latency)
+    ages: Array = scan.ages + max(platform.scan.latency - scan.ages.mean(), 0.0)
+    return ages
+
+
+@given(
+    st.sampled_from([*PLATFORMS, SIDEWAYS, WEAK]), RETURNS, SHARE, SHARE, SHARE, AGE, SWEEP, DELAY
+)
+@example(WEAK, [(304, 0.35)], 1.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+@example(BURGER, [(0, 0.2), (5, 0.2)], 1.0, 0.0, 0.0, 0.0, 0.6, 0.0)
+@example(JACKAL, [(180, 0.15)], 1.0, 0.0, 0.0, 0.0, 0.2, 0.3)
 def test_robot_can_stop_before_every_return(
-    platform: Platform, returns: Returns, v: float, w: float, aside: float, age: float
-) -> None:
+    platform: Platform, returns: Returns, v: float, w: float, aside: float, age: float,
+    sweep: float, delay: float,
+) -> None:  # fmt: skip
     """Checks the equation of the caps for each return, with places found by brute force."""
     settings = platform.protection["barrier"]
-    scan, straight = seeing(platform, returns), request_of(platform, v, w)
+    scan, straight = sweeping(seeing(platform, returns), sweep), request_of(platform, v, w)
     requested = Twist(straight.linear, straight.angular, aside * platform.limits.lateral)
-    safe = decided(platform, scan, requested, age=age).safe
+    safe = decided(platform, scan, requested, age=age, delay=delay).safe
     speed = np.array([safe.linear, safe.lateral])
     requested_velocity = np.array([requested.linear, requested.lateral])
     along = (
@@ -124,7 +147,8 @@ def test_robot_can_stop_before_every_return(
         else np.array([1.0, 0.0])
     )
     free = settings["margin"] + settings["unseen_extent"]
-    for point in points(platform, scan):
+    ages = since_seen(platform, scan)[np.isfinite(scan.ranges)] + age + delay
+    for point, unseen in zip(points(platform, scan), ages, strict=True):
         gap, at, towards = outline_point(platform.footprint, point)
         if gap == 0.0:
             continue
@@ -133,7 +157,6 @@ def test_robot_can_stop_before_every_return(
         braking = abs(float(along @ towards)) * settings["braking_linear"]
         braking = max(braking + abs(lever) * settings["braking_angular"], 0.02)
         own = closing * TICK + closing**2 / (2.0 * braking)
-        unseen = platform.scan.latency + age
         theirs = settings["others_speed"] * (unseen + TICK + closing / braking)
         assert closing <= 1e-9 or own + theirs <= gap - free + 1e-9
 
@@ -194,6 +217,30 @@ def edge_along(platform: Platform, way: Array) -> Array:
         inside, outside = (middle, outside) if is_inside else (inside, middle)
     edge: Array = platform.scan.offset + inside * way
     return edge
+
+
+@given(PLATFORM, RETURNS, SHARE, SHARE, AGE, st.sampled_from([0.05, 0.2, 0.6]))
+def test_older_rays_never_allow_more(
+    platform: Platform, returns: Returns, v: float, w: float, age: float, sweep: float
+) -> None:
+    scan, requested = seeing(platform, returns), request_of(platform, v, w)
+    later = max(platform.scan.latency - since_seen(platform, sweeping(scan, sweep)).min(), 0.0)
+    safe = decided(platform, sweeping(scan, sweep), requested, age=age + later).safe
+    assert passes(platform, scan, safe, age)
+    assert decided(platform, replace(scan, ages=np.zeros(RAYS)), requested, age=age) == decided(
+        platform, scan, requested, age=age
+    )
+
+
+@given(PLATFORM, RETURNS, SHARE, SHARE, DELAY)
+def test_scan_that_is_late_is_as_old_as_one_that_waited(
+    platform: Platform, returns: Returns, v: float, w: float, delay: float
+) -> None:
+    scan, requested = seeing(platform, returns), request_of(platform, v, w)
+    late, waited = (
+        decided(platform, scan, requested, age=age, delay=delay - age).safe for age in (0.0, delay)
+    )
+    assert (late.linear, late.angular) == pytest.approx((waited.linear, waited.angular), abs=1e-9)
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, AGE)

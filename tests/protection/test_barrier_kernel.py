@@ -58,10 +58,12 @@ class Face(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """A scan arrives: what it shows, and its age."""
+    """A scan arrives: what it shows, its age, s of the sensor's sweep (0: none), s of delay."""
 
     faces: list[Face]
     age: float
+    sweep: float = 0.0
+    delay: float = 0.0
 
 
 class Moved(NamedTuple):
@@ -94,7 +96,13 @@ FACE = st.builds(
     st.one_of(st.floats(0, 0.3), st.floats(0, 2.5), st.just(-1.0)),
     st.sampled_from([0.0, 0.0, 0.01, -0.02]),
 )
-SEEN = st.builds(Seen, st.lists(FACE, max_size=6), st.sampled_from([0.0, 0.0, 0.0, 0.1, 0.35]))
+SEEN = st.builds(
+    Seen,
+    st.lists(FACE, max_size=6),
+    st.sampled_from([0.0, 0.0, 0.0, 0.1, 0.35]),
+    st.sampled_from([0.0, 0.0, 0.05, 0.2, 0.7]),
+    st.sampled_from([0.0, 0.0, 0.1]),
+)
 MOVED = st.builds(Moved, st.sampled_from([0.0, 0.0, 0.02, 0.2, 5.0]), SHARE, SHARE, SHARE)
 TOUCH = st.one_of(
     st.none(),
@@ -134,7 +142,10 @@ class Pair:
     def _see(self, seen: Seen) -> None:
         self.seq += 1
         scan = scan_of(self.platform, seen.faces, self.seq)
-        context = DecisionContext(self.now, seen.age, self.readings[-1], 0.0)
+        if seen.sweep:
+            ages = seen.sweep * np.linspace(1.0, 0.0, len(scan.ranges))
+            scan = replace(scan, ages=ages)
+        context = DecisionContext(self.now, seen.age, self.readings[-1], 0.0, seen.delay)
         self.numpy.observe(scan, self.geometry, context)
         self.compiled.observe(scan, self.geometry, context)
         expected = self.numpy._outline.min_gap(scan, self.geometry)
@@ -218,7 +229,7 @@ def test_both_paths_decide_alike_in_a_crowd(platform: Platform) -> None:
         places, widths = rng.uniform(0.0, 1.0, 4), rng.uniform(0.0, 0.2, 4)
         faces = [Face(*one, 0.001) for one in zip(places, widths, distances, strict=True)]
         pair.take(Moved(0.0, *rng.uniform(-1.0, 1.0, 3)))
-        pair.take(Seen(faces, 0.0))
+        pair.take(Seen(faces, 0.0, rng.choice([0.0, 0.2])))
         for after in (0.01, 0.05, 0.1):
             zone = TouchZone(rng.uniform(-3.0, 3.0), 0.5, 0.05) if rng.random() < 0.2 else None
             requests = [tuple(rng.uniform(-1.0, 1.0, 3)), (1.0, 0.0, 0.0)]
@@ -294,10 +305,13 @@ def test_a_scan_with_more_ranges_than_rays_is_refused_and_frees_no_way() -> None
     barrier = CompiledBarrier(BURGER, KERNEL)
     kernel = barrier._kernel
     kernel.set_rays(np.array([[1.0, 0.0]]))
-    kernel.begin_scan(1.0, 0.0, 0.0)
-    kernel.take_scan(np.array([0.2]), 0.1, np.empty((0, 3)))
+    ages, hidden = np.empty(0), np.empty((0, 3))
+    kernel.begin_scan(1.0, 0.0, 0.0, 0.0, ages)
+    kernel.take_scan(np.array([0.2]), 0.1, ages, hidden)
     with pytest.raises(IndexError):
-        kernel.take_scan(np.full(2, np.inf), 0.1, np.empty((0, 3)))
+        kernel.take_scan(np.full(2, np.inf), 0.1, ages, hidden)
+    with pytest.raises(IndexError):
+        kernel.take_scan(np.array([np.inf]), 0.1, np.zeros(2), hidden)
     context = DecisionContext(1.0, 0.0)
     decision = barrier.decide(Twist(0.22), context, command=ZERO, touch=None)
     assert decision.is_active

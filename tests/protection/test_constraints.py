@@ -283,9 +283,8 @@ class SeesAll(Barrier):
 
     def __init__(self, platform: Platform) -> None:
         super().__init__(platform)
-        assert self._furthest < FAR
+        assert self._binding_range.for_scan_age(self._stale) < FAR
         self._binding_range = Everywhere(platform, self._settings, TICK)
-        self._furthest = FAR
 
 
 def driving(twist: Twist, seconds: float) -> Odometry:

@@ -36,8 +36,9 @@ def cleared(
     outline, seen = Footprint(platform.footprint), np.array(points).reshape(-1, 2)
     check = StopCheck(outline, LINEAR, ANGULAR, TICK)
     left = check.limited(
-        np.array(speeds), np.array(along), seen, outline.gaps(seen), np.array(free)
-    )
+        np.array(speeds), np.array(along), seen, outline.gaps(seen), np.full(len(seen), free[0]),
+        free[1],
+    )  # fmt: skip
     return float(left[0]), float(left[1])
 
 

@@ -48,16 +48,20 @@ def decided(
     requested: Twist,
     *,
     age: float = 0.0,
+    delay: float = 0.0,
     touch: TouchZone | None = None,
 ) -> Decision:
-    """The decision of new protection for a robot at rest, `age` s after its first scan."""
+    """The decision of new protection for a robot at rest, `age` s after its first scan.
+
+    `delay` s: by how much more than the platform's latency the scan is late.
+    """
     protection, begin = Protection(platform), 10.0
     odometry = Odometry(begin, HERE, ZERO)
-    protection.observe(scan, DecisionContext(begin, 0.0, odometry, 0.0))
+    protection.observe(scan, DecisionContext(begin, 0.0, odometry, 0.0, delay))
     later = Odometry(begin + age, HERE, ZERO)
     return protection.decide(
         requested,
-        DecisionContext(begin + age, age, later, 0.0),
+        DecisionContext(begin + age, age, later, 0.0, delay),
         is_running=True,
         hold=None,
         permit=Permit(touch=touch),
