@@ -6,6 +6,7 @@ import asyncio
 import math
 from collections.abc import Mapping
 from functools import partial
+from time import monotonic
 
 import zenoh
 from msgspec import Struct
@@ -17,6 +18,7 @@ from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
 from swarmd.driver_api.hw_codec import INPUTS, decode_input, deliver, encode_command
 from swarmd.drivers.latest_samples import LatestSamples
+from swarmd.drivers.scan_delay import scan_delay_finding
 from swarmd.network.session import (
     PROMPT_OPTIONS,
     has_subscriber,
@@ -96,7 +98,7 @@ class SimulatedDriver:
         task = asyncio.create_task(self.run(seen))
         try:
             async with asyncio.timeout(seconds):
-                while seen.last_scan is None or seen.last_odometry is None:
+                while not (seen.scans and seen.odometries):
                     await asyncio.sleep(_WATCH_PERIOD)
         except TimeoutError:
             pass  # the findings name what is missing
@@ -114,7 +116,8 @@ class SimulatedDriver:
     def _findings(self, seen: _CheckSink, is_taken: bool) -> tuple[Finding, ...]:
         hint = "start the world first (swarmctl sim up), or correct driver_options.endpoint"
         missing = f"none from {self._robot} of swarm {self._swarm} at {self._endpoint}; {hint}"
-        scan, has_odometry = seen.last_scan, seen.last_odometry is not None
+        scan, scans = seen.last_scan, seen.scans
+        has_odometry = bool(seen.odometries)
         rays = f"the platform has {len(self._platform.scan.bearings)}"
         taken = "has a subscriber" if is_taken else f"no simulated robot takes commands; {hint}"
         return (
@@ -123,6 +126,7 @@ class SimulatedDriver:
             ),
             Finding("odometry", has_odometry, "arrives" if has_odometry else missing),
             Finding("cmd_vel", is_taken, taken),
+            scan_delay_finding(scans, seen.odometries, scan, self._platform.scan),
         )
 
     def _key(self, name: str) -> str:
@@ -173,18 +177,21 @@ class SimulatedZeroSender:
 
 
 class _CheckSink(NullSink):
-    """A sink that keeps the last scan and odometry."""
+    """A sink that keeps the last scan, and arrivals and stamps of scans and odometry."""
 
-    last_scan: Scan | None = None
-    last_odometry: Odometry | None = None
+    def __init__(self) -> None:
+        self.last_scan: Scan | None = None
+        self.scans: list[tuple[float, float]] = []
+        self.odometries: list[tuple[float, float]] = []
 
     def scan(self, scan: Scan) -> None:
-        """Keep the last one."""
+        """Keep it and its stamp."""
         self.last_scan = scan
+        self.scans.append((monotonic(), scan.stamp))
 
     def odometry(self, odometry: Odometry) -> None:
-        """Keep the last one."""
-        self.last_odometry = odometry
+        """Keep its stamp."""
+        self.odometries.append((monotonic(), odometry.stamp))
 
 
 def _session(endpoint: str, robot: str) -> zenoh.Session:

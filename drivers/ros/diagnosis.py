@@ -15,6 +15,7 @@ from swarmd.core.values import Scan, ScanSpec
 from swarmd.driver_api.driver import Finding
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.topic_stats import TopicStats
+from swarmd.drivers.scan_delay import scan_delay_finding
 from swarmd.sensing.conditioning import ScanConditioner
 
 LAST_WORD = "docs/robots/last_word.md"
@@ -284,9 +285,17 @@ class Report:
         fault = self.graph.no_subscriber(
             self.cmd_vel, self.command_type, has_subscriber=self.has_subscriber
         )
+        yield self._scan_delay()
         well = f"{self.cmd_vel} ({middleware.type_name(self.command_type)}) has a subscriber"
         yield Finding("cmd_vel", not fault, fault or well)
         yield self._last_word()
+
+    def _scan_delay(self) -> Finding:
+        topics = self.subscriptions.topics
+        scans = [pair for stats in topics.values() if stats.is_scan for pair in stats.pairs]
+        return scan_delay_finding(
+            scans, topics["odometry"].pairs, self.subscriptions.scan, self.spec
+        )
 
     def _topic(self, stats: TopicStats) -> Finding:
         fault = self._fault(stats)

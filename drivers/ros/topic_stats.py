@@ -71,6 +71,11 @@ class TopicStats:
         return (len(self.times) - 1) / max(self.times[-1] - self.times[0], 1e-6)
 
     @property
+    def pairs(self) -> list[tuple[float, float]]:
+        """Arrivals with their stamps."""
+        return list(zip(self.times, self.stamps, strict=True))
+
+    @property
     def is_scan(self) -> bool:
         """True for the range sensor, or a part of it."""
         return self.option in ("scan", "ranges")

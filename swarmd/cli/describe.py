@@ -10,7 +10,13 @@ from swarmd.cli.explain import activity, obstacles, why
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
 from swarmd.cli.send import exit_code_of, known_members
-from swarmd.core.messages import Member, Presence, State, Status
+from swarmd.core.messages import (
+    Member,
+    Presence,
+    ScanDelaySummary,
+    State,
+    Status,
+)
 
 
 @click.command()
@@ -104,8 +110,18 @@ def _protection(status: Status) -> list[tuple[str, str]]:
         *zip(titles, limits, strict=False),
         ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
         ("scan age", NOTHING if age is None else seconds(age)),
+        *_scan_delay(status.scan_delay),
         ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
     ]
+
+
+def _scan_delay(delay: ScanDelaySummary | None) -> list[tuple[str, str]]:
+    if delay is None:
+        return []
+    used = seconds(delay.declared + delay.added)
+    most = seconds(delay.declared + delay.bound)
+    text = f"declared {seconds(delay.declared)}, used {used}, hold beyond {most}"
+    return [("scan delay", text), *(("", figure.line) for figure in delay.figures)]
 
 
 def _parameters(status: Status) -> list[tuple[str, str]]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
-from swarmd.cli.output import seconds
+from swarmd.cli.output import NOTHING, seconds
 from swarmd.core import codec
 from swarmd.core.messages import DecisionSummary, LimitingObstacle, Presence, Reason, State, Status
 from swarmd.network.discovery import Contact, SeenMember
@@ -31,6 +31,8 @@ _SENTENCES = {
     Reason.STALE_SCAN: "its last scan is too old{age}; check the lidar and the driver{driver}",
     Reason.FROZEN_SCAN: "its scans repeat{detail}; check the lidar",
     Reason.SCAN_CONFLICT: "more than one node publishes its scan{detail}{driver}; end all but one",
+    Reason.LATE_SCAN: "its scans arrive {late} later than the platform's scan.latency; shorten the"
+    " way of the scans, or correct the platform",
     Reason.STALE_ODOMETRY: "its odometry is too old{detail}; check the driver{driver}",
     Reason.COMMAND_EXPIRED: "the pattern sends no commands{detail}; its host is restarted soon",
     Reason.DRIVER_LOST: "its base does not answer{driver}; check the driver",
@@ -46,6 +48,7 @@ _LASTING_HOLDS = {
     Reason.STALE_SCAN: "scans stopped arriving",
     Reason.FROZEN_SCAN: "its scans repeated",
     Reason.SCAN_CONFLICT: "more than one node published its scan",
+    Reason.LATE_SCAN: "its scans arrived too late",
     Reason.STALE_ODOMETRY: "odometry stopped arriving",
     Reason.COMMAND_EXPIRED: "the pattern stopped sending commands",
     Reason.DRIVER_LOST: "its base did not answer",
@@ -84,6 +87,7 @@ def why(member: SeenMember) -> str:
         detail=detail,
         latches=f" by {', '.join(issuers)}" if issuers else "",
         age=f" ({seconds(age)})" if age is not None else "",
+        late=NOTHING if status.scan_delay is None else seconds(status.scan_delay.added),
         driver=f" ({status.health.driver})" if status.health.driver else "",
         gap=_gap(status.decision),
     )

@@ -278,6 +278,16 @@ class DelayFigure(Struct, frozen=True, kw_only=True):
     age: Seconds = 0.0
     text: Line = ""
 
+    @property
+    def line(self) -> str:
+        """The figure with its spread, samples and age, or why there is none."""
+        if self.delay is None:
+            return f"by {self.method}: not known: {self.text}"
+        return (
+            f"by {self.method}: {self.delay:.3f} s +- {self.spread:.3f} s, {self.samples} samples,"
+            f" the last {self.age:.0f} s ago"
+        )
+
 
 class ScanDelaySummary(Struct, frozen=True, kw_only=True):
     """The delay of scans: declared by the platform, and measured. In s.

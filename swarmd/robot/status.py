@@ -80,6 +80,7 @@ def make_status(
         events=tuple(lifecycle.events),
         version=settings.version,
         kernels=settings.kernels,
+        scan_delay=sensors.scan_delay.summary(now),
     )
 
 

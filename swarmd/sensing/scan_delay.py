@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection, Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -105,11 +106,46 @@ class ScanDelay:
         )
 
 
+def delay_by_stamps(
+    scans: Iterable[tuple[float, float]],
+    odometries: Iterable[tuple[float, float]],
+    scan: Scan | None,
+    spec: ScanSpec,
+) -> DelayFigure:
+    """The delay of a few scans, from arrivals and stamps; `scan` is one of them."""
+    offset = min((at - stamp for at, stamp in odometries), default=math.inf)
+    ages = [at - offset - stamp for at, stamp in scans]
+    if not ages or scan is None or offset == math.inf:
+        return DelayFigure(method="stamps", text="no scan, or no odometry")
+    ages = [age - _lead(scan, spec) for age in ages]
+    if not _MAX_LEAD <= min(ages) <= max(ages) <= _MAX_AGE:
+        return DelayFigure(method="stamps", text=_other_clock(ages[-1]))
+    return _figure(ages, 0.0)
+
+
+def _lead(scan: Scan, spec: ScanSpec) -> float:
+    """How much later than the stamp the mean ray was measured, in s."""
+    if scan.ages is None or not len(scan.ages):
+        return 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
+    return float(scan.ages.max() - scan.ages.mean())
+
+
+def _other_clock(age: float) -> str:
+    return f"scan and odometry have different clocks, {age:.3g} s apart"
+
+
+def _figure(ages: Collection[float], since: float) -> DelayFigure:
+    mean = sum(ages) / len(ages)
+    spread = math.sqrt(sum((age - mean) ** 2 for age in ages) / len(ages))
+    mean = max(mean, 0.0)
+    return DelayFigure(method="stamps", delay=mean, spread=spread, samples=len(ages), age=since)
+
+
 class _Stamps:
     """Delays by stamps. `offset`: the least arrival minus stamp of recent odometry; inf: none."""
 
     def __init__(self, spec: ScanSpec) -> None:
-        self._sweep = 0.0 if spec.sweep is None else spec.sweep.duration
+        self._spec = spec
         self.offset = math.inf
         self._stamp = -math.inf
         self._lowest, self._until = math.inf, -math.inf
@@ -118,7 +154,8 @@ class _Stamps:
         self._at = 0.0
         self._is_shared = False
         self._why = "no odometry yet"
-        self._seen: tuple[Array | None, float] = (None, 0.5 * self._sweep)
+        self._ages_of_rays: Array | None = None
+        self._lead = 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
 
     def on_odometry(self, stamp: float, now: float) -> bool:
         """Take in the stamp of a reading; true if its clock was set back."""
@@ -141,16 +178,13 @@ class _Stamps:
         """Take in a scan; the delay that counts, or 0 if stamps do not tell it."""
         if self.offset == math.inf:
             return 0.0
-        if scan.ages is not self._seen[0]:
-            lead = 0.5 * self._sweep
-            if scan.ages is not None and len(scan.ages):
-                lead = float(scan.ages.max() - scan.ages.mean())
-            self._seen = scan.ages, lead
-        age = now - self.offset - scan.stamp - self._seen[1]
+        if scan.ages is not self._ages_of_rays:  # mostly they are those of the last scan
+            self._ages_of_rays, self._lead = scan.ages, _lead(scan, self._spec)
+        age = now - self.offset - scan.stamp - self._lead
         if self._drifts():
             self._forget("the stamps of odometry do not run at real time")
         elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):
-            self._forget(f"scan and odometry have different clocks ({age:.3g} s apart)")
+            self._forget(_other_clock(age))
         else:
             self._ages.append(max(age, 0.0))
             self._at = now
@@ -165,15 +199,7 @@ class _Stamps:
         if not self._is_shared or not ages:
             why = self._why if not ages else "too few scans yet"
             return DelayFigure(method="stamps", text=why)
-        mean = sum(ages) / len(ages)
-        spread = math.sqrt(sum((age - mean) ** 2 for age in ages) / len(ages))
-        return DelayFigure(
-            method="stamps",
-            delay=mean,
-            spread=spread,
-            samples=len(ages),
-            age=max(now - self._at, 0.0),
-        )
+        return _figure(ages, max(now - self._at, 0.0))
 
     def _drifts(self) -> bool:
         """True if the clock of the stamps is not real time, as that of a slow simulator."""

@@ -1,0 +1,29 @@
+"""The line of `swarmd --check` that tells how late scans arrive."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from swarmd.core.values import Scan, ScanSpec
+from swarmd.driver_api.driver import Finding
+from swarmd.sensing.scan_delay import TOLERANCE, delay_by_stamps
+
+
+def scan_delay_finding(
+    scans: Iterable[tuple[float, float]],
+    odometries: Iterable[tuple[float, float]],
+    scan: Scan | None,
+    spec: ScanSpec,
+) -> Finding:
+    """The delay declared and measured, from arrivals and stamps; `scan` is one of the scans."""
+    figure = delay_by_stamps(scans, odometries, scan, spec)
+    text = f"declared {spec.latency:.3f} s, {figure.line}; by turns: only while it drives"
+    late = 0.0 if figure.delay is None else figure.delay - spec.latency
+    if late - figure.spread > spec.max_scan_delay:  # not by a single scan
+        text += (
+            f"; more than {spec.latency + spec.max_scan_delay:.3f} s holds the robot (late_scan)"
+        )
+        return Finding("scan delay", False, f"{text}: correct the platform's scan.latency")
+    if late + figure.spread > TOLERANCE:
+        text += "; protection uses what is measured"
+    return Finding("scan delay", True, text)
