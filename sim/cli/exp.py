@@ -140,7 +140,13 @@ def run(
         from swarmd.sim.experiments.cluster import connect
 
     names = chosen_metrics(metrics)
-    plan = plan_of(scenario, parse_seeds(seeds), parse_sets(sets), parse_sweeps(sweeps))
+    plan = plan_of(
+        scenario,
+        parse_seeds(seeds),
+        parse_sets(sets),
+        parse_sweeps(sweeps),
+        on_note=lambda note: warn(f"note: {note}"),
+    )
     if shard is not None:
         plan = replace(plan, shard=parse_shard(shard))
         if out is None:

@@ -117,15 +117,25 @@ def plan_of(
     seeds: Iterable[int],
     set: Mapping[str, Any] | None = None,
     sweep: Mapping[str, Sequence[Any]] | None = None,
+    *,
+    on_note: Callable[[str], object] = str,
 ) -> Plan:
-    """The plan of an experiment; every variant of the scenario is checked, start poses too."""
+    """The plan of an experiment; every variant of the scenario is checked, start poses too.
+
+    `on_note` gets each of the notes of the scenarios once.
+    """
     name = scenario.name if isinstance(scenario, Scenario) else str(scenario)
     first = check_seeds(seeds)
+    noted: dict[str, None] = {}
     given = [*([SOURCE] * bool(set)), *([SWEEP_SOURCE] * bool(sweep))]
 
     def effective(overrides: Mapping[str, Any]) -> Mapping[str, Any]:
         found = _overridden(scenario, overrides, " or ".join(given))
         found.starts(first[0])
+        for note in found.notes:
+            if note not in noted:
+                on_note(note)
+        noted.update(dict.fromkeys(found.notes))
         return plain(found.effective)
 
     return make_plan(name, first, set or {}, sweep or {}, effective)

@@ -28,6 +28,7 @@ from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.core.processes import how_it_ended
 
 WORLD = "world"
+WHOLE_BODIES = "every lidar sees whole bodies here (lidar_visibility: body)"
 KILL_DELAY = 2.0  # s between TERM and KILL
 WORLD_TIMEOUT = 30.0  # s; MuJoCo's first import from a cold disk is slow
 
@@ -169,6 +170,9 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
         "driver_options": dict(ready.driver_options),
         "state_dir": str((spec.folder / "state").absolute()),
     }
+    if spec.lidar_visibility == "body":
+        names = {Path(name).stem for name in spec.robots.values()}
+        config["accepts_unseen"] = dict.fromkeys(sorted(names), WHOLE_BODIES)
     if spec.plugin_dir is not None:
         config["plugin_dir"] = str(spec.plugin_dir.absolute())
     return config

@@ -23,10 +23,11 @@ import numpy as np
 from swarmd.core.clock import TICK
 from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Latch, Status
+from swarmd.core.messages import Body, Latch, Status
 from swarmd.core.values import Array, Scan, Twist, Value
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
+from swarmd.protection.compatibility import body_of
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
@@ -35,12 +36,13 @@ from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, Schedules
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.lockstep.timeline import Timeline
+from swarmd.sim.scenarios.compatibility import has_findings
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
-from swarmd.sim.world.radio import NEIGHBORS_RATE, Flight, Radio
+from swarmd.sim.world.radio import Flight, Radio, neighbors_rate
 from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.world import World
@@ -116,9 +118,13 @@ class Lockstep:
         self._radio = Radio(scenario.radio, ids, scenario.arena, seed=seed)
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
         self._scans_due = Schedules(np.array([p.scan.rate for p in self.world.platforms]), phases)
+        bodies = [body_of(p) for p in self._platforms]
+        self._bodies = dict(zip(ids, bodies, strict=True))
+        self._heard: dict[str, Body | None] = {}  # those that have ever had a daemon
+        self._is_mixed = has_findings(self._platforms, scenario.accepts)
         self._ticks = Schedules(np.full(n, 1.0 / TICK), phases)
         self._odometry_due = Schedules(np.array([ODOMETRY_RATE]))
-        self._neighbors_due = Schedules(np.full(n, NEIGHBORS_RATE), phases)
+        self._neighbors_due = Schedules(np.full(n, neighbors_rate(scenario.radio)), phases)
         readers = n if scenario.fields else 0
         self._readings_due = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
         self._record_due = Schedules(np.array([scenario.trace_rate]))
@@ -159,6 +165,8 @@ class Lockstep:
             for latches in list(self._peer_latches.values()):  # before any request
                 shell.apply(shell.robot.on_latches(latches, now), now)
         self.exchange()
+        if self._is_mixed:
+            self._update_peers(self.world.ids[row])
         self._update_neighbors(row)
 
     def _shell(self, row: int, now: float) -> RobotShell:
@@ -170,6 +178,7 @@ class Lockstep:
             layers=lambda p: layers(robot_id, p),
             labels=labels,
             touch=self.scenario.touch.get(robot_id, {}),
+            accepts=self.scenario.accepts,
         )
         robot = Robot(
             robot_id,
@@ -309,6 +318,13 @@ class Lockstep:
             there = set(compress(self.world.ids, self.has_daemon))
             neighbors = tuple(neighbor for neighbor in neighbors if neighbor.id in there)
         shell.robot.on_neighbors(neighbors, self.world.time)
+
+    def _update_peers(self, new: str) -> None:
+        """Tell all robots of the body of a new one, as its beacon does."""
+        self._heard[new] = self._bodies[new]
+        for shell in self._present(range(len(self.shells))):
+            others = {i: body for i, body in self._heard.items() if i != shell.robot.id}
+            shell.robot.on_peers(others, self.world.time)
 
     def _sense(self, now: float) -> None:
         world = self.world

@@ -9,6 +9,7 @@ from typing import Any, Literal
 
 from swarmd.core.host_messages import Layers
 from swarmd.core.values import Array, Platform, Scalar, TouchZone
+from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.lidar import Visibility
 from swarmd.sim.world.radio import RadioSettings
@@ -48,8 +49,9 @@ class Scenario:
     (n, 3) x, y in m and yaw in rad; ConfigError without room. `groups`: ids by group name.
     `absent`: ids without a daemon until a join event; their bases stand at their start
     poses. `layers(robot, pattern)` are the configured parameters, below those of a run;
-    `touch[robot]` are the touch zones of patterns. `events` in order of time.
-    `effective` is the complete configuration in plain values after all overrides:
+    `touch[robot]` are the touch zones of patterns. `accepts`: the peers that robots accept.
+    `notes`: a line for each pair of platforms that fits only by what the scenario says. `events` in
+    order of time. `effective` is the complete configuration in plain values after all overrides:
     `scenario_of(effective)` gives the same scenario.
     """
 
@@ -68,6 +70,8 @@ class Scenario:
     events: tuple[ScheduledEvent, ...]
     absent: frozenset[str] = frozenset()
     touch: Mapping[str, Mapping[str, TouchZone]] = field(default_factory=dict)
+    accepts: Accepts = ACCEPTS_NONE
+    notes: tuple[str, ...] = ()
     trace_rate: float = 10.0
     plugin_dir: Path | None = None
     effective: Mapping[str, Any] = field(default_factory=dict)

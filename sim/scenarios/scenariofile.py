@@ -18,6 +18,7 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.kit.touch import granted_zones
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read_extended, shown
+from swarmd.sim.scenarios.compatibility import check_compatibility
 from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
 from swarmd.sim.scenarios.groups import Groups, groups_of, platform_name
 from swarmd.sim.scenarios.overrides import SOURCE, nested
@@ -116,6 +117,7 @@ def _overridden(
     with blamed(layers, "radio"):
         check_radio(file.radio)
     groups = groups_of(layers, file, fields)
+    accepts, notes = check_compatibility(layers, file, groups)
     starts = _starts(layers, file, groups, arena)
     schedule = schedule_of(layers, file, groups)
     configured = configured_parameters(file, groups)
@@ -148,6 +150,8 @@ def _overridden(
         events=schedule.events,
         absent=schedule.absent,
         touch={r: granted_zones(file.groups[g].touch) for r, g in groups.group_of.items()},
+        accepts=accepts,
+        notes=notes,
         trace_rate=file.trace_rate,
         plugin_dir=plugin_dir,
         effective=effective,

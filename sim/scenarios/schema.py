@@ -8,6 +8,7 @@ from msgspec import Meta, Struct, field
 
 from swarmd.core.messages import BoundedScalar
 from swarmd.kit.touch_config import TouchGrants
+from swarmd.settings.swarmfile import PlatformGrants
 from swarmd.sim.world.radio import RadioSettings
 
 Coordinate = Annotated[float, Meta(ge=-10_000.0, le=10_000.0)]
@@ -120,7 +121,8 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The whole file. `platforms`: values above those of a platform's own file, or a new platform.
 
     `start` is for all groups without one of their own, together. `parameters` are for all robots
-    by pattern, below those of a group. `plugin_dir` is relative to the file.
+    by pattern, below those of a group. `accepts_unseen` and `accepts_faster` are as in swarm.yaml.
+    `plugin_dir` is relative to the file.
     """
 
     name: str | None = None
@@ -138,4 +140,6 @@ class ScenarioFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     start: StartSection = StartSection()
     parameters: dict[str, Values] = {}
     events: list[EventSection] = []
+    accepts_unseen: PlatformGrants = []
+    accepts_faster: PlatformGrants = []
     plugin_dir: str | None = None

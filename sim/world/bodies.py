@@ -15,7 +15,7 @@ import mujoco
 import numpy as np
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Array, Platform
+from swarmd.core.values import Array, Heights, Platform
 from swarmd.sim.world.arena import Arena, Box
 
 COLLISION, BODY, HOUSING, FIXED = range(4)
@@ -121,7 +121,7 @@ def _add_shapes(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
     x, y = (low + high) / 2.0
     half_x, half_y = (high - low) / 2.0
     contype, conaffinity = (SOLID_BIT, SOLID_BIT) if is_solid(platform) else (0, GHOST_BIT)
-    bottom, top = value(platform, "height"), value(platform, "target_top")
+    bottom, top = value(platform, "height"), heights(platform).highest
     for name, height, types in (("", _HEIGHT, (contype, conaffinity)), ("/body", bottom, (0, 0))):
         body.add_geom(
             name=f"{robot}{name}",
@@ -165,6 +165,16 @@ def value(platform: Platform, key: str) -> float:
         f"platform {platform.name}: body.{key} is {platform.body.get(key)}; to be simulated it"
         " must be greater than 0"
     )
+
+
+def heights(platform: Platform) -> Heights:
+    """The heights of the platform; ConfigError if they are not known."""
+    if platform.heights is None:
+        raise ConfigError(
+            f"platform {platform.name}: heights is missing; to be simulated it must hold"
+            " scan_plane, lowest and highest in m"
+        )
+    return platform.heights
 
 
 def is_solid(platform: Platform) -> bool:

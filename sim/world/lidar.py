@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform, ScanSpec
 from swarmd.sim.world.arena import Arena
-from swarmd.sim.world.bodies import value
+from swarmd.sim.world.bodies import heights, value
 from swarmd.sim.world.geometry import Indices
 
 if TYPE_CHECKING:  # where it is not compiled the numpy code runs
@@ -72,7 +72,7 @@ def shapes_of(arena: Arena, platforms: Sequence[Platform], *, plane: float | Non
     housed = [
         i
         for i, p in enumerate(platforms)
-        if i not in whole and plane is not None and plane <= value(p, "target_top")
+        if i not in whole and plane is not None and plane <= heights(p).highest
     ]
     boxes = [box.shape for _, box in arena.movable_boxes]
     box_rows = range(len(platforms), len(platforms) + len(boxes))
@@ -346,7 +346,7 @@ class RangeSensors:
         self._kinds = np.array([names.index(p.name) for p in platforms], dtype=np.intp)
         self._lidars = []
         for platform in kinds.values():
-            plane = value(platform, "scan_height") if visibility == "real" else None
+            plane = heights(platform).scan_plane if visibility == "real" else None
             shapes = shapes_of(arena, platforms, plane=plane)
             self._lidars.append(Lidar(platform.scan, shapes))
 

@@ -25,7 +25,8 @@ Flight = tuple[float, list[int], int, str, Value]
 """A message on its way: when it arrives, then its hearers, sender, name and value."""
 
 NEIGHBORS_RATE = 2.0
-"""Hz at which a robot learns its neighbors, in live worlds and in lockstep."""
+"""Hz at which a robot learns its neighbors without range and bearing."""
+_BEARINGS_RATE = 10.0  # the same with range-and-bearing boards, which measure 10 times a second
 
 # Errors of range-and-bearing boards: our choice, of the order that their makers report.
 _DISTANCE_SD, _DISTANCE_SHARE, _ANGLE_SD = 0.02, 0.02, math.radians(2.0)
@@ -68,6 +69,11 @@ def check_radio(settings: RadioSettings) -> None:
             f"radio.jitter is {settings.jitter:g}; expected at most radio.delay"
             f" ({settings.delay:g}): nothing arrives before it is sent"
         )
+
+
+def neighbors_rate(settings: RadioSettings) -> float:
+    """Hz at which a robot learns its neighbors."""
+    return _BEARINGS_RATE if settings.range_and_bearing else NEIGHBORS_RATE
 
 
 def with_bearings(platform: Platform) -> Platform:

@@ -10,13 +10,7 @@ from swarmd.cli.explain import activity, obstacles, why
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
 from swarmd.cli.send import exit_code_of, known_members
-from swarmd.core.messages import (
-    Member,
-    Presence,
-    ScanDelaySummary,
-    State,
-    Status,
-)
+from swarmd.core.messages import Body, Member, Presence, ScanDelaySummary, State, Status
 
 
 @click.command()
@@ -46,6 +40,7 @@ def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, 
         ("State", _state(status)),
         ("Emergency stops", [(i, _latch(status, i)) for i in sorted(status.latches)]),
         ("Protection", _protection(status)),
+        ("Peers", [(f.robot, f"{'holds it: ' * f.holds}{f.text}") for f in status.peers]),
         ("Parameters", _parameters(status)),
         (_report_title(status), [(name, number(value)) for name, value in status.report.items()]),
         ("Readings", [(name, number(value)) for name, value in status.readings.items()]),
@@ -65,6 +60,7 @@ def _robot(status: Status, seen: str) -> list[tuple[str, str]]:
     secured = "with certificates" if status.is_secured else "without certificates"
     return [
         ("platform", status.platform),
+        ("body", NOTHING if status.body is None else body_text(status.body)),
         ("driver", f"{status.driver} {'(up)' if status.health.driver_up else '(lost)'}"),
         ("host", status.host),
         ("version", status.version or NOTHING),
@@ -75,6 +71,15 @@ def _robot(status: Status, seen: str) -> list[tuple[str, str]]:
         ("up for", seconds(status.uptime)),
         ("seen", seen),
     ]
+
+
+def body_text(body: Body) -> str:
+    """What a robot tells others of its body, in one line."""
+    text = f"surfaces of up to {body.surface_speed:.2f} m/s"
+    if body.scan_plane is None or body.lowest is None or body.highest is None:
+        return f"{text}; its platform has no heights"
+    seen = f"seen between {body.lowest:.3f} and {body.highest:.3f} m"
+    return f"{text}; scan plane at {body.scan_plane:.3f} m; {seen}"
 
 
 def _state(status: Status) -> list[tuple[str, str]]:

@@ -36,6 +36,7 @@ _SENTENCES = {
     Reason.STALE_ODOMETRY: "its odometry is too old{detail}; check the driver{driver}",
     Reason.COMMAND_EXPIRED: "the pattern sends no commands{detail}; its host is restarted soon",
     Reason.DRIVER_LOST: "its base does not answer{driver}; check the driver",
+    Reason.INCOMPATIBLE_PEER: "{peer}{detail}",
     Reason.PATTERN_RESTARTING: "the pattern failed and is being loaded again{detail}",
     Reason.NO_REQUESTED_COMMAND: "the pattern requests no motion",
     Reason.PROTECTION: "protection holds it{gap}",
@@ -52,6 +53,7 @@ _LASTING_HOLDS = {
     Reason.STALE_ODOMETRY: "odometry stopped arriving",
     Reason.COMMAND_EXPIRED: "the pattern stopped sending commands",
     Reason.DRIVER_LOST: "its base did not answer",
+    Reason.INCOMPATIBLE_PEER: "it did not see a peer, or a peer was faster than it assumes",
     Reason.PATTERN_RESTARTING: "the pattern failed and could not be loaded again",
 }
 
@@ -90,6 +92,7 @@ def why(member: SeenMember) -> str:
         late=NOTHING if status.scan_delay is None else seconds(status.scan_delay.added),
         driver=f" ({status.health.driver})" if status.health.driver else "",
         gap=_gap(status.decision),
+        peer=_peer(status),
     )
     if status.state is State.RUNNING:
         return f"running {status.pattern}, not moving: {sentence}"
@@ -120,6 +123,12 @@ def _lost(status: Status) -> str:
     """Why the base of a standing robot is lost now: it may be moved by others."""
     health = status.health
     return "" if health.driver_up or not health.driver else f"; driver lost: {health.driver}"
+
+
+def _peer(status: Status) -> str:
+    """The first peer that holds the robot, and why."""
+    held = (f"peer {found.robot}: {found.text}" for found in status.peers if found.holds)
+    return next(held, "a peer is not seen, or is faster than assumed")
 
 
 def _limit(decision: DecisionSummary) -> str:

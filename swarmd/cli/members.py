@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
 import click
@@ -14,7 +14,7 @@ from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
 from swarmd.cli.send import exit_code_of, known_members, report, time_left
 from swarmd.core import codec
-from swarmd.core.messages import ForgetRequest, Presence, State
+from swarmd.core.messages import ForgetRequest, Presence, State, Status
 from swarmd.network.discovery import Contact, SeenMember
 from swarmd.network.outcome import REFUSED
 
@@ -132,8 +132,21 @@ def health(view: MembersView) -> Iterator[str]:
             lost.setdefault(status.health.driver or status.driver, []).append(status.robot)
     for text, names in lost.items():
         yield f"driver lost: {', '.join(names)} ({text})"
+    yield from incompatible(statuses)
     if any(s.profile == "field" and not s.is_secured for s in statuses):
         yield "WARNING: no certificates: anyone on this network can drive these robots"
+
+
+def incompatible(statuses: Iterable[Status]) -> Iterator[str]:
+    """A line for each kind of peer that robots may not see, or that is faster than they assume."""
+    pairs: dict[tuple[bool, str], tuple[list[str], list[str]]] = {}
+    for status in statuses:
+        for found in status.peers:
+            own, peers = pairs.setdefault((found.holds, found.text), ([], []))
+            own.extend([status.robot] * (status.robot not in own))
+            peers.extend([found.robot] * (found.robot not in peers))
+    for (holds, text), (own, peers) in pairs.items():
+        yield f"{', '.join(own)} {'held by' if holds else 'beside'} {', '.join(peers)}: {text}"
 
 
 def _report(report: Mapping[str, Scalar]) -> str:

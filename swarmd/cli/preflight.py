@@ -20,7 +20,9 @@ from swarmd.driver_api.driver import Driver, Finding, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.kit.touch import describe_zone
 from swarmd.plugins import pattern_names
+from swarmd.protection.compatibility import assumed_speed, body_of, findings
 from swarmd.settings.driver_options import base_options, effective_command_timeout
+from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.settings import DaemonSettings
 
 CHECK_TIMEOUT = 4.2  # s for all checks: with starting and ending Python, 5 s
@@ -34,6 +36,7 @@ def check_daemon(settings: DaemonSettings) -> int:
     findings = [
         Finding("settings", True, f"robot {settings.id} of swarm {settings.network.swarm}"),
         Finding("platform", True, _platform_text(settings)),
+        Finding("peers", True, _peers_text(settings)),
         Finding("kernels", True, describe_kernels()),
         _check_network(settings),
         check_state_dir(settings.state_dir),
@@ -57,6 +60,20 @@ def _platform_text(settings: DaemonSettings) -> str:
         f"{platform.name}: up to {limits.linear:g} m/s and {limits.angular:g} rad/s;"
         f" protection {protection_text(platform.protection)}"
     )
+
+
+def _peers_text(settings: DaemonSettings) -> str:
+    """Beside which platforms that come with swarmd this robot is held; its roster names none."""
+    own, speed = body_of(settings.platform), assumed_speed(settings.platform)
+    held: list[str] = []
+    for name in platform_names():
+        peer = body_of(load_platform(name))
+        for found in findings(own, speed, name, peer, settings.accepts):
+            if found.kind == "unknown":
+                return "platform has no heights: whether this robot sees others is not known"
+            if found.holds:
+                held.append(f"{name} ({'not seen' if found.kind == 'unseen' else 'faster'})")
+    return f"held beside {', '.join(held)}" if held else "fits all platforms of swarmd"
 
 
 def protection_text(protection: Mapping[str, Any]) -> str:

@@ -17,6 +17,7 @@ Speed = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 Rate = Annotated[float, Meta(ge=0.0, le=1e6)]
 Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Height = Annotated[float, Meta(ge=0.0, le=100.0)]
 Name = Annotated[str, Meta(min_length=1, max_length=63)]
 Word = Annotated[str, Meta(max_length=64)]
 Line = Annotated[str, Meta(max_length=1000)]
@@ -332,6 +333,33 @@ class LoggedEvent(Struct, frozen=True, kw_only=True):
     text: Line
 
 
+class Body(Struct, frozen=True, kw_only=True):
+    """What a robot tells of its body: m/s, m around the axle, and heights above the floor in m.
+
+    `surface_speed`: of its fastest surface near an obstacle. `scan_plane`: of its sensor. A level
+    plane between `lowest` and `highest` meets it. None: its platform does not say.
+    """
+
+    platform: Word
+    surface_speed: Annotated[float, Meta(ge=0.0, le=1000.0)]
+    radius: Annotated[float, Meta(ge=0.0, le=1000.0)]
+    scan_plane: Height | None = None
+    lowest: Height | None = None
+    highest: Height | None = None
+
+
+class PeerFinding(Struct, frozen=True, kw_only=True):
+    """What stands between a robot and the peer `robot`: one line, and whether it holds the robot.
+
+    `kind`: unseen, faster, or unknown if the peer does not tell enough of its body.
+    """
+
+    robot: Name
+    kind: Literal["unseen", "faster", "unknown"]
+    text: Line
+    holds: bool
+
+
 class Param(Struct, frozen=True, kw_only=True):
     """The value of a parameter and the layer it comes from."""
 
@@ -343,7 +371,8 @@ class Status(Struct, frozen=True, kw_only=True):
     """The published status of a robot: on each change and at 1 Hz.
 
     `readings`: the latest values of its scalar sensors, such as `battery` from 0 to 1. `version`:
-    of the daemon's package. `kernels`: which code decides, see `describe_kernels`.
+    of the daemon's package. `kernels`: which code decides, see `describe_kernels`. `body`: what its
+    beacons tell of it. `peers`: those that it may not see, or that are faster than it assumes.
     """
 
     robot: Name
@@ -373,6 +402,8 @@ class Status(Struct, frozen=True, kw_only=True):
     version: Word = ""
     kernels: Word = ""
     scan_delay: ScanDelaySummary | None = None
+    body: Body | None = None
+    peers: tuple[PeerFinding, ...] = ()
 
 
 class StatusHeader(Struct, frozen=True, kw_only=True):

@@ -208,6 +208,19 @@ class ScanSpec:
         return min(2.0 / self.rate, self.stale_after)
 
 
+@dataclass(frozen=True, slots=True)
+class Heights:
+    """Heights above the floor in m.
+
+    `scan_plane`: of the sensor's rays. `lowest`, `highest`: a level plane between them meets an
+    opaque part of the robot from every side, so wheels do not count.
+    """
+
+    scan_plane: float
+    lowest: float
+    highest: float
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Platform:
     """One kind of robot, from its file in config/platforms.
@@ -215,8 +228,8 @@ class Platform:
     `footprint` is a (k, 2) convex polygon, counter-clockwise, in the base frame in m.
     `protection` holds the settings of the arbiter: `mode`, the values of the potential field's
     preset in force, and those of `barrier` and `stop_zone` under these names (None: not given).
-    `patterns`: parameters by pattern name. `drivers`: options by driver name. `body`: values for
-    the simulated robot (mass, heights, wheel base, lidar target radius ...).
+    `patterns`: parameters by pattern name. `drivers`: options by driver name. `heights`: None if
+    they are not known. `body`: values for the simulated robot (mass, wheel base ...).
     """
 
     name: str
@@ -227,6 +240,7 @@ class Platform:
     protection: Mapping[str, Any]
     patterns: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     drivers: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
+    heights: Heights | None = None
     body: Mapping[str, float] = field(default_factory=dict)
 
 

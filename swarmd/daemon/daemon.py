@@ -38,6 +38,7 @@ from swarmd.network.datagram import Address, Message, Stop
 from swarmd.network.interface_watch import InterfaceChange
 from swarmd.network.peer import Summary
 from swarmd.pattern_host.runner import ProcessRunner
+from swarmd.protection.compatibility import body_of
 from swarmd.robot.actions import Actions
 from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
@@ -96,6 +97,7 @@ class Daemon:
                 serve=self._serve,
             ),
             version=version("swarmd"),
+            body=body_of(settings.platform),
         )
         self._has_joined = False
         self._requests = RequestServer(
@@ -114,6 +116,7 @@ class Daemon:
                 kernels=describe_kernels(),
                 labels=settings.labels,
                 touch=settings.touch_zones,
+                accepts=settings.accepts,
             ),
             seed=secrets.randbits(48),
             instance=self._instance,
@@ -267,7 +270,8 @@ class Daemon:
         self._robot.log(text, boottime())
 
     def _update_neighbors(self) -> None:
-        """Unless the driver measures neighbors, every living member is one."""
+        """Tell the robot of the members, its neighbors unless the driver measures those."""
+        self._robot.on_peers(self._network.bodies, boottime())
         if not self._has_joined or self.sink.has_neighbors:
             return
         alive = tuple(Neighbor(robot, 0.0) for robot in sorted(self._network.alive))

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError, IdHeldError, NetworkError
-from swarmd.core.messages import Latch, Member, Presence, Reply, Status
+from swarmd.core.messages import Body, Latch, Member, Presence, Reply, Status
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import (
     ANY_SWARM,
@@ -80,8 +80,10 @@ class Network:
         handlers: NetworkHandlers,
         *,
         version: str,
+        body: Body | None = None,
     ) -> None:
         self._version = version
+        self._body = body
         self._settings = settings
         self._robot = robot
         self._instance = bytes.fromhex(instance)
@@ -113,6 +115,11 @@ class Network:
     def members(self) -> Mapping[str, Member]:
         """The other robots that were ever heard and not forgotten, by id."""
         return {} if self._peer is None else self._peer.membership.members(boottime())
+
+    @property
+    def bodies(self) -> Mapping[str, Body | None]:
+        """What the members tell of their bodies, by id."""
+        return {} if self._peer is None else self._peer.membership.bodies()
 
     @property
     def alive(self) -> tuple[str, ...]:
@@ -161,6 +168,7 @@ class Network:
             version=self._version,
             roster=self._roster,
             now=boottime(),
+            body=self._body,
         )
         warn_at = boottime() + CLAIM_WARNING
         while not self._peer.owns_id:

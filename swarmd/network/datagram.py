@@ -18,6 +18,7 @@ Reading raises nothing but `CodecError`. The bounds of the fields also refuse Na
 from __future__ import annotations
 
 import hashlib
+import math
 import struct
 from collections.abc import Callable
 from enum import IntEnum, IntFlag
@@ -27,7 +28,7 @@ import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Latch, Line, Name, Presence, State
+from swarmd.core.messages import Body, Latch, Line, Name, Presence, State
 
 MAGIC = b"SWMD"
 TAG_BYTES = 8
@@ -39,12 +40,14 @@ MAX_DATAGRAM = 1400
 MAX_HOPS = 4  # a stop or a report travels at most this far from robot to robot
 _HEAD = struct.Struct(f">4sB{TAG_BYTES}sH")
 _MAX_MS = 2**40
+_ROUNDING = 1e-6  # mm that rounding adds to a whole number of them
 
 RobotId = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 Bytes6 = Annotated[bytes, Meta(min_length=6, max_length=6)]
 DIGEST_BYTES = 6
 Digest = Annotated[bytes, Meta(max_length=DIGEST_BYTES)]
 Milliseconds = Annotated[int, Meta(ge=0, le=_MAX_MS)]
+Millimetres = Annotated[int, Meta(ge=0, le=100_000)]
 Number = Annotated[int, Meta(ge=0, le=2**53)]
 Hops = Annotated[int, Meta(ge=0, le=MAX_HOPS)]
 Host = Annotated[str, Meta(max_length=64)]
@@ -87,6 +90,45 @@ class _Datagram(Struct, frozen=True, kw_only=True, array_like=True):
     """The body of a datagram."""
 
 
+class BodyReport(_Datagram, frozen=True, kw_only=True):
+    """A `Body` in mm and mm/s; None: not known."""
+
+    platform: Annotated[str, Meta(max_length=63)]
+    surface_speed: Millimetres
+    radius: Millimetres
+    scan_plane: Millimetres | None
+    lowest: Millimetres | None
+    highest: Millimetres | None
+
+    @classmethod
+    def of(cls, body: Body) -> BodyReport:
+        """The report of a body; speed and radius are rounded up."""
+        heights = (body.scan_plane, body.lowest, body.highest)
+        plane, lowest, highest = (None if h is None else round(1000.0 * h) for h in heights)
+        return cls(
+            platform=body.platform[:63],
+            surface_speed=math.ceil(1000.0 * body.surface_speed - _ROUNDING),
+            radius=math.ceil(1000.0 * body.radius - _ROUNDING),
+            scan_plane=plane,
+            lowest=lowest,
+            highest=highest,
+        )
+
+    @property
+    def body(self) -> Body:
+        """The body in m and m/s."""
+        heights = (self.scan_plane, self.lowest, self.highest)
+        plane, lowest, highest = (None if h is None else h / 1000.0 for h in heights)
+        return Body(
+            platform=self.platform,
+            surface_speed=self.surface_speed / 1000.0,
+            radius=self.radius / 1000.0,
+            scan_plane=plane,
+            lowest=lowest,
+            highest=highest,
+        )
+
+
 class Beacon(_Datagram, frozen=True, kw_only=True):
     """Shows that a robot is there: sent once a second, at each change, and when solicited.
 
@@ -94,7 +136,7 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
     version may send an unknown one. `revision` counts the changes of the robot. `latches` and
     `goal` are digests, empty without any. `echo`: the number of the `Solicit` that it answers.
     `wire` is the version of the requests that the daemon reads, `version` that of its package,
-    which only answers have.
+    which only answers have. `body`: None from an older version.
     """
 
     robot: RobotId
@@ -108,6 +150,7 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
     goal: Digest = b""
     echo: Number = 0
     version: Annotated[str, Meta(max_length=32)] = ""
+    body: BodyReport | None = None
 
 
 class Solicit(_Datagram, frozen=True, kw_only=True):

@@ -19,7 +19,7 @@ from dataclasses import dataclass, field
 
 from msgspec.structs import replace
 
-from swarmd.core.messages import Member, Presence
+from swarmd.core.messages import Body, Member, Presence
 from swarmd.network.datagram import (
     MAX_HOPS,
     PRESENCES,
@@ -207,6 +207,18 @@ class Membership:
         """All members by id, in the order of their names."""
         found = ((robot, self.member(robot, now)) for robot in sorted(self._records))
         return {robot: member for robot, member in found if member is not None}
+
+    def bodies(self) -> dict[str, Body | None]:
+        """What each member that was heard here tells of its body; None: nothing.
+
+        Also of those that left or failed, until they are forgotten: they still stand somewhere.
+        """
+        reports = {
+            robot: record.latest.beacon.body
+            for robot, record in self._records.items()
+            if record.shown is not None
+        }
+        return {robot: None if report is None else report.body for robot, report in reports.items()}
 
     @property
     def indirect(self) -> Mapping[str, IndirectMember]:

@@ -11,7 +11,7 @@ import random
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from swarmd.core.messages import Latch, State
+from swarmd.core.messages import Body, Latch, State
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.claim import CLAIM_PERIOD, Claim
 from swarmd.network.datagram import (
@@ -19,6 +19,7 @@ from swarmd.network.datagram import (
     Ack,
     Address,
     Beacon,
+    BodyReport,
     Datagram,
     Flag,
     Latches,
@@ -119,6 +120,7 @@ class Peer:
         version: str,
         roster: tuple[str, ...],
         now: float,
+        body: Body | None = None,
     ) -> None:
         self.robot = robot
         self.membership = Membership(robot, lease)
@@ -128,6 +130,7 @@ class Peer:
         self._wire = wire
         self._version = version
         self._roster = roster
+        self._body = None if body is None else BodyReport.of(body)
         self._random = random.Random(instance)
         self._claim: Claim | None = Claim(robot, instance, settle, now)
         self._settle = settle
@@ -399,6 +402,7 @@ class Peer:
             latches=digest_of(summary.latches),
             echo=echo,
             version=version,
+            body=self._body,
         )
 
     def _may_answer(self, source: Address, count: int, now: float) -> bool:

@@ -44,6 +44,7 @@ from swarmd.core.messages import (
 )
 from swarmd.core.values import Platform, Scalar, TouchZone
 from swarmd.kit.touch import effective_zone
+from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
 from swarmd.protection.decision import Permit
 from swarmd.robot.actions import Effects
 from swarmd.robot.latches import Latches, LatchRecord
@@ -69,7 +70,7 @@ class RobotSettings:
     """Settings of a robot beside its platform.
 
     `layers` gives the configured parameters of a pattern by layer, weakest first; `touch` the
-    granted touch zones by pattern.
+    granted touch zones by pattern; `accepts` the platforms that it may drive beside unseen.
     """
 
     driver: str
@@ -81,6 +82,7 @@ class RobotSettings:
     kernels: str = ""
     labels: tuple[str, ...] = ()
     touch: Mapping[str, TouchZone] = field(default_factory=dict)
+    accepts: Accepts = ACCEPTS_NONE
 
 
 @dataclass(frozen=True, slots=True, eq=False)

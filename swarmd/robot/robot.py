@@ -10,7 +10,7 @@ import math
 from collections.abc import Mapping
 
 from swarmd.core.host_messages import HostEvent, Step, TrialDone
-from swarmd.core.messages import Epoch, Latch, Reason, Request, State, Status
+from swarmd.core.messages import Body, Epoch, Latch, Reason, Request, State, Status
 from swarmd.core.values import Neighbor, Odometry, Platform, Scalar, Scan, Value
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import NO_PERMIT, Decision
@@ -57,7 +57,7 @@ class Robot:
         self._hold: Reason | None = Reason.NO_SCAN  # that of the last event
         self._is_status_due = True  # the lifecycle may have changed since the last look at it
         self._settled: Actions  # those of the last event but a quiet tick
-        self._sensors = Sensors(platform)
+        self._sensors = Sensors(platform, settings.accepts)
         self._protection = Protection(platform, f"{seed}/{id}")
         identity = RobotIdentity(id, platform, settings, seed, instance)
         self._lifecycle = Lifecycle(identity, latches, now)
@@ -118,6 +118,13 @@ class Robot:
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
         """The present neighbours: from the driver if it provides them, else all members."""
         self._sensors.on_neighbors(neighbors, now)
+
+    def on_peers(self, bodies: Mapping[str, Body | None], now: float) -> None:
+        """What the other robots tell of their bodies: all that were heard and are not forgotten."""
+        found = self._sensors.on_peers(bodies)
+        for finding in found:
+            self._lifecycle.log(f"peer {finding.robot}: {finding.text}", now)
+        self._due_at = self._quiet_until = -math.inf
 
     def on_readings(self, readings: Mapping[str, float]) -> None:
         """Scalar sensor readings by name."""

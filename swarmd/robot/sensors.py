@@ -8,9 +8,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from swarmd.core.codec import encode_value
-from swarmd.core.messages import Reason
+from swarmd.core.messages import Body, PeerFinding, Reason
 from swarmd.core.values import Inputs, Message, Neighbor, Odometry, Platform, Scan, Value
+from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
 from swarmd.protection.decision import DecisionContext
+from swarmd.robot.peers import Peers
 from swarmd.sensing.conditioning import ScanConditioner
 from swarmd.sensing.scan_delay import ScanDelay
 
@@ -36,7 +38,7 @@ class Sensors:
     All times are in s on the robot's monotonic clock and come with each call.
     """
 
-    def __init__(self, platform: Platform) -> None:
+    def __init__(self, platform: Platform, accepts: Accepts = ACCEPTS_NONE) -> None:
         self._stale_after = platform.scan.stale_after
         self._needs_odometry = "odometry" in platform.provides
         # Mode barrier has a better memory of its own for its blind zone.
@@ -54,6 +56,7 @@ class Sensors:
         self._aged: tuple[Neighbor, ...] = ()
         self._renewals = 0.0
         self._neighbors_at = 0.0
+        self.peers = Peers(platform, accepts)
         self._inbox: deque[_Received] = deque()
         self._inbox_bytes = 0
         self.overflowed = 0
@@ -101,7 +104,14 @@ class Sensors:
             self._neighbors = neighbors
             self._neighbor_ids = frozenset(neighbor.id for neighbor in neighbors)
         self._neighbors_at = now
+        if self.peers.on_neighbors(neighbors, now):
+            self._context = None
         self._aged, self._renewals = neighbors, 0.0
+
+    def on_peers(self, bodies: Mapping[str, Body | None]) -> list[PeerFinding]:
+        """Take in what all known peers tell of their bodies; the findings that are new."""
+        self._context = None
+        return self.peers.on_peers(bodies)
 
     def on_message(self, sender: str, channel: str, value: Value, now: float) -> bool:
         """Keep a message for the next step; False if its sender is no neighbour.
@@ -166,6 +176,7 @@ class Sensors:
                 self.odometry,
                 None if odometry_at is None else now - odometry_at,
                 self.scan_delay.added,
+                told=self.peers.told(now),
             )
         return context
 
@@ -193,7 +204,7 @@ class Sensors:
             self._odometry_at is None or now - self._odometry_at > ODOMETRY_TIMEOUT
         ):
             return Reason.STALE_ODOMETRY
-        return None
+        return Reason.INCOMPATIBLE_PEER if self.peers.holds(now) else None
 
     def hold_due_at(self) -> float:
         """The time until which `hold` stays None, if it is None now and nothing arrives."""
@@ -201,7 +212,7 @@ class Sensors:
         due = math.inf if stale_at is None else stale_at
         if self._needs_odometry and self._odometry_at is not None:
             due = min(due, self._odometry_at + ODOMETRY_TIMEOUT)
-        return due
+        return min(due, self.peers.hold_due_at())
 
     def stale_at(self) -> float | None:
         """The time at which the present scan becomes too old; None before the first."""

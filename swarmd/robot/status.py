@@ -16,6 +16,7 @@ from swarmd.robot.sensors import Sensors
 
 MAX_REPORTED = 16
 MAX_ROWS = 4
+MAX_PEERS = 16
 SCALAR: Any = BoundedScalar  # the type as msgspec reads it, with its bounds
 MAX_NAME = 64
 MAX_VALUE = 256
@@ -81,6 +82,8 @@ def make_status(
         version=settings.version,
         kernels=settings.kernels,
         scan_delay=sensors.scan_delay.summary(now),
+        body=sensors.peers.own,
+        peers=sensors.peers.findings(now)[:MAX_PEERS],
     )
 
 

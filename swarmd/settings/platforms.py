@@ -13,7 +13,16 @@ from msgspec import Meta, Struct, to_builtins
 import swarmd.config
 from swarmd.core.angles import wrap
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.values import Array, Limits, Platform, ScanSpec, Sweep, Value, input_fault
+from swarmd.core.values import (
+    Array,
+    Heights,
+    Limits,
+    Platform,
+    ScanSpec,
+    Sweep,
+    Value,
+    input_fault,
+)
 from swarmd.protection.footprint import Footprint
 from swarmd.protection.settings import (
     BarrierSettings,
@@ -90,6 +99,19 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     sweep: SweepSection | None = None
 
 
+class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Heights above the floor in m, from which robots know whether they see each other.
+
+    - `scan_plane`: of the rays. Wrong: a robot that is not seen counts as seen, and is hit.
+    - `lowest`, `highest`: a level plane between them meets an opaque part of the robot from every
+      side (wheels do not count). Too far apart: others count on seeing it, and hit it.
+    """
+
+    scan_plane: Annotated[float, Meta(ge=0.0, le=10.0)]
+    lowest: Annotated[float, Meta(ge=0.0, le=10.0)]
+    highest: Annotated[float, Meta(ge=0.0, le=10.0)]
+
+
 class ProtectionSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The protection mode and the settings of each; `preset` names one of the potential field."""
 
@@ -109,6 +131,7 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     - `provides`: what patterns may need. Patterns that need more are refused.
     - `patterns`: parameters by pattern that override the derived ones.
     - `drivers`: default options by driver.
+    - `heights`: None: whether others see this robot, and whether it sees them, is not known.
     - `body`: properties of the simulated robot; no effect on a real one.
     """
 
@@ -121,6 +144,7 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     protection: ProtectionSection
     patterns: Parameters = {}
     drivers: dict[str, Options] = {}
+    heights: HeightsSection | None = None
     body: dict[str, Annotated[float, Meta(ge=-1e6, le=1e6)]] = {}
 
 
@@ -169,6 +193,9 @@ def _check(value: Any, keys: Keys) -> Iterator[Fault]:
             yield from _check_scan(value, keys)
         case ProtectionSection():
             yield from _check_protection(value, keys)
+        case HeightsSection() if value.lowest >= value.highest:
+            text = f"is {value.lowest:g}; expected less than highest ({value.highest:g})"
+            yield fault_at((*keys, "lowest"), text)
         case PlatformFile():
             yield from _check_file(value)
 
@@ -318,5 +345,6 @@ def _platform(name: str, file: PlatformFile) -> Platform:
         },
         patterns=file.patterns,
         drivers=cast(Mapping[str, Mapping[str, Value]], file.drivers),
+        heights=None if file.heights is None else Heights(**to_builtins(file.heights)),
         body=file.body,
     )

@@ -22,6 +22,7 @@ from swarmd.core.values import Platform, TouchZone, Value
 from swarmd.kit.touch import granted_zones
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.network.settings import NetworkSettings
+from swarmd.protection.compatibility import Accepts
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.swarmfile import DEFAULT, DaemonFile, ParametersSection, check, layered
@@ -52,6 +53,7 @@ class DaemonSettings:
     label_members: Mapping[str, tuple[str, ...]]
     parameters: ParametersSection
     touch: TouchGrants
+    accepts: Accepts
     roster: tuple[str, ...]
     state_dir: Path
     plugin_dir: Path | None
@@ -106,6 +108,7 @@ def load_daemon_settings(
         label_members={label: tuple(robots) for label, robots in file.labels.items()},
         parameters=file.parameters,
         touch=file.touch,
+        accepts=Accepts.of(file.accepts_unseen, file.accepts_faster),
         roster=tuple(file.roster),
         state_dir=_path(layers, "state_dir", file.state_dir, config) or _state_dir(environ),
         plugin_dir=_path(layers, "plugin_dir", file.plugin_dir, config),

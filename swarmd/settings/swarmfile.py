@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import check_id
@@ -20,6 +20,9 @@ from swarmd.settings.layered import Fault, Keys, Layered, dotted, fault_at
 from swarmd.settings.yamlfile import Data, read, shown
 
 DEFAULT = "default"
+PlatformName = Annotated[str, Meta(min_length=1, max_length=63)]
+PlatformGrants = list[PlatformName] | dict[PlatformName, Annotated[str, Meta(max_length=256)]]
+"""Platforms that are accepted, perhaps each with the reason."""
 Parameters = dict[str, dict[str, BoundedScalar | None]]
 Option = BoundedScalar | list[BoundedScalar] | dict[str, BoundedScalar | list[BoundedScalar]] | None
 Options = dict[str, Option]
@@ -42,12 +45,17 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
       are reported.
     - `labels`: names for groups of robots, as targets and for `parameters`.
     - `touch`: the zones in which patterns may touch obstacles.
+    - `accepts_unseen`, `accepts_faster`: platforms of which robots may drive beside a robot that
+      does not see them, or that assumes less than their speed; a list, or reasons by platform.
+      Such a robot may be driven into.
     """
 
     roster: list[str] = []
     labels: dict[str, list[str]] = {}
     parameters: ParametersSection = ParametersSection()
     touch: TouchGrants = {}
+    accepts_unseen: PlatformGrants = []
+    accepts_faster: PlatformGrants = []
 
 
 class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=True):

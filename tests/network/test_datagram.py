@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import msgspec
 import pytest
+from msgspec import structs
 
 from swarmd.core.errors import CodecError
+from swarmd.core.messages import Body
 from swarmd.network import datagram
 from swarmd.network.datagram import (
     ANY_SWARM,
     MAX_DATAGRAM,
     Beacon,
+    BodyReport,
     Kind,
     MemberReport,
     Solicit,
@@ -23,6 +26,10 @@ from swarmd.network.datagram import (
 )
 
 TAG = tag_of("field", "lab")
+BODY = Body(
+    platform="waffle_pi", surface_speed=0.4, radius=0.25, scan_plane=0.131, lowest=0.01,
+    highest=0.141,
+)  # fmt: skip
 BEACON = Beacon(
     robot="tb3-01",
     instance=b"abcdef",
@@ -32,6 +39,7 @@ BEACON = Beacon(
     revision=12,
     latches=b"123456",
     goal=b"123456",
+    body=BodyReport.of(BODY),
 )
 
 
@@ -42,9 +50,9 @@ def body(kind: Kind, *fields: object, signature: bytes = b"", tag: bytes = TAG) 
     return head + content + signature
 
 
-def test_beacon_has_at_most_sixty_bytes_and_is_read_back() -> None:
+def test_beacon_has_at_most_ninety_bytes_and_is_read_back() -> None:
     payload = pack(TAG, BEACON)
-    assert 40 <= len(payload) <= 60
+    assert 60 <= len(payload) <= 90
     assert unpack(TAG, payload) == BEACON
 
 
@@ -56,7 +64,16 @@ def test_fields_of_later_versions_and_a_signature_are_ignored() -> None:
 
 def test_fields_that_an_earlier_version_does_not_send_have_defaults() -> None:
     older = body(Kind.BEACON, "tb3-01", b"abcdef", 70_000, 1, 1, 12)
-    assert unpack(TAG, older) == msgspec.structs.replace(BEACON, latches=b"", goal=b"")
+    assert unpack(TAG, older) == msgspec.structs.replace(BEACON, latches=b"", goal=b"", body=None)
+
+
+def test_a_body_is_told_in_millimetres_and_never_slower_or_smaller_than_it_is() -> None:
+    assert BodyReport.of(BODY).body == BODY
+    odd = structs.replace(BODY, surface_speed=0.3001, radius=0.1351, scan_plane=None)
+    told = BodyReport.of(odd).body
+    assert (told.surface_speed, told.radius, told.scan_plane) == (0.301, 0.136, None)
+    exact = [structs.replace(BODY, surface_speed=n / 100.0) for n in range(200)]
+    assert [BodyReport.of(body).body for body in exact] == exact
 
 
 def test_stop_with_three_fields_is_read() -> None:

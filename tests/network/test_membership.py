@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from swarmd.core.messages import Presence
-from swarmd.network.datagram import MAX_HOPS, Beacon, Flag, MemberList, MemberReport
+from swarmd.core.messages import Body, Presence
+from swarmd.network.datagram import MAX_HOPS, Beacon, BodyReport, Flag, MemberList, MemberReport
 from swarmd.network.membership import MAX_MEMBERS, STRANGER_KEPT, Membership
 
 ADDRESS = ("10.0.0.1", 7440)
@@ -150,3 +150,19 @@ def test_only_addresses_are_taken_from_the_lists_of_others() -> None:
         "r3": ("", 0),
         "r4": ("", 0),
     }
+
+
+def test_the_body_of_a_member_stays_known_until_it_is_forgotten() -> None:
+    body = Body(platform="burger", surface_speed=0.3, radius=0.136)
+    membership = Membership("me", LEASE)
+    told = replace(beacon("r1"), body=BodyReport.of(body))
+    for second in range(12):
+        membership.on_beacon(replace(told, sequence=second), ADDRESS, float(second))
+    membership.on_beacon(beacon("old"), ADDRESS, 11.0)
+    assert membership.bodies() == {"r1": body, "old": None}
+    membership.on_beacon(replace(told, sequence=12, flags=Flag.LEFT), ADDRESS, 12.0)
+    membership.advance(1000.0)
+    membership.advance(2000.0)  # one that was heard for a moment only is dropped
+    assert membership.bodies() == {"r1": body}
+    assert membership.forget("r1")
+    assert membership.bodies() == {}

@@ -17,6 +17,7 @@ Load = Callable[..., Scenario]
 
 _BASE: Mapping[str, Any] = {
     "duration": 60,
+    "accepts_faster": ["waffle_pi"],
     "arena": {
         "size": [8, 6],
         "boxes": [

@@ -12,7 +12,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Platform
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.world.arena import Arena, parse_arena
-from swarmd.sim.world.bodies import build_model, inertia, value
+from swarmd.sim.world.bodies import build_model, heights, inertia, value
 from swarmd.sim.world.world import World
 
 NAMES = ("burger", "waffle_pi", "jackal")
@@ -41,7 +41,10 @@ def test_sensor_and_wheels_fit_the_body(name: str) -> None:
     assert (offset - reach >= low).all()
     assert (offset + reach <= high).all()
     assert (
-        value(platform, "height") < value(platform, "scan_height") < value(platform, "target_top")
+        heights(platform).lowest
+        < value(platform, "height")
+        < heights(platform).scan_plane
+        < heights(platform).highest
     )
     assert value(platform, "wheel_separation") < high[1] - low[1]
 

@@ -51,7 +51,7 @@ def oracle(world: World, robot: int, visibility: Visibility) -> Array:
     place = [
         x + math.cos(yaw) * spec.offset[0] - math.sin(yaw) * spec.offset[1],
         y + math.sin(yaw) * spec.offset[0] + math.cos(yaw) * spec.offset[1],
-        platform.body["scan_height"] if visibility == "real" else 0.25,
+        bodies.heights(platform).scan_plane if visibility == "real" else 0.25,
     ]
     groups = np.zeros(6, dtype=np.uint8)
     seen = (bodies.BODY, bodies.HOUSING) if visibility == "real" else (bodies.COLLISION,)

@@ -1,0 +1,140 @@
+"""Whether a robot sees a peer and is prepared for its speed. Pure.
+
+Protection avoids what the scan shows, and computes with `others_speed`. A peer below or above the
+scan plane is not in the scan; a peer with a higher `surface_speed` comes nearer than computed.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from swarmd.core.messages import Body, PeerFinding
+from swarmd.core.values import Platform
+
+
+@dataclass(frozen=True, slots=True)
+class Accepts:
+    """Platforms that a configuration accepts as peers, each with the reason (perhaps empty)."""
+
+    unseen: Mapping[str, str] = field(default_factory=dict)
+    faster: Mapping[str, str] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, unseen: Iterable[str], faster: Iterable[str]) -> Accepts:
+        """From lists of platforms, or from reasons by platform."""
+        return cls(_with_reasons(unseen), _with_reasons(faster))
+
+
+ACCEPTS_NONE = Accepts()
+
+
+def body_of(platform: Platform) -> Body:
+    """What a robot of this platform tells of its body."""
+    barrier = _barrier(platform)
+    speed = None if barrier is None else barrier["surface_speed"] or barrier["others_speed"]
+    heights = platform.heights
+    return Body(
+        platform=platform.name[:63],
+        surface_speed=speed or fastest_corner(platform),
+        radius=radius_of(platform),
+        scan_plane=None if heights is None else heights.scan_plane,
+        lowest=None if heights is None else heights.lowest,
+        highest=None if heights is None else heights.highest,
+    )
+
+
+def radius_of(platform: Platform) -> float:
+    """The radius in m of the circle around the axle's middle that holds the footprint."""
+    return max(math.hypot(x, y) for x, y in platform.footprint.tolist())
+
+
+def fastest_corner(platform: Platform) -> float:
+    """The highest speed in m/s of a corner of the footprint within the limits."""
+    limits = platform.limits
+    return max(
+        math.hypot(
+            limits.linear + limits.angular * abs(y), limits.lateral + limits.angular * abs(x)
+        )
+        for x, y in platform.footprint.tolist()
+    )
+
+
+def sees(own: Body, peer: Body) -> bool | None:
+    """Whether the own scan plane meets the peer; None if a height is not known."""
+    if own.scan_plane is None or peer.lowest is None or peer.highest is None:
+        return None
+    return peer.lowest <= own.scan_plane <= peer.highest
+
+
+def assumed_speed(platform: Platform) -> float | None:
+    """The speed of others in m/s that protection computes with; None: its mode assumes none."""
+    barrier = _barrier(platform)
+    return None if barrier is None else barrier["others_speed"]
+
+
+def _barrier(platform: Platform) -> Mapping[str, float] | None:
+    """The settings of the barrier; None in another mode."""
+    is_barrier = platform.protection.get("mode", "barrier") == "barrier"
+    return platform.protection.get("barrier") if is_barrier else None
+
+
+def findings(
+    own: Body, others_speed: float | None, robot: str, peer: Body | None, accepts: Accepts
+) -> Iterator[PeerFinding]:
+    """What stands between a robot and its peer `robot`; nothing if both fit.
+
+    `peer` None: it tells nothing of its body. `others_speed`: what the own protection assumes.
+    """
+    if peer is None:
+        text = "tells nothing of its body, as an older version: whether it is seen is not known"
+        yield PeerFinding(robot=robot, kind="unknown", text=text, holds=False)
+        return
+    is_seen = sees(own, peer)
+    if is_seen is None:
+        missing = own.platform if own.scan_plane is None else peer.platform
+        text = f"whether it is seen is not known: platform {missing} has no heights"
+        yield PeerFinding(robot=robot, kind="unknown", text=text, holds=False)
+    elif not is_seen:
+        text = unseen_text(own, peer)
+        yield _granted(robot, "unseen", text, accepts.unseen.get(peer.platform))
+    if others_speed is not None and peer.surface_speed > others_speed:
+        text = faster_text(peer, others_speed)
+        yield _granted(robot, "faster", text, accepts.faster.get(peer.platform))
+
+
+def unseen_text(own: Body, peer: Body) -> str:
+    """Why the own scan plane misses the peer."""
+    assert own.scan_plane is not None
+    assert peer.lowest is not None
+    assert peer.highest is not None
+    way, where = ("over", peer.highest) if own.scan_plane > peer.highest else ("under", peer.lowest)
+    return (
+        f"{peer.platform} is not seen: the scan plane at {own.scan_plane:.3f} m passes {way} it"
+        f" ({where:.3f} m)"
+    )
+
+
+def faster_text(peer: Body, others_speed: float) -> str:
+    """By how much the peer is faster than assumed."""
+    return (
+        f"{peer.platform} is faster than assumed: surface_speed {peer.surface_speed:.2f} m/s,"
+        f" others_speed here {others_speed:.2f} m/s"
+    )
+
+
+def _granted(
+    robot: str, kind: Literal["unseen", "faster"], text: str, reason: str | None
+) -> PeerFinding:
+    """A finding that holds the robot unless it is accepted: `reason` is then not None."""
+    if reason is None:
+        text += f"; see accepts_{kind}"
+    else:
+        text += f"; accepted: {reason}" if reason else "; accepted"
+    return PeerFinding(robot=robot, kind=kind, text=text, holds=reason is None)
+
+
+def _with_reasons(platforms: Iterable[str]) -> dict[str, str]:
+    return dict(platforms) if isinstance(platforms, Mapping) else dict.fromkeys(platforms, "")

@@ -1,0 +1,150 @@
+"""Peers that a robot does not see, or that are faster than it assumes: holds, grants, places."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from swarmd.core.messages import Body, Reason, State
+from swarmd.core.values import Neighbor
+from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, body_of
+from swarmd.protection.decision import ToldObstacle
+from swarmd.robot.lifecycle import MAX_HOLD_TIME
+from swarmd.robot.peers import (
+    ANGLE_ERROR,
+    DISTANCE_ERROR,
+    DISTANCE_SHARE,
+    TOLD_TIMEOUT,
+    TOLD_WITHIN,
+    Peers,
+)
+from swarmd.settings.platforms import load_platform
+from tests.support.platforms import with_mode
+from tests.support.robot_harness import RobotHarness
+from tests.support.stub_patterns import PATTERNS
+
+BURGER, WAFFLE, JACKAL = (body_of(load_platform(n)) for n in ("burger", "waffle_pi", "jackal"))
+ERROR = math.hypot(DISTANCE_ERROR + DISTANCE_SHARE * 2.0, ANGLE_ERROR * 2.0)  # at 2 m
+
+
+def peers(name: str, bodies: dict[str, Body | None], accepts: Accepts = ACCEPTS_NONE) -> Peers:
+    made = Peers(load_platform(name), accepts)
+    made.on_peers(bodies)
+    return made
+
+
+def test_a_peer_holds_until_it_is_forgotten() -> None:
+    robot = Peers(load_platform("jackal"), ACCEPTS_NONE)
+    assert not robot.holds(0.0)
+    assert [found.robot for found in robot.on_peers({"b": BURGER, "j": JACKAL})] == ["b"]
+    assert robot.holds(0.0)
+    assert robot.on_peers({"b": BURGER, "j": JACKAL, "w": WAFFLE})[0].robot == "w"
+    robot.on_peers({"j": JACKAL, "w": WAFFLE})
+    assert robot.holds(1e6)
+    assert robot.on_peers({"j": JACKAL}) == []
+    assert not robot.holds(1e6)
+    assert robot.hold_due_at() == math.inf
+
+
+def test_a_told_peer_holds_once_its_place_is_too_old() -> None:
+    robot = peers("jackal", {"b": BURGER})
+    assert robot.on_neighbors((Neighbor("b", 0.25, 2.0, math.pi / 2),), 10.0)
+    assert robot.hold_due_at() == 9.75 + TOLD_TIMEOUT
+    assert not robot.holds(9.75 + TOLD_TIMEOUT)
+    assert robot.holds(9.76 + TOLD_TIMEOUT)
+    (told,) = robot.told(10.1)
+    assert told == ToldObstacle(
+        pytest.approx(0.0), pytest.approx(2.0), pytest.approx(BURGER.radius + ERROR),
+        pytest.approx(0.35),
+    )  # fmt: skip
+    assert not any(found.holds for found in robot.findings(10.1))
+    assert robot.told(9.76 + TOLD_TIMEOUT) == ()
+    assert [found.holds for found in robot.findings(9.76 + TOLD_TIMEOUT)] == [True]
+    assert not robot.on_neighbors((), 10.2) or robot.told(10.2)  # it is no neighbour any more
+    assert robot.told(10.2)[0].age == pytest.approx(0.45)  # and its last place still counts
+    robot.on_peers({})
+    assert robot.told(10.2) == ()
+
+
+def test_each_unseen_peer_must_be_told() -> None:
+    robot = peers("jackal", {"b": BURGER, "c": BURGER})
+    robot.on_neighbors((Neighbor("b", 0.0, 2.0, 0.0), Neighbor("c", 0.0)), 0.0)
+    assert robot.holds(0.0)
+    robot.on_neighbors((Neighbor("c", 0.0, 2.0, 0.0),), 0.5)
+    assert not robot.holds(0.5)
+    assert robot.hold_due_at() == TOLD_TIMEOUT
+
+
+def test_places_that_are_not_finite_tell_nothing() -> None:
+    robot = peers("jackal", {"b": BURGER})
+    for distance, bearing in ((math.nan, 0.0), (1.0, math.inf), (None, 0.0), (1.0, None)):
+        robot.on_neighbors((Neighbor("b", 0.0, distance, bearing),), 0.0)
+        assert robot.holds(0.0)
+
+
+def test_what_is_seen_or_far_is_not_told() -> None:
+    robot = peers("jackal", {"b": BURGER, "j": JACKAL})
+    seen, far = Neighbor("j", 0.0, 1.0, 0.0), Neighbor("b", 0.0, 2.0 * TOLD_WITHIN, 0.0)
+    robot.on_neighbors((seen, far), 0.0)
+    assert robot.told(0.0) == ()
+    assert not robot.holds(0.0)  # its place is known all the same
+
+
+def test_an_accepted_peer_is_avoided_where_it_is_told() -> None:
+    robot = peers("jackal", {"b": BURGER}, Accepts.of(["burger"], []))
+    assert not robot.holds(0.0)
+    robot.on_neighbors((Neighbor("b", 0.0, 1.0, 0.0),), 0.0)
+    assert len(robot.told(0.0)) == 1
+
+
+def test_a_faster_peer_holds_although_it_is_told() -> None:
+    robot = peers("burger", {"j": JACKAL})
+    robot.on_neighbors((Neighbor("j", 0.0, 2.0, 0.0),), 0.0)
+    assert robot.holds(0.0)
+    assert robot.told(0.0) == ()  # it is seen
+    assert not peers("burger", {"j": JACKAL}, Accepts.of([], ["jackal"])).holds(0.0)
+
+
+def test_mode_off_promises_nothing_and_holds_for_nobody() -> None:
+    robot = Peers(with_mode(load_platform("jackal"), "off"), ACCEPTS_NONE)
+    robot.on_peers({"b": BURGER})
+    assert not robot.holds(0.0)
+    assert [found.kind for found in robot.findings(0.0)] == ["unseen"]
+
+
+def running_jackal() -> RobotHarness:
+    harness = RobotHarness("jackal", PATTERNS)
+    harness.advance(1.0)
+    harness.applied("run", pattern="forward")
+    harness.advance(0.5)
+    return harness
+
+
+def test_a_run_beside_an_unseen_peer_is_held_and_ends() -> None:
+    robot = running_jackal()
+    assert robot.twist.linear > 0.0
+    robot.robot.on_peers({"b": BURGER}, robot.now)
+    robot.advance(0.2)
+    status = robot.status
+    assert (status.state, status.reason) == (State.RUNNING, Reason.INCOMPATIBLE_PEER)
+    assert robot.twist.is_zero
+    assert status.body == JACKAL
+    assert [(found.robot, found.kind, found.holds) for found in status.peers] == [
+        ("b", "unseen", True)
+    ]
+    assert "peer b" in status.events[-1].text
+    robot.advance(MAX_HOLD_TIME)
+    assert (robot.status.state, robot.status.reason) == (State.STOPPED, Reason.INCOMPATIBLE_PEER)
+
+
+def test_a_robot_whose_peer_is_no_longer_told_stops_in_that_tick() -> None:
+    robot = running_jackal()
+    robot.robot.on_peers({"b": BURGER}, robot.now)
+    robot.robot.on_neighbors((Neighbor("b", 0.0, 2.5, math.pi),), robot.now)
+    told_until = robot.now + TOLD_TIMEOUT
+    robot.advance(TOLD_TIMEOUT + 0.2)
+    moving = [at for at, twist in robot.commands if not twist.is_zero]
+    standing = [at for at, twist in robot.commands if twist.is_zero and at > moving[0]]
+    assert told_until - 0.1 < max(moving) <= told_until
+    assert told_until < min(standing) <= told_until + 0.051
