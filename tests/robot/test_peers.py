@@ -9,7 +9,6 @@ import pytest
 from swarmd.core.messages import Body, Reason, State
 from swarmd.core.values import Neighbor
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, body_of
-from swarmd.protection.decision import ToldObstacle
 from swarmd.robot.lifecycle import MAX_HOLD_TIME
 from swarmd.robot.peers import (
     ANGLE_ERROR,
@@ -54,10 +53,8 @@ def test_a_told_peer_holds_once_its_place_is_too_old() -> None:
     assert not robot.holds(9.75 + TOLD_TIMEOUT)
     assert robot.holds(9.76 + TOLD_TIMEOUT)
     (told,) = robot.told(10.1)
-    assert told == ToldObstacle(
-        pytest.approx(0.0), pytest.approx(2.0), pytest.approx(BURGER.radius + ERROR),
-        pytest.approx(0.35),
-    )  # fmt: skip
+    assert (told.x, told.y, told.age) == pytest.approx((0.0, 2.0, 0.35))
+    assert told.radius == pytest.approx(BURGER.radius + ERROR)
     assert not any(found.holds for found in robot.findings(10.1))
     assert robot.told(9.76 + TOLD_TIMEOUT) == ()
     assert [found.holds for found in robot.findings(9.76 + TOLD_TIMEOUT)] == [True]

@@ -11,6 +11,7 @@ from swarmd.settings.platforms import load_platform
 from tests.support.fake_body import Body
 
 if TYPE_CHECKING:
+    from swarmd.core.values import Value
     from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
@@ -20,7 +21,7 @@ def test_a_jackal_beside_a_burger_is_held_until_it_is_forgotten_or_granted(swarm
     platform = load_platform("jackal")
     with Body(platform, swarm=swarm.name, robot="jackal-01") as body:
         jackal = swarm.start("jackal-01", body, {"platform": "jackal"})
-        slow = {"platform": "burger", "accepts_faster": ["jackal"]}
+        slow: dict[str, Value] = {"platform": "burger", "accepts_faster": ["jackal"]}
         burger = swarm.start("tb3-01", None, slow)
         swarm.await_status("jackal-01", "aware of its peer", lambda status: bool(status.peers))
 
@@ -40,7 +41,7 @@ def test_a_jackal_beside_a_burger_is_held_until_it_is_forgotten_or_granted(swarm
         swarm.await_status("jackal-01", "free of its peer", lambda status: not status.peers)
 
         assert jackal.terminate() == 0
-        granted = {"platform": "jackal", "accepts_unseen": {"burger": "a fence"}}
+        granted: dict[str, Value] = {"platform": "jackal", "accepts_unseen": {"burger": "a fence"}}
         swarm.start("jackal-01", body, granted)
         swarm.start("tb3-01", None, slow)
         seen = swarm.await_status("jackal-01", "aware of its peer", lambda s: bool(s.peers))
