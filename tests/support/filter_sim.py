@@ -142,8 +142,9 @@ class FilterSim:
     """One robot of a platform among shapes.
 
     `phase`: time of the first scan; `delay`: from command to base; both in s. `braking`: m/s2 and
-    rad/s2 (None: as protection assumes). `noise`: the standard deviation of ranges in m. A test may
-    set `has_lidar` and `has_odometry` to false at any time.
+    rad/s2 (None: as protection assumes). `noise`: the standard deviation of ranges in m. `late`: s
+    by which each scan comes later than declared, by its number. A test may set `has_lidar` and
+    `has_odometry` to false at any time.
     """
 
     def __init__(
@@ -156,7 +157,9 @@ class FilterSim:
         braking: tuple[float, float] | None = None,
         noise: float = 0.0,
         seed: int = 0,
+        late: Callable[[int], float] = lambda seq: 0.0,
     ) -> None:
+        self._late = late
         self.platform, self.shapes = platform, tuple(shapes)
         self.pose, self.twist, self.time = HERE, ZERO, 0.0
         self.has_lidar = self.has_odometry = True
@@ -220,7 +223,8 @@ class FilterSim:
     def _sense(self) -> None:
         period = round(1.0 / (self.platform.scan.rate * DT))
         if (self._step - round(self._phase / DT)) % period == 0 and self.has_lidar:
-            self._coming.append((self.time + self.platform.scan.latency - 1e-9, self.scan()))
+            at = self.time + self.platform.scan.latency + self._late(self._seq)
+            self._coming.append((at - 1e-9, self.scan()))
         if self._step % round(TICK / DT) == 0 and self.has_odometry:
             self.sensors.on_odometry(self.odometry(), self.time)
 
