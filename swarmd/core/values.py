@@ -83,7 +83,8 @@ class Scan:
     in rad, 0 ahead, counter-clockwise positive. `stamp` in s: when the oldest ray was measured, on
     the sensor's own clock, which need not be that of other stamps. `ages` (n,) s: how much older
     than the newest ray each ray is. None: the driver does not know (raw scan), or all are of one
-    instant (conditioned scan).
+    instant (conditioned scan). `newest_age`: s that the newest ray of a conditioned scan was old on
+    arrival, by the platform's `latency`; None for a raw scan.
     """
 
     seq: int
@@ -93,6 +94,7 @@ class Scan:
     range_min: float
     range_max: float
     ages: Array | None = None
+    newest_age: float | None = None
 
 
 class Odometry(Struct, frozen=True, array_like=True):

@@ -14,6 +14,7 @@ from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
 from swarmd.protection.decision import DecisionContext
 from swarmd.robot.peers import Peers
 from swarmd.sensing.conditioning import ScanConditioner
+from swarmd.sensing.deskew import Deskewer
 from swarmd.sensing.scan_delay import ScanDelay
 
 ODOMETRY_TIMEOUT = 0.5
@@ -45,6 +46,7 @@ class Sensors:
         guesses_near = platform.protection.get("mode") != "barrier"
         self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
         self.scan_delay = ScanDelay(platform.scan)
+        self._deskewer = Deskewer(platform.scan)
         self._scan_at: float | None = None
         self._problem: Reason | None = None
         self._odometry_at: float | None = None
@@ -82,7 +84,8 @@ class Sensors:
         self._problem = None if self._scan_at == now else Reason.INVALID_SCAN
         self._scan_times.append(now)
         self._is_new_scan = True
-        self.scan = conditioned
+        odometry_age = self.odometry_age(now) if is_fresh else None
+        self.scan = self._deskewer.deskew(conditioned, now, odometry_age, self.scan_delay.added)
         return True
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:
@@ -97,6 +100,7 @@ class Sensors:
             self._odometry_at = now
             self.scan_delay.on_odometry(odometry, now)
         self.odometry = odometry
+        self._deskewer.on_odometry(odometry)
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
         """Take in the present neighbours."""

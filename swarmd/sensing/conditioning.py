@@ -20,6 +20,7 @@ MAX_REPEATS = 3  # repeats of a noisy sensor after which its scan counts as froz
 COMPARED_SCANS = 4  # with which a repeat is compared: a driver may resend any of its buffers
 MIN_DISTINCT_RETURNS = 8  # a noisy sensor never gives this many equal returns twice
 RESTART_SCANS = 3  # scans in order after which a lower sequence or stamp counts as a restart
+MAX_AGE = 10.0  # s of a ray: more is garbage
 MOVES_LINEAR = 0.02  # m/s above which the robot counts as moving
 MOVES_ANGULAR = 0.05  # rad/s
 
@@ -30,10 +31,10 @@ class ScanConditioner:
     The memory turns against the sensor, as far as odometry is available.
 
     `take` returns the conditioned scan or the reason to reject it. INVALID_SCAN: lengths differ, no
-    rays, fewer than half of the rays known, an unknown sector wider than `max_gap`, such a sector
-    without rays (unless the sensor never has rays there), or no return at all after a scan with
-    many far returns. FROZEN_SCAN: stamp or sequence does not rise, or a noisy sensor sends
-    bit-identical scans.
+    rays, an impossible age of a ray, fewer than half of the rays known, an unknown sector wider
+    than `max_gap`, such a sector without rays (unless the sensor never has rays there), or no
+    return at all after a scan with many far returns. FROZEN_SCAN: stamp or sequence does not rise,
+    or a noisy sensor sends bit-identical scans.
 
     `known_at` is the time in s to which the last returned scan is valid: its arrival, unless a
     sector wider than `max_gap` comes from the memory, or the scan repeats an earlier one.
@@ -44,6 +45,7 @@ class ScanConditioner:
         self._spec = spec
         self._max_sector = max(spec.max_gap, _widest_between_rays(spec.bearings)) + 1e-9
         self._bearings = np.empty(0)  # the last valid ones
+        self._ages: Array | None = None
         rays = load_kernel("swarmd.sensing.scan_kernel") or conditioning_numpy
         self._rays: conditioning_numpy.RayMemory = rays.RayMemory(spec, guesses_near=guesses_near)
         self._last: Scan | None = None
@@ -65,6 +67,8 @@ class ScanConditioner:
             return Reason.INVALID_SCAN
         if scan.bearings is not self._bearings and not self._has_no_gap(scan.bearings):
             return Reason.INVALID_SCAN
+        if not self._has_ages(scan):
+            return Reason.INVALID_SCAN
         if not self._is_newer(scan):
             return Reason.FROZEN_SCAN
         if self._repeats(scan, odometry):
@@ -77,7 +81,10 @@ class ScanConditioner:
             return Reason.INVALID_SCAN
         ranges.flags.writeable = False  # the memory and an inline pattern share it
         spec = self._spec
-        return Scan(scan.seq, scan.stamp, ranges, self._bearings, spec.range_min, spec.range_max)
+        return Scan(
+            *(scan.seq, scan.stamp, ranges, self._bearings, spec.range_min, spec.range_max),
+            *(self._ages, spec.latency),
+        )
 
     def _has_no_gap(self, bearings: Array) -> bool:
         """True if no sector lacks rays; keeps the bearings.
@@ -93,6 +100,20 @@ class ScanConditioner:
                 bearings.flags.writeable = False
             self._bearings = bearings
         return True
+
+    def _has_ages(self, scan: Scan) -> bool:
+        """True if each ray has a possible age, or none has one; keeps a copy of the ages."""
+        ages = scan.ages
+        if ages is not None and ages is not self._ages:
+            if ages.shape != scan.ranges.shape or not ((ages >= 0.0) & (ages <= MAX_AGE)).all():
+                return False
+            if self._ages is not None and np.array_equal(ages, self._ages):
+                return True
+            if ages.flags.writeable or not ages.flags.owndata:
+                ages = np.array(ages, np.float64)
+                ages.flags.writeable = False
+        self._ages = ages
+        return ages is None or len(ages) == len(scan.ranges)
 
     def _is_newer(self, scan: Scan) -> bool:
         """True if the scan is newer than every scan before, or the sensor has restarted.

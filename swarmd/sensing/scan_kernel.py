@@ -13,6 +13,8 @@ import numpy as np
 from cython.cimports.libc.math import (
     INFINITY,
     NAN,
+    atan2,
+    cos,
     fabs,
     fmod,
     hypot,
@@ -382,6 +384,63 @@ def _measure(
 def _no_clusters():
     nothing = np.empty(0)
     return RayClusters(nothing, nothing, nothing, np.empty(0, np.int64), np.empty(0, np.bool_))
+
+
+def move_rays(
+    ranges: cython.const[cython.double][::1],
+    bearings: cython.const[cython.double][::1],
+    cosines: cython.const[cython.double][::1],
+    sines: cython.const[cython.double][::1],
+    ages: cython.const[cython.double][::1],
+    path: cython.const[cython.double][:, ::1],
+    limits: tuple,
+):
+    """See `deskew_numpy.move_rays`."""
+    n: cython.Py_ssize_t = ranges.shape[0]
+    offset_x: cython.double = limits[0]
+    offset_y: cython.double = limits[1]
+    range_min: cython.double = limits[2]
+    range_max: cython.double = limits[3]
+    moved = np.empty((2, n))
+    out: cython.double[:, ::1] = moved
+    last: cython.Py_ssize_t = path.shape[0] - 1
+    k: cython.Py_ssize_t = 1  # the row at the end of the ray's stretch of the path
+    i: cython.Py_ssize_t
+    share: cython.double
+    turn: cython.double
+    c: cython.double
+    s: cython.double
+    ahead: cython.double
+    left: cython.double
+    x: cython.double
+    y: cython.double
+    along: cython.double
+    across: cython.double
+    distance: cython.double
+    for i in range(n):
+        while k < last and ages[i] > path[k, 0]:
+            k += 1
+        while k > 1 and ages[i] < path[k - 1, 0]:
+            k -= 1
+        share = (ages[i] - path[k - 1, 0]) / (path[k, 0] - path[k - 1, 0])
+        share = min(max(share, 0.0), 1.0)
+        turn = path[k - 1, 3] + share * (path[k, 3] - path[k - 1, 3])
+        distance = ranges[i]
+        if not isfinite(distance):
+            out[0, i], out[1, i] = distance, _mod(bearings[i] + turn + _PI) - _PI
+            continue
+        x = path[k - 1, 1] + share * (path[k, 1] - path[k - 1, 1])
+        y = path[k - 1, 2] + share * (path[k, 2] - path[k - 1, 2])
+        c, s = cos(turn), sin(turn)
+        ahead = c * cosines[i] - s * sines[i]
+        left = s * cosines[i] + c * sines[i]
+        x += (c - 1.0) * offset_x - s * offset_y
+        y += s * offset_x + (c - 1.0) * offset_y
+        along, across = distance + (ahead * x + left * y), ahead * y - left * x
+        distance = min(sqrt(along * along + across * across), range_max)
+        out[0, i] = -INFINITY if distance < range_min else distance
+        out[1, i] = _mod(bearings[i] + turn + atan2(across, along) + _PI) - _PI
+    return moved[0], moved[1]
 
 
 _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": NAN}

@@ -1,4 +1,5 @@
 from swarmd.sensing.conditioning_numpy import RayMemory as RayMemory
+from swarmd.sensing.deskew_numpy import move_rays as move_rays
 from swarmd.sensing.rays_numpy import closest_points as closest_points
 from swarmd.sensing.rays_numpy import clusters as clusters
 from swarmd.sensing.rays_numpy import nearest as nearest
