@@ -122,11 +122,11 @@ def test_a_slow_pattern_has_but_its_beats(plugins: str) -> None:
     assert 4.0 / TICK - 2 <= decisions <= 2 * 4.0 / TICK
 
 
-def test_neighbors_are_updated_twice_a_second(plugins: str) -> None:
+def test_places_of_neighbors_are_updated_ten_times_a_second(plugins: str) -> None:
     radio = {"neighborhood": "range", "range": 6.0, "range_and_bearing": True}
     trace = simulate_run(scenario(plugins, radio=radio), 0)
     # One with noise for each time that it was told, and one from its start.
-    assert len(np.unique(told(trace, "distance"))) == pytest.approx(2 * 4.0 + 1, abs=1)
+    assert len(np.unique(told(trace, "distance"))) == pytest.approx(10 * 4.0 + 1, abs=1)
 
 
 def test_messages_arrive_unchanged_after_the_delay_unless_too_large(plugins: str) -> None:

@@ -30,6 +30,8 @@ RANDOM = {
     "start": {"layout": "random", "clearance": 0.1},
     "radio": {"loss": 0.2, "delay": 0.02, "jitter": 0.01},
     "lidar_visibility": "real",
+    "accepts_unseen": ["waffle_pi"],
+    "accepts_faster": ["waffle_pi"],
 }  # fmt: skip
 
 

@@ -31,8 +31,10 @@ MIXED: dict[str, Any] = {
               "range_and_bearing": True},
     "fields": [{"name": "light", "kind": "linear", "slope": 1.0}],
     "trace_rate": 50.0,
+    "lidar_visibility": "real",
+    "accepts_faster": ["waffle_pi"],
 }  # fmt: skip
-AT_ONCE = {**MIXED, "radio": {}}
+AT_ONCE = {**MIXED, "radio": {}, "accepts_unseen": ["waffle_pi"]}
 BOXES = {
     **MIXED,
     "groups": {"all": {"count": 3, "prefix": "r", "pattern": "drive"}},
