@@ -27,11 +27,12 @@ def simulated_second(world: World) -> None:
     robots = np.arange(len(world.ids))
     for step in range(round(1.0 / world.dt)):
         world.step()
-        for sense, rate in ((world.scans, SCAN_RATE), (world.odometry, ODOMETRY_RATE)):
+        for sense, rate in ((world.begin_scans, SCAN_RATE), (world.odometry, ODOMETRY_RATE)):
             period = round(1.0 / (rate * world.dt))
             due = robots[robots % period == step % period]
             if len(due):
                 sense(due)
+        world.arrived_scans()
 
 
 def rows() -> Iterator[Row]:

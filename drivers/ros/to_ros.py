@@ -43,7 +43,7 @@ class LaserScanEncoder:
             angle_min=self._first,
             angle_max=self._first + self._step * max(count - 1, 0),
             angle_increment=self._step,
-            time_increment=0.0,
+            time_increment=_time_increment(scan),
             scan_time=1.0 / spec.rate,
             range_min=spec.range_min,
             range_max=spec.range_max,
@@ -87,6 +87,13 @@ class RangeRingEncoder:
 def scan_encoder(options: RosOptions, platform: Platform) -> LaserScanEncoder | RangeRingEncoder:
     """The encoder that suits a robot's options."""
     return (RangeRingEncoder if options.ranges else LaserScanEncoder)(options, platform)
+
+
+def _time_increment(scan: Scan) -> float:
+    """s between two rays in the order of the message; 0 where they were not measured in it."""
+    if scan.ages is None or len(scan.ages) < 2 or (np.diff(scan.ages) > 0.0).any():
+        return 0.0
+    return float(scan.ages[0] - scan.ages[-1]) / (len(scan.ages) - 1)
 
 
 def odometry_message(odometry: Odometry, child: str = "base_footprint") -> ros.Odometry:

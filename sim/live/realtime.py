@@ -13,13 +13,12 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from swarmd.core.errors import CodecError, SwarmError
-from swarmd.core.values import Array, Scan
+from swarmd.core.values import Array
 from swarmd.sim.live.body_transport import EmulatorTransport
 from swarmd.sim.live.link import PendingRequest, WorldLink
 from swarmd.sim.live.pacing import Staggered, StepPacer
 from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
-from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.radio import NEIGHBORS_RATE, Radio
@@ -63,7 +62,6 @@ class RealTimeWorld:
         self._sent_seq = np.full(n, -1)
         self._too_old = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0
-        self._scans_in_transit: DelayQueue[tuple[int, Scan]] = DelayQueue()
         self._scans_due = Staggered(np.array([p.scan.rate for p in world.platforms]), start)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start)
         self._neighbors_due = Staggered(np.full(n, NEIGHBORS_RATE), start)
@@ -114,9 +112,8 @@ class RealTimeWorld:
         world, transport = self._world, self._transport
         due = self._scans_due.due(world.time)
         if len(due):
-            for row, scan in zip(due.tolist(), world.scans(due), strict=True):
-                self._scans_in_transit.put(world.time + float(world.scan_latency[row]), (row, scan))
-        for row, scan in self._scans_in_transit.due(world.time):
+            world.begin_scans(due)
+        for row, scan in world.arrived_scans():
             self._sent_seq[row] = scan.seq
             transport.scan(world.ids[row], scan)
         due = self._odometry_due.due(world.time)

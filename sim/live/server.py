@@ -136,14 +136,16 @@ def _make_emulator(
     return EmulatorTransport(load_emulator(options.emulator), robots, options.emulator_endpoint)
 
 
-def _with_varying_ranges(realism: Realism) -> Realism:
-    """The realism, with at least a micrometre of range noise.
+def _as_daemons_expect(realism: Realism) -> Realism:
+    """The realism, with rolling scans and at least a micrometre of range noise.
 
-    Daemons take a lidar that repeats a scan for a frozen one.
+    Daemons rely on the `sweep` of the platform, and take a lidar that repeats a scan for a frozen
+    one.
     """
-    if realism.lidar.differs_each_time:
-        return realism
-    return replace(realism, lidar=replace(realism.lidar, near_sd=1e-6, far_sd=1e-6))
+    lidar = replace(realism.lidar, rolling=True)
+    if not lidar.differs_each_time:
+        lidar = replace(lidar, near_sd=1e-6, far_sd=1e-6)
+    return replace(realism, lidar=lidar)
 
 
 def _make_world(options: argparse.Namespace, robots: Mapping[str, Platform]) -> World:
@@ -155,8 +157,9 @@ def _make_world(options: argparse.Namespace, robots: Mapping[str, Platform]) -> 
         arena,
         starts,
         visibility=options.lidar_visibility,
-        realism=_with_varying_ranges(REALISMS[options.realism]),
+        realism=_as_daemons_expect(REALISMS[options.realism]),
         seed=options.seed,
+        sectors=100,  # daemons take the ages of rays from the platform, not from the scan
     )
 
 

@@ -24,7 +24,7 @@ from swarmd.core.clock import TICK
 from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Body, Latch, Status
-from swarmd.core.values import Array, Scan, Twist, Value
+from swarmd.core.values import Array, Twist, Value
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import body_of
@@ -39,7 +39,6 @@ from swarmd.sim.lockstep.timeline import Timeline
 from swarmd.sim.scenarios.compatibility import has_findings
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.trace import Trace
-from swarmd.sim.world.delay_queue import DelayQueue
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.radio import Flight, Radio, neighbors_rate
@@ -106,10 +105,18 @@ class Lockstep:
             fields=scenario.fields,
             seed=seed,
         )
-        # Without scan noise, repeated scans do not mean a frozen sensor.
-        is_noisy = scenario.realism.lidar.differs_each_time
+        # Without scan noise, repeated scans do not mean a frozen sensor; without rolling scans, all
+        # rays are measured at once.
+        lidar = scenario.realism.lidar
         self._platforms = [
-            replace(p, scan=replace(p.scan, is_noisy=p.scan.is_noisy and is_noisy))
+            replace(
+                p,
+                scan=replace(
+                    p.scan,
+                    is_noisy=p.scan.is_noisy and lidar.differs_each_time,
+                    sweep=p.scan.sweep if lidar.rolling else None,
+                ),
+            )
             for p in self.world.platforms
         ]
         ids, n = self.world.ids, len(self.world.ids)
@@ -129,7 +136,6 @@ class Lockstep:
         self._readings_due = Schedules(np.full(readers, READINGS_RATE), phases[:readers])
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self._alarms = Alarms(n, self.world.dt)
-        self._scans_in_transit: DelayQueue[tuple[int, Scan | None]] = DelayQueue()
         self._commands = np.zeros((n, 3))
         self._silent_at: dict[int, float] = {}
         self._latches: dict[int, LatchRecord | None] = {}
@@ -328,17 +334,13 @@ class Lockstep:
 
     def _sense(self, now: float) -> None:
         world = self.world
-        due = self._scans_due.due(now)
-        if due:
-            own = self._process.own(due)
-            scans = dict(zip(own, world.scans(np.array(own, dtype=np.intp)), strict=True))
-            for row in due:
-                at = now + float(world.scan_latency[row])
-                self._scans_in_transit.put(at, (row, scans.get(row)))
-        for place, (row, scan) in enumerate(self._scans_in_transit.due(now)):
+        own = self._process.own(self._scans_due.due(now))
+        if own:
+            world.begin_scans(np.array(own, dtype=np.intp))
+        for row, scan in world.arrived_scans():
             shell = self.shells[row]
-            if shell is not None and scan is not None:
-                self.turn = (2, place)
+            if shell is not None:
+                self.turn = (2, row)
                 shell.scan(scan, now)
         for shell in self._present(self._readings_due.due(now)):
             shell.robot.on_readings(world.readings(shell.row))

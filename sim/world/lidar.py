@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.kernels import load_kernel
-from swarmd.core.values import Array, Platform, ScanSpec
+from swarmd.core.values import Array, Platform, ScanSpec, Sweep
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.bodies import heights, value
 from swarmd.sim.world.geometry import Indices
@@ -35,6 +35,7 @@ _TURNS = 2.0 * np.pi * np.array([-2.0, -1.0, 0.0, 1.0])
 BEARING_MARGIN = 1e-12
 # Rad by which rays may differ from equal steps for their places to be computed, not searched.
 _MAX_UNEVENNESS = 1e-13
+_AT_START = 1e-9  # rad
 # m2: a surface whose side (see `Lidar`) is smaller than this is seen edge-on and ignored.
 MIN_SIDE = 1e-10
 # m added to ranges of interest, which are compared in single precision.
@@ -129,12 +130,25 @@ class Rays:
         places += np.arange(len(places))
         return places, counts
 
+    def place_of(self, number: int) -> int:
+        """The place of the ray with this number in the scan."""
+        return int(np.flatnonzero(self.number == number)[0])
+
     def _place(self, bearing: Array) -> Places:
         """The number of rays with smaller bearings."""
         if not self.is_even:
             return np.searchsorted(self.bearings, bearing)
         place: Array = np.ceil((bearing - self.bearings[0]) / self.step)
         return place.astype(np.intp)
+
+
+def sweep_order(bearings: Array, sweep: Sweep) -> tuple[Indices, Array]:
+    """The rays (n,) in the order in which a sweep measures them, and the time of each in s."""
+    turned = sweep.direction * (bearings - sweep.start)
+    # A ray at the start is the first one, also if rounding places it before.
+    turned = np.mod(turned + _AT_START, 2.0 * np.pi)
+    order = np.argsort(turned, kind="stable")
+    return order, sweep.duration / (2.0 * np.pi) * turned[order]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,14 +199,51 @@ class Lidar:
 
         A row of NaN is absent. +inf: no return within range_max, -inf: nearer than range_min.
         """
-        ranges = np.full((len(observers), len(self._spec.bearings)), np.inf)
+        count, rays = len(observers), len(self._spec.bearings)
+        ranges = np.full((count, rays), np.inf)
         if self._caster is not None:
-            self._caster.cast(poses, np.ascontiguousarray(observers), ranges)
+            first, counts = np.zeros(count, dtype=np.intp), np.full(count, rays)
+            observers = np.ascontiguousarray(observers)
+            self._caster.cast(poses, observers, first, counts, np.arange(count), ranges)
             return ranges
-        for first in range(0, len(observers), _BATCH):
-            some = slice(first, first + _BATCH)
+        for begin in range(0, count, _BATCH):
+            some = slice(begin, begin + _BATCH)
             self._cast(ranges[some], poses, observers[some])
         return ranges
+
+    def sectors(self, ends: Indices) -> tuple[Indices, Indices]:
+        """Sectors of a sweep that end after `ends` (k,) rays: the first place and the rays (k,).
+
+        A place is that of a ray in order of bearing.
+        """
+        sweep, bearings = self._spec.sweep, self._spec.bearings
+        assert sweep is not None
+        counts = np.diff(ends, prepend=0)
+        start = self._rays.place_of(sweep_order(bearings, sweep)[0][0])
+        first = start + ends - counts if sweep.direction > 0.0 else start + 1 - ends
+        return first % len(bearings), counts
+
+    def cast_sectors(
+        self,
+        ranges: Array,
+        rows: Indices,
+        poses: Array,
+        observers: Indices,
+        first: Indices,
+        counts: Indices,
+    ) -> None:
+        """Put sectors `first`, `counts` (m,) of robots `observers` (m,) in `rows` of `ranges`.
+
+        `ranges` (r, rays), `rows` (m,); `poses` as in `cast`.
+        """
+        if self._caster is not None:
+            self._caster.cast(poses, observers, first, counts, rows, ranges)
+            return
+        for row, place, count, seen in zip(
+            rows, first, counts, self.cast(poses, observers), strict=True
+        ):
+            some = self._rays.number[place : place + count]
+            ranges[row, some] = seen[some]
 
     def _cast(self, ranges: Array, poses: Array, observers: Indices) -> None:
         sensors = self._sensors(poses, observers)
@@ -340,23 +391,26 @@ class RangeSensors:
     """The range sensors of a whole swarm: one `Lidar` for each platform."""
 
     def __init__(self, platforms: Sequence[Platform], arena: Arena, visibility: Visibility) -> None:
-        """`platforms` (n,) in the order of rows; `visibility` as `World` explains it."""
+        """`platforms` (n,) in the order of rows; `visibility` as `World` explains it.
+
+        `lidars`: each `Lidar` with the rows of its robots.
+        """
         kinds = {platform.name: platform for platform in platforms}
         names = list(kinds)
         self._kinds = np.array([names.index(p.name) for p in platforms], dtype=np.intp)
-        self._lidars = []
-        for platform in kinds.values():
+        self.lidars: list[tuple[Lidar, Indices]] = []
+        for number, platform in enumerate(kinds.values()):
             plane = heights(platform).scan_plane if visibility == "real" else None
             shapes = shapes_of(arena, platforms, plane=plane)
-            self._lidars.append(Lidar(platform.scan, shapes))
+            self.lidars.append((Lidar(platform.scan, shapes), _places(self._kinds == number)))
 
     def cast(self, poses: Array, robots: Indices) -> list[Array]:
         """Ranges (rays,) for each of `robots` (m,) with all robots at base `poses` (n, 3)."""
-        if len(self._lidars) == 1:
-            return list(self._lidars[0].cast(poses, robots))
+        if len(self.lidars) == 1:
+            return list(self.lidars[0][0].cast(poses, robots))
         rows: dict[int, Array] = {}
         for kind in np.unique(self._kinds[robots]):
             observers = robots[self._kinds[robots] == kind]
-            ranges = self._lidars[kind].cast(poses, observers)
+            ranges = self.lidars[kind][0].cast(poses, observers)
             rows.update(zip(observers.tolist(), ranges, strict=True))
         return [rows[robot] for robot in robots.tolist()]

@@ -33,6 +33,7 @@ _PI = cython.declare(cython.double, math.pi)
 _BEARING_MARGIN = cython.declare(cython.double, BEARING_MARGIN)
 _MIN_SIDE = cython.declare(cython.double, MIN_SIDE)
 _ROUNDING = cython.declare(cython.double, 1e-6)  # m, added to ranges of interest
+_WIDE = cython.declare(cython.double, 1.5)  # rad: half of a sector that is taken for all around
 _BLOCK = cython.declare(cython.Py_ssize_t, BLOCK)
 
 
@@ -81,6 +82,15 @@ class Caster:
     _cos_yaw: cython.double
     _sin_yaw: cython.double
     _nearness: cython.double[::1]
+    # The sector in turn: its first place and number of rays, and the cone around them: the cosine
+    # and sine of its middle in the world frame and of half its width. `_is_wide`: no cone is used.
+    _first: cython.Py_ssize_t
+    _count: cython.Py_ssize_t
+    _is_wide: cython.bint
+    _cos_middle: cython.double
+    _sin_middle: cython.double
+    _cos_half: cython.double
+    _sin_half: cython.double
 
     def __init__(self, spec, rays, walls, poles, edges, reach, polygon_owners, discs, disc_owners):
         n = len(spec.bearings)
@@ -115,28 +125,36 @@ class Caster:
         self,
         poses: cython.double[:, ::1],
         observers: cython.Py_ssize_t[::1],
+        first: cython.Py_ssize_t[::1],
+        counts: cython.Py_ssize_t[::1],
+        rows: cython.Py_ssize_t[::1],
         ranges: cython.double[:, ::1],
     ):
-        """Fill `ranges` (m, rays), as `Lidar.cast` does."""
-        place: cython.Py_ssize_t
+        """Fill `counts` (m,) rays from place `first` (m,) on, in `rows` (m,) of `ranges`."""
+        one: cython.Py_ssize_t
         robot: cython.Py_ssize_t
         i: cython.Py_ssize_t
+        place: cython.Py_ssize_t
         distance: cython.double
         if not self._rays:
             return
         self._set_bodies(poses)
-        for place in range(observers.shape[0]):
-            robot = observers[place]
-            for i in range(self._rays):
+        for one in range(observers.shape[0]):
+            robot = observers[one]
+            self._first, self._count = first[one], counts[one]
+            if not self._count:
+                continue
+            for i in range(self._count):
                 self._nearness[i] = 0.0
             # All are NaN if one is: `isfinite` of one is enough.
             if isfinite(poses[robot, 0]):
                 self._set_sensor(poses[robot, 0], poses[robot, 1], poses[robot, 2])
+                self._set_cone()
                 self._meet_walls()
                 self._meet_bodies(robot)
                 for i in range(self._poles.shape[0]):
                     self._meet_circle(self._poles[i, 0], self._poles[i, 1], self._poles[i, 2])
-            for i in range(self._rays):
+            for i in range(self._count):
                 distance = HUGE_VAL
                 if self._nearness[i] > 0.0:
                     distance = 1.0 / self._nearness[i]
@@ -144,7 +162,10 @@ class Caster:
                         distance = HUGE_VAL
                     elif distance < self._range_min:
                         distance = -HUGE_VAL
-                ranges[place, self._number[i]] = distance
+                place = self._first + i
+                if place >= self._rays:
+                    place -= self._rays
+                ranges[rows[one], self._number[place]] = distance
 
     @cython.cfunc
     def _set_bodies(self, poses: cython.double[:, ::1]) -> cython.int:
@@ -243,15 +264,49 @@ class Caster:
         return 0
 
     @cython.cfunc
+    def _set_cone(self) -> cython.int:
+        """The cone around the sector's rays: what lies outside needs no bearings."""
+        low: cython.double = self._bearings[self._first]
+        high: cython.double = self._bearings[self._first + self._count - 1]
+        middle: cython.double = self._yaw + 0.5 * (low + high)
+        half: cython.double = 0.5 * (high - low)
+        self._is_wide = half > _WIDE
+        self._cos_middle, self._sin_middle = cos(middle), sin(middle)
+        self._cos_half, self._sin_half = cos(half), sin(half)
+        return 0
+
+    @cython.cfunc
+    def _outside(self, x: cython.double, y: cython.double, side: cython.double) -> cython.double:
+        """How far x, y from the sensor lies outside the left (1) or right (-1) edge of the cone."""
+        along: cython.double = self._cos_middle * x + self._sin_middle * y
+        left: cython.double = self._cos_middle * y - self._sin_middle * x
+        return side * left * self._cos_half - along * self._sin_half
+
+    @cython.cfunc
+    def _is_outside(self, x: cython.double, y: cython.double, radius: cython.double) -> cython.bint:
+        """True if a disc at x, y from the sensor does not meet the cone."""
+        if self._is_wide:
+            return False
+        return max(self._outside(x, y, 1.0), self._outside(x, y, -1.0)) > radius + _ROUNDING
+
+    @cython.cfunc
     def _meet_walls(self) -> cython.int:
         i: cython.Py_ssize_t
         x: cython.double
         y: cython.double
+        end_x: cython.double
+        end_y: cython.double
         side: cython.double
         for i in range(self._walls.shape[0]):
             x, y = self._walls[i, 0] - self._x, self._walls[i, 1] - self._y
             side = x * self._walls[i, 3] - y * self._walls[i, 2]
             if side < -_MIN_SIDE and side >= self._walls[i, 4]:
+                end_x, end_y = x + self._walls[i, 2], y + self._walls[i, 3]
+                if not self._is_wide and (
+                    min(self._outside(x, y, 1.0), self._outside(end_x, end_y, 1.0)) > _ROUNDING
+                    or min(self._outside(x, y, -1.0), self._outside(end_x, end_y, -1.0)) > _ROUNDING
+                ):
+                    continue
                 self._meet_surface(x, y, self._walls[i, 2], self._walls[i, 3], side)
         return 0
 
@@ -284,6 +339,8 @@ class Caster:
                 body = self._members[place]
                 x, y = self._at[body, 0] - self._x, self._at[body, 1] - self._y
                 if x * x + y * y > self._reach[body] * self._reach[body]:
+                    continue
+                if self._is_outside(x, y, self._reach[body] - self._range_max):
                     continue
                 if body >= self._polygons:
                     body -= self._polygons
@@ -327,15 +384,20 @@ class Caster:
         by_sin: cython.double = (self._cos_yaw * along_x + self._sin_yaw * along_y) / -side
         near: cython.double
         first: cython.Py_ssize_t = self._place((high - turn) - _BEARING_MARGIN)
-        count: cython.Py_ssize_t = self._place(high + _BEARING_MARGIN) - first
-        i: cython.Py_ssize_t = first % self._rays
-        for _ in range(count):
-            near = by_cos * self._cos[i] + by_sin * self._sin[i]
-            if near > self._nearness[i]:
-                self._nearness[i] = near
-            i += 1
-            if i == self._rays:
-                i = 0
+        # From the sector's first ray on; the rays of the surface may begin anew behind it.
+        begin: cython.Py_ssize_t = (first - self._first) % self._rays
+        end: cython.Py_ssize_t = begin + self._place(high + _BEARING_MARGIN) - first
+        i: cython.Py_ssize_t
+        place: cython.Py_ssize_t
+        for _ in range(2):
+            for i in range(begin, min(end, self._count)):
+                place = self._first + i
+                if place >= self._rays:
+                    place -= self._rays
+                near = by_cos * self._cos[place] + by_sin * self._sin[place]
+                if near > self._nearness[i]:
+                    self._nearness[i] = near
+            begin, end = 0, end - self._rays
         return 0
 
     @cython.cfunc
@@ -348,29 +410,35 @@ class Caster:
         aside: cython.double
         near: cython.double
         first: cython.Py_ssize_t
-        count: cython.Py_ssize_t
+        begin: cython.Py_ssize_t
+        end: cython.Py_ssize_t
         i: cython.Py_ssize_t
+        place: cython.Py_ssize_t
         x -= self._x
         y -= self._y
         beyond = x * x + y * y - radius * radius
         if not beyond > 0.0:  # from inside: no sensor sees its own housing
             return 0
+        if self._is_outside(x, y, radius):
+            return 0
         middle, half = atan2(y, x) - self._yaw, asin(radius / hypot(x, y))
         ahead = self._cos_yaw * x + self._sin_yaw * y
         left = self._cos_yaw * y - self._sin_yaw * x
         first = self._place((middle - half) - _BEARING_MARGIN)
-        count = self._place((middle + half) + _BEARING_MARGIN) - first
-        i = first % self._rays
-        for _ in range(count):
-            aside = self._cos[i] * left - self._sin[i] * ahead
-            near = self._cos[i] * ahead + self._sin[i] * left
-            near += sqrt(max(radius * radius - aside * aside, 0.0))
-            near /= beyond
-            if near > self._nearness[i]:
-                self._nearness[i] = near
-            i += 1
-            if i == self._rays:
-                i = 0
+        begin = (first - self._first) % self._rays
+        end = begin + self._place((middle + half) + _BEARING_MARGIN) - first
+        for _ in range(2):
+            for i in range(begin, min(end, self._count)):
+                place = self._first + i
+                if place >= self._rays:
+                    place -= self._rays
+                aside = self._cos[place] * left - self._sin[place] * ahead
+                near = self._cos[place] * ahead + self._sin[place] * left
+                near += sqrt(max(radius * radius - aside * aside, 0.0))
+                near /= beyond
+                if near > self._nearness[i]:
+                    self._nearness[i] = near
+            begin, end = 0, end - self._rays
         return 0
 
     @cython.cfunc

@@ -19,7 +19,15 @@ class Caster:
         discs: Array,
         disc_owners: Indices,
     ) -> None: ...
-    def cast(self, poses: Array, observers: Indices, ranges: Array) -> None: ...
+    def cast(
+        self,
+        poses: Array,
+        observers: Indices,
+        first: Indices,
+        counts: Indices,
+        rows: Indices,
+        ranges: Array,
+    ) -> None: ...
 
 class Errors:
     def __init__(

@@ -27,10 +27,7 @@ _BATCH = 32  # scans a step, so that its arrays stay within a processor's cache
 
 
 class NoisyLidar:
-    """Sensor errors of a swarm; a robot's errors do not depend on which others scan with it.
-
-    `latency` (n,) s: the delay of each robot's scans.
-    """
+    """Sensor errors of a swarm; a robot's errors do not depend on which others scan with it."""
 
     def __init__(
         self, noise: LidarNoise, platforms: Sequence[Platform], ids: Sequence[str], seed: int
@@ -38,7 +35,6 @@ class NoisyLidar:
         """`platforms` and `ids` (n,) in the order of rows."""
         specs = [platform.scan for platform in platforms]
         self._noise = noise
-        self.latency = noise.latency / np.array([spec.rate for spec in specs])
         self._rngs = [generator(seed, "lidar", robot) for robot in ids]
         self._factors = np.array([1.0 + noise.bias * r.standard_normal() for r in self._rngs])
         self._reach = np.array([(spec.range_min, spec.range_max) for spec in specs]).reshape(-1, 2)

@@ -20,6 +20,7 @@ from swarmd.settings.yamlfile import brief
 Share = Annotated[float, Meta(ge=0.0, le=1.0)]
 Spread = Annotated[float, Meta(ge=0.0, le=0.2)]
 Length = Annotated[float, Meta(ge=0.0, le=1.0)]
+Delay = Annotated[float, Meta(ge=0.0, le=2.0)]
 Acceleration = Annotated[float, Meta(ge=0.01, le=1000.0)]
 
 
@@ -31,8 +32,10 @@ class LidarNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     the range. resolution: the step in m to which ranges are rounded; 0: not at all.
     dropout: the share of rays lost one by one. block_dropout: the share of blocks of six rays lost
     whole, of sensors with `zero: lds` alone, whose driver skips what arrives damaged. [driver]
-    latency: the age of a scan on arrival, in scan periods. A simulated scan is taken in one
-    instant; the rays of a real one are up to one period old when the last arrives.
+    rolling: each ray is measured at its own time, where the platform's file describes the `sweep`.
+    latency: the mean age of the rays on arrival, in scan periods; those of a rolling scan are on
+    average half a sweep older than its last ray, which is the least. delay: of the transport of
+    each scan in s. jitter: its further delay in s is drawn from 0 to this; no scan overtakes one.
     """
 
     bias: Spread = 0.0
@@ -42,7 +45,10 @@ class LidarNoise(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     resolution: Length = 0.0
     dropout: Share = 0.0
     block_dropout: Share = 0.0
+    rolling: bool = False
     latency: Annotated[float, Meta(ge=0.0, le=2.0)] = 0.0
+    delay: Delay = 0.0
+    jitter: Delay = 0.0
 
     @property
     def differs_each_time(self) -> bool:
@@ -102,6 +108,7 @@ REALISTIC = Realism(
         resolution=0.001,
         dropout=0.01,
         block_dropout=0.005,
+        rolling=True,
         latency=0.5,
     ),
     odometry=OdometryNoise(diameter=0.005, wheelbase=0.015, slip=0.02),  # our choice

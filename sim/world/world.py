@@ -24,15 +24,16 @@ from swarmd.sim.world.movable_boxes import MovableBoxes
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.odometer import Odometers
 from swarmd.sim.world.realism import IDEAL, Realism
+from swarmd.sim.world.rolling import RollingScans
 from swarmd.sim.world.scalar_fields import Field, sample
+from swarmd.sim.world.scan_transport import ScanTransport
 
 
 class World:
     """Planar MuJoCo bodies with range sensors and odometry, and movable boxes.
 
     `movable_boxes` are the names of the movable boxes, row i of `box_poses()` and `box_shapes`
-    (m, 4, 2), their outlines in their own frames. `scan_latency` (n,) s is the delay of each
-    robot's scans, which the caller applies.
+    (m, 4, 2), their outlines in their own frames.
     """
 
     def __init__(
@@ -46,6 +47,7 @@ class World:
         seed: int = 0,
         fields: Sequence[Field] = (),
         dt: float = 0.01,
+        sectors: int = 10,
     ) -> None:
         """A world at rest. `starts` (n, 3) x, y, yaw in m and rad.
 
@@ -53,7 +55,8 @@ class World:
         range sensor sees the whole footprint of another robot (`body`), or only the cross-section
         in its plane (`real`). `body` is the default because the published behaviours need it: with
         true heights a Waffle Pi sees a lidar housing 0.11 m wide, which 3 rays hit at 2 m, and
-        protection that needs more than 5 rays detects it only at 1 m.
+        protection that needs more than 5 rays detects it only at 1 m. A rolling scan is measured
+        in that many `sectors`, or more.
         """
         n = len(robots)
         if starts.shape != (n, 3):
@@ -71,12 +74,20 @@ class World:
         self._bases = Bases(realism.actuation, self.platforms, self.data, dt)
         self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)
         self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
-        self.scan_latency = self._noise.latency
         self._steps = 0
         self._seq, self._is_out = [0] * n, np.zeros(n, dtype=np.bool_)
         self._contacts = ContactReader(self.model, n)
         self._touching: list[ContactPoints] = []
         self._sensors = RangeSensors(self.platforms, arena, visibility)
+        self._rolling: list[RollingScans] = []
+        self._rolling_of = np.full(n, -1)  # by row: the place in `_rolling`
+        for lidar, rows in self._sensors.lidars if realism.lidar.rolling else ():
+            platform = self.platforms[rows[0]]
+            if platform.scan.sweep is not None:
+                self._rolling_of[rows] = len(self._rolling)
+                self._rolling.append(RollingScans(lidar, platform, n, dt, sectors))
+        self._is_rolled = False  # the rays of this step are measured
+        self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
         self._fields = tuple(fields)
         shapes = [platform.footprint for platform in self.platforms]
         self._widest = sum(
@@ -104,6 +115,7 @@ class World:
 
     def _step(self) -> None:
         data = self.data
+        self._roll()
         self._bases.drive()
         if self.movable_boxes:
             self._movable_boxes.apply_friction()
@@ -111,6 +123,19 @@ class World:
         self._steps += 1
         if data.ncon:
             self._touching.append(self._contacts.after_step(data, *self._bases.before))
+        self._is_rolled = False
+
+    def _roll(self) -> None:
+        """Measure the rays of this step of all rolling scans, once."""
+        if self._is_rolled or not self._rolling:
+            return
+        self._is_rolled = True
+        poses = self._all_poses()
+        for rolling in self._rolling:
+            for scan in rolling.advance(poses, self._steps):
+                (ranges,) = self._noise.apply(np.array([scan.row]), [scan.ranges])
+                sent = self._scan(scan.row, ranges, scan.begun * self.dt, scan.ages)
+                self._transport.send(scan.row, sent, self.time)
 
     def poses(self) -> Array:
         """(n, 3) x, y in m and yaw in rad (not wrapped), world frame, ground truth.
@@ -140,19 +165,44 @@ class World:
         """The pairs in contact during the last call of `step`, each with its fastest approach."""
         return self._contacts.contacts(self._touching)
 
+    def begin_scans(self, robots: Indices) -> None:
+        """Begin a scan of each of `robots` (m,) now; call it before `arrived_scans`.
+
+        Where the lidar rolls, its rays are measured one after the other; else all at once.
+        """
+        of = self._rolling_of[robots]
+        for place, rolling in enumerate(self._rolling):
+            rolling.begin(robots[of == place])
+        at_once = robots[of < 0]
+        if len(at_once):
+            for row, scan in zip(at_once.tolist(), self.scans(at_once), strict=True):
+                self._transport.send(row, scan, self.time)
+
+    def arrived_scans(self) -> list[tuple[int, Scan]]:
+        """The scans that have arrived since the last call, with their robots, in their order."""
+        self._roll()
+        return self._transport.arrived(self.time)
+
     def scans(self, robots: Indices) -> list[Scan]:
-        """A scan of each of `robots` (m,), taken now; the caller delays it by `scan_latency`."""
+        """A scan of each of `robots` (m,), with all rays measured now; it needs no transport."""
+        ranges = self._noise.apply(robots, self._sensors.cast(self._all_poses(), robots))
+        return [
+            self._scan(row, seen, self.time)
+            for row, seen in zip(robots.tolist(), ranges, strict=True)
+        ]
+
+    def _all_poses(self) -> Array:
+        """(n, 3) of robots, then of boxes."""
         poses = self.poses()
         if self.movable_boxes:
             poses = np.concatenate((poses, self._movable_boxes.poses()))
-        ranges = self._noise.apply(robots, self._sensors.cast(poses, robots))
-        return [self._scan(row, seen) for row, seen in zip(robots.tolist(), ranges, strict=True)]
+        return poses
 
-    def _scan(self, robot: int, ranges: Array) -> Scan:
+    def _scan(self, robot: int, ranges: Array, stamp: float, ages: Array | None = None) -> Scan:
         spec = self.platforms[robot].scan
         seq = self._seq[robot]
         self._seq[robot] += 1
-        return Scan(seq, self.time, ranges, spec.bearings, spec.range_min, spec.range_max)
+        return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max, ages)
 
     def odometry(self, robots: Indices | None = None) -> list[Odometry]:
         """The next reading of each of `robots` (all if None), in the frame of its own start."""

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmd.core.kernels import load_kernel
-from swarmd.core.values import Array, Platform
+from swarmd.core.values import Array, Platform, Sweep
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world.arena import Arena, parse_arena
-from swarmd.sim.world.lidar import RangeSensors, Visibility
+from swarmd.sim.world.lidar import RangeSensors, Visibility, sweep_order
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.realism import IDEAL, REALISTIC, LidarNoise
 
@@ -93,6 +93,36 @@ def test_scans_have_the_bits_of_the_numpy_code(data: st.DataObject) -> None:
     c, d = (errors(noise, platforms, is_compiled=is_one) for is_one in (True, False))
     for _ in range(2):  # the streams of random numbers stay side by side
         same_bits(c.apply(robots, exact), d.apply(robots, reference))
+
+
+@settings(deadline=None, max_examples=60)
+@given(st.data())
+def test_sectors_have_the_bits_of_the_numpy_code(data: st.DataObject) -> None:
+    turn = data.draw(st.sampled_from((1.0, -1.0)))
+    sweep = Sweep(data.draw(st.sampled_from((0.0, 1.0, math.pi))), turn, 0.2)
+    platform = data.draw(st.sampled_from((*PLATFORMS, TRIANGLE, FAN)))
+    platform = replace(platform, scan=replace(platform.scan, sweep=sweep))
+    arena = data.draw(st.sampled_from(ARENAS))
+    visibility: Visibility = data.draw(st.sampled_from(("body", "real")))
+    at = data.draw(poses(arena, 5 + len(arena.movable_boxes)))
+    rays = len(platform.scan.bearings)
+    ends = np.array(sorted(data.draw(st.lists(st.integers(0, rays), min_size=5, max_size=5))))
+    found: list[Array] = []
+    whole: list[Array] = []
+    for is_compiled in (True, False):
+        ranges = np.full((5, rays), -7.0)
+        (lidar, _), *_ = sensors([platform] * 5, arena, visibility, is_compiled=is_compiled).lidars
+        first, counts = lidar.sectors(ends)
+        lidar.cast_sectors(ranges, np.arange(5), at, np.arange(5), first, counts)
+        found.append(ranges)
+        whole.append(lidar.cast(at, np.arange(5)))
+    same_bits(list(found[0]), list(found[1]))
+    order, _ = sweep_order(platform.scan.bearings, sweep)
+    for row in range(5):
+        wanted = np.full(rays, -7.0)
+        some = order[ends[row] - counts[row] : ends[row]]
+        wanted[some] = whole[0][row, some]
+        np.testing.assert_array_equal(found[0][row], wanted)
 
 
 def test_a_scan_among_a_thousand_has_the_bits_of_the_numpy_code() -> None:

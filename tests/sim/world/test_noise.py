@@ -45,7 +45,6 @@ def test_an_ideal_sensor_gives_the_very_same_arrays() -> None:
     given = noisy.apply(np.arange(2), exact)
     assert given[0] is exact[0]
     assert given[1] is exact[1]
-    assert np.array_equal(noisy.latency, [0.0, 0.0])
 
 
 @pytest.mark.parametrize(("distance", "sd"), [(0.3, 0.010), (1.0, 0.012), (2.5, 0.030)])
@@ -166,8 +165,3 @@ def test_sensors_of_different_ray_counts_scan_together() -> None:
     for row in range(3):
         lone = alone.apply(np.array([row]), [exact[row]])[0]
         assert np.array_equal(lone, mixed[row])
-
-
-def test_latency_is_half_a_scan_period() -> None:
-    noisy = NoisyLidar(REALISTIC.lidar, [BURGER, JACKAL], ["a", "b"], 0)
-    assert noisy.latency == pytest.approx([0.1, 0.05])

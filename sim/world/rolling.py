@@ -1,0 +1,99 @@
+"""Scans of sensors that turn: each ray is measured at its own time, while bodies move."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from swarmd.core.values import Array, Platform
+from swarmd.sim.world.geometry import Indices
+from swarmd.sim.world.lidar import Lidar, sweep_order
+
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CompleteScan:
+    """A scan of robot `row`: exact ranges (rays,) in m, ages (rays,) in s, and its first step."""
+
+    row: int
+    ranges: Array
+    ages: Array
+    begun: int
+
+
+class RollingScans:
+    """The scans in progress of the sensors of one platform, measured sector by sector.
+
+    A ray is measured within half a sector of its time. The ages of a scan are those of sectors.
+    """
+
+    def __init__(self, lidar: Lidar, platform: Platform, n: int, dt: float, sectors: int) -> None:
+        """For `n` robots of a world with steps of `dt` s; `platform.scan.sweep` is given.
+
+        A sweep has at least that many `sectors`, or one each step.
+        """
+        spec, sweep = platform.scan, platform.scan.sweep
+        assert sweep is not None
+        order, times = sweep_order(spec.bearings, sweep)
+        duration = min(sweep.duration, 1.0 / spec.rate)
+        self._steps = max(int(duration / dt + _ROUNDING), 1)
+        width = max(self._steps // sectors, 1)
+        steps = np.minimum((times / (width * dt) + 0.5).astype(np.intp) * width, self._steps)
+        # By steps since the begin.
+        ends = np.searchsorted(steps, np.arange(self._steps + 1), side="right")
+        self._first, self._counts = lidar.sectors(ends)
+        self._ages = np.empty(len(order))
+        self._ages[order] = (self._steps - steps) * dt
+        self._ages.flags.writeable = False
+        self._lidar, self._n = lidar, n
+        # Two rows for each robot, since a scan begins at the step at which the last one ends.
+        self._ranges = np.full((2 * n, len(order)), np.inf)
+        self._last_row = np.arange(n)
+        self._last_begun = np.full(n, -self._steps)
+        self._waiting: set[int] = set()
+        # The scans in progress: robots, first steps, and rows of `_ranges`.
+        self._robots = self._begun = self._rows = np.empty(0, dtype=np.intp)
+
+    def begin(self, robots: Indices) -> None:
+        """Begin a scan of each of `robots` (m,) at the next `advance`, or after its last one."""
+        self._waiting.update(robots.tolist())
+
+    def advance(self, poses: Array, step: int) -> list[CompleteScan]:
+        """Measure the rays of `step`, which is one after the last; returns the complete scans.
+
+        `poses` (k, 3) of robots, then of boxes.
+        """
+        if self._waiting:
+            self._start(step)
+        since = step - self._begun
+        counts = self._counts[since]
+        if counts.any():
+            first, robots = self._first[since], self._robots
+            self._lidar.cast_sectors(self._ranges, self._rows, poses, robots, first, counts)
+        is_done = since == self._steps
+        if not is_done.any():
+            return []
+        complete = [
+            CompleteScan(robot, self._ranges[row].copy(), self._ages, begun)
+            for robot, row, begun in zip(
+                self._robots[is_done].tolist(),
+                self._rows[is_done].tolist(),
+                self._begun[is_done].tolist(),
+                strict=True,
+            )
+        ]
+        self._robots, self._rows = self._robots[~is_done], self._rows[~is_done]
+        self._begun = self._begun[~is_done]
+        return complete
+
+    def _start(self, step: int) -> None:
+        earliest = self._last_begun + self._steps
+        ready = np.array(sorted(r for r in self._waiting if earliest[r] <= step), dtype=np.intp)
+        self._waiting.difference_update(ready.tolist())
+        self._last_begun[ready] = step
+        self._last_row[ready] = rows = (self._last_row[ready] + self._n) % len(self._ranges)
+        self._robots = np.concatenate((self._robots, ready))
+        self._rows = np.concatenate((self._rows, rows))
+        self._begun = np.concatenate((self._begun, np.full(len(ready), step)))
