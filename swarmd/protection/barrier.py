@@ -173,8 +173,8 @@ class Barrier:
         """
         self._dead_reckoning.update(context)
         ages = np.zeros(len(scan.ranges)) if scan.ages is None else scan.ages
-        mean, oldest = (float(ages.mean()), float(ages.max())) if len(ages) else (0.0, 0.0)
-        latency = max(self._spec.latency - mean, 0.0) + context.scan_delay
+        oldest = float(ages.max(initial=0.0))
+        latency = self._newest_age(scan) + context.scan_delay
         age = context.scan_age or 0.0
         taken = context.now - latency - age
         if age > 0.0 and taken < self._taken + AGE_TOLERANCE:
@@ -188,6 +188,18 @@ class Barrier:
         late = context.scan_delay + oldest
         self._obstacles = self._near_obstacles(scan, geometry, ages, oldest, late)
         self._feasible = None
+
+    def _newest_age(self, scan: Scan) -> float:
+        """How old the newest ray of a scan was on arrival in s, by the platform's latency.
+
+        Rays of the scan before, which fill a sector that a turn left unmeasured, change the mean of
+        the ages, but not this age; so conditioning tells it.
+        """
+        if scan.newest_age is not None:
+            return scan.newest_age
+        ages = scan.ages
+        mean = float(ages.mean()) if ages is not None and len(ages) else 0.0
+        return max(self._spec.latency - mean, 0.0)
 
     def decide(
         self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None

@@ -124,7 +124,6 @@ class BarrierKernel:
     _fastest: cython.double
     _within: cython.double
     _stale: cython.double
-    _latency: cython.double
     # The outline: corners, and for each edge its direction, normal and their origins.
     _edges: cython.Py_ssize_t
     _corner_x: cython.double[::1]
@@ -267,7 +266,6 @@ class BarrierKernel:
         self._inner, self._outer = outline.circles(derived.offset)
         self._fresh, self._fastest = derived.fresh, derived.fastest
         self._within, self._stale = derived.within, derived.stale
-        self._latency = derived.latency
         self._edges = len(outline.corners)
         self._corner_x = array("d", outline.corners[:, 0].tolist())
         self._corner_y = array("d", outline.corners[:, 1].tolist())
@@ -411,25 +409,22 @@ class BarrierKernel:
         self,
         now: cython.double,
         age: cython.double,
+        newest_age: cython.double,
         delay: cython.double,
         odometry_age: cython.double,
         ages: cython.const[cython.double][:],
     ):
         """False if a scan is not newer than the last one; else the motion between the two.
 
-        `delay`: how much later than the platform's latency it arrives. `ages` (n,) of its rays;
-        empty: all are 0.
+        `newest_age`: how old its newest ray was on arrival by the platform's latency; `delay`: how
+        much later than that it arrives. `ages` (n,) of its rays; empty: all are 0.
         """
         i: cython.Py_ssize_t
         oldest: cython.double = 0.0
-        mean: cython.double = 0.0
         for i in range(ages.shape[0]):
-            mean += ages[i]
             if ages[i] > oldest:
                 oldest = ages[i]
-        if ages.shape[0]:
-            mean /= ages.shape[0]
-        latency: cython.double = _maximum(self._latency - mean, 0.0) + delay
+        latency: cython.double = newest_age + delay
         taken: cython.double = now - latency - age
         if age > 0.0 and taken < self._taken + _age_tolerance:
             return False

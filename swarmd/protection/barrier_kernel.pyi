@@ -23,7 +23,13 @@ class BarrierKernel:
         lateral: float,
     ) -> None: ...
     def begin_scan(
-        self, now: float, age: float, delay: float, odometry_age: float, ages: Array
+        self,
+        now: float,
+        age: float,
+        newest_age: float,
+        delay: float,
+        odometry_age: float,
+        ages: Array,
     ) -> bool: ...
     def set_rays(self, directions: Array) -> None: ...
     def find_min_gap(self, ranges: Array, range_min: float) -> None: ...

@@ -33,7 +33,6 @@ class Derived(NamedTuple):
     fastest: float
     within: float
     stale: float
-    latency: float
 
 
 def make_barrier(platform: Platform) -> Barrier:
@@ -58,7 +57,6 @@ class CompiledBarrier(Barrier):
             fastest=self._binding_range.fastest,
             within=self._within,
             stale=self._stale,
-            latency=platform.scan.latency,
         )
         self._kernel = kernel.BarrierKernel(self._settings, self._outline, derived)
         self._directions: Array | None = None
@@ -78,7 +76,8 @@ class CompiledBarrier(Barrier):
         ranges = np.asarray(scan.ranges, np.float64)
         ages = _NO_AGES if scan.ages is None else np.asarray(scan.ages, np.float64)
         age, odometry_age = context.scan_age or 0.0, context.odometry_age or 0.0
-        if not kernel.begin_scan(context.now, age, context.scan_delay, odometry_age, ages):
+        newest, delay = self._newest_age(scan), context.scan_delay
+        if not kernel.begin_scan(context.now, age, newest, delay, odometry_age, ages):
             kernel.find_min_gap(ranges, scan.range_min)
             return
         hidden = _NOTHING_HIDDEN

@@ -306,7 +306,7 @@ def test_a_scan_with_more_ranges_than_rays_is_refused_and_frees_no_way() -> None
     kernel = barrier._kernel
     kernel.set_rays(np.array([[1.0, 0.0]]))
     ages, hidden = np.empty(0), np.empty((0, 3))
-    kernel.begin_scan(1.0, 0.0, 0.0, 0.0, ages)
+    kernel.begin_scan(1.0, 0.0, 0.0, 0.0, 0.0, ages)
     kernel.take_scan(np.array([0.2]), 0.1, ages, hidden)
     with pytest.raises(IndexError):
         kernel.take_scan(np.full(2, np.inf), 0.1, ages, hidden)
