@@ -55,7 +55,8 @@ def _pairs(platforms: Iterable[Platform], accepts: Accepts) -> Iterator[tuple[st
     kinds = {platform.name: platform for platform in robots}
     counts = Counter(platform.name for platform in robots)
     for own, peer in product(kinds.values(), repeat=2):
-        if own is peer and counts[own.name] == 1:
+        is_alone = own is peer and counts[own.name] == 1
+        if is_alone or own.protection["mode"] == "off":  # that promises nothing
             continue
         found = findings(body_of(own), assumed_speed(own), peer.name, body_of(peer), accepts)
         yield from ((own.name, one) for one in found)

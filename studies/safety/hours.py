@@ -17,8 +17,8 @@ def cells(
     mode: str,
     duration: float,
 ) -> list[Scene]:
-    """All scenes of these families; a mixed swarm only with visibility `body`."""
-    places = [(p, v) for p in platforms for v in visibilities if (p, v) != ("mixed", "real")]
+    """All scenes of these families."""
+    places = [(p, v) for p in platforms for v in visibilities]
     return [Scene(f, p, v, mode, duration=duration) for f in families for p, v in places]
 
 

@@ -32,7 +32,6 @@ def plan(
         for is_sparse in (True, False)
         for mode in chosen
         for seed in seeds
-        if (platform, visibility) != ("mixed", "real")
     ]
 
 

@@ -112,10 +112,6 @@ def scenario(scene: Scene) -> Scenario:
         if getattr(scene, word) not in known:
             fault = unknown(word, getattr(scene, word), known)
             raise ConfigError(f"scene {scene.name}: {fault}")
-    if scene.platform == "mixed" and scene.visibility == "real":
-        raise ConfigError(
-            f"scene {scene.name}: a Jackal's lidar looks over TurtleBots; expected visibility body"
-        )
     room = scene.room
     starts: dict[str, Any] = {"layout": "random", "clearance": room.clearance}
     if scene.family == "swap":
@@ -133,6 +129,11 @@ def scenario(scene: Scene) -> Scenario:
                 {"kind": "linear", "name": "y", "slope": 1.0, "direction_deg": 90.0},
             ],
             "plugin_dir": str(PLUGINS),
+            # Not all of a mixed swarm see each other.
+            "radio": {
+                "range_and_bearing": scene.platform == "mixed" and scene.visibility == "real"
+            },
+            "accepts_faster": [f"{RAMMERS}-{kind}" for kind in kinds_of(scene.platform)],
             "platforms": _platforms(scene),
             "groups": _groups(scene),
             "start": starts,
@@ -148,7 +149,8 @@ def kinds_of(platform: str) -> tuple[str, ...]:
 def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
     barrier: dict[str, Any] = {"unseen_extent": 0.0} if scene.visibility == "body" else {}
     if scene.platform == "mixed":
-        barrier |= {"others_speed": _MIXED_SPEED, "keep_out": _MIXED_KEEP_OUT}
+        barrier |= {"others_speed": _MIXED_SPEED}
+        barrier |= {"keep_out": _MIXED_KEEP_OUT} if scene.visibility == "body" else {}
     if scene.mode == "reciprocal":
         barrier |= {"responsibility": "reciprocal", "margin": 0.08}
     mode = {"reciprocal": "barrier", "ghost": "off"}.get(scene.mode, scene.mode)

@@ -46,6 +46,7 @@ def meeting(
         "duration": duration,
         "lidar_visibility": visibility,
         "arena": {"size": [12.0, 12.0], **(arena or {})},
+        "accepts_faster": list(free),
         "platforms": {**barrier, **free, **seeing},
         "groups": {f"group-{one['robots'][0]}": one for one in groups},
     }

@@ -69,8 +69,8 @@ def test_a_file_of_another_format_is_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_an_impossible_scene_is_refused_before_anything_runs(tmp_path: Path) -> None:
-    tasks = [Task(SHORT, 0), Task(Scene("goals", "mixed", "real"), 0)]
-    with pytest.raises(ConfigError, match="visibility body"):
+    tasks = [Task(SHORT, 0), Task(Scene("goals", "mixed", "unreal"), 0)]
+    with pytest.raises(ConfigError, match="unreal"):
         carry_out(tasks, tmp_path / "some.jsonl", 1)
     assert not (tmp_path / "some.jsonl").exists()
 
@@ -101,7 +101,7 @@ def test_rates_come_with_their_upper_bound() -> None:
 def test_a_plan_has_the_hours_asked_for_over_all_scenes_with_fresh_seeds() -> None:
     scenes = hours.cells(("goals", "ram", "drive"), ("burger", "mixed"), ("body", "real"),
                          "barrier", 600.0)  # fmt: skip
-    assert len(scenes) == 9  # a mixed swarm has one visibility
+    assert len(scenes) == 12
     tasks = hours.plan(100.0, scenes, range(1000, 2000))
     planned = sum(task.scene.protected * task.scene.duration / 3600.0 for task in tasks)
     assert 100.0 <= planned < 102.0

@@ -89,8 +89,13 @@ def test_unseen_extent_is_zero_with_visibility_body(platform: str) -> None:
 def test_an_unknown_scene_is_refused_with_the_nearest_name() -> None:
     with pytest.raises(ConfigError, match="goals"):
         scenario(Scene("goal", "burger"))
-    with pytest.raises(ConfigError, match="Jackal"):
-        scenario(Scene("goals", "mixed", "real"))
+
+
+def test_a_mixed_swarm_with_real_lidars_tells_where_its_robots_are() -> None:
+    real = scenario(Scene("ram", "mixed", "real"))
+    assert real.radio.range_and_bearing
+    assert any("told by range and bearing" in note for note in real.notes)
+    assert not scenario(Scene("ram", "mixed")).radio.range_and_bearing
 
 
 def test_ghosts_reach_goals_and_never_touch_a_wall() -> None:
