@@ -20,6 +20,7 @@ from typing import NamedTuple, TypeAlias
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError
@@ -50,12 +51,12 @@ from swarmd.protection.dead_reckoning import (
     DeadReckoning,
     relative,
 )
-from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
 from swarmd.protection.footprint import Footprint, ScanGeometry, Separations
-from swarmd.protection.projection import Point, nearest_feasible
+from swarmd.protection.projection import TOLERANCE, Point, nearest_feasible
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import BarrierSettings
-from swarmd.protection.stopping import StopCheck
+from swarmd.protection.stopping import SPEED_SHARES, StopCheck
 
 AGE_TOLERANCE = 1e-6  # s, for the rounding of ages
 _MAX_ENVELOPES = 8  # kept at a time: a holonomic base moves in any direction
@@ -79,18 +80,45 @@ class _NearObstacles(NamedTuple):
     oldest: float
 
 
+class _Placed(NamedTuple):
+    """All obstacles (o,) in the base frame at which a command takes effect: seen, then told ones.
+
+    Points `x`, `y` m at `gaps` m from the outline, measured `ages` s before; `free` m must stay
+    free around each. `rows`: the index of the first constraint of each.
+    """
+
+    rows: NDArray[np.intp]
+    x: Array
+    y: Array
+    gaps: Array
+    ages: Array
+    free: Array
+
+    def beyond(self, first: int) -> _Placed:
+        """Those from an index on."""
+        return _Placed(self.rows[first:], *(part[first:] for part in self[1:]))
+
+    def followed_by(self, other: _Placed) -> _Placed:
+        """These, then the others."""
+        rows = np.concatenate((self.rows, other.rows))
+        pairs = zip(self[1:], other[1:], strict=True)
+        return _Placed(rows, *(np.concatenate(pair) for pair in pairs))
+
+
 _Situation: TypeAlias = tuple[DecisionContext, Point, TouchZone | None]
 
 
 class _Feasible(NamedTuple):
-    """The feasible commands of a situation: `rows`, the first `points` of them one per obstacle.
+    """The feasible commands of a situation, with its obstacles and their constraints `rows`.
 
-    `normals` (r, 2) and `caps` (r,): the constraints and the envelope, in speeds over their limits.
+    The first `seen` obstacles were seen, the others told. `normals` (r, 2) and `caps` (r,): the
+    constraints and the envelope, in speeds over their limits.
     """
 
     situation: _Situation
     rows: Constraints
-    points: int
+    placed: _Placed
+    seen: int
     normals: Array
     caps: Array
 
@@ -208,6 +236,7 @@ class Barrier:
         self._dead_reckoning.update(context)
         obstacles = self._obstacles
         is_free = touch is None and not (obstacles.is_near or len(obstacles.x))
+        is_free = is_free and not self._told_near(context)
         if requested.is_zero or is_free:
             return ModeDecision(requested, is_active=False)
         if self._clock_resets != self._dead_reckoning.clock_resets:
@@ -231,11 +260,12 @@ class Barrier:
         wanted = speed / limits[0], requested.angular / limits[1]
         point, tight = nearest_feasible(wanted, LIMIT_BOX, feasible.normals, feasible.caps)
         s, angular = point[0] * limits[0], point[1] * limits[1]
-        s, angular = self._with_clear_stop(s, angular, feasible)
+        s, angular = self._with_clear_stop(s, angular, limits, feasible)
         if point == wanted and (s, angular) == (point[0] * limits[0], point[1] * limits[1]):
             return ModeDecision(requested, is_active=False)
-        if not tight and feasible.points:  # limited by the stop alone: report the nearest obstacle
-            tight = [int(feasible.rows.gaps[: feasible.points].argmin())]
+        if not tight and len(feasible.placed.rows):  # limited by the stop: the nearest obstacle
+            first = feasible.placed.rows
+            tight = [int(first[feasible.rows.gaps[first].argmin()])]
         twist = Twist(s * along[0], angular, s * along[1])
         return ModeDecision(twist, is_active=True, rows=report(feasible.rows, tight, self._outline))
 
@@ -243,46 +273,60 @@ class Barrier:
         """The feasible commands, computed once for all requested commands of one situation."""
         if self._feasible is None or self._feasible.situation != situation:
             context, along, touch = situation
-            rows, count = self._constraints(self._obstacles, context, command, along, touch)
-            bounds = self._half_planes(rows, along, limits)
-            self._feasible = _Feasible(situation, rows, count, *bounds)
+            of_seen, seen = self._constraints(self._obstacles, context, command, along, touch)
+            rows, placed, told = of_seen, seen, self._told_near(context)
+            for one in told:
+                rows, placed = self._with_told(rows, placed, one, context, command, along)
+            bounds = self._half_planes(rows, of_seen, bool(told), along, limits)
+            self._feasible = _Feasible(situation, rows, placed, len(seen.rows), *bounds)
         return self._feasible
 
     def _with_clear_stop(
-        self, s: float, angular: float, feasible: _Feasible
+        self, s: float, angular: float, limits: Point, feasible: _Feasible
     ) -> tuple[float, float]:
         """The speeds, or less if the outline would not stay clear while the robot brakes."""
-        context, along, touch = feasible.situation
+        _, along, touch = feasible.situation
         settings, first = self._settings, len(self._obstacles.rays)
-        radius, age = self._radius, context.now - self._taken + REACTION_TIME
-        obstacles = self._obstacles
+        placed = feasible.placed
         seconds = TICK + max(
             abs(s) / settings.braking_linear, abs(angular) / settings.braking_angular
         )
-        free = self._free(context)
         others = settings.others_speed if settings.responsibility == "passive" else 0.0
-        reached = free + others * (age + obstacles.oldest + seconds)
-        reached += (abs(s) + abs(angular) * radius) * seconds
-        rows = feasible.rows
-        near = np.flatnonzero(rows.gaps[first : feasible.points] <= reached) + first
+        need = placed.free + others * placed.ages
+        reached = need + others * seconds + (abs(s) + abs(angular) * self._radius) * seconds
+        near = np.flatnonzero(placed.gaps[first:] <= reached[first:]) + first
+        if touch is not None:
+            separations = self._outline.separations(placed.x[near], placed.y[near])
+            near = near[~in_touch_zone(separations, touch) | (near >= feasible.seen)]
         if not len(near):
             return s, angular
-        if touch is not None:
-            separations = self._outline.separations(rows.x[near], rows.y[near])
-            near = near[~in_touch_zone(separations, touch)]
-        points = np.stack((rows.x[near], rows.y[near]), axis=1)
-        need = free + others * (age + obstacles.ages[near])
+        # Of two speeds, one of which opens what the other closes, a share of one may close.
+        wanted = np.array((s / limits[0], angular / limits[1]))
+        excess = (SPEED_SHARES * wanted) @ feasible.normals.T - feasible.caps
+        shares = SPEED_SHARES[(excess <= TOLERANCE).all(axis=1)]
+        points = np.stack((placed.x[near], placed.y[near]), axis=1)
         speeds = self._stop_check.limited(
-            np.array((s, angular)), np.array(along), points, rows.gaps[near], need, others
+            np.array((s, angular)),
+            np.array(along),
+            points,
+            placed.gaps[near],
+            need[near],
+            others,
+            shares,
         )
         return float(speeds[0]), float(speeds[1])
 
-    def _half_planes(self, rows: Constraints, along: Point, limits: Point) -> tuple[Array, Array]:
-        """Normals and caps of the constraints and the envelope, in speeds over their limits."""
+    def _half_planes(
+        self, rows: Constraints, seen: Constraints, is_told: bool, along: Point, limits: Point
+    ) -> tuple[Array, Array]:
+        """Normals and caps of the constraints and the envelope, in speeds over their limits.
+
+        `seen`: the constraints of seen obstacles, which may touch the robot with unseen parts.
+        """
         normals = np.array((rows.linear * limits[0], rows.lever * limits[1])).T
-        if not self._obstacles.is_near:
+        if not (self._obstacles.is_near or is_told):
             return normals, rows.caps
-        is_touching = bool(((rows.gaps <= self._contact_gap) & (rows.caps <= 0.0)).any())
+        is_touching = bool(((seen.gaps <= self._contact_gap) & (seen.caps <= 0.0)).any())
         key = along, CREEP_SPEED if is_touching else self._surface_speed
         if key not in self._envelopes:
             if len(self._envelopes) > _MAX_ENVELOPES:
@@ -300,8 +344,8 @@ class Barrier:
         command: Twist,
         along: Point,
         touch: TouchZone | None,
-    ) -> tuple[Constraints, int]:
-        """All constraints, first one for each near point, and the number of these points."""
+    ) -> tuple[Constraints, _Placed]:
+        """All constraints of seen obstacles, first one for each near point, and these points."""
         frame = relative(self._taken_at, self._dead_reckoning.predicted_pose(context, command))
         age = context.now - self._taken + REACTION_TIME
         furthest = self._binding_range.for_scan_age(age + obstacles.oldest)
@@ -309,27 +353,69 @@ class Barrier:
         ages = age + obstacles.ages[:count]
         x, y = placed(obstacles.x[:count], obstacles.y[:count], frame)
         separations = self._outline.separations(x, y)
-        free = self._free(context)
-        room = separations.gap - free
-        rows = self._point_constraints(separations, room, x, y, along, ages)
-        rest = 0.5 * (separations.gap - self._contact_gap) / (ages + TICK)
-        corners = self._outline.corners
-        rows = concatenated(
-            rows, side_constraints(rows, separations, corners, along, rest, CREEP_SPEED)
-        )
+        frees = np.full(count, self._free(context))
+        seen = _Placed(np.arange(count), x, y, separations.gap, ages, frees)
+        rows = self._obstacle_constraints(separations, seen, self._contact_gap, along)
         if self._settings.unseen_extent > 0.0:
             contacts = len(obstacles.rays)  # their places on the outline are a guess
-            corner_rows = self._corner_constraints(
-                separations.gap[contacts:], x[contacts:], y[contacts:], ages[contacts:], along, free
-            )
-            rows = concatenated(rows, corner_rows)
+            rows = concatenated(rows, self._corner_constraints(seen.beyond(contacts), along))
         if len(obstacles.rays):
             rows = self._with_contacts(rows, obstacles, frame, along)
         if self._settings.keep_out is not None:
             rows = self._with_keep_out(rows, self._settings.keep_out, along, ages)
         if touch is not None:
             rows = self._with_touch_zone(rows, touch, along)
-        return rows, len(x)
+        return rows, seen
+
+    def _told_near(self, context: DecisionContext) -> list[ToldObstacle]:
+        """The obstacles that the robot is told of which can bind it; far ones change nothing."""
+        radius = self._radius
+        return [
+            one
+            for one in context.told
+            if not math.hypot(one.x, one.y) - one.radius - radius
+            > self._binding_range.for_age(one.age + REACTION_TIME)
+        ]
+
+    def _with_told(
+        self, rows: Constraints, placed_ones: _Placed, told: ToldObstacle,
+        context: DecisionContext, command: Twist, along: Point,
+    ) -> tuple[Constraints, _Placed]:  # fmt: skip
+        """The constraints and obstacles with those of a disc that the robot is told of.
+
+        The gap to a disc is that to its centre less its radius, along the same line. So its radius
+        adds to what must stay free around the centre, as that of unseen parts does for returns.
+        """
+        predicted = self._dead_reckoning.predicted_pose(context, command)
+        frame = relative(self._dead_reckoning.pose(context, told.age), predicted)
+        x, y = placed(np.array([told.x]), np.array([told.y]), frame)
+        separations = self._outline.separations(x, y)
+        least = self._settings.margin + told.radius
+        free = np.array([least + self._late(context) * self._surface_speed])
+        ages, first = np.array([told.age + REACTION_TIME]), np.array([len(rows.caps)])
+        disc = _Placed(first, x, y, separations.gap, ages, free)
+        more = self._obstacle_constraints(separations, disc, least, along)
+        more = concatenated(more, self._corner_constraints(disc, along))
+        rim_x, rim_y = x - told.radius * separations.nx, y - told.radius * separations.ny
+        count = len(more.caps)
+        more = more._replace(
+            x=np.repeat(rim_x, count), y=np.repeat(rim_y, count), gaps=more.gaps - told.radius
+        )
+        return concatenated(rows, more), placed_ones.followed_by(disc)
+
+    def _obstacle_constraints(
+        self, separations: Separations, placed: _Placed, contact_gap: float, along: Point
+    ) -> Constraints:
+        """One constraint for each obstacle, then the side constraints."""
+        x, y, ages = placed.x, placed.y, placed.ages
+        rows = self._point_constraints(
+            separations, separations.gap - placed.free, x, y, along, ages
+        )
+        rest = 0.5 * (separations.gap - contact_gap) / (ages + TICK)
+        corners = self._outline.corners
+        return concatenated(
+            rows, side_constraints(rows, separations, corners, along, rest, CREEP_SPEED)
+        )
 
     def _point_constraints(
         self, separations: Separations, room: Array, x: Array, y: Array, along: Point, ages: Array
@@ -339,19 +425,20 @@ class Barrier:
         caps = self._caps(room, self._braking(linear, separations.lever), ages)
         return Constraints(linear, separations.lever, caps, x, y, separations.gap)
 
-    def _corner_constraints(
-        self, gaps: Array, x: Array, y: Array, ages: Array, along: Point, free: float
-    ) -> Constraints:
+    def _corner_constraints(self, placed: _Placed, along: Point) -> Constraints:
         """Constraints of each own corner, for obstacles that extend beyond their visible part.
 
         Then the nearest place of the outline is not the only one that can touch the obstacle: a
         corner that swings past it can, too.
         """
-        near = np.flatnonzero(gaps <= 2.0 * free + self._settings.others_speed * (ages + TICK))
+        reach = 2.0 * placed.free + self._settings.others_speed * (placed.ages + TICK)
+        near = np.flatnonzero(placed.gaps <= reach)
         corners = self._outline.corners
-        count = len(near)
-        x, y, ages = (np.tile(part[near], len(corners)) for part in (x, y, ages))
-        own_x, own_y = np.repeat(corners[:, 0], count), np.repeat(corners[:, 1], count)
+        x, y, ages, free = (
+            np.tile(part[near], len(corners))
+            for part in (placed.x, placed.y, placed.ages, placed.free)
+        )
+        own_x, own_y = np.repeat(corners[:, 0], len(near)), np.repeat(corners[:, 1], len(near))
         dx, dy = x - own_x, y - own_y
         distance = np.maximum(np.hypot(dx, dy), 1e-9)
         nx, ny = dx / distance, dy / distance
@@ -483,6 +570,9 @@ class Barrier:
 
         Odometry may be old, and the remembered part of a scan is not dead-reckoned.
         """
-        late = max((context.odometry_age or 0.0) - MAX_EXTRAPOLATION, 0.0)
-        blurred = (late + self._lag) * self._surface_speed
+        blurred = (self._late(context) + self._lag) * self._surface_speed
         return self._settings.margin + self._settings.unseen_extent + blurred
+
+    def _late(self, context: DecisionContext) -> float:
+        """s for which the motion of the robot is not known."""
+        return max((context.odometry_age or 0.0) - MAX_EXTRAPOLATION, 0.0)

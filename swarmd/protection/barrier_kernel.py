@@ -177,6 +177,10 @@ class BarrierKernel:
     _found_age: cython.double[::1]
     _order: cython.longlong[::1]
     _spare: cython.longlong[::1]
+    # Obstacles that the robot is told of: rows of x, y, radius, age; the first `_discs` may bind.
+    _told: cython.double[:, ::1]
+    _discs: cython.Py_ssize_t
+    _disc: cython.longlong[::1]
     # The touch zone: direction, cosine of its half width, speed, and rows of nx, ny, x, y.
     _has_touch: cython.bint
     _touch_bearing: cython.double
@@ -199,14 +203,20 @@ class BarrierKernel:
     _at_bearing: cython.double
     _at_half: cython.double
     _at_speed: cython.double
-    # The feasible set: placed points, then rows, of which the last belong to the envelope.
-    _since: cython.double
+    # The feasible set: placed points, `_count` seen and then `_discs` told ones, and rows: of seen
+    # points, from `_told_rows` on of told ones, and of the envelope.
     _free: cython.double
     _count: cython.Py_ssize_t
     _rows: cython.Py_ssize_t
     _all: cython.Py_ssize_t
     _placed_x: cython.double[::1]
     _placed_y: cython.double[::1]
+    _placed_gap: cython.double[::1]
+    _placed_free: cython.double[::1]
+    _placed_age: cython.double[::1]
+    _radius_of: cython.double[::1]
+    _first_row: cython.longlong[::1]
+    _told_rows: cython.Py_ssize_t
     _normal_x: cython.double[::1]
     _normal_y: cython.double[::1]
     _near: cython.longlong[::1]
@@ -277,6 +287,8 @@ class BarrierKernel:
         self._taken = -_inf
         self._directions = ENVELOPE_DIRECTIONS[:0]
         self._reserve_points(64)
+        self._reserve_placed(64)
+        self._told, self._disc = ENVELOPE_DIRECTIONS[:0], _indices(8)
         self._ray_x, self._ray_y, self._ray_age = _doubles(16), _doubles(16), _doubles(16)
         self._reserve_rows(256)
         count: cython.Py_ssize_t = len(ENVELOPE_DIRECTIONS)
@@ -637,9 +649,20 @@ class BarrierKernel:
             _doubles(count),
         )
         self._order, self._spare = _indices(count), _indices(count)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _reserve_placed(self, count: cython.Py_ssize_t) -> cython.int:
+        """Buffers for so many points of a decision."""
+        if self._placed_x is not None and self._placed_x.shape[0] >= count:
+            return 0
         self._placed_x, self._placed_y = _doubles(count), _doubles(count)
+        self._placed_gap, self._placed_free = _doubles(count), _doubles(count)
+        self._placed_age, self._radius_of = _doubles(count), _doubles(count)
         self._normal_x, self._normal_y = _doubles(count), _doubles(count)
         self._near, self._inside = _indices(count), _indices(count)
+        self._first_row = _indices(count)
         return 0
 
     # The outline.
@@ -746,6 +769,29 @@ class BarrierKernel:
         """Grant no touch zone."""
         self._has_touch = False
 
+    # Told obstacles.
+
+    def set_told(self, told: cython.double[:, ::1]):
+        """The obstacles (n, 4) that the robot is told of: x, y, radius in m, age in s."""
+        self._told, self._has_situation = told, False
+        if self._disc.shape[0] < told.shape[0]:
+            self._disc = _indices(told.shape[0])
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _find_discs(self) -> cython.int:
+        """Those of the told obstacles which can bind the robot."""
+        i: cython.Py_ssize_t
+        told: cython.double[:, ::1] = self._told
+        self._discs = 0
+        for i in range(told.shape[0]):
+            gap: cython.double = hypot(told[i, 0], told[i, 1]) - told[i, 2] - self._radius
+            age: cython.double = told[i, 3] + _reaction
+            if not (gap > self._fresh + (self._others + self._fastest) * age):
+                self._disc[self._discs] = i
+                self._discs += 1
+        return 0
+
     # The decision.
 
     def decide(
@@ -768,7 +814,8 @@ class BarrierKernel:
         `speed` along a direction with a limit; an age that is not known is NaN. REPEATS: the last
         limit applies again.
         """
-        is_free: cython.bint = not (self._has_touch or self._is_near or self._points)
+        self._find_discs()
+        is_free: cython.bint = not (self._has_touch or self._is_near or self._points or self._discs)
         if is_free or (speed == 0.0 and angular == 0.0):
             return _passes
         if self._scan_resets != self._resets:
@@ -841,7 +888,6 @@ class BarrierKernel:
         frame_yaw: cython.double = self._taken_yaw - self._pose_yaw
         c, s = cos(frame_yaw), sin(frame_yaw)
         age: cython.double = self._now - self._taken + _reaction
-        self._since = age
         late: cython.double = _maximum(odometry_age - _max_extrapolation, 0.0)
         self._free = self._margin + self._unseen_extent + (late + self._lag) * self._surface_speed
         furthest: cython.double = self._binding_range(age + self._oldest)
@@ -851,38 +897,91 @@ class BarrierKernel:
         self._count = count
         contacts: cython.Py_ssize_t = min(self._contacts, count)
         touch_rows: cython.Py_ssize_t = self._touch_table.shape[0] if self._has_touch else 0
-        self._reserve_rows(count * (4 + self._edges) + contacts + touch_rows + self._way_x.shape[0])
+        self._reserve_placed(count + self._discs)
+        self._reserve_rows(
+            (count + self._discs) * (4 + self._edges) + contacts + touch_rows + self._way_x.shape[0]
+        )
         self._rows = 0
         i: cython.Py_ssize_t
         for i in range(count):
-            self._placed_x[i] = frame_x + c * self._x[i] - s * self._y[i]
-            self._placed_y[i] = frame_y + s * self._x[i] + c * self._y[i]
-            self._separate(self._placed_x[i], self._placed_y[i])
-            self._normal_x[i], self._normal_y[i] = self._nx, self._ny
-            lever: cython.double = self._lever
-            linear_part: cython.double = self._nx * self._along_x + self._ny * self._along_y
-            cap: cython.double = self._cap(
-                self._gap_found - self._free,
-                self._braking(linear_part, lever),
-                age + self._age[i],
+            self._placed_free[i], self._placed_age[i] = self._free, age + self._age[i]
+            self._add_point(
+                i,
+                frame_x + c * self._x[i] - s * self._y[i],
+                frame_y + s * self._x[i] + c * self._y[i],
+                0.0,
             )
-            self._add(linear_part, lever, cap, self._gap_found, i)
-        self._add_sides(count)
+        self._add_sides(0, count, self._contact_gap)
         if self._unseen_extent > 0.0:
             self._add_corners(contacts, count)
         for i in range(contacts):
             self._row_cap[i] = 0.0
             nx: cython.double = c * self._ray_x[i] - s * self._ray_y[i]
             ny: cython.double = s * self._ray_x[i] + c * self._ray_y[i]
-            lever = self._placed_x[i] * ny - self._placed_y[i] * nx
+            lever: cython.double = self._placed_x[i] * ny - self._placed_y[i] * nx
             self._add(nx * self._along_x + ny * self._along_y, lever, 0.0, 0.0, i)
         if self._keep_out == self._keep_out:
             self._add_keep_out(count)
         if self._has_touch:
             self._grant_touch(count)
+        self._told_rows = self._rows
+        if self._discs:
+            self._add_told(odometry_age, late)
         self._all = self._rows
-        if self._is_near:
+        if self._is_near or self._discs:
             self._add_envelope()
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_point(
+        self,
+        i: cython.Py_ssize_t,
+        x: cython.double,
+        y: cython.double,
+        radius: cython.double,
+    ) -> cython.int:
+        """A row for a placed point, the centre of a disc of that radius."""
+        self._placed_x[i], self._placed_y[i], self._radius_of[i] = x, y, radius
+        self._separate(x, y)
+        self._normal_x[i], self._normal_y[i] = self._nx, self._ny
+        self._placed_gap[i], self._first_row[i] = self._gap_found, self._rows
+        linear: cython.double = self._nx * self._along_x + self._ny * self._along_y
+        cap: cython.double = self._cap(
+            self._gap_found - self._placed_free[i],
+            self._braking(linear, self._lever),
+            self._placed_age[i],
+        )
+        self._add(linear, self._lever, cap, self._gap_found - radius, i)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_told(self, odometry_age: cython.double, late: cython.double) -> cython.int:
+        """The rows of the discs that the robot is told of; see Barrier._with_told."""
+        k: cython.Py_ssize_t
+        told: cython.double[:, ::1] = self._told
+        predicted_x: cython.double = self._pose_x
+        predicted_y: cython.double = self._pose_y
+        predicted_yaw: cython.double = self._pose_yaw
+        c: cython.double = cos(predicted_yaw)
+        s: cython.double = sin(predicted_yaw)
+        for k in range(self._discs):
+            i: cython.Py_ssize_t = self._count + k
+            n: cython.Py_ssize_t = self._disc[k]
+            self._pose(odometry_age, told[n, 3])
+            dx: cython.double = self._pose_x - predicted_x
+            dy: cython.double = self._pose_y - predicted_y
+            turn: cython.double = self._pose_yaw - predicted_yaw
+            radius: cython.double = told[n, 2]
+            x: cython.double = cos(turn) * told[n, 0] - sin(turn) * told[n, 1]
+            y: cython.double = sin(turn) * told[n, 0] + cos(turn) * told[n, 1]
+            least: cython.double = self._margin + radius
+            self._placed_free[i] = least + late * self._surface_speed
+            self._placed_age[i] = told[n, 3] + _reaction
+            self._add_point(i, c * dx + s * dy + x, c * dy - s * dx + y, radius)
+            self._add_sides(i, i + 1, least)
+            self._add_corners(i, i + 1)
         return 0
 
     @cython.cfunc
@@ -948,15 +1047,17 @@ class BarrierKernel:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _add_sides(self, count: cython.Py_ssize_t) -> cython.int:
+    def _add_sides(
+        self, first: cython.Py_ssize_t, end: cython.Py_ssize_t, contact_gap: cython.double
+    ) -> cython.int:
         """Two rows for each point whose cap is 0; see side_constraints."""
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         side: cython.Py_ssize_t
         for side in range(2):
             turn: cython.double = _side_sin if side == 0 else -_side_sin
-            for i in range(count):
-                if not (self._row_cap[i] <= 0.0):
+            for i in range(first, end):
+                if not (self._row_cap[self._first_row[i]] <= 0.0):
                     continue
                 nx: cython.double = self._normal_x[i]
                 ny: cython.double = self._normal_y[i]
@@ -969,23 +1070,24 @@ class BarrierKernel:
                     if ahead > most:
                         most, foremost = ahead, k
                 lever: cython.double = self._corner_x[foremost] * ay - self._corner_y[foremost] * ax
-                gap: cython.double = self._row_gap[i]
-                rest: cython.double = (
-                    0.5 * (gap - self._contact_gap) / (self._since + self._age[i] + _tick)
-                )
+                gap: cython.double = self._placed_gap[i]
+                rest: cython.double = 0.5 * (gap - contact_gap) / (self._placed_age[i] + _tick)
                 linear: cython.double = ax * self._along_x + ay * self._along_y
-                self._add(linear, lever, _maximum(rest, _creep), gap, i)
+                self._add(linear, lever, _maximum(rest, _creep), gap - self._radius_of[i], i)
         return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _add_corners(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
+    def _add_corners(self, first: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
         """A row of each own corner for each near point; see Barrier._corner_constraints."""
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         at: cython.Py_ssize_t = self._rows
         x: cython.double[::1] = self._placed_x
         y: cython.double[::1] = self._placed_y
+        gap: cython.double[::1] = self._placed_gap
+        frees: cython.double[::1] = self._placed_free
+        ages: cython.double[::1] = self._placed_age
         row_x: cython.double[::1] = self._row_x
         row_y: cython.double[::1] = self._row_y
         row_cap: cython.double[::1] = self._row_cap
@@ -994,14 +1096,12 @@ class BarrierKernel:
         along_y: cython.double = self._along_y
         limit: cython.double = self._limit
         angular_limit: cython.double = self._angular_limit
-        free: cython.double = self._free
         # A row that no twist within the limits violates is left out.
         for k in range(self._edges):
             own_x: cython.double = self._corner_x[k]
             own_y: cython.double = self._corner_y[k]
-            for i in range(first, count):
-                unseen: cython.double = self._since + self._age[i]
-                if not (row_gap[i] <= 2.0 * free + self._others * (unseen + _tick)):
+            for i in range(first, end):
+                if not (gap[i] <= 2.0 * frees[i] + self._others * (ages[i] + _tick)):
                     continue
                 dx: cython.double = x[i] - own_x
                 dy: cython.double = y[i] - own_y
@@ -1010,13 +1110,15 @@ class BarrierKernel:
                 dy /= away
                 linear: cython.double = dx * along_x + dy * along_y
                 lever: cython.double = own_x * dy - own_y * dx
-                cap: cython.double = self._cap(away - free, self._braking(linear, lever), unseen)
+                cap: cython.double = self._cap(
+                    away - frees[i], self._braking(linear, lever), ages[i]
+                )
                 linear *= limit
                 lever *= angular_limit
                 if cap > fabs(linear) + fabs(lever) + _slack:
                     continue
                 row_x[at], row_y[at], row_cap[at] = linear, lever, cap
-                row_gap[at], self._source[at] = away, i
+                row_gap[at], self._source[at] = away - self._radius_of[i], i
                 at += 1
         self._rows = at
         return 0
@@ -1035,7 +1137,7 @@ class BarrierKernel:
             linear: cython.double = dx * self._along_x + dy * self._along_y
             lever: cython.double = self._offset_x * dy - self._offset_y * dx
             cap: cython.double = self._reciprocal_cap(
-                away - self._keep_out, self._braking(linear, lever), self._since + self._age[i]
+                away - self._keep_out, self._braking(linear, lever), self._placed_age[i]
             )
             self._add(linear, lever, cap, self._row_gap[i], i)
         return 0
@@ -1065,7 +1167,7 @@ class BarrierKernel:
         """The rows of the envelope, which are not reported."""
         i: cython.Py_ssize_t
         which: cython.Py_ssize_t = 1
-        for i in range(self._rows):
+        for i in range(self._told_rows):
             if self._row_gap[i] <= self._contact_gap and self._row_cap[i] <= 0.0:
                 which = 0
                 break
@@ -1248,11 +1350,13 @@ class BarrierKernel:
         turning: cython.double = fabs(w) / self._braking_angular
         seconds: cython.double = _tick + (turning if turning > slow else slow)
         others: cython.double = self._others if self._is_passive else 0.0
-        reached: cython.double = self._free + others * (self._since + self._oldest + seconds)
-        reached += (fabs(s) + fabs(w) * self._radius) * seconds
+        way: cython.double = (fabs(s) + fabs(w) * self._radius) * seconds
         self._beside = 0
-        for i in range(self._contacts, self._count):
-            if self._row_gap[i] <= reached and not (self._has_touch and self._inside[i]):
+        for i in range(self._contacts, self._count + self._discs):
+            if self._has_touch and i < self._count and self._inside[i]:
+                continue
+            need: cython.double = self._placed_free[i] + others * self._placed_age[i]
+            if self._placed_gap[i] <= need + others * seconds + way:
                 self._near[self._beside] = i
                 self._beside += 1
         if self._beside == 0:
@@ -1264,11 +1368,23 @@ class BarrierKernel:
         for i in range(self._shares.shape[0]):
             some: cython.double = self._shares[i, 0] * s
             turn: cython.double = self._shares[i, 1] * w
+            if not self._is_feasible(some / self._limit, turn / self._angular_limit):
+                continue
             if self._is_clear(some, turn, others):
                 self.linear, self.angular = some, turn
                 break
         # The zero command is always clear; shares of a speed of 0 are 0.
         return not (self.linear == s and self.angular == w)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _is_feasible(self, x: cython.double, y: cython.double) -> cython.int:
+        """1 if a point violates no row."""
+        i: cython.Py_ssize_t
+        for i in range(self._all):
+            if not (self._row_x[i] * x + self._row_y[i] * y - self._row_cap[i] <= _tolerance):
+                return 0
+        return 1
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -1348,8 +1464,8 @@ class BarrierKernel:
     ) -> cython.int:
         """1 if the outline closes on a point within its gap during the simulated stop."""
         j: cython.Py_ssize_t
-        gap: cython.double = self._row_gap[point]
-        need: cython.double = self._free + others * (self._since + self._age[point])
+        gap: cython.double = self._placed_gap[point]
+        need: cython.double = self._placed_free[point] + others * self._placed_age[point]
         least: cython.double = need + others * (step * 4.0) + way + _rounding
         if gap >= least:
             return 0
@@ -1380,16 +1496,19 @@ class BarrierKernel:
                 tight += 1
                 if i < self._rows:
                     self._rank(found, i)
-        if tight == 0 and self._count:  # limited by the stop alone: the nearest obstacle
-            nearest: cython.Py_ssize_t = 0
-            for i in range(1, self._count):
-                if self._row_gap[i] < self._row_gap[nearest]:
-                    nearest = i
+        points: cython.Py_ssize_t = self._count + self._discs
+        if tight == 0 and points:  # limited by the stop alone: the nearest obstacle
+            nearest: cython.Py_ssize_t = self._first_row[0]
+            for i in range(1, points):
+                if self._row_gap[self._first_row[i]] < self._row_gap[nearest]:
+                    nearest = self._first_row[i]
             self._rank(found, nearest)
         shown: list = []
         for i in found:
-            x: cython.double = self._placed_x[self._source[i]]
-            y: cython.double = self._placed_y[self._source[i]]
+            point: cython.Py_ssize_t = self._source[i]
+            radius: cython.double = self._radius_of[point]
+            x: cython.double = self._placed_x[point] - radius * self._normal_x[point]
+            y: cython.double = self._placed_y[point] - radius * self._normal_y[point]
             shown.append((atan2(y, x), self._gap_of(x, y), self._row_cap[i]))
         return shown
 

@@ -13,7 +13,7 @@ from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Scan, Touc
 from swarmd.protection.barrier import Barrier
 from swarmd.protection.blind_zone import BlindZoneMemory
 from swarmd.protection.constraints import direction_and_speed, linear_limit, touch_directions
-from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
 from swarmd.protection.footprint import ScanGeometry
 
 PASSES, LIMITS, REPEATS, STOPS = range(4)  # what the kernel's `decide` returns
@@ -62,6 +62,7 @@ class CompiledBarrier(Barrier):
         self._directions: Array | None = None
         self._odometry: Odometry | None = None
         self._touch: TouchZone | None = None
+        self._told: tuple[ToldObstacle, ...] = ()
         self._decision = ModeDecision(ZERO, is_active=False)
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
@@ -103,6 +104,10 @@ class CompiledBarrier(Barrier):
             self._record(odometry)
         if touch is not self._touch:
             self._grant(touch)
+        if context.told is not self._told:
+            self._told = context.told
+            table = [(one.x, one.y, one.radius, one.age) for one in self._told]
+            self._kernel.set_told(np.array(table, np.float64).reshape(-1, 4))
         if requested.lateral == 0.0:
             along, speed, limit = (1.0, 0.0), requested.linear, self._limits.linear
         else:

@@ -166,10 +166,14 @@ class BindingRange:
         gap = speed * (tick + 0.5 * braking) + settings.others_speed * (tick + braking)
         return gap + settings.margin + settings.unseen_extent
 
+    def for_age(self, age: float) -> float:
+        """The gap for an obstacle of that age in s: it and the robot may have approached since."""
+        return self.fresh + (self._settings.others_speed + self.fastest) * age
+
     def for_scan_age(self, age: float) -> float:
-        """The gap for a scan of that age in s: robot and obstacle may have approached since."""
+        """As `for_age`, for returns of a scan: they must stay out of the keep_out circle, too."""
         settings, speed = self._settings, self.fastest
-        gap = self.fresh + (settings.others_speed + speed) * age
+        gap = self.for_age(age)
         if settings.keep_out is None:
             return gap
         half = speed * (2.0 * self._tick + age + 0.5 * speed / settings.braking_linear)

@@ -42,9 +42,16 @@ class StopCheck:
         self._tick = tick
 
     def limited(
-        self, speeds: Array, along: Array, points: Array, gaps: Array, need: Array, others: float
+        self,
+        speeds: Array,
+        along: Array,
+        points: Array,
+        gaps: Array,
+        need: Array,
+        others: float,
+        shares: Array = SPEED_SHARES,
     ) -> Array:
-        """(2,) `speeds`, or the nearest combination of quarters of them whose stops stay clear.
+        """(2,) `speeds`, or the first of `shares` (c, 2) of them whose stops stay clear.
 
         `speeds` (2,) in m/s along the unit vector `along` (2,) and in rad/s. `points` (k, 2) in the
         base frame, at `gaps` (k,) m from the outline. `need` (k,) m: the gap within which the
@@ -53,8 +60,8 @@ class StopCheck:
         """
         if self._is_clear(speeds[None], along, points, gaps, need, others)[0]:
             return speeds
-        for first in range(0, len(SPEED_SHARES), _BATCH_SIZE):  # mostly one of the first is clear
-            candidates: Array = SPEED_SHARES[first : first + _BATCH_SIZE] * speeds
+        for first in range(0, len(shares), _BATCH_SIZE):  # mostly one of the first is clear
+            candidates: Array = shares[first : first + _BATCH_SIZE] * speeds
             found = np.flatnonzero(self._is_clear(candidates, along, points, gaps, need, others))
             if len(found):
                 chosen: Array = candidates[found[0]]

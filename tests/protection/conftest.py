@@ -12,6 +12,7 @@ BOTH_PATHS = {
     "test_barrier",
     "test_barrier_blind_zone",
     "test_barrier_lost_sector",
+    "test_barrier_told",
     "test_blind_zone",
     "test_constraints",
     "test_modes",

@@ -312,6 +312,7 @@ def test_reported_constraints_are_sorted_by_cap(
 
 
 @given(PLATFORM, RETURNS, SHARE, SHARE, st.floats(-3, 3), st.floats(0.05, 1.0), st.floats(0, 0.3))
+@example(WAFFLE, [(55, 0.224609375)], 1.0, 1.0, 3.0, 1.0, 0.0)
 def test_touch_zone_frees_only_its_sector(
     platform: Platform, returns: Returns, v: float, w: float, bearing: float, half: float,
     speed: float,

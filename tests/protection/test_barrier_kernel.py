@@ -16,7 +16,7 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.barrier import Barrier
 from swarmd.protection.compiled_barrier import CompiledBarrier
-from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import platform_names
@@ -78,7 +78,7 @@ class Moved(NamedTuple):
 class Asked(NamedTuple):
     """A decision is asked for: time since the last one, requests as shares, zone, odometry's age.
 
-    The odometry is the latest, the one before it, or none.
+    The odometry is the latest, the one before it, or none. `told`: obstacles from others.
     """
 
     after: float
@@ -86,6 +86,7 @@ class Asked(NamedTuple):
     touch: TouchZone | None
     age: float | None
     which: int | None
+    told: tuple[ToldObstacle, ...] = ()
 
 
 SHARE = st.one_of(st.floats(-1, 1), st.sampled_from([-1.0, 0.0, 1.0]))
@@ -109,6 +110,13 @@ TOUCH = st.one_of(
     st.none(),
     st.builds(TouchZone, st.floats(-3.2, 3.2), st.floats(0.05, 1.04), st.floats(0.01, 0.3)),
 )
+TOLD = st.builds(
+    ToldObstacle,
+    st.floats(-1, 1),
+    st.floats(-1, 1),
+    st.floats(0, 0.4),
+    st.sampled_from([0.0, 0.1, 0.1, 0.4]),
+)
 ASKED = st.builds(
     Asked,
     st.sampled_from([0.0, 0.001, 0.05, 0.05, 0.3]),
@@ -116,6 +124,7 @@ ASKED = st.builds(
     TOUCH,
     st.sampled_from([None, 0.0, 0.0, 0.03, 0.4]),
     st.sampled_from([-1, -1, -1, -2, None]),
+    st.one_of(st.just(()), st.just(()), st.lists(TOLD, max_size=3).map(tuple)),
 )
 EVENTS = st.lists(st.one_of(SEEN, MOVED, ASKED, ASKED), max_size=10)
 
@@ -169,7 +178,7 @@ class Pair:
         odometry = None
         if asked.which is not None:
             odometry = self.readings[max(asked.which, -len(self.readings))]
-        context = DecisionContext(self.now, asked.after, odometry, asked.age)
+        context = DecisionContext(self.now, asked.after, odometry, asked.age, told=asked.told)
         limits = self.platform.limits
         for v, w, aside in asked.requests:
             requested = Twist(v * limits.linear, w * limits.angular, aside * limits.lateral)
@@ -233,7 +242,9 @@ def test_both_paths_decide_alike_in_a_crowd(platform: Platform) -> None:
         for after in (0.01, 0.05, 0.1):
             zone = TouchZone(rng.uniform(-3.0, 3.0), 0.5, 0.05) if rng.random() < 0.2 else None
             requests = [tuple(rng.uniform(-1.0, 1.0, 3)), (1.0, 0.0, 0.0)]
-            pair.take(Asked(after, requests, zone, 0.02, -1))
+            places = rng.uniform(-0.5, 0.5, (2, 2)).tolist() if rng.random() < 0.3 else []
+            told = tuple(ToldObstacle(x, y, 0.15, 0.1) for x, y in places)
+            pair.take(Asked(after, requests, zone, 0.02, -1, told))
     assert sum(decision.is_active for decision in pair.decisions) > 60
     assert any(len(decision.rows) == 4 for decision in pair.decisions)
     assert any(one != other for one, other in pairwise(pair.decisions))

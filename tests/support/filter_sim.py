@@ -25,7 +25,7 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit
+from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, Permit, ToldObstacle
 from swarmd.robot.sensors import Sensors
 from swarmd.testing.scans import trembling
 
@@ -50,6 +50,7 @@ def decided(
     age: float = 0.0,
     delay: float = 0.0,
     touch: TouchZone | None = None,
+    told: tuple[ToldObstacle, ...] = (),
 ) -> Decision:
     """The decision of new protection for a robot at rest, `age` s after its first scan.
 
@@ -61,7 +62,7 @@ def decided(
     later = Odometry(begin + age, HERE, ZERO)
     return protection.decide(
         requested,
-        DecisionContext(begin + age, age, later, 0.0, delay),
+        DecisionContext(begin + age, age, later, 0.0, delay, told),
         is_running=True,
         hold=None,
         permit=Permit(touch=touch),
