@@ -113,10 +113,13 @@ def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingO
 
 
 def activity(decision: DecisionSummary) -> str:
-    """Whether protection changes the requested command: `clear`, `active` or `recovering`."""
-    if decision.is_recovering:
-        return "recovering"
-    return "active" if decision.is_active else "clear"
+    """Whether protection changes the requested command: `clear`, `active` or `recovering`.
+
+    After a violated assumption with the share of the speed that is left: `active, speed 60%`.
+    """
+    word = "active" if decision.is_active else "clear"
+    word = "recovering" if decision.is_recovering else word
+    return word if decision.speed_share == 1.0 else f"{word}, speed {decision.speed_share:.0%}"
 
 
 def _lost(status: Status) -> str:

@@ -13,7 +13,8 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.messages import Reason
-from swarmd.core.values import ZERO, Array, Platform, Scan, TouchZone, Twist
+from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, TouchZone, Twist
+from swarmd.protection.assumption_monitor import AssumptionMonitor
 from swarmd.protection.compiled_barrier import CompiledBarrier, make_barrier
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, ModeDecision, Permit
 from swarmd.protection.footprint import Footprint, ScanGeometry
@@ -69,7 +70,8 @@ def make_arbiter(platform: Platform) -> Arbiter:
 class Protection:
     """Decides on the safe command of one robot; never off. Its state comes from its calls alone.
 
-    `seed` decides the side on which recovery passes an obstacle.
+    `seed` decides the side on which recovery passes an obstacle. `events`: what the caller has yet
+    to log.
     """
 
     def __init__(self, platform: Platform, seed: str = "") -> None:
@@ -77,10 +79,15 @@ class Protection:
         self._arbiter = make_arbiter(platform)
         self._footprint = Footprint(platform.footprint)
         self._geometry = ScanGeometry(platform.scan)
+        # Of the modes only barrier assumes anything.
+        self._monitor = AssumptionMonitor(platform) if self._arbiter.mode == "barrier" else None
+        self._is_running = False
+        self.events: list[str] = []
         self._scan_seq = -1
         self._min_gap: float | None = None
         self._scan: Scan | None = None
         self._safe = ZERO
+        self._allowed = ZERO  # the safe command before `speed_share`
         self._requested: Twist | None = None
         self._wanted = ZERO  # `_requested` within the limits
         # The last decision without a hold is given again for the same case in the same context,
@@ -100,6 +107,17 @@ class Protection:
             self._min_gap = arbiter.min_gap
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)
+        if self._monitor is not None and self._is_running:
+            self._log(self._monitor.on_scan(scan.stamp, self._min_gap))
+
+    def on_odometry(self, odometry: Odometry) -> None:
+        """Compare what mode barrier assumes of the base with its measured motion."""
+        if self._monitor is not None:
+            self._log(self._monitor.on_odometry(odometry))
+
+    def _log(self, text: str) -> None:
+        if text:
+            self.events.append(text)
 
     def decide(
         self,
@@ -115,7 +133,7 @@ class Protection:
         Exactly zero outside `running`, under any hold and before the first scan. The limits apply
         to the requested command, so that an arbiter can rely on them, and to the result.
         """
-        recovery = self._recovery
+        recovery, self._is_running = self._recovery, is_running
         if requested is not self._requested:  # most are judged more than once
             self._requested, self._wanted = requested, ZERO
             if requested is not None and requested.is_finite:
@@ -128,7 +146,7 @@ class Protection:
                 recovery.reset()
             return self._decision(wanted, _STOPPED, hold, context)
         if recovery is not None and permit.may_recover:
-            judged = recovery.replacement(wanted, self._safe, context, self._points)
+            judged = recovery.replacement(wanted, self._allowed, context, self._points)
         is_recovering = recovery is not None and recovery.is_active
         case = wanted, judged, judged is wanted, is_recovering, permit.touch
         if context is self._context and case == self._case:
@@ -168,17 +186,24 @@ class Protection:
         context: DecisionContext,
     ) -> Decision:
         twist, recovery = decision.twist, self._recovery
-        self._safe = safe = twist if twist is wanted else self._limits.clip(twist)
-        self._context = None
+        safe = self._allowed = twist if twist is wanted else self._limits.clip(twist)
+        share, monitor = 1.0, self._monitor
+        if monitor is not None:
+            share = monitor.speed_share
+            if share < 1.0:  # the constraints are convex and hold for zero, so also for a share
+                safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
+            monitor.on_command(safe)
+        self._safe, self._context = safe, None
         return Decision(
             self._arbiter.mode,
             wanted,
             safe,
             reason,
-            decision.is_active,
+            decision.is_active or share < 1.0,
             decision.rows,
             self._min_gap,
             context.scan_age,
             self._scan_seq,
             recovery is not None and recovery.is_active,
+            share,
         )

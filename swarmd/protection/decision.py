@@ -63,7 +63,8 @@ class Decision(Struct, frozen=True):
     `running`. `rows` are the constraints that bind the command, the tightest first. `min_gap` in m
     from the footprint to the nearest return (None: no return), `scan_age` in s (None: no scan yet),
     `scan_seq` -1 without a scan. `is_recovering`: recovery replaced the requested command before
-    the mode judged it.
+    the mode judged it. `speed_share`: of the command that the mode allows, after a violated
+    assumption.
     """
 
     mode: str
@@ -76,3 +77,4 @@ class Decision(Struct, frozen=True):
     scan_age: float | None
     scan_seq: int
     is_recovering: bool = False
+    speed_share: float = 1.0

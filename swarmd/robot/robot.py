@@ -109,11 +109,15 @@ class Robot:
         effects.is_new_scan = self._sensors.on_scan(scan, now)
         if effects.is_new_scan and self._sensors.scan is not None:
             self._protection.observe(self._sensors.scan, self._sensors.context(now))
+            self._log_protection(now)
         return self._settle(effects)
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:
         """A measured pose and twist arrived."""
         self._sensors.on_odometry(odometry, now)
+        if self._sensors.odometry is odometry:
+            self._protection.on_odometry(odometry)
+            self._log_protection(now)
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
         """The present neighbours: from the driver if it provides them, else all members."""
@@ -301,6 +305,11 @@ class Robot:
             step_at = self._run.step_due_at()
             status_at = self._published_at + STATUS_PERIOD
             self._quiet_until = min(due, step_at, status_at) - ROUNDING
+
+    def _log_protection(self, now: float) -> None:
+        events = self._protection.events
+        while events:
+            self._lifecycle.log(events.pop(0), now)
 
     def _decide(self, hold: Reason | None, now: float) -> Decision:
         running, context = self._run.running, self._sensors.context(now)

@@ -106,6 +106,7 @@ def _summary(decision: Decision, duty: DutyCycle) -> DecisionSummary:
         is_recovering=decision.is_recovering,
         duty=duty.share,
         decisions=duty.decisions,
+        speed_share=decision.speed_share,
     )
 
 

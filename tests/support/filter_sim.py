@@ -227,7 +227,9 @@ class FilterSim:
             at = self.time + self.platform.scan.latency + self._late(self._seq)
             self._coming.append((at - 1e-9, self.scan()))
         if self._step % round(TICK / DT) == 0 and self.has_odometry:
-            self.sensors.on_odometry(self.odometry(), self.time)
+            odometry = self.odometry()
+            self.sensors.on_odometry(odometry, self.time)
+            self.protection.on_odometry(odometry)
 
     def _arrive(self) -> bool:
         """Deliver the scans that have arrived; true if a valid one is among them."""

@@ -1,0 +1,201 @@
+"""What the monitor of assumptions says of stops, and of things that come near."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from swarmd.core.values import Odometry, Platform, Pose, Twist
+from swarmd.protection.arbiter import Protection
+from swarmd.protection.assumption_monitor import MIN_SHARE, AssumptionMonitor
+from swarmd.protection.decision import DecisionContext
+from swarmd.settings.settings import load_platform
+from swarmd.testing.scans import empty_scan
+from tests.support.filter_sim import FilterSim, box, under_barrier
+
+BURGER = under_barrier(load_platform("burger"))
+TOP = BURGER.limits.linear
+Command = Callable[[float], Twist]
+
+
+def to_and_fro(time: float) -> Twist:
+    """Full speed for 1.5 s, then a stop of 1 s, again and again."""
+    return Twist(TOP if time % 2.5 < 1.5 else 0.0)
+
+
+def turns(time: float) -> Twist:
+    return Twist(0.0, 2.0 if time % 3.5 < 2.0 else 0.0)
+
+
+def driven(
+    command: Command,
+    braking: Callable[[float], tuple[float, float]],
+    seconds: float = 12.0,
+    *,
+    rate: float = 20.0,
+    lag: float = 0.0,
+    slip: float = 0.02,
+    push: Command = lambda time: Twist(),
+) -> tuple[float, list[str]]:
+    """The share left after a ride on a free floor, and the events.
+
+    `braking` by time, of a base that responds after 40 ms. Odometry comes with `rate` and `lag`;
+    `push` is added to the speed by others.
+    """
+    monitor, rng = AssumptionMonitor(BURGER), np.random.default_rng(1)
+    events, coming, line = [], [], [Twist()] * 5
+    v = w = yaw = x = 0.0
+    for step in range(round(seconds / 0.01)):
+        now = 0.01 * step
+        if step % 5 == 0:
+            monitor.on_command(command(now))
+            line[-1] = command(now)
+        to, line = line[0], [*line[1:], line[-1]]
+        b_v, b_w = braking(now)
+        v += min(max(to.linear - v, -0.01 * b_v), 0.01 * (b_v if to.linear < v else 2.5))
+        w += min(max(to.angular - w, -0.01 * b_w), 0.01 * (b_w if to.angular < w else 3.2))
+        extra = push(now)
+        seen = Twist(v + extra.linear, w + extra.angular)
+        x, yaw = x + 0.01 * seen.linear, yaw + 0.01 * seen.angular
+        if step % round(100 / rate) == 0:
+            noisy = 1.0 + slip * rng.standard_normal(2)
+            measured = Twist(seen.linear * noisy[0], seen.angular * noisy[1])
+            coming.append((now + lag, Odometry(now, Pose(x, 0.0, yaw), measured)))
+        while coming and coming[0][0] <= now + 1e-9:
+            events.append(monitor.on_odometry(coming.pop(0)[1]))
+    return monitor.speed_share, [text for text in events if text]
+
+
+@pytest.mark.parametrize("command", [to_and_fro, turns], ids=["linear", "angular"])
+@pytest.mark.parametrize("share", [0.6, 0.4])
+def test_weak_brakes_reduce_the_speed_by_their_share(command: Command, share: float) -> None:
+    left, events = driven(command, lambda time: (share, 3.0 * share))
+    assert left == pytest.approx(share, rel=0.15)
+    assert "braked at" in events[0]
+    assert f"speed reduced to {left:.0%}" in events[-1]
+
+
+def test_event_tells_what_was_measured_and_assumed() -> None:
+    _, events = driven(to_and_fro, lambda time: (0.6, 3.0), slip=0.0)
+    assert events == ["braked at 0.60 m/s2, assumed 1.00: speed reduced to 60%"]
+
+
+@pytest.mark.parametrize("rate", [20.0, 50.0, 5.0])
+@pytest.mark.parametrize("lag", [0.0, 0.3])
+@pytest.mark.parametrize("command", [to_and_fro, turns], ids=["linear", "angular"])
+def test_brakes_as_assumed_are_no_violation(command: Command, rate: float, lag: float) -> None:
+    """However rarely or late odometry comes."""
+    assert driven(command, lambda time: (1.0, 3.0), 60.0, rate=rate, lag=lag) == (1.0, [])
+
+
+def test_one_weak_stop_is_no_violation_yet() -> None:
+    """On a wet patch the robot brakes with a third."""
+    share, events = driven(to_and_fro, lambda time: (0.35 if 4.0 < time < 5.0 else 1.0, 3.0), 20.0)
+    assert (share, events) == (1.0, [])
+
+
+@pytest.mark.parametrize("begin", np.arange(0.0, 0.5, 0.05))
+def test_push_while_the_robot_brakes_is_no_violation(begin: float) -> None:
+    """Another robot pushes it along, up to 0.15 m/s, during a stop."""
+
+    def push(time: float) -> Twist:
+        since = time - 4.0 - begin
+        return Twist(0.15 * math.sin(math.pi * since / 0.4) if 0.0 < since < 0.4 else 0.0)
+
+    share, events = driven(to_and_fro, lambda time: (1.0, 3.0), 10.0, push=push)
+    assert (share, events) == (1.0, [])
+
+
+def test_gentle_requests_are_no_violation() -> None:
+    """A command that falls slowly is no stop, whatever the base could do."""
+    ramp = lambda time: Twist(TOP * max(0.0, 1.0 - (time % 3.0) / 2.0))  # noqa: E731
+    swing = lambda time: Twist(TOP * math.sin(2.0 * time), 2.0 * math.sin(1.3 * time))  # noqa: E731
+    for command in (ramp, swing):
+        assert driven(command, lambda time: (1.0, 3.0), 30.0) == (1.0, [])
+
+
+def test_another_driver_of_the_base_is_no_violation() -> None:
+    """The base does not follow these commands at all."""
+    assert driven(to_and_fro, lambda time: (0.0, 0.0), push=lambda time: Twist(0.2)) == (1.0, [])
+
+
+def approach(monitor: AssumptionMonitor, speed: float, begin: float, own: float = 0.0) -> list[str]:
+    """A thing comes from 1.2 m to 0.1 m, with scans at 5 Hz; the robot drives towards it."""
+    rng, events, stamp, gap = np.random.default_rng(2), [], begin, 1.2
+    while gap > 0.1:
+        for tick in range(4):
+            at = Pose(own * (stamp + 0.05 * tick))
+            monitor.on_odometry(Odometry(stamp + 0.05 * tick, at, Twist(own)))
+        events.append(monitor.on_scan(stamp, gap + 0.01 * rng.standard_normal()))
+        stamp, gap = stamp + 0.2, gap - 0.2 * (speed + own)
+    return [text for text in events if text]
+
+
+@pytest.mark.parametrize("own", [0.0, 0.2])
+def test_two_fast_approaches_reduce_the_speed(own: float) -> None:
+    monitor = AssumptionMonitor(BURGER)
+    assert len(approach(monitor, 0.6, 0.0, own)) == 1
+    assert monitor.speed_share == 1.0
+    events = approach(monitor, 0.6, 20.0, own)
+    assert monitor.speed_share == pytest.approx(0.5, rel=0.15)
+    assert "m/s, assumed at most 0.30: speed reduced to" in events[-1]
+
+
+@pytest.mark.parametrize("own", [0.0, 0.2])
+@pytest.mark.parametrize("speed", [0.1, 0.3])
+def test_things_as_fast_as_assumed_are_no_violation(speed: float, own: float) -> None:
+    monitor = AssumptionMonitor(BURGER)
+    for begin in range(0, 400, 20):
+        assert approach(monitor, speed, float(begin), own) == []
+
+
+def test_things_that_appear_are_no_violation() -> None:
+    """A robot that steps out from behind another, and returns that come and go."""
+    monitor, rng = AssumptionMonitor(BURGER), np.random.default_rng(3)
+    for k in range(2000):
+        assert monitor.on_scan(0.2 * k, float(rng.choice([0.3, 0.6, 0.9]))) == ""
+
+
+def test_share_has_a_lower_bound() -> None:
+    share, _ = driven(to_and_fro, lambda time: (0.15, 0.4), 40.0, slip=0.0)
+    assert share == MIN_SHARE
+
+
+def stopping(platform: Platform, seconds: float, braking: tuple[float, float]) -> FilterSim:
+    sim = FilterSim(platform, [box(0.1, 4.0, Pose(30.0))], braking=braking)
+    sim.run(to_and_fro, seconds)
+    return sim
+
+
+def test_protection_scales_the_safe_command_and_nothing_else() -> None:
+    sim = stopping(BURGER, 12.0, (0.5, 3.0))
+    assert len(sim.protection.events) == 1
+    run = sim.run(Twist(TOP, 0.5), 2.0)
+    decision = run.decisions[-1][1]
+    assert decision.speed_share == pytest.approx(0.5, rel=0.1)
+    assert decision.safe.linear == pytest.approx(TOP * decision.speed_share)
+    assert decision.safe.angular == pytest.approx(0.5 * decision.speed_share)
+    assert decision.is_active
+    assert decision.requested == Twist(TOP, 0.5)
+    assert sim.run(Twist(), 1.0).decisions[-1][1].safe == Twist()
+
+
+def test_weak_brakes_lead_to_no_fault_once_they_are_measured() -> None:
+    """A front comes at others_speed; the base brakes with half of what is assumed."""
+    platform = under_barrier(BURGER, unseen_extent=0.0)
+    front = box(0.2, 3.0, Pose(6.0), velocity=(-0.3, 0.0), begin=20.0)
+    sim = FilterSim(platform, [front], braking=(0.5, 1.5))
+    run = sim.run(lambda time: to_and_fro(time) if time < 16.0 else Twist(TOP), 45.0)
+    assert run.touch is not None
+    assert run.touch.speed <= 0.02
+
+
+def test_other_modes_assume_nothing() -> None:
+    protection = Protection(load_platform("thymio"))
+    context = DecisionContext(0.0, 0.0, Odometry(0.0, Pose(), Twist(0.1)), 0.0)
+    protection.observe(empty_scan(load_platform("thymio"), 0, 0.0), context)
+    decision = protection.decide(Twist(0.1), context, is_running=True, hold=None)
+    assert decision.speed_share == 1.0
