@@ -39,7 +39,7 @@ EXCEPTIONS: dict[tuple[str, str], str] = {
     ("sim/live/link.py", "zenoh"): "the world's own session, for the bodies of real-time mode",
 }
 # Packages that take the time as an argument, and read no clock.
-PURE = ("robot", "protection", "kit", "mission", "sensing")
+PURE = ("robot", "protection", "kit", "mission", "sensing", "calibration")
 CLOCKS = ("time", "datetime", "asyncio", "swarmd.core.clock.boottime")
 # Layers of `swarmd/`, from the ground up. A module imports its own package and lower layers only.
 LAYERS: tuple[tuple[str, ...], ...] = (
@@ -50,7 +50,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("kit", "protection"),
     ("api",),
     ("settings", "robot"),
-    ("mission",),
+    ("mission", "calibration"),
     ("pattern_host",),
     ("daemon",),
     ("cli",),

@@ -32,6 +32,10 @@ VERBS = {
     "estop": ("swarmd.cli.requests:estop", "Emergency-stop robots, or all robots; latched."),
     "reset": ("swarmd.cli.requests:reset", "Clear emergency stops and faults; moves nothing."),
     "param": ("swarmd.cli.param:param", "Get or set parameters of running patterns."),
+    "calibrate": (
+        "swarmd.cli.calibrate:calibrate",
+        "Measure brakes, delays and scales of a robot by a few short drives.",
+    ),
     "plugin": ("swarmd.cli.plugin:plugin", "Write, check and reload patterns of your own."),
 }
 _EXIT_CODES = """\b

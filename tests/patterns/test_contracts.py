@@ -14,7 +14,7 @@ from swarmd.testing.pattern_contract import PatternContract
 
 FOUND = installed_patterns()
 FIND = PatternLoader({name: (origin.value, origin.is_file) for name, origin in FOUND.items()})
-OURS = sorted(name for name, origin in FOUND.items() if origin.value.startswith("swarmd."))
+OURS = sorted(name for name, origin in FOUND.items() if origin.value.startswith("swarmd.patterns."))
 MISSION = FIND("discuss_then_disperse")
 
 

@@ -1,0 +1,138 @@
+"""Estimates of a calibration, from recorded samples. Pure.
+
+A stop is measured by its way alone: after the command zero, a base that cruises at a speed v rolls
+for v (delay + v / 2b). This way over v rises linearly with v. Stops from two speeds give the delay
+and the brake b as its intercept and slope, however slowly odometry is sampled.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from swarmd.calibration.figures import Figure
+from swarmd.core.values import Array
+
+CRUISE = 0.5
+"""Seconds of a drive before its stop whose speed must be steady."""
+
+_STEADY = 0.08  # share by which the speeds of the halves of a cruise may differ
+_MAX_DELAY = 1.2  # s, of a scan
+_DELAY_STEP = 0.005  # s
+_LEAST_TURN_RATE = 0.1  # rad/s, root of the mean square, below which a turn shows no delay
+
+
+class Stop(NamedTuple):
+    """A stop from a cruise at `speed`, m/s or rad/s; `seconds` at that speed give its way."""
+
+    speed: float
+    seconds: float
+
+
+def is_steady(times: Array, way: Array) -> bool:
+    """True if the speed over the last CRUISE s is steady; `way` (n,) m or rad at `times` (n,) s."""
+    if len(times) < 3 or times[0] > times[-1] - CRUISE:
+        return False
+    a, b, c = np.interp(times[-1] - CRUISE * np.array((1.0, 0.5, 0.0)), times, way)
+    return bool(abs((c - b) - (b - a)) <= _STEADY * abs(c - a) / 2.0)
+
+
+def stop_of(times: Array, way: Array, at: float) -> Stop | None:
+    """The stop after the command zero at `at` s; None without a cruise before it.
+
+    `way` (n,) m or rad at `times` (n,) s of one clock, positive in the sense of the drive, up to
+    standstill.
+    """
+    before = np.flatnonzero(times <= at)
+    cruise = before[times[before] >= at - CRUISE]
+    if len(cruise) < 3:
+        return None
+    first, last = cruise[0], cruise[-1]
+    speed = float((way[last] - way[first]) / (times[last] - times[first]))
+    if speed <= 0.0:
+        return None
+    rolled = float(way[-1] - way[last]) - speed * (at - float(times[last]))
+    return Stop(speed, rolled / speed)
+
+
+def stopping(stops: Sequence[Stop]) -> tuple[Figure, Figure]:
+    """The brake in m/s2 or rad/s2 and the delay in s, of stops from two speeds or more."""
+    if len(stops) < 4:
+        none = Figure(why="fewer than four stops")
+        return none, none
+    speeds, seconds = np.array(stops).T
+    off = speeds - speeds.mean()
+    slope = float(off @ seconds / (off @ off))
+    delay = float(seconds.mean() - slope * speeds.mean())
+    errors = seconds - delay - slope * speeds
+    scatter = math.sqrt(float(errors @ errors) / (len(stops) - 2))
+    deviation = scatter / math.sqrt(float(off @ off))
+    late = Figure(delay, scatter, len(stops))
+    if slope <= 3.0 * deviation:
+        return Figure(why="it brakes within the scatter of its odometry"), late
+    is_fast = speeds > speeds.mean()
+    # A scatter of the seconds of a stop is one of its brake, to first order.
+    shares = errors[is_fast] / (slope * speeds[is_fast])
+    brake = 0.5 / slope
+    spread = brake * max(float(np.std(shares)), deviation / slope)
+    return Figure(brake, spread, int(is_fast.sum())), late
+
+
+def mean_of(values: Sequence[float], why: str) -> Figure:
+    """Mean and deviation; `why` there is none if there are no values."""
+    if not values:
+        return Figure(why=why)
+    return Figure(float(np.mean(values)), float(np.std(values)), len(values))
+
+
+def turn_delay(
+    arrivals: Array, seen: Array, times: Array, measured: Array
+) -> tuple[Figure, Figure]:
+    """How late scans are in s, and the turn by odometry over that seen by scans.
+
+    `seen` (m,) rad are headings found in scans that arrived at `arrivals` (m,) s, `measured` (n,)
+    rad headings by odometry at `times` (n,) s of the same clock, neither of them wrapped. For each
+    delay the scale and offset of least squares; the delay with the least error. After Rehder,
+    Siegwart and Furgale, IEEE T-RO 2016, with one axis.
+    """
+    usable = arrivals - _MAX_DELAY >= times[0]
+    arrivals, seen = arrivals[usable], seen[usable]
+    if len(arrivals) < 8:
+        none = Figure(why="fewer than eight scans of the turns could be matched")
+        return none, none
+    delays = np.arange(0.0, _MAX_DELAY, _DELAY_STEP)
+    fits = [_scaled(np.interp(arrivals - d, times, measured), seen) for d in delays]
+    errors = np.array([error for _, error in fits])
+    best = int(errors.argmin())
+    if best == len(delays) - 1:
+        none = Figure(why=f"no delay below {_MAX_DELAY:g} s explains the turns that scans show")
+        return none, none
+    delay = float(delays[best])
+    if best > 0:
+        a, b, c = errors[best - 1 : best + 2]
+        delay += _DELAY_STEP * 0.5 * float((a - c) / (a - 2.0 * b + c))
+    rates = np.interp(arrivals - delay + 0.02, times, measured)
+    rates -= np.interp(arrivals - delay - 0.02, times, measured)
+    rate = float(np.sqrt(np.mean((rates / 0.04) ** 2)))
+    if rate < _LEAST_TURN_RATE:
+        none = Figure(why="the robot did not turn")
+        return none, none
+    count = len(arrivals)
+    error = math.sqrt(float(errors[best]) / (count - 3))
+    scale = fits[best][0]
+    turned = float(np.std(seen))
+    return (
+        Figure(delay, error / rate, count),
+        Figure(1.0 / scale, error / (turned * math.sqrt(count)), count),
+    )
+
+
+def _scaled(measured: Array, seen: Array) -> tuple[float, float]:
+    """The scale that fits `measured` to `seen`, both about their means, and the squared error."""
+    x, y = measured - measured.mean(), seen - seen.mean()
+    scale = float(x @ y / max(float(x @ x), 1e-12))
+    rest = y - scale * x
+    return max(scale, 1e-6), float(rest @ rest)

@@ -1,0 +1,62 @@
+"""The figures of a calibration, as a pattern reports them and as swarmctl reads them. No numpy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple, Self
+
+PATTERN = "calibration"
+DONE, REFUSED = "done", "refused"
+"""Values of `state` in the report: measured, or ended without figures for the reason in `why`."""
+
+
+class Figure(NamedTuple):
+    """A measured value, its standard deviation from sample to sample, and the number of samples.
+
+    `assumed`: the value of the platform file, or of protection itself; NaN if there is none.
+    `why`: the reason why there is no value; empty if there is one.
+    """
+
+    value: float = math.nan
+    spread: float = math.nan
+    samples: int = 0
+    assumed: float = math.nan
+    why: str = ""
+
+    @property
+    def is_measured(self) -> bool:
+        """True if there is a value."""
+        return not self.why
+
+    @property
+    def text(self) -> str:
+        """The figure in a report, whose values are scalars; see `parse`."""
+        if self.why:
+            return f"- {self.assumed:.6g} {self.why}"
+        return f"{self.value:.6g} {self.spread:.6g} {self.samples} {self.assumed:.6g}"
+
+    @classmethod
+    def parse(cls, text: str) -> Self:
+        """The figure of a report; ValueError if the text is none."""
+        first, *others = text.split(" ")
+        if first == "-" and len(others) > 1:
+            return cls(assumed=float(others[0]), why=" ".join(others[1:]))
+        if len(others) != 3:
+            raise ValueError(f"{text!r} is no figure")
+        return cls(float(first), float(others[0]), int(others[1]), float(others[2]))
+
+
+NAMES: Mapping[str, tuple[str, str]] = {
+    "braking_linear": ("braking, linear", "m/s2"),
+    "braking_angular": ("braking, angular", "rad/s2"),
+    "reaction_linear": ("reaction delay, linear", "s"),
+    "reaction_angular": ("reaction delay, angular", "s"),
+    "odometry_age": ("age of odometry in use", "s"),
+    "speed_linear": ("speed / commanded, linear", ""),
+    "speed_angular": ("speed / commanded, angular", ""),
+    "odometry_linear": ("odometry / scan, linear", ""),
+    "odometry_angular": ("odometry / scan, angular", ""),
+    "scan_delay": ("scan delay", "s"),
+}
+"""The figures by their name in a report, with their title and unit."""

@@ -1,0 +1,77 @@
+"""Speeds of a calibration, and the floor that it needs so that protection limits none of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from swarmd.core.values import Platform
+
+LEAST_FLOOR = 2.0
+"""m, side of the smallest floor."""
+
+_TRAVEL_TIME = 1.2  # s at the top speed: no drive goes further, its stop included
+_TOLERANCE = (0.05, 0.06)  # m, and share of the distance
+
+_TICK = 0.05  # s, until the next decision, and from a decision to the response of the base
+_SHARE = 0.95  # of the surface speed that protection allows near obstacles
+
+
+def top_speeds(platform: Platform) -> tuple[float, float]:
+    """The fastest drives in m/s and turns in rad/s: within the limits and the surface speed."""
+    surface = _SHARE * _surface_speed(platform)
+    return (
+        min(platform.limits.linear, surface),
+        min(platform.limits.angular, surface / _outer(platform)),
+    )
+
+
+def needed_floor(platform: Platform) -> float:
+    """Side in m of the square floor, the robot in its middle, rounded up to 0.1 m.
+
+    The gap that mode `barrier` needs at top speed (docs/safety.md), beyond the longest drive.
+    """
+    barrier, spec = _barrier(platform), platform.scan
+    speed, _ = top_speeds(platform)
+    way = travel(speed)
+    age = 1.0 / spec.rate + spec.latency + _TICK
+    brake = float(barrier.get("braking_linear") or 1.0)
+    others = float(barrier.get("others_speed") or 0.0)
+    gap = speed * _TICK + 0.5 * speed * speed / brake
+    gap += others * (age + _TICK + speed / brake)
+    gap += float(barrier.get("margin") or 0.0) + float(barrier.get("unseen_extent") or 0.0)
+    front = float(platform.footprint[:, 0].max())
+    half = gap + max(front + way, _outer(platform))
+    keep_out = barrier.get("keep_out")
+    if keep_out is not None:  # each of two robots may use half of the room before it
+        room = 2.0 * (speed * (2.0 * _TICK + age) + 0.5 * speed * speed / brake)
+        half = max(half, float(keep_out) + room + way + float(np.hypot(*spec.offset)))
+    half = (half + _TOLERANCE[0]) / (1.0 - _TOLERANCE[1])
+    return max(LEAST_FLOOR, math.ceil(20.0 * half - 1e-9) / 10.0)
+
+
+def travel(speed: float) -> float:
+    """m ahead of its start that no drive exceeds, for a top speed in m/s."""
+    return _TRAVEL_TIME * speed
+
+
+def tolerance(half: float) -> float:
+    """m by which a return at `half` m may seem nearer: noise, and drift of the odometry."""
+    return _TOLERANCE[0] + _TOLERANCE[1] * half
+
+
+def _barrier(platform: Platform) -> Mapping[str, Any]:
+    return platform.protection.get("barrier") or {}
+
+
+def _surface_speed(platform: Platform) -> float:
+    barrier = _barrier(platform)
+    return float(barrier.get("surface_speed") or barrier.get("others_speed") or math.inf)
+
+
+def _outer(platform: Platform) -> float:
+    """m from the axle to the farthest corner."""
+    return float(np.hypot(*platform.footprint.T).max())

@@ -1,0 +1,404 @@
+"""The drives of a calibration, as a pattern: it runs under protection as every other pattern."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator, Sequence
+from typing import Annotated, TypeAlias
+
+import numpy as np
+
+from swarmd.calibration import figures
+from swarmd.calibration.estimators import (
+    Stop,
+    is_steady,
+    mean_of,
+    stop_of,
+    stopping,
+    turn_delay,
+)
+from swarmd.calibration.figures import Figure
+from swarmd.calibration.floor import needed_floor, tolerance, top_speeds, travel
+from swarmd.calibration.scan_matching import Located, Reference, points_of
+from swarmd.core.values import ZERO, Array, Inputs, Outputs, Pose, Scalar, Scan, Twist
+from swarmd.kit.behavior import Context, Pattern
+from swarmd.kit.params import Params, Recovery, about
+from swarmd.protection.dead_reckoning import REACTION_TIME
+
+_PAIRS = 4  # drives there and back, at each of two speeds
+_SLOW = 0.35  # share of the top speed of the slower drives
+_CLEAR = 0.3  # s for which a steady drive goes on, until the cruise has nothing of its start
+_SETTLE = 0.4  # s at standstill by odometry before a stop counts as over
+_STILL = 0.01  # share of the top speed, per s: slower counts as standstill
+_LONGEST_STOP = 8.0  # s
+_LONGEST_DRIVE = 8.0  # s
+_BRAKED_SHARE = 0.75  # of a drive's longest way, after which it ends; the rest is for its stop
+_LOOKS = 6  # scans at rest before the first drive
+_LOOK_TIME = 10.0  # s within which they must come
+_SWINGS, _SWING_PERIOD, _SWING_SHARE = 3.0, 3.0, 0.5  # s a swing; share of the top rate of turn
+_LEAST_WAY = 0.08  # m between two scans that tell the scale of odometry
+_RETRIES = 3  # drives without a steady speed before it gives up
+_SLOWER = 0.7  # share of a top speed that is tried next
+
+_Drives: TypeAlias = Generator[Twist, Inputs, None]
+
+
+class CalibrationParams(Params, frozen=True, kw_only=True):
+    """The floor."""
+
+    floor: Annotated[
+        float,
+        about(
+            "side of the free square floor around the robot",
+            ge=0.5,
+            le=50.0,
+            unit="m",
+            source="ours: what protection needs beside the drives, at least 2 m",
+            derived=needed_floor,
+        ),
+    ]
+    recovery: Recovery = False
+
+
+class _EndError(Exception):
+    """The calibration ends without figures; the text says why."""
+
+
+class Calibration(Pattern[CalibrationParams]):
+    """Measures brakes, delays and scales by a few short drives; see `swarmctl calibrate`.
+
+    `swarmctl calibrate` starts it, asks for the floor first, and prints the figures. The robot
+    drives to and fro and turns within the floor, for about 90 s, and ends.
+    """
+
+    params_type = CalibrationParams
+    needs = frozenset({"scan", "odometry"})
+    rate = 50.0
+
+    def __init__(self, params: CalibrationParams, context: Context) -> None:
+        super().__init__(params, context)
+        platform = context.platform
+        self._spec = platform.scan
+        self._speed, self._turn = top_speeds(platform)
+        self._farthest = _BRAKED_SHARE * travel(self._speed)
+        self._step_name = "looks"
+        self._report: dict[str, Scalar] = {}
+        # Odometry: stamp, x, y, yaw not wrapped. `_offset`: robot's clock less that of odometry.
+        self._odometry: list[tuple[float, float, float, float]] = []
+        self._offset = math.inf
+        self._ages: list[float] = []
+        self._now = 0.0
+        self._scan: Scan | None = None
+        self._scan_at = -math.inf
+        self._drives = self._script()
+        self._done: str | None = None
+        next(self._drives)
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """The next command of the drives; zero and `done` at their end."""
+        if self._done is not None:
+            return Outputs(ZERO, report=self._report, done=self._done)
+        self._now = inputs.now
+        twist = ZERO
+        try:
+            self._record(inputs)
+            twist = self._drives.send(inputs)
+            self._report = {"state": "measures", "step": self._step_name}
+        except StopIteration:
+            self._done = figures.DONE
+        except _EndError as end:
+            self._done = str(end)
+            self._report = {"state": figures.REFUSED, "why": self._done}
+        return Outputs(twist, report=self._report, done=self._done)
+
+    # Samples
+
+    def _record(self, inputs: Inputs) -> None:
+        odometry = inputs.odometry
+        if odometry is not None:
+            stamp, pose, rows = odometry.stamp, odometry.pose, self._odometry
+            if rows and stamp < rows[-1][0]:
+                raise _EndError("the clock of odometry was set back")
+            if not rows or stamp > rows[-1][0]:
+                before = rows[-1][3] if rows else pose.yaw
+                turned = math.remainder(pose.yaw - before, 2.0 * math.pi)
+                rows.append((stamp, pose.x, pose.y, before + turned))
+            self._offset = min(self._offset, inputs.now - stamp)
+            self._ages.append(inputs.now - stamp)
+        if inputs.is_new_scan and inputs.scan is not None:
+            self._scan, self._scan_at = inputs.scan, inputs.now
+
+    def _track(self, since: float) -> Array:
+        """(n, 4) odometry since that time of the robot's clock: its time on it, x, y, yaw."""
+        rows = self._odometry
+        begin = since - self._offset
+        first = next((i for i in range(len(rows), 0, -1) if rows[i - 1][0] < begin), 0)
+        track = np.array(rows[max(first - 1, 0) :]).reshape(-1, 4)
+        track[:, 0] += self._offset
+        return track
+
+    def _pose_at(self, at: float) -> Pose:
+        track = self._track(at - 1.0)
+        x, y, yaw = (float(np.interp(at, track[:, 0], track[:, i])) for i in (1, 2, 3))
+        return Pose(x, y, yaw)
+
+    def _way(self, track: Array, is_turn: bool, sign: float) -> Array:
+        """(n,) rad turned, or m driven along the first heading."""
+        _, x, y, turned = (track - track[0]).T
+        yaw = float(track[0, 3])
+        way: Array = turned if is_turn else math.cos(yaw) * x + math.sin(yaw) * y
+        return sign * way
+
+    # Drives
+
+    def _script(self) -> _Drives:
+        yield ZERO
+        yield from self._look()
+        scales: list[float] = []
+        stops: dict[bool, list[tuple[float, Stop]]] = {False: [], True: []}
+        for is_turn in (False, True):
+            yield from self._stops(is_turn, stops[is_turn], scales)
+        self._step_name = "swings"
+        arrivals, seen, track = yield from self._swing()
+        self._step_name = "matches scans"
+        headings: list[tuple[float, float]] = []
+        for at, points in zip(arrivals, seen, strict=True):
+            yield ZERO  # one a step: a step must not take long
+            guess = self._relative(self._pose_at(at - self._spec.latency))
+            found = self._locate(points, guess)
+            if found is not None and found.binds_yaw:
+                off = math.remainder(found.pose.yaw - guess.yaw, 2.0 * math.pi)
+                headings.append((at, guess.yaw + off))
+        self._finish(stops, scales, headings, track)
+
+    def _look(self) -> _Drives:
+        """Look at the floor before anything moves."""
+        needed, floor = needed_floor(self.context.platform), self.params.floor
+        if floor < needed:
+            name = self.context.platform.name
+            raise _EndError(f"a floor of {floor:g} m is too small for {name}: {needed:g} m needed")
+        looks: list[Array] = []
+        begin, seen = None, None
+        while len(looks) < _LOOKS:
+            yield ZERO
+            begin = self._now if begin is None else begin
+            if self._scan is not seen and self._scan is not None:
+                seen = self._scan
+                looks.append(points_of(seen, self._spec.offset))
+            if self._now - begin > _LOOK_TIME:
+                what = "odometry" if looks else "scans"
+                raise _EndError(f"too few {what} within {_LOOK_TIME:g} s")
+        if not self._odometry:
+            raise _EndError("no odometry")
+        _, x, y, yaw = self._odometry[-1]
+        self._start = Pose(x, y, yaw)
+        for points in looks:
+            self._check_floor(points, Pose())
+        whole = np.concatenate(looks)
+        self._reference = Reference(looks) if len(whole) else None
+
+    def _check_floor(self, points: Array, pose: Pose) -> None:
+        """End if a return is on the floor, seen from `pose` in the frame of the start."""
+        half = 0.5 * self.params.floor
+        half -= tolerance(half)
+        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+        x = pose.x + cos * points[:, 0] - sin * points[:, 1]
+        y = pose.y + sin * points[:, 0] + cos * points[:, 1]
+        inside = np.flatnonzero((np.abs(x) < half) & (np.abs(y) < half))
+        if len(inside):
+            apart = np.hypot(points[inside, 0], points[inside, 1])
+            nearest = points[inside[int(apart.argmin())]]
+            bearing = math.degrees(math.atan2(nearest[1], nearest[0]))
+            side = self.params.floor
+            raise _EndError(
+                f"the floor of {side:g} x {side:g} m is not free: something stands"
+                f" {float(apart.min()):.2f} m from the axle at {bearing:.0f} deg"
+            )
+
+    def _relative(self, pose: Pose) -> Pose:
+        """An odometry pose in the frame of the start."""
+        dx, dy, yaw = pose.x - self._start.x, pose.y - self._start.y, self._start.yaw
+        cos, sin = math.cos(yaw), math.sin(yaw)
+        return Pose(cos * dx + sin * dy, cos * dy - sin * dx, pose.yaw - yaw)
+
+    def _locate(self, points: Array, guess: Pose) -> Located | None:
+        return None if self._reference is None else self._reference.locate(points, guess)
+
+    def _stops(
+        self, is_turn: bool, stops: list[tuple[float, Stop]], scales: list[float]
+    ) -> _Drives:
+        """Stops from two speeds, to and fro; add them to `stops`, each with the speed commanded.
+
+        After a drive that was not steady all over again, slower.
+        """
+        failures, kind = 0, "turn" if is_turn else "drive"
+        while len(stops) < 4 * _PAIRS:
+            top, index = self._turn if is_turn else self._speed, len(stops)
+            speed = top if index % 4 < 2 else _SLOW * top
+            self._step_name = f"{kind} {index + 1} of {4 * _PAIRS}"
+            stop = yield from self._stop(speed if index % 2 == 0 else -speed, is_turn, scales)
+            if stop is not None:
+                stops.append((speed, stop))
+                continue
+            failures += 1
+            if failures > _RETRIES:
+                raise _EndError(
+                    f"it does not {kind} steadily when {speed:.2f} {'rad/s' if is_turn else 'm/s'}"
+                    " are commanded: protection limits it, or the base takes too long to get there"
+                )
+            stops.clear()
+            if is_turn:
+                self._turn *= _SLOWER
+            else:
+                self._speed *= _SLOWER
+
+    def _stop(
+        self, speed: float, is_turn: bool, scales: list[float]
+    ) -> Generator[Twist, Inputs, Stop | None]:
+        """Drive or turn until the speed is steady, and stop; None if it was not steady."""
+        twist = Twist(angular=speed) if is_turn else Twist(speed)
+        sign = math.copysign(1.0, speed)
+        before = self._rest()
+        begin, steady, is_over = self._now, math.inf, False
+        while not is_over and self._now - steady < _CLEAR:
+            yield twist
+            track = self._track(begin)
+            way = self._way(track, is_turn, sign)
+            if steady == math.inf and is_steady(track[:, 0], way):
+                steady = self._now
+            is_far = not is_turn and way[-1] > self._farthest
+            is_over = is_far or self._now - begin > _LONGEST_DRIVE
+        at = self._now
+        yield from self._stand()
+        track = self._track(begin)
+        stop = stop_of(track[:, 0], self._way(track, is_turn, sign), at)
+        if stop is None or is_over:
+            yield from self._back(twist, at - begin)
+            return None
+        if not is_turn:
+            self._compare(before, self._rest(), scales)
+        return stop
+
+    def _back(self, twist: Twist, seconds: float) -> _Drives:
+        """Undo a drive that failed, so that the robot stays on the floor."""
+        begin = self._now
+        while self._now - begin < seconds:
+            yield Twist(-twist.linear, -twist.angular)
+        yield from self._stand()
+
+    def _stand(self) -> _Drives:
+        """Command zero until the robot stands by odometry and a whole scan was taken since."""
+        begin, still = self._now, self._now
+        sweep = 0.0 if self._scan is None or self._scan.ages is None else self._scan.ages.max()
+        settle = max(_SETTLE, self._spec.latency + 1.5 / self._spec.rate, float(sweep))
+        while self._now - still < _SETTLE or self._scan_at - still < settle:
+            yield ZERO
+            track = self._track(self._now - 0.15)
+            moved = float(np.hypot(*(track[-1, 1:3] - track[0, 1:3])))
+            turned = abs(float(track[-1, 3] - track[0, 3]))
+            limit = _STILL * max(float(track[-1, 0] - track[0, 0]), 0.05)
+            if moved > limit * self._speed or turned > limit * self._turn:
+                still = self._now
+            if self._now - begin > _LONGEST_STOP:
+                raise _EndError("the robot does not come to rest, or scans have stopped")
+        if self._scan is not None:
+            points = points_of(self._scan, self._spec.offset)
+            self._check_floor(points, self._relative(self._pose_at(self._now)))
+
+    def _rest(self) -> tuple[Pose, Located | None]:
+        """Where the robot stands by odometry, and by its last scan."""
+        pose = self._relative(self._pose_at(self._now))
+        if self._scan is None:
+            return pose, None
+        return pose, self._locate(points_of(self._scan, self._spec.offset), pose)
+
+    def _compare(
+        self,
+        before: tuple[Pose, Located | None],
+        after: tuple[Pose, Located | None],
+        scales: list[float],
+    ) -> None:
+        """Add the way by odometry over that by scans, if scans tell it."""
+        (a, seen_a), (b, seen_b) = before, after
+        if seen_a is None or seen_b is None or not (seen_a.binds_place and seen_b.binds_place):
+            return
+        one, other = seen_a.pose, seen_b.pose
+        way = math.hypot(other.x - one.x, other.y - one.y)
+        if way >= _LEAST_WAY:
+            scales.append(math.hypot(b.x - a.x, b.y - a.y) / way)
+
+    def _swing(self) -> Generator[Twist, Inputs, tuple[list[float], list[Array], Array]]:
+        """Turn to and fro at a changing rate; when scans arrived, their points, and odometry."""
+        begin, seen = self._now, self._scan
+        arrivals: list[float] = []
+        points: list[Array] = []
+        most = _SWING_SHARE * self._turn
+        while self._now - begin < _SWINGS * _SWING_PERIOD:
+            phase = 2.0 * math.pi * (self._now - begin) / _SWING_PERIOD
+            yield Twist(angular=most * math.sin(phase))
+            if self._scan is not seen and self._scan is not None:
+                seen = self._scan
+                arrivals.append(self._scan_at)
+                points.append(points_of(seen, self._spec.offset))
+        yield from self._stand()
+        return arrivals, points, self._track(begin - 2.0)
+
+    # Figures
+
+    def _finish(
+        self,
+        stops: dict[bool, list[tuple[float, Stop]]],
+        scales: Sequence[float],
+        headings: Sequence[tuple[float, float]],
+        track: Array,
+    ) -> None:
+        barrier = self.context.platform.protection.get("barrier") or {}
+        found: dict[str, Figure] = {}
+        at, seen = np.array(headings).reshape(-1, 2).T
+        late, turned = turn_delay(at, seen, track[:, 0], track[:, 3] - self._start.yaw)
+        if self._reference is None or not headings:
+            why = "what stands around shows no turn: too few returns, or a round room"
+            late = turned = Figure(why=why)
+        why = "what stands around does not show the way: too little of it, or a bare corridor"
+        driven = mean_of(scales, why)
+        for is_turn, word, scale in ((False, "linear", driven), (True, "angular", turned)):
+            pairs = stops[is_turn]
+            brake, delay = stopping([stop for _, stop in pairs])
+            fast = max(speed for speed, _ in pairs)
+            shares = [stop.speed / speed for speed, stop in pairs if speed == fast]
+            share = mean_of(shares, "no steady drive")
+            if scale.is_measured:  # protection measures its room by scans
+                share = share._replace(value=share.value / scale.value)
+                brake = brake._replace(value=brake.value / scale.value)
+            braking = float(barrier.get(f"braking_{word}", math.nan))
+            found[f"braking_{word}"] = brake._replace(assumed=braking)
+            found[f"reaction_{word}"] = delay._replace(assumed=REACTION_TIME)
+            found[f"speed_{word}"] = share._replace(assumed=1.0)
+            found[f"odometry_{word}"] = scale._replace(assumed=1.0)
+        found["margin"] = self._margin(found["reaction_linear"], found["reaction_angular"])
+        ages = np.array(self._ages) - self._offset
+        found["odometry_age"] = mean_of(ages.tolist(), "no odometry")
+        if late.is_measured and self._scan is not None and self._scan.ages is not None:
+            # The pose of a scan is that of its newest ray, its delay the mean age of its rays.
+            late = late._replace(value=late.value + float(self._scan.ages.mean()))
+        found["scan_delay"] = late._replace(assumed=self._spec.latency)
+        self._report = {
+            "state": figures.DONE,
+            "drove": f"{self._speed:.6g} {self._turn:.6g}",
+            **{name: figure.text for name, figure in found.items()},
+        }
+
+    def _margin(self, *delays: Figure) -> Figure:
+        """The margin with which a base that responds later than assumed keeps the same gap.
+
+        Own surface and others move on for as long as the response exceeds REACTION_TIME.
+        """
+        barrier = self.context.platform.protection.get("barrier")
+        if barrier is None:
+            return Figure(why="mode barrier has no settings")
+        others = float(barrier["others_speed"])
+        surface = max(barrier.get("surface_speed") or others, self.context.platform.limits.linear)
+        late = max((one.value + 2.0 * one.spread for one in delays if one.is_measured), default=0.0)
+        more = max(late - REACTION_TIME, 0.0) * (surface + others)
+        margin = float(barrier["margin"])
+        return Figure(margin + more, 0.0, sum(one.samples for one in delays), margin)

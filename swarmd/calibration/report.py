@@ -1,0 +1,148 @@
+"""What a calibration found, as a table and as a platform file. No numpy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import NamedTuple
+
+from swarmd.calibration.figures import NAMES, Figure
+
+# A limit is lowered if the base drives slower than commanded by more than this share.
+_SLOWER = 0.03
+_DEVIATIONS = 2.0
+
+
+class Setting(NamedTuple):
+    """A value for a key of a platform file, such as `scan.latency`, and how it follows.
+
+    `is_safe`: it makes the robot no less careful than the value `assumed` by its present file.
+    """
+
+    key: str
+    value: float
+    assumed: float
+    text: str
+    is_safe: bool
+
+
+def figures_of(report: Mapping[str, object]) -> dict[str, Figure]:
+    """The figures of a pattern's report; ValueError if it lacks one."""
+    names = (*NAMES, "margin")
+    missing = [name for name in names if not isinstance(report.get(name), str)]
+    if missing:
+        raise ValueError(f"the report has no {missing[0]}")
+    return {name: Figure.parse(str(report[name])) for name in names}
+
+
+def rows(figures: Mapping[str, Figure]) -> list[tuple[str, str, str, str, str]]:
+    """Title, value, deviation, number of samples and assumed value of each figure."""
+    return [_row(*NAMES[name], figures[name]) for name in NAMES]
+
+
+def settings(figures: Mapping[str, Figure], drove: tuple[float, float]) -> list[Setting]:
+    """The settings that follow, two deviations to the safe side.
+
+    `drove`: the fastest speeds that were commanded, in m/s and rad/s.
+    """
+    found = []
+    for word, speed in zip(("linear", "angular"), drove, strict=True):
+        brake, share = figures[f"braking_{word}"], figures[f"speed_{word}"]
+        if brake.is_measured and not math.isnan(brake.assumed):
+            value = _down(max(brake.value - _DEVIATIONS * brake.spread, 0.01 * brake.value))
+            key = f"protection.barrier.braking_{word}"
+            found.append(_lower(key, value, brake.assumed, f"{_text(brake)}, less 2 sd"))
+        if share.is_measured and share.value < 1.0 - _SLOWER:
+            text = f"{_text(share)} of the {speed:.3g} commanded"
+            found.append(_lower(f"limits.{word}", _down(share.value * speed), speed, text))
+    late, margin = figures["scan_delay"], figures["margin"]
+    if late.is_measured:
+        value = _up(late.value + _DEVIATIONS * late.spread)
+        text = f"{_text(late)}, and 2 sd"
+        is_safe = value >= late.assumed
+        found.append(Setting("scan.latency", value, late.assumed, text, is_safe))
+    if margin.is_measured and margin.value > margin.assumed:
+        text = "for a response after more than 0.05 s: see the reaction delays"
+        found.append(
+            Setting("protection.barrier.margin", _up(margin.value), margin.assumed, text, True)
+        )
+    return found
+
+
+def platform_file(
+    robot: str,
+    extends: str,
+    day: str,
+    figures: Mapping[str, Figure],
+    chosen: list[Setting],
+) -> str:
+    """A platform file that extends the present one; what is less careful is a comment."""
+    lines = [
+        f"description: {extends.rsplit('/', 1)[-1].removesuffix('.yaml')}, calibrated as {robot}",
+        f"extends: {extends}",
+        "",
+        f"# Measured by `swarmctl calibrate {robot}` on {day}: mean +- sd (samples).",
+    ]
+    lines += [f"#   {_line(name, figures[name])}" for name in NAMES]
+    unsafe = [one for one in chosen if not one.is_safe]
+    if unsafe:
+        lines += [
+            "# A commented key is less careful than the file that this one extends. Check what was",
+            "# measured, and uncomment it yourself.",
+        ]
+    lines += ["", *_nested([(one.key.split("."), one) for one in chosen], 0)]
+    return "\n".join(lines).rstrip() + "\n"
+
+
+def _nested(keys: list[tuple[list[str], Setting]], depth: int) -> list[str]:
+    """YAML lines of the settings; a section of comments alone is a comment, too."""
+    lines: list[str] = []
+    indent = "  " * depth
+    for name in dict.fromkeys(path[0] for path, _ in keys):
+        within = [(path[1:], one) for path, one in keys if path[0] == name]
+        mark = "" if any(one.is_safe for _, one in within) else "# "
+        if within[0][0]:
+            lines += [f"{mark}{indent}{name}:", *_nested(within, depth + 1)]
+        else:
+            one = within[0][1]
+            text = f"{one.text}; the file has {_number(one.assumed)}"
+            lines.append(f"{mark}{indent}{name}: {_number(one.value)}  # {text}")
+    return lines
+
+
+def _lower(key: str, value: float, assumed: float, text: str) -> Setting:
+    return Setting(key, value, assumed, text, value <= assumed)
+
+
+def _row(title: str, unit: str, figure: Figure) -> tuple[str, str, str, str, str]:
+    assumed = "-" if math.isnan(figure.assumed) else f"{figure.assumed:.4g} {unit}".rstrip()
+    if not figure.is_measured:
+        return title, "not measured", "-", "-", assumed
+    value = f"{_number(figure.value)} {unit}".rstrip()
+    return title, value, _number(figure.spread), str(figure.samples), assumed
+
+
+def _line(name: str, figure: Figure) -> str:
+    title, unit = NAMES[name]
+    if not figure.is_measured:
+        return f"{title}: not measured: {figure.why}"
+    return f"{title}: {_text(figure)} {unit}".rstrip()
+
+
+def _text(figure: Figure) -> str:
+    return f"{_number(figure.value)} +- {_number(figure.spread)} ({figure.samples})"
+
+
+def _number(value: float) -> str:
+    return f"{value + 0.0:.3g}" if abs(value) >= 0.0005 else "0"
+
+
+def _down(value: float) -> float:
+    """The value with three digits, rounded down."""
+    digit = 10.0 ** (math.floor(math.log10(value)) - 2)
+    return float(f"{math.floor(value / digit) * digit:.6g}")
+
+
+def _up(value: float) -> float:
+    """The value in whole milli-units, rounded up."""
+    return math.ceil(value * 1000.0 - 1e-9) / 1000.0

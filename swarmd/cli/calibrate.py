@@ -1,0 +1,259 @@
+"""`swarmctl calibrate`: one robot measures its brakes, delays and scales by a few short drives."""
+
+from __future__ import annotations
+
+import datetime
+import math
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from swarmd.calibration.figures import DONE, PATTERN
+from swarmd.cli.arguments import Failure, check_known
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.output import print_json, print_table, printable, warn
+from swarmd.cli.send import known_members
+from swarmd.core.messages import Presence, Reason, RunRequest, State, Status
+from swarmd.network.outcome import FAILED, REFUSED, TIMEOUT
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from swarmd.network.operator import Operator
+
+LONGEST = 300.0
+"""Seconds after which the robot ends the run by itself, whatever becomes of swarmctl."""
+
+_PERIOD = 0.5  # s between two looks at the robot
+_SILENCE = 5.0  # s without an answer after which the robot counts as lost
+_LOOK = 1.0  # s that a look may take
+_NO_HOLD = (None, Reason.PROTECTION, Reason.NO_REQUESTED_COMMAND)
+
+
+@click.command()
+@click.argument("robot")
+@click.option(
+    "--floor",
+    type=click.FloatRange(0.5, 50.0),
+    metavar="METRES",
+    help="Side of the free square floor around the robot [what its platform needs, at least 2].",
+)
+@click.option(
+    "-w",
+    "--write",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Write the platform file that follows, which must end in .yaml.",
+)
+@click.option(
+    "-y", "--yes", is_flag=True, help="Do not ask for the floor; required without a terminal."
+)
+@common_options
+def calibrate(
+    options: CommonOptions, robot: str, floor: float | None, write: Path | None, yes: bool
+) -> None:
+    """Measure brakes, delays and scales of ROBOT by a few short drives.
+
+    The robot stands in the middle of a free floor. It looks whether the floor is free, then drives
+    to and fro and turns on the spot for one to two minutes, under protection. Its figures are
+    printed beside the values of its platform file, with the platform file that follows from them.
+    Ctrl-C stops the robot.
+    """
+    _check_file(write)
+    with options.operator() as operator:
+        view = known_members(options, operator)
+        check_known(robot, view.members)
+        member = view.members[robot]
+        status = member.status
+        if member.presence is not Presence.ALIVE or status is None:
+            raise Failure(f"{robot} does not answer; see `swarmctl members`", TIMEOUT)
+        if status.state not in (State.IDLE, State.STOPPED):
+            does = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
+            raise Failure(f"{robot} {does}; nothing was sent; it must be idle or stopped", REFUSED)
+        side = _floor(status.platform) if floor is None else floor
+        _confirm(robot, status.platform, side, yes)
+        report = _measure(operator, robot, side)
+        _show(options, robot, status.platform, report, write)
+
+
+def _check_file(write: Path | None) -> None:
+    """Ask before a file is overwritten, before anything moves."""
+    if write is None:
+        return
+    if write.suffix != ".yaml":
+        raise click.UsageError(f"--write {write}: a platform file must end in .yaml")
+    if not write.parent.is_dir():
+        raise click.UsageError(f"--write {write}: there is no folder {write.parent}")
+    if write.exists():
+        if not sys.stdin.isatty():
+            raise click.UsageError(f"{write} exists, and there is no terminal to ask; remove it")
+        if not click.confirm(f"Overwrite {write}?", err=True):
+            raise click.ClickException("nothing was sent")
+
+
+def _floor(platform: str) -> float:
+    from swarmd.calibration.floor import needed_floor
+    from swarmd.settings.platforms import load_platform, platform_names
+
+    if platform not in platform_names():
+        raise click.UsageError(
+            f"the platform file of {platform} is not known here; give --floor METRES, at least 2"
+        )
+    return needed_floor(load_platform(platform))
+
+
+def _confirm(robot: str, platform: str, floor: float, yes: bool) -> None:
+    square = f"{floor:g} x {floor:g} m"
+    if yes:
+        return
+    if not sys.stdin.isatty():
+        raise click.UsageError(
+            "calibrate asks for confirmation, and there is no terminal; nothing was sent; check"
+            f" that a floor of {square} around {robot} is free, and add --yes"
+        )
+    warn(
+        f"{robot} ({platform}) will drive to and fro, and turn on the spot, for one to two minutes."
+    )
+    question = f"Is the floor free, {square} with {robot} in the middle, and does it stay free?"
+    if not click.confirm(question, err=True):
+        raise click.ClickException("nothing was sent")
+
+
+def _measure(operator: Operator, robot: str, floor: float) -> Mapping[str, object]:
+    """Run the drives; the report with the figures. Every way out leaves the robot stopped."""
+    for one in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C
+        signal.signal(one, signal.default_int_handler)
+    epochs = operator.members(timeout=_LOOK, needs_status=False).epochs((robot,))
+    must_stop = True
+    try:
+        outcome = operator.request(
+            RunRequest, epochs, pattern=PATTERN, params={"floor": floor}, seconds=LONGEST
+        )
+        if not outcome.applied:
+            reply = outcome.replies.get(robot)
+            must_stop = reply is None
+            why = "did not answer" if reply is None else f"{reply.code}: {reply.text}"
+            raise Failure(f"{robot} {why}", outcome.exit_code)
+        try:
+            status = _follow(operator, robot)
+        finally:
+            if sys.stderr.isatty():
+                click.echo(err=True)  # ends the line of `_tell`
+        must_stop = status.state is State.RUNNING and status.pattern == PATTERN
+        return _report(robot, status)
+    finally:
+        if must_stop:
+            _stop(operator, robot)
+
+
+def _follow(operator: Operator, robot: str) -> Status:
+    """The first status in which the drives are over; tells each step and each hold."""
+    shown, heard = "", time.monotonic()
+    while True:
+        member = operator.members(timeout=_LOOK).members.get(robot)
+        now = time.monotonic()
+        if member is not None and member.presence is Presence.FAILED:
+            raise Failure(f"{robot} is lost: its daemon failed or its link is cut", TIMEOUT)
+        status = None if member is None or member.presence is not Presence.ALIVE else member.status
+        if status is None:
+            if now - heard > _SILENCE:
+                raise Failure(f"{robot} has not answered for {_SILENCE:g} s", TIMEOUT)
+        else:
+            heard = now
+            if status.state is not State.RUNNING or status.pattern != PATTERN:
+                return status
+            is_held = status.reason not in _NO_HOLD
+            line = f"held: {status.reason}" if is_held else str(status.report.get("step", "loads"))
+            if line != shown:
+                _tell(f"{robot}: {line}")
+                shown = line
+        time.sleep(_PERIOD)
+
+
+def _tell(line: str) -> None:
+    """Print the line on stderr; on a terminal it replaces the one before."""
+    if sys.stderr.isatty():
+        click.echo(f"\r\x1b[K{printable(line)}", err=True, nl=False)
+    else:
+        warn(line)
+
+
+def _report(robot: str, status: Status) -> Mapping[str, object]:
+    """The report of a finished run; Failure, with the reason, of any other."""
+    if status.state is State.RUNNING:
+        text = f"{robot} runs {status.pattern} now, by {status.changed_by}; no figures"
+        raise Failure(text, FAILED)
+    if status.state is not State.IDLE or status.reason is not Reason.FINISHED:
+        detail = f": {status.detail}" if status.detail else ""
+        text = f"{robot} did not finish: {status.state}, {status.reason}{detail}; no figures"
+        raise Failure(text, FAILED)
+    if status.report.get("state") != DONE:
+        raise Failure(f"{robot}: {status.report.get('why', status.detail)}; no figures", REFUSED)
+    decision = status.decision
+    if decision.duty > 0.0:
+        raise Failure(
+            f"{robot}: protection limited {decision.duty:.1%} of the decisions, so that the figures"
+            " are not those of the base; no figures; repeat it on a larger floor",
+            FAILED,
+        )
+    return status.report
+
+
+def _stop(operator: Operator, robot: str) -> None:
+    outcome = operator.send_stop("stop", select=lambda names: (), names=(robot,))
+    reply = outcome.replies.get(robot)
+    text = "no answer to the stop; use its switch" if reply is None else f"stopped: {reply.text}"
+    warn(f"{robot}: {text}")
+
+
+def _show(
+    options: CommonOptions,
+    robot: str,
+    platform: str,
+    report: Mapping[str, object],
+    write: Path | None,
+) -> None:
+    from swarmd.calibration.report import figures_of, platform_file, rows, settings
+    from swarmd.settings.platforms import platform_names
+
+    try:
+        figures = figures_of(report)
+        linear, angular = map(float, str(report.get("drove")).split())
+    except ValueError as error:
+        raise Failure(f"{robot} has another version of the calibration: {error}", FAILED) from None
+    chosen = settings(figures, (linear, angular))
+    extends = platform if platform in platform_names() else f"./{platform}.yaml"
+    day = datetime.date.today().isoformat()
+    text = platform_file(robot, extends, day, figures, chosen)
+    if options.is_json:
+        figures_json = {
+            name: {
+                "value": _finite(figure.value),
+                "sd": _finite(figure.spread),
+                "samples": figure.samples,
+                "assumed": _finite(figure.assumed),
+                "why": figure.why,
+            }
+            for name, figure in figures.items()
+        }
+        print_json("Calibration", {"robot": robot, "figures": figures_json, "file": text})
+    else:
+        print_table(("FIGURE", "MEASURED", "SD", "SAMPLES", "PLATFORM"), rows(figures))
+        for name, figure in figures.items():
+            if figure.why and name != "margin":
+                click.echo(f"{name} is not measured: {figure.why}")
+        if write is None:
+            click.echo(
+                f"\nA platform file that follows (--write FILE writes it):\n\n{text}", nl=False
+            )
+    if write is not None:
+        write.write_text(text)
+        warn(f"wrote {write}; use it as `platform: {write.name}` in the robot's file")
+
+
+def _finite(value: float) -> float | None:
+    return value if math.isfinite(value) else None

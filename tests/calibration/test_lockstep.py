@@ -1,0 +1,183 @@
+"""A calibration in simulation finds what the simulated base and lidar were given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.calibration.figures import DONE, NAMES, REFUSED, Figure
+from swarmd.calibration.report import figures_of
+from swarmd.core.messages import Reason, State
+from swarmd.core.values import Platform
+from swarmd.settings.settings import load_platform
+from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.sim.scenarios.scenariofile import scenario_of
+
+ROOM: dict[str, Any] = {
+    "size": [2.8, 2.3],
+    "boxes": [{"name": "crate", "at": [1.2, 0.9], "size": [0.3, 0.3]}],
+}
+# Errors of a lidar but no bias of its ranges: no scan can tell that from odometry's.
+NOISE: dict[str, Any] = {"preset": "realistic", "lidar": {"bias": 0.0}}
+STEP = 0.01  # s: the simulated base responds within one
+
+
+def simulated(
+    platform: str = "burger",
+    realism: Any = "ideal",
+    arena: dict[str, Any] = ROOM,
+    *,
+    body: dict[str, float] | None = None,
+    limits: dict[str, float] | None = None,
+    events: Sequence[dict[str, Any]] = (),
+    seed: int = 3,
+) -> Lockstep:
+    """One robot in the middle, which calibrates itself from 0.1 s on.
+
+    Its daemon has the platform's own file, and its base other values of `body` and `limits`.
+    """
+    file = load_platform(platform)
+    scenario = scenario_of(
+        {
+            "duration": 300.0,
+            "realism": realism,
+            "arena": arena,
+            "groups": {"all": {"platform": platform, "robots": ["r"]}},
+            "start": {"layout": "row"},
+            "events": [{"at": 0.0, "join": "r"}, {"at": 0.1, "run": "calibration"}, *events],
+        }
+    )
+    base: Platform = replace(file, body={**file.body, **(body or {})})
+    base = replace(base, limits=replace(base.limits, **(limits or {})))
+    sim = Lockstep(replace(scenario, robots={"r": base}), seed)
+    own = sim._platforms[0]
+    sim._platforms[0] = replace(own, limits=file.limits)
+    return sim
+
+
+def calibrated(sim: Lockstep) -> dict[str, Any]:
+    """The last report of the run, which has ended."""
+    sim.advance(0.5)
+    robot = sim.shells[0].robot  # type: ignore[union-attr]  # it has joined
+    while robot.is_running and sim.world.time < 300.0:
+        sim.advance(1.0)
+    assert (robot.state, robot.reason) == (State.IDLE, Reason.FINISHED)
+    return dict(robot.report)
+
+
+def found(sim: Lockstep) -> dict[str, Figure]:
+    report = calibrated(sim)
+    assert report["state"] == DONE, report.get("why")
+    shell = sim.shells[0]
+    assert shell is not None
+    assert shell.robot.status(sim.world.time).decision.duty == 0.0  # nothing was limited
+    return figures_of(report)
+
+
+@pytest.mark.parametrize(
+    ("platform", "linear", "angular", "delay", "latency"),
+    [
+        ("burger", 0.5, 2.0, 0.10, 0.5),
+        ("burger", 1.0, 3.2, 0.20, 1.2),
+        ("waffle_pi", 0.7, 1.5, 0.15, 0.5),
+    ],
+)
+def test_brakes_and_delays_are_found_within_five_percent(
+    platform: str, linear: float, angular: float, delay: float, latency: float
+) -> None:
+    realism = {
+        "preset": "realistic",
+        "actuation": {"delay": delay},
+        "lidar": {"bias": 0.0, "latency": latency},
+    }
+    base = {"linear_acceleration": linear, "angular_acceleration": angular}
+    figures = found(simulated(platform, realism, body=base))
+    assert figures["braking_linear"].value == pytest.approx(linear, rel=0.05)
+    assert figures["braking_angular"].value == pytest.approx(angular, rel=0.05)
+    # The speed changes at the begin of a step: half of one early.
+    given = delay - 0.5 * STEP
+    assert figures["reaction_linear"].value == pytest.approx(given, rel=0.05)
+    assert figures["reaction_angular"].value == pytest.approx(given, rel=0.05, abs=0.005)
+    rate = load_platform(platform).scan.rate
+    assert figures["scan_delay"].value == pytest.approx(latency / rate, rel=0.05)
+    for name in ("braking_linear", "braking_angular", "scan_delay"):
+        assert 0.0 < figures[name].spread < 0.2 * figures[name].value
+        assert figures[name].samples >= 8
+
+
+def test_scales_of_speed_and_odometry_are_found_within_five_percent() -> None:
+    sim = simulated(realism=NOISE, limits={"linear": 0.19, "angular": 1.6})
+    measured = sim.world._odometers._measured
+    measured[0, :, 0] *= 1.08  # from true to measured motion
+    measured[0, :, 1] *= 0.92
+    given = measured[0, 0, 0], measured[0, 1, 1]
+    figures = found(sim)
+    assert figures["odometry_linear"].value == pytest.approx(given[0], rel=0.02)
+    assert figures["odometry_angular"].value == pytest.approx(given[1], rel=0.02)
+    assert figures["speed_linear"].value == pytest.approx(0.19 / 0.22, rel=0.05)
+    top = 0.95 * 0.30 / float(np.hypot(0.102, 0.089))
+    assert figures["speed_angular"].value == pytest.approx(1.6 / top, rel=0.05)
+    assert figures["braking_linear"].value == pytest.approx(1.0, rel=0.05)
+    assert figures["braking_angular"].value == pytest.approx(3.2, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("arena", "unknown"),
+    [
+        ({"size": [20.0, 20.0]}, {"odometry_linear", "odometry_angular", "scan_delay"}),
+        ({"size": [20.0, 2.2]}, {"odometry_linear"}),
+    ],
+)
+def test_what_the_surroundings_do_not_show_is_not_measured(
+    arena: dict[str, Any], unknown: set[str]
+) -> None:
+    figures = found(simulated(realism=NOISE, arena=arena))
+    assert {name for name in NAMES if not figures[name].is_measured} == unknown
+    assert figures["braking_linear"].value == pytest.approx(1.0, rel=0.05)
+
+
+@pytest.mark.parametrize(
+    ("platform", "arena", "word"),
+    [
+        ("burger", {"size": [4.0, 4.0], "poles": [{"at": [0.7, 0.3], "radius": 0.01}]}, "0.75"),
+        ("burger", {"size": [1.6, 4.0]}, "0.8"),
+        ("jackal", {"size": [4.0, 4.0]}, "4.6 x 4.6"),
+    ],
+)
+def test_nothing_moves_unless_the_floor_is_free(
+    platform: str, arena: dict[str, Any], word: str
+) -> None:
+    sim = simulated(platform, arena=arena)
+    start = sim.world.poses()
+    report = calibrated(sim)
+    assert report["state"] == REFUSED
+    assert word in report["why"]
+    assert np.array_equal(sim.world.poses(), start)
+
+
+def test_the_robot_stays_on_its_floor() -> None:
+    sim = simulated("waffle_pi", NOISE, {"size": [2.02, 2.02]})
+    far = 0.0
+    sim.advance(0.5)
+    robot = sim.shells[0].robot  # type: ignore[union-attr]  # it has joined
+    while robot.is_running:
+        sim.advance(0.1)
+        far = max(far, float(np.abs(sim.world.poses()[0, :2]).max()))
+    assert robot.report["state"] == DONE
+    assert 0.1 < far < 1.2 * 0.26
+    assert robot.status(sim.world.time).decision.duty == 0.0
+
+
+def test_what_comes_onto_the_floor_ends_the_drives() -> None:
+    arena = {"size": [4.0, 4.0], "boxes": [{"name": "b", "size": [0.2, 0.2], "mass": 9.0}]}
+    placed = {"at": 15.0, "place": "b", "pose": [0.85, 0.0, 0.0]}
+    sim = simulated(realism=NOISE, arena=arena, events=(placed,))
+    report = calibrated(sim)
+    assert report["state"] == REFUSED
+    assert "not free" in report["why"]
+    assert 15.0 < sim.world.time < 20.0
+    assert np.hypot(*sim.world.twists()[0, :2]) < 1e-6
