@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from swarmd.cli.options import CommonOptions
+from swarmd.cli.output import warn
 from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.keys import is_id
 
@@ -118,6 +119,7 @@ def fleet_for(
     wide as the range of the lidar, so that a robot detects some of the others but not all, and has
     at least (3 protection thresholds)^2 of room for each robot.
     """
+    from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
     from swarmd.settings.platforms import load_platform
     from swarmd.sim.live.fleet import FleetSpec, robot_ids
     from swarmd.sim.world.arena import parse_arena
@@ -146,6 +148,12 @@ def fleet_for(
     arena = arena or f"{side:g}x{side:g}"
     layout = layout or f"random:{0.6 * threshold:.2f}"
     parse_layout(layout, [kind.footprint] * count, parse_arena(arena), seed=others["seed"])
+    if count > 1:
+        own = body_of(kind)
+        for found in findings(own, assumed_speed(kind), ids[0], own, ACCEPTS_NONE):
+            is_seen = found.kind == "unseen" and others["lidar_visibility"] == "body"
+            if not is_seen:
+                warn(f"note: {found.text}")
     return FleetSpec(
         swarm=swarm,
         robots=dict.fromkeys(ids, platform),

@@ -125,10 +125,12 @@ class Robot:
 
     def on_peers(self, bodies: Mapping[str, Body | None], now: float) -> None:
         """What the other robots tell of their bodies: all that were heard and are not forgotten."""
-        found = self._sensors.on_peers(bodies)
-        for finding in found:
-            self._lifecycle.log(f"peer {finding.robot}: {finding.text}", now)
-        self._due_at = self._quiet_until = -math.inf
+        robots: dict[str, list[str]] = {}  # by what is found, so that a swarm is a few events
+        for found in self._sensors.on_peers(bodies):
+            robots.setdefault(found.text, []).append(found.robot)
+            self._due_at = self._quiet_until = -math.inf
+        for text, names in robots.items():
+            self._lifecycle.log(f"peer {', '.join(names)}: {text}", now)
 
     def on_readings(self, readings: Mapping[str, float]) -> None:
         """Scalar sensor readings by name."""

@@ -114,8 +114,10 @@ class Sensors:
 
     def on_peers(self, bodies: Mapping[str, Body | None]) -> list[PeerFinding]:
         """Take in what all known peers tell of their bodies; the findings that are new."""
-        self._context = None
-        return self.peers.on_peers(bodies)
+        found = self.peers.on_peers(bodies)
+        if found:
+            self._context = None
+        return found
 
     def on_message(self, sender: str, channel: str, value: Value, now: float) -> bool:
         """Keep a message for the next step; False if its sender is no neighbour.
