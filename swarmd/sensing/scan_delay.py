@@ -52,6 +52,8 @@ _MIN_LIKENESS = 0.6  # correlation of two scans at the turn found
 _FORGETTING = 0.98  # of earlier pairs, for each new one: some 50 count
 _MIN_PAIRS = 8
 _MIN_SPREAD = 0.015  # rad of one measured turn
+_ALIKE = 2.0  # the errors of pairs are alike: measured over estimated spread, in simulation 1.7
+_CERTAIN = 2.5  # spreads by which turns must exceed what is known otherwise
 _MAX_INTERVAL = 0.2  # s of candidates within three deviations: a wider one is no figure
 _SCALES = 0.85, 1.15  # of odometry
 _ENOUGH_PAIRS = 20  # after which only each fourth pair of scans is compared
@@ -86,8 +88,9 @@ class ScanDelay:
             self._turns.on_scan(scan, now - offset, now)
         turns = self._turns
         added = stamps - latency
-        if turns.delay is not None and turns.delay - 2.0 * turns.spread > latency + TOLERANCE:
-            upper = turns.delay + 2.0 * turns.spread - latency
+        known = max(latency, stamps) + TOLERANCE
+        if turns.delay is not None and turns.delay - _CERTAIN * turns.spread > known:
+            upper = turns.delay + turns.spread - latency
             if upper > self._spec.max_scan_delay and now - turns.at > _EXPIRES:
                 turns.forget()  # a robot that is held cannot turn to measure anew
             else:
@@ -385,7 +388,7 @@ class _Turns:
         if bend <= 0.0:
             return
         self.delay = max(_CANDIDATES[i] + 0.5 * _STEP * (a - c) / bend, 0.0)
-        self.spread = max(_STEP * math.sqrt(2.0 * variance / bend), 0.005)
+        self.spread = max(_ALIKE * _STEP * math.sqrt(2.0 * variance / bend), 0.005)
 
 
 def _spectrum(

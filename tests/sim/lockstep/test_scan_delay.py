@@ -1,0 +1,54 @@
+"""Robots in lockstep measure how late their scans arrive."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from swarmd.core.messages import DelayFigure, ScanDelaySummary
+from swarmd.sim.lockstep.lockstep import Lockstep
+from swarmd.sim.scenarios.scenariofile import scenario_of
+
+STEP = 0.01  # s of the world, to which arrivals are rounded
+
+
+def measured(seconds: float, **lidar: float) -> list[ScanDelaySummary]:
+    """What three Burgers that walk randomly in a room of 4 m measure, with realistic noise."""
+    data: dict[str, Any] = {
+        "duration": seconds,
+        "realism": {"preset": "realistic", "lidar": lidar},
+        "arena": {"size": [4.0, 4.0]},
+        "groups": {"all": {"platform": "burger", "count": 3, "pattern": "random_walk"}},
+        "start": {"layout": "random", "clearance": 0.3},
+    }
+    lab = Lockstep(scenario_of(data), 1)
+    lab.advance(seconds)
+    statuses = [shell.robot.status(lab.world.time) for shell in lab.shells if shell is not None]
+    return [status.scan_delay for status in statuses if status.scan_delay is not None]
+
+
+def figures(summaries: list[ScanDelaySummary], method: str) -> list[DelayFigure]:
+    return [one for summary in summaries for one in summary.figures if one.method == method]
+
+
+def test_delay_as_declared_adds_nothing() -> None:
+    assert [summary.added for summary in measured(8.0)] == [0.0] * 3
+
+
+@pytest.mark.parametrize("delay", [0.05, 0.2])
+def test_stamps_tell_an_undeclared_delay_within_a_step(delay: float) -> None:
+    for summary in measured(8.0, delay=delay):
+        assert summary.added == pytest.approx(delay, abs=1.5 * STEP)
+
+
+def test_turns_tell_an_undeclared_delay_within_a_tenth_of_a_second() -> None:
+    found = [one for one in figures(measured(40.0, delay=0.2), "turns") if one.delay is not None]
+    assert len(found) >= 1
+    for one in found:
+        assert one.delay == pytest.approx(0.3, abs=0.1)
+
+
+def test_jitter_counts_as_delay() -> None:
+    for summary in measured(10.0, delay=0.05, jitter=0.1):
+        assert 0.1 <= summary.added <= 0.15 + 1.5 * STEP
