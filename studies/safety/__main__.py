@@ -1,7 +1,8 @@
 """`python -m studies.safety hours | progress | one`: see docs/safety.md.
 
 hours: robot-hours over all scenes. progress: goals reached in each mode. one: a single run with
-every collision. Runs that build/safety has from the same sources are not repeated.
+every collision and those at fault. Runs that build/safety has from the same sources are not
+repeated.
 """
 
 from __future__ import annotations
@@ -13,38 +14,39 @@ from pathlib import Path
 
 from benchmarks.table import machine
 from studies.safety import hours, progress
+from studies.safety.driven import faults
 from studies.safety.judge import collisions
 from studies.safety.judgement import judge
-from studies.safety.runs import Task, carry_out, rammers
+from studies.safety.runs import Task, attackers, carry_out
 from studies.safety.scenes import (
     ACCEPTANCE_SEEDS,
     DEV_SEEDS,
     FAMILIES,
     MODES,
     PLATFORMS,
-    RAM,
     VISIBILITIES,
     Scene,
     scenario,
 )
 from swarmd.core.errors import SwarmError
+from swarmd.sim.experiments.provenance import git_state
 from swarmd.sim.lockstep.lockstep import simulate_run
 
 Options = argparse.Namespace
 
 
 def plan_hours(options: Options, seeds: Sequence[int]) -> list[Task]:
-    """Robot-hours of protected swarms, then a share of them among ramming robots."""
-    among = options.robot_hours / 6.0 if options.ram_hours is None else options.ram_hours
+    """Robot-hours of protected swarms, a share of them among attackers."""
+    is_mixed = {bool(FAMILIES[family].attack) for family in options.families} == {True, False}
+    share = options.attack_share if is_mixed else 1.0
     tasks = []
-    for share, families in (
-        (options.robot_hours, [f for f in options.families if f != RAM]),
-        (among, [f for f in options.families if f == RAM]),
-    ):
+    for is_attack in (False, True):
+        families = [f for f in options.families if bool(FAMILIES[f].attack) == is_attack]
         scenes = hours.cells(
             families, options.platforms, options.visibilities, options.mode, options.duration
         )
-        tasks += hours.plan(share, scenes, seeds) if scenes else []
+        part = share if is_attack or not is_mixed else 1.0 - share
+        tasks += hours.plan(part * options.robot_hours, scenes, seeds) if scenes else []
     return tasks
 
 
@@ -77,8 +79,8 @@ def _parser() -> argparse.ArgumentParser:
         verb.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
         verb.add_argument("--out", type=Path, default=Path("build/safety"))
         if name == "hours":
-            verb.add_argument("--robot-hours", type=float, default=300.0)
-            verb.add_argument("--ram-hours", type=float, help="default: a sixth of that")
+            verb.add_argument("--robot-hours", type=float, default=300.0, help="in all")
+            verb.add_argument("--attack-share", type=float, default=0.4, help="of them")
             verb.add_argument("--mode", choices=MODES, default="barrier")
         else:
             verb.add_argument("--modes", nargs="+", choices=MODES, default=progress.MODES)
@@ -100,13 +102,17 @@ def main() -> None:
     options = _parser().parse_args()
     if options.verb == "one":
         words = (options.family, options.platform, options.visibility, options.mode)
-        trace = simulate_run(scenario(Scene(*words, duration=options.duration)), options.seed)
-        among = rammers(trace)
-        print(*collisions(trace, among), judge(trace, among), sep="\n")
+        made = scenario(Scene(*words, duration=options.duration))
+        trace = simulate_run(made, options.seed)
+        among, actuation = attackers(trace), made.realism.actuation
+        found = [*faults(trace, among, actuation), judge(trace, among, actuation)]
+        print(*collisions(trace, among), "at fault:", *found, sep="\n")
         return
     tasks = options.plan(options, DEV_SEEDS if options.dev else ACCEPTANCE_SEEDS)
     records = carry_out(tasks, options.out / f"{options.verb}.jsonl", options.jobs)
-    print(f"Sources {records[0].code}, {machine()}\n\n{options.tables(records)}")
+    state = git_state(Path(__file__).parent)
+    commit = "unknown" if state is None else state.commit[:10] + " (changed)" * state.is_dirty
+    print(f"Commit {commit}, sources {records[0].code}, {machine()}\n\n{options.tables(records)}")
 
 
 if __name__ == "__main__":

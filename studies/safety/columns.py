@@ -63,11 +63,12 @@ def rows(
 ) -> list[Sequence[str]]:
     """Header and one row per group with records; `more` are further columns."""
     columns = {**COLUMNS, **more}
-    found: list[Sequence[str]] = [("", *columns, SPEED)]
+    found: list[Sequence[str]] = [("", *columns, SPEED, "date")]
     for name, group in groups.items():
         records = list(group)
         if records:
             whole = total(record.found for record in records)
             speed = whole.seconds / sum(record.cpu for record in records)
-            found.append((name, *(cell(whole) for cell in columns.values()), f"{speed:.0f}"))
+            cells = (cell(whole) for cell in columns.values())
+            found.append((name, *cells, f"{speed:.0f}", max(record.date for record in records)))
     return found

@@ -21,41 +21,48 @@ from swarmd.core.values import Array
 from swarmd.sim.metrics.contacts import WALLS
 from swarmd.sim.trace import ARENA, Trace
 from swarmd.sim.world.geometry import transform
-from swarmd.sim.world.realism import REALISTIC
+from swarmd.sim.world.realism import REALISTIC, Actuation
 
-BRAKING = np.array([1.0, 3.0, 1.0])
-"""The least decelerations of the bases, in m/s2, rad/s2 and m/s2."""
+_TURNING = 3.0  # rad/s2, the least deceleration of the bases without a cap
+_LINEAR = 1.0  # m/s2, the same of linear motion
 
 _THROWN = 0.3  # s after a contact in which the contact may still move the robot
 _ROUNDING = 1e-9
 
 
-def faults(trace: Trace, unprotected: Collection[str] = ()) -> Iterator[Collision]:
+def faults(
+    trace: Trace,
+    unprotected: Collection[str] = (),
+    actuation: Actuation = REALISTIC.actuation,
+) -> Iterator[Collision]:
     """The judge's faults in which the robot drove, each with the `own_speed` of its drives.
 
-    The trace's commands must be dense: 20 or more instants a second.
+    `actuation`: delay and brakes of the bases. The trace's commands must be dense: 20 or more
+    instants a second.
     """
     possible: dict[str, Array] = {}
     for one in collisions(trace, unprotected):
         if not one.is_fault:
             continue
         if one.robot not in possible:
-            possible[one.robot] = drives(trace, trace.ids.index(one.robot))
+            possible[one.robot] = drives(trace, trace.ids.index(one.robot), actuation)
         if (speed := _own_drive(trace, one, possible[one.robot])) > FAULT:
             yield structs.replace(one, own_speed=speed)
 
 
-def drives(trace: Trace, robot: int) -> Array:
+def drives(trace: Trace, robot: int, actuation: Actuation = REALISTIC.actuation) -> Array:
     """(T, 2, 3) the lowest and highest speeds that a robot's drives allow at each instant.
 
     Ahead in m/s, turning in rad/s, sideways in m/s; in the base frame.
     """
     t, commanded = trace.t, trace.safe[:, robot]
+    linear = actuation.linear_acceleration or _LINEAR
+    braking = np.array([linear, actuation.angular_acceleration or _TURNING, linear])
     moved, is_thrown = _moved(trace, robot), _is_thrown(trace, robot)
     possible = np.stack((moved, moved), axis=1)
     for row in np.flatnonzero(is_thrown).tolist():
-        late = int(np.searchsorted(t, t[row] - REALISTIC.actuation.delay - _ROUNDING))
-        lost = BRAKING * (t[row] - t[row - 1]) if row else np.inf
+        late = int(np.searchsorted(t, t[row] - actuation.delay - _ROUNDING))
+        lost = braking * (t[row] - t[row - 1]) if row else np.inf
         before = possible[row - 1]
         before = np.sign(before) * np.maximum(np.abs(before) - lost, 0.0)
         possible[row, 0] = np.minimum(commanded[late : row + 1].min(axis=0), before[0])

@@ -1,4 +1,4 @@
-"""Robot-hours of whole swarms under protection, and among ramming robots, over all scenes."""
+"""Robot-hours of whole swarms under protection, alone and among attackers, over all scenes."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 from benchmarks.table import markdown
 from studies.safety.columns import HOUR, rows
 from studies.safety.runs import Record, Task
-from studies.safety.scenes import FAMILIES, OWN, RAM, Scene
+from studies.safety.scenes import FAMILIES, VISIBILITIES, Scene
 
 
 def cells(
@@ -17,9 +17,14 @@ def cells(
     mode: str,
     duration: float,
 ) -> list[Scene]:
-    """All scenes of these families."""
+    """All scenes of these families, each with those of the platforms that it has."""
     places = [(p, v) for p in platforms for v in visibilities]
-    return [Scene(f, p, v, mode, duration=duration) for f in families for p, v in places]
+    return [
+        Scene(f, p, v, mode, duration=duration)
+        for f in families
+        for p, v in places
+        if p in FAMILIES[f].platforms
+    ]
 
 
 def plan(robot_hours: float, scenes: Sequence[Scene], seeds: Iterable[int]) -> list[Task]:
@@ -31,7 +36,7 @@ def plan(robot_hours: float, scenes: Sequence[Scene], seeds: Iterable[int]) -> l
     planned = 0.0
     for number, seed in enumerate(seeds):
         for scene in scenes:
-            if scene.family in OWN and number % 2:
+            if scene.of.is_own and number % 2:
                 continue
             if planned >= robot_hours:
                 return tasks
@@ -41,22 +46,49 @@ def plan(robot_hours: float, scenes: Sequence[Scene], seeds: Iterable[int]) -> l
 
 
 def tables(records: Sequence[Record]) -> str:
-    """Markdown: by family and platform, both visibilities together, and the totals."""
-    parts = []
-    for title, is_ram in (("Everybody is protected", False), ("A third rams the others", True)):
-        groups: dict[str, list[Record]] = {}
-        for form in ("{0.family}, {0.platform}", "all, {0.platform}, {0.visibility}", "all"):
-            for one in records:
-                if (one.task.scene.family == RAM) == is_ram:
-                    groups.setdefault(form.format(one.task.scene), []).append(one)
-        if groups:
-            parts.append(f"### {title}\n\n{markdown(rows(_ordered(groups), {}))}")
+    """Markdown: a row for each cell, named by its command, and the runs at fault by theirs."""
+    alone = [one for one in records if not one.task.scene.of.attack]
+    among = [one for one in records if one.task.scene.of.attack]
+    parts = [
+        f"### {title}\n\n{markdown(rows(_groups(some), {}))}"
+        for title, some in (
+            ("All are protected", alone),
+            (
+                "A third attacks the others, as the claim covers",
+                [one for one in among if one.task.scene.of.is_claimed],
+            ),
+            (
+                "A third attacks the others, beyond the claim: severity",
+                [one for one in among if not one.task.scene.of.is_claimed],
+            ),
+        )
+        if some
+    ]
+    at_fault = [one for one in records if one.found.faults or one.found.touch_faults]
+    if at_fault:
+        lines = "\n".join(
+            f"- `{again(one.task)}`: {100.0 * max(one.found.worst, one.found.worst_touch):.1f} cm/s"
+            for one in at_fault
+        )
+        parts.append(f"### Runs at fault\n\n{lines}")
     return "\n\n".join(parts)
 
 
-_ORDER = {name: number for number, name in enumerate(FAMILIES)}
+def again(task: Task) -> str:
+    """The command that repeats a run."""
+    scene = task.scene
+    words = f"{scene.family} {scene.platform} {scene.visibility} {scene.mode} {task.seed}"
+    return f"python -m studies.safety one {words} --duration {scene.duration:g}"
 
 
-def _ordered(groups: dict[str, list[Record]]) -> dict[str, list[Record]]:
-    """Sorted by family; names without a family come last, in their order."""
-    return dict(sorted(groups.items(), key=lambda item: _ORDER.get(item[0].partition(",")[0], 99)))
+def _groups(records: Sequence[Record]) -> dict[str, list[Record]]:
+    found: dict[str, list[Record]] = {}
+    seen = {one.task.scene.visibility for one in records}
+    which = "" if seen == set(VISIBILITIES) else f" --visibilities {' '.join(sorted(seen))}"
+    for one in records:
+        scene = one.task.scene
+        name = f"`--families {scene.family} --platforms {scene.platform}{which}`"
+        found.setdefault(name, []).append(one)
+    order = list(FAMILIES)
+    ordered = sorted(found.items(), key=lambda i: order.index(i[1][0].task.scene.family))
+    return {**dict(ordered), "all": list(records)}

@@ -12,6 +12,7 @@ from studies.safety.judge import FAULT, collisions, stuck_windows
 from swarmd.sim.metrics.gap import minimum_gap
 from swarmd.sim.metrics.protection import alterations
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.realism import REALISTIC, Actuation
 
 
 class Judgement(Struct, frozen=True, kw_only=True):
@@ -47,12 +48,19 @@ class Judgement(Struct, frozen=True, kw_only=True):
     min_gap: float
 
 
-def judge(trace: Trace, unprotected: Collection[str] = ()) -> Judgement:
-    """The numbers of a trace; `unprotected` are the ids of robots without protection."""
+def judge(
+    trace: Trace,
+    unprotected: Collection[str] = (),
+    actuation: Actuation = REALISTIC.actuation,
+) -> Judgement:
+    """The numbers of a trace; `unprotected` are the ids of robots without protection.
+
+    `actuation`: of the bases.
+    """
     rows = np.array([row for row, robot in enumerate(trace.ids) if robot not in unprotected])
     found = collisions(trace, unprotected)
     robots = [one for one in found if one.b in trace.ids]
-    by_own_drives = list(faults(trace, unprotected))
+    by_own_drives = list(faults(trace, unprotected, actuation))
     drove_into = [one.own_speed for one in by_own_drives if one.b in trace.ids]
     drove_at = [one.own_speed for one in by_own_drives if one.b not in trace.ids]
     at_once = [min(one.own_speed, one.first_speed) for one in by_own_drives if one.b in trace.ids]

@@ -8,6 +8,7 @@ import sys
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
+from datetime import date
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -18,7 +19,7 @@ from msgspec import Struct, structs
 import swarmd
 import swarmd.config
 from studies.safety.judgement import Judgement, judge
-from studies.safety.scenes import RAMMERS, Scene, scenario
+from studies.safety.scenes import ATTACKERS, Scene, scenario
 from swarmd.core.errors import ConfigError
 from swarmd.sim.experiments.provenance import digest_of_code
 from swarmd.sim.lockstep.lockstep import simulate_run
@@ -33,11 +34,12 @@ class Task(Struct, frozen=True, order=True):
 
 
 class Record(Struct, frozen=True, kw_only=True):
-    """A finished run; `code` is the digest of the sources, `cpu` the processor time in s."""
+    """A finished run: `code` is the digest of the sources, `cpu` the processor time in s."""
 
     task: Task
     code: str
     cpu: float
+    date: str
     found: Judgement
 
 
@@ -50,18 +52,20 @@ def fingerprint() -> str:
     return digest.hexdigest()[:12]
 
 
-def rammers(trace: Trace) -> frozenset[str]:
-    """The ids of the ramming robots."""
+def attackers(trace: Trace) -> frozenset[str]:
+    """The ids of the attacking robots."""
     groups = trace.meta["groups"].items()
-    return frozenset(robot for name, ids in groups if name.startswith(RAMMERS) for robot in ids)
+    return frozenset(robot for name, ids in groups if name.startswith(ATTACKERS) for robot in ids)
 
 
 def perform(task: Task, code: str) -> Record:
     """Simulate and evaluate, in this process."""
     begin = time.process_time()
-    trace = simulate_run(scenario(task.scene), task.seed)
+    made = scenario(task.scene)
+    trace = simulate_run(made, task.seed)
     cpu = time.process_time() - begin
-    return Record(task=task, code=code, cpu=cpu, found=judge(trace, rammers(trace)))
+    found = judge(trace, attackers(trace), made.realism.actuation)
+    return Record(task=task, code=code, cpu=cpu, date=str(date.today()), found=found)
 
 
 def carry_out(tasks: Sequence[Task], file: Path, jobs: int) -> list[Record]:

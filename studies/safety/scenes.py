@@ -1,7 +1,8 @@
 """The scenes in which protection is evaluated: a family, a platform, a visibility, a mode.
 
-Each is the mapping of a scenario and is checked like a user's file. Noise is `realistic`
-throughout; the seed draws the start poses.
+Each is the mapping of a scenario and is checked like a user's file. Realism is `realistic`, with
+rolling scans, except for what a family changes; the seed draws the start poses. A new cell of the
+evidence is one entry of `FAMILIES`.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from msgspec import Struct, structs
 
 from swarmd.core.errors import ConfigError, unknown
@@ -18,22 +20,81 @@ from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import scenario_of
 
 PLUGINS = Path(__file__).parent / "plugins"
-ADVERSE = ("goals", "twists", "swap", "rush")
-OWN = ("attraction", "dispersion", "random_walk", "drive")
-RAM = "ram"
-FAMILIES = (*ADVERSE, *OWN, RAM)
 KINDS = ("burger", "waffle_pi", "jackal")
+TURTLEBOTS = ("burger", "waffle_pi")
 PLATFORMS = (*KINDS, "mixed")
 VISIBILITIES = ("body", "real")
 MODES = ("barrier", "reciprocal", "potential_field", "stop_zone", "off", "ghost")
-RAMMERS = "rammers"
-"""The group of ramming robots, and the prefix of their platform."""
+ATTACKERS = "attackers"
+"""The group of attacking robots, and the prefix of their platform."""
 DEV_SEEDS, ACCEPTANCE_SEEDS = range(100), range(2000, 10_000)
 """Seeds for development, and seeds with which nothing was chosen: those from 1000 on have been
 looked at by now."""
 
 _MIXED_SPEED = 0.4  # m/s: the speed that all robots of a mixed swarm assume of others
 _MIXED_KEEP_OUT = 0.92  # m: keeps robots out of a Jackal's blind zone
+
+
+class Family(Struct, frozen=True, kw_only=True):
+    """One kind of scene: what the protected robots do, who attacks them, and what is worse.
+
+    pattern, parameters: of the protected robots; goals get the place of their arena.
+    attack: how a third of the robots attacks (`plugins/attack.py`); empty: nobody does.
+    speed: that of the attackers' surfaces, as a multiple of `others_speed`.
+    lidar, actuation: values over realism `realistic`. door: width of the opening of an inner wall
+    through the middle, in bodies. poles: their radii in m. is_own: a pattern of the project,
+    which avoids others. is_claimed: whether the claim of docs/safety.md covers it.
+    """
+
+    pattern: str = "goals"
+    parameters: Mapping[str, Any] = {}
+    attack: str = ""
+    speed: float = 1.0
+    lidar: Mapping[str, float] = {}
+    actuation: Mapping[str, float] = {}
+    door: float = 0.0
+    poles: tuple[float, ...] = ()
+    is_own: bool = False
+    is_claimed: bool = True
+    platforms: tuple[str, ...] = PLATFORMS
+
+
+_OPPOSITE = {"choice": "opposite"}
+_THIN = (0.01, 0.02, 0.03)
+FAMILIES: Mapping[str, Family] = {
+    "goals": Family(),
+    "twists": Family(pattern="random_twists"),
+    "swap": Family(parameters=_OPPOSITE),
+    "rush": Family(parameters={"choice": "centre"}),
+    "misuse": Family(pattern="misuse"),
+    "doors": Family(parameters=_OPPOSITE, door=2.0, platforms=KINDS),
+    "poles": Family(poles=_THIN * 4, platforms=TURTLEBOTS),
+    "attraction": Family(pattern="attraction", is_own=True),
+    "dispersion": Family(pattern="dispersion", is_own=True),
+    "random_walk": Family(pattern="random_walk", is_own=True),
+    "drive": Family(pattern="drive", is_own=True),
+    "ram": Family(attack="ram"),
+    "lead": Family(attack="lead"),
+    "behind": Family(attack="behind"),
+    "corner": Family(attack="corner"),
+    "flank": Family(attack="flank"),
+    "spin": Family(attack="spin"),
+    "flank_twists": Family(pattern="random_twists", attack="flank"),
+    "misuse_lead": Family(pattern="misuse", attack="lead"),
+    "dropout_10": Family(attack="lead", lidar={"dropout": 0.1}, platforms=TURTLEBOTS),
+    "dropout_30": Family(attack="lead", lidar={"dropout": 0.3}, platforms=TURTLEBOTS),
+    "late_100": Family(attack="lead", lidar={"delay": 0.1}),
+    "late_200": Family(attack="lead", lidar={"delay": 0.2}),
+    "jitter_100": Family(attack="lead", lidar={"jitter": 0.1}),
+    "ram_fast": Family(attack="ram", speed=1.5, is_claimed=False),
+    "lead_fast": Family(attack="lead", speed=1.5, is_claimed=False),
+    "weak_brakes": Family(
+        attack="lead",
+        actuation={"linear_acceleration": 0.7, "angular_acceleration": 2.1},
+        is_claimed=False,
+    ),
+}
+"""Each entry is a cell of the evidence, for each of its platforms and each visibility."""
 
 
 class Room(Struct, frozen=True):
@@ -69,7 +130,7 @@ SPARSE: Mapping[str, Room] = {
 
 
 class Scene(Struct, frozen=True, order=True):
-    """One scene; `mode` applies to all but the ramming robots."""
+    """One scene; `mode` applies to all but the attackers."""
 
     family: str
     platform: str
@@ -90,22 +151,34 @@ class Scene(Struct, frozen=True, order=True):
         return (SPARSE if self.is_sparse else ROOMS)[self.platform]
 
     @property
-    def rammers(self) -> int:
-        """How many of each kind ram the others: a third."""
+    def is_told(self) -> bool:
+        """Whether robots tell where they are: lidars of mixed swarms look over each other."""
+        return self.platform == "mixed" and self.visibility == "real"
+
+    @property
+    def of(self) -> Family:
+        """The family; ConfigError if there is none of this name."""
+        if self.family not in FAMILIES:
+            raise ConfigError(f"scene {self.name}: {unknown('family', self.family, FAMILIES)}")
+        return FAMILIES[self.family]
+
+    @property
+    def attackers(self) -> int:
+        """How many of each kind attack the others: a third."""
         each = self.room.robots // len(kinds_of(self.platform))
-        return each // 3 if self.family == RAM else 0
+        return each // 3 if self.of.attack else 0
 
     @property
     def protected(self) -> int:
-        """How many robots do not ram."""
-        return self.room.robots - self.rammers * len(kinds_of(self.platform))
+        """How many robots do not attack."""
+        return self.room.robots - self.attackers * len(kinds_of(self.platform))
 
 
 def scenario(scene: Scene) -> Scenario:
     """The scene as a scenario; ConfigError if there is no such scene."""
+    family = scene.of
     for word, known in (
-        ("family", FAMILIES),
-        ("platform", PLATFORMS),
+        ("platform", family.platforms),
         ("visibility", VISIBILITIES),
         ("mode", MODES),
     ):
@@ -116,29 +189,47 @@ def scenario(scene: Scene) -> Scenario:
     starts: dict[str, Any] = {"layout": "random", "clearance": room.clearance}
     if scene.family == "swap":
         starts = {"layout": "ring", "radius": room.radius}
+    grants = {f"{ATTACKERS}-{kind}": "an attacker" for kind in kinds_of(scene.platform)}
     return scenario_of(
         {
             "name": scene.name,
             "duration": scene.duration,
             "trace_rate": 20.0,
             "lidar_visibility": scene.visibility,
-            "realism": "realistic",
-            "arena": {"size": [room.side, room.side]},
+            "realism": {"lidar": dict(family.lidar), "actuation": dict(family.actuation)},
+            "radio": {"range_and_bearing": scene.is_told},
+            "arena": _arena(scene),
             "fields": [
                 {"kind": "linear", "name": "x", "slope": 1.0},
                 {"kind": "linear", "name": "y", "slope": 1.0, "direction_deg": 90.0},
             ],
             "plugin_dir": str(PLUGINS),
-            # Not all of a mixed swarm see each other.
-            "radio": {
-                "range_and_bearing": scene.platform == "mixed" and scene.visibility == "real"
-            },
-            "accepts_faster": [f"{RAMMERS}-{kind}" for kind in kinds_of(scene.platform)],
             "platforms": _platforms(scene),
             "groups": _groups(scene),
             "start": starts,
+            **({"accepts_faster": grants, "accepts_unseen": grants} if family.attack else {}),
         }
     )
+
+
+def _arena(scene: Scene) -> dict[str, Any]:
+    """The walls of a scene, a wall with an opening in its middle, and poles on two circles."""
+    family, side = scene.of, scene.room.side
+    arena: dict[str, Any] = {"size": [side, side]}
+    if family.door:
+        body = float(np.ptp(load_platform(scene.platform).footprint[:, 1]))
+        half = family.door * body / 2.0
+        arena["segments"] = [
+            {"from": [0.0, sign * half], "to": [0.0, sign * side / 2.0]} for sign in (-1.0, 1.0)
+        ]
+    if family.poles:
+        places = np.linspace(0.0, 2.0 * np.pi, len(family.poles), endpoint=False)
+        away = side * np.resize((0.2, 0.35), len(places))
+        arena["poles"] = [
+            {"at": [float(d * np.cos(a)), float(d * np.sin(a))], "radius": radius}
+            for a, d, radius in zip(places, away, family.poles, strict=True)
+        ]
+    return arena
 
 
 def kinds_of(platform: str) -> tuple[str, ...]:
@@ -150,7 +241,7 @@ def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
     barrier: dict[str, Any] = {"unseen_extent": 0.0} if scene.visibility == "body" else {}
     if scene.platform == "mixed":
         barrier |= {"others_speed": _MIXED_SPEED}
-        barrier |= {"keep_out": _MIXED_KEEP_OUT} if scene.visibility == "body" else {}
+        barrier |= {} if scene.is_told else {"keep_out": _MIXED_KEEP_OUT}
     if scene.mode == "reciprocal":
         barrier |= {"responsibility": "reciprocal", "margin": 0.08}
     mode = {"reciprocal": "barrier", "ghost": "off"}.get(scene.mode, scene.mode)
@@ -162,46 +253,53 @@ def _platforms(scene: Scene) -> dict[str, dict[str, Any]]:
         if scene.mode == "ghost":
             own["body"] = {"solid": 0}
         found[kind] = own
-        if scene.family == RAM:
-            found[f"{RAMMERS}-{kind}"] = {"extends": kind, "protection": {"mode": "off"}}
+        if scene.of.attack:
+            found[f"{ATTACKERS}-{kind}"] = _attacker(kind, attack_speed(scene, kind))
     return found
+
+
+def attack_speed(scene: Scene, kind: str) -> float:
+    """The speed in m/s of the surfaces of the attackers of one kind."""
+    assumed = load_platform(kind).protection["barrier"]["others_speed"]
+    return scene.of.speed * float(_MIXED_SPEED if scene.platform == "mixed" else assumed)
+
+
+def _attacker(kind: str, speed: float) -> dict[str, Any]:
+    """The body of `kind`, which moves in any direction at `speed` and sees all that is near."""
+    return {
+        "extends": kind,
+        "limits": {"linear": speed, "lateral": speed},
+        "scan": {"rate": 20.0, "range_min": 0.05, "near": "reported"},
+        "protection": {"mode": "off"},
+    }
 
 
 def _groups(scene: Scene) -> dict[str, dict[str, Any]]:
     kinds = kinds_of(scene.platform)
     count = scene.room.robots // len(kinds)
     groups: dict[str, dict[str, Any]] = {}
-    pattern, parameters = _task(scene)
     for kind in kinds:
         groups[kind] = {
             "platform": kind,
-            "count": count - scene.rammers,
+            "count": count - scene.attackers,
             "prefix": kind.partition("_")[0],
-            "pattern": pattern,
-            "parameters": parameters,
+            "pattern": scene.of.pattern,
+            "parameters": _parameters(scene),
         }
-        if scene.rammers:
-            barrier = load_platform(kind).protection["barrier"]
-            speed = _MIXED_SPEED if scene.platform == "mixed" else barrier["others_speed"]
-            groups[f"{RAMMERS}-{kind}"] = {
-                "platform": f"{RAMMERS}-{kind}",
-                "count": scene.rammers,
-                "pattern": "ram",
-                "parameters": {"surface_speed": float(speed)},
+        if scene.attackers:
+            groups[f"{ATTACKERS}-{kind}"] = {
+                "platform": f"{ATTACKERS}-{kind}",
+                "count": scene.attackers,
+                "pattern": "attack",
+                "parameters": {"speed": attack_speed(scene, kind), "way": scene.of.attack},
             }
     return groups
 
 
-def _task(scene: Scene) -> tuple[str, dict[str, Any]]:
-    """Pattern and parameters of the robots that do not ram."""
-    room = scene.room
+def _parameters(scene: Scene) -> dict[str, Any]:
+    """The parameters of the robots that do not attack."""
+    room, family = scene.room, scene.of
+    if family.pattern != "goals":
+        return dict(family.parameters)
     size = room.side - 2.0 * room.inset
-    where = {"length": size, "width": size, "reach": room.reach}
-    tasks: Mapping[str, tuple[str, dict[str, Any]]] = {
-        "goals": ("goals", where),
-        RAM: ("goals", where),
-        "swap": ("goals", {"choice": "opposite", "reach": room.reach}),
-        "rush": ("goals", {"choice": "centre"}),
-        "twists": ("random_twists", {}),
-    }
-    return tasks.get(scene.family, (scene.family, {}))
+    return {"length": size, "width": size, "reach": room.reach, **family.parameters}

@@ -11,7 +11,7 @@ from studies.safety import hours, progress
 from studies.safety.columns import goals_a_minute, rate, upper_bound
 from studies.safety.judgement import Judgement
 from studies.safety.runs import Record, Task, carry_out, fingerprint, read, total
-from studies.safety.scenes import OWN, Scene
+from studies.safety.scenes import FAMILIES, Scene
 from swarmd.core.errors import ConfigError
 
 NOTHING = Judgement(
@@ -36,7 +36,7 @@ SHORT = Scene("goals", "burger", mode="ghost", duration=2.0)
 
 
 def record(scene: Scene, seed: int = 0, found: Judgement = NOTHING) -> Record:
-    return Record(task=Task(scene, seed), code="c", cpu=36.0, found=found)
+    return Record(task=Task(scene, seed), code="c", cpu=36.0, date="2026-11-22", found=found)
 
 
 def changed(**values: float) -> Judgement:
@@ -69,8 +69,8 @@ def test_a_file_of_another_format_is_refused_by_name(tmp_path: Path) -> None:
 
 
 def test_an_impossible_scene_is_refused_before_anything_runs(tmp_path: Path) -> None:
-    tasks = [Task(SHORT, 0), Task(Scene("goals", "mixed", "unreal"), 0)]
-    with pytest.raises(ConfigError, match="unreal"):
+    tasks = [Task(SHORT, 0), Task(Scene("poles", "jackal"), 0)]
+    with pytest.raises(ConfigError, match="platform"):
         carry_out(tasks, tmp_path / "some.jsonl", 1)
     assert not (tmp_path / "some.jsonl").exists()
 
@@ -106,31 +106,32 @@ def test_a_plan_has_the_hours_asked_for_over_all_scenes_with_fresh_seeds() -> No
     planned = sum(task.scene.protected * task.scene.duration / 3600.0 for task in tasks)
     assert 100.0 <= planned < 102.0
     assert len(set(tasks)) == len(tasks)
-    assert {task.seed for task in tasks if task.scene.family in OWN} == set(
+    assert {task.seed for task in tasks if FAMILIES[task.scene.family].is_own} == set(
         range(1000, max(task.seed for task in tasks) + 1, 2)
     )
 
 
-def test_tables_separate_swarms_with_and_without_rammers() -> None:
+def test_tables_have_a_row_for_each_cell_by_its_command_and_separate_what_is_not_claimed() -> None:
     text = hours.tables(
         [
             record(Scene("goals", "burger"), 0, changed(goals=60, goal_seconds=3600.0)),
             record(Scene("goals", "burger", "real")),
-            record(Scene("ram", "burger"), 0, changed(collisions=5, faults=1, worst=0.031)),
+            record(Scene("ram", "burger"), 7, changed(collisions=5, faults=1, worst=0.031)),
+            record(Scene("ram_fast", "burger"), 8, changed(collisions=5, faults=1, worst=0.2)),
         ]
     )
-    alone, among = text.split("### A third rams the others")
-    assert [line.split("|")[1].strip() for line in alone.splitlines() if "burger" in line] == [
-        "goals, burger",
-        "all, burger, body",
-        "all, burger, real",
-    ]
-    assert "3.1 cm/s" in among
+    alone, claimed, beyond, at_fault = text.split("### ")[1:]
+    row = next(line for line in alone.splitlines() if "--families goals" in line)
+    assert "`--families goals --platforms burger`" in row
+    assert "| 2.0 " in row
+    assert "| 1.00 " in row  # goals per minute of the run with goals
+    assert "| 100 " in row  # robot-hours per CPU-hour
+    assert "| 2026-11-22 |" in row
     assert "3.1 cm/s" not in alone
-    total_row = next(line for line in alone.splitlines() if line.startswith("| all  "))
-    assert "| 2.0 " in total_row
-    assert "| 1.00 " in total_row  # goals per minute of the run with goals
-    assert "| 100 " in total_row  # robot-hours per CPU-hour
+    assert "`--families ram --platforms burger --visibilities body`" in claimed
+    assert "3.1 cm/s" in claimed
+    assert "20.0 cm/s" in beyond
+    assert "`python -m studies.safety one ram burger body barrier 7 --duration 600`" in at_fault
 
 
 def test_progress_is_a_share_of_the_goals_of_ghosts() -> None:
