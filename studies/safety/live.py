@@ -11,6 +11,9 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
+import os
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator, Mapping, Sequence
@@ -162,6 +165,19 @@ def run_course(
 
 
 @contextlib.contextmanager
+def _busy(cores: int) -> Iterator[None]:
+    """Keep that many cores busy with other work, which ends with this process."""
+    work = f"import os\nwhile os.getppid() == {os.getpid()}: sum(range(100000))"
+    workers = [subprocess.Popen([sys.executable, "-c", work]) for _ in range(cores)]
+    try:
+        yield
+    finally:
+        for worker in workers:
+            worker.kill()
+            worker.wait()
+
+
+@contextlib.contextmanager
 def _steering(endpoint: str) -> Iterator[zenoh.Session]:
     """A session that reaches the simulated robots of a world."""
     options: dict[str, object] = {"mode": "peer", "scouting/multicast/enabled": False}
@@ -229,11 +245,13 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--mode", default="barrier")
     parser.add_argument("--visibility", choices=VISIBILITIES, default="body")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--load", type=int, default=0, help="cores kept busy by other work")
     parser.add_argument("--traces", type=Path, metavar="DIR", help="where traces are kept")
     options = parser.parse_args(arguments)
     for platform in options.platforms:
         title = f"{platform} live, mode {options.mode}, lidar visibility {options.visibility}"
-        print_table(title, rows(platform, options))
+        with _busy(options.load):
+            print_table(f"{title}, {options.load} busy cores", rows(platform, options))
 
 
 if __name__ == "__main__":
