@@ -189,8 +189,9 @@ class Barrier:
 
         ahead = next((d for d in np.arange(0.0, 5.0, 0.05) if fastest(d) >= speed), 5.0)
         beside = float(np.abs(self._outline.corners[:, 1]).max())
+        body = beside
         beside += settings.margin + settings.unseen_extent + 0.06
-        return Clearance(float(ahead), max(beside, settings.keep_out or 0.0))
+        return Clearance(float(ahead), max(beside, settings.keep_out or 0.0), body)
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.

@@ -4,6 +4,11 @@ Recovery replaces the requested command, and its own requests pass the same arbi
 weaken protection. Without it, two robots that meet head on would block each other for good.
 Recovery looks for a free corridor of the robot's width near the requested heading and prefers the
 right side (after the vector field histogram, Borenstein and Koren 1991).
+
+In a door or a narrow corridor it keeps the robot on the middle line (pure pursuit, Coulter 1992)
+and asks for little more speed than protection allows; otherwise protection would turn the robot
+aside, because a turn can leave it more speed. Where two meet and neither can pass, each backs off
+for a random time that grows (Metcalfe and Boggs 1976), and who has gained ground waits.
 """
 
 from __future__ import annotations
@@ -15,7 +20,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from swarmd.core.values import ZERO, Array, Limits, Twist
+from swarmd.core.values import ZERO, Array, Limits, Pose, Twist
 from swarmd.protection.decision import DecisionContext
 
 _BLOCKED_SHARE = 0.5  # a robot with less than this share of the requested speed is blocked
@@ -29,6 +34,17 @@ _SIDE_HOLD_TIME = 10.0  # s for which it keeps the chosen side
 _SIDE_FLIP_PROBABILITY = 0.05  # of the left side, so that two robots do not mirror each other
 _HEADING_TOLERANCE = math.radians(15.0)
 _OTHER_SIDE_COST = math.radians(40.0)  # by which a corridor on the other side must be nearer
+_YIELD_TIME = 12.0  # s, the longest back-off
+_ROUND_TIME = 15.0  # s within which the next block belongs to the same meeting
+_MIN_GAIN = 0.05  # m of progress since the last block with which a robot lets the other yield
+_PATIENCE = (1.0, 3.0)  # s for which it then waits
+_LIMITED_SHARE = 0.9  # of the requested speed: with less it looks for a narrow passage
+_PASSAGE_WIDTHS = 1.4  # of a corridor: a passage up to this width is narrow
+_PURSUIT_LENGTH = 0.2  # m ahead on the middle line
+_PASSAGE_GAIN, _PASSAGE_TURN_RATE = 3.0, 0.8  # 1/s, rad/s
+_PASSAGE_REACH = (-0.15, 0.35)  # m before the axle at which the sides of a passage count
+_SPEED_UP, _SPEED_STEP = 1.3, 0.1  # of the allowed speed, and of the limit in addition
+_STOPPED_TIME = 1.0  # s without motion in a passage after which it counts as blocked
 _AXIS_BEARINGS = np.array((0.0, np.pi))
 _BEARINGS = np.radians(np.arange(-180.0, 180.0, 10.0))
 
@@ -37,14 +53,18 @@ Points: TypeAlias = Callable[[], Array]
 
 
 class Clearance(NamedTuple):
-    """Free room in m from the axle that a corridor needs: `ahead`, and `beside` per side."""
+    """Free room in m from the axle that a corridor needs: `ahead`, and `beside` per side.
+
+    `body` is the part of `beside` that the outline takes.
+    """
 
     ahead: float
     beside: float
+    body: float = 0.0
 
 
 class Recovery:
-    """States: follow (inactive), back (off), turn (to a free corridor), go (along it).
+    """States: follow (inactive), pass (a narrow passage), back (off), turn and go (to a corridor).
 
     Times are in s and come with each call. `lookahead` is the length in m from the axle up to
     which a corridor is checked.
@@ -58,6 +78,7 @@ class Recovery:
         """
         self.lookahead = clearance.ahead + _FOLLOW_TIME * limits.linear
         self._half_width = clearance.beside
+        self._width = 2.0 * clearance.body
         self._limits = limits
         self._least_linear = _MIN_SPEED_SHARE * limits.linear
         self._least_angular = _MIN_SPEED_SHARE * limits.angular
@@ -66,6 +87,9 @@ class Recovery:
         self._side, self._side_until = -1.0, -math.inf
         self._bearing = self._yaw = self._speed = 0.0
         self._is_backing = False
+        self._attempts, self._back_time = 0, _BACK_OFF_TIME
+        self._patience = _MOVE_BLOCKED_TIME
+        self._last_block: tuple[float, Pose] | None = None
         self.reset()
 
     def reset(self) -> None:
@@ -89,14 +113,17 @@ class Recovery:
         """
         now = context.now
         is_idle = not (self._is_moving(requested) or self._is_turning(requested))
-        if is_idle or (self.is_active and now - self._began > _MAX_RECOVERY_TIME):
+        is_late = self._state not in {"follow", "pass"}
+        if is_idle or (is_late and now - self._began > _MAX_RECOVERY_TIME + self._back_time):
             self.reset()
             return requested
         is_blocked = self._is_blocked(safe, now)
-        if not self.is_active:
+        if self._state in {"follow", "pass"}:
             if not is_blocked:
-                self._request = requested
-                return requested
+                self._request = self._through_passage(requested, safe, points)
+                return self._request
+            if self._waits(context, points()):
+                return self._request
             self._start(requested, context, points())
             is_blocked = False
         self._speed = max(self._speed, math.hypot(requested.linear, requested.lateral))
@@ -116,7 +143,9 @@ class Recovery:
         request = self._request
         is_moving = self._is_moving(request)
         share = 1.0
-        if is_moving:
+        if self._state == "pass":
+            share = 1.0 if safe.linear >= 0.25 * self._least_linear else 0.0
+        elif is_moving:
             share = safe.linear * request.linear + safe.lateral * request.lateral
             share /= request.linear**2 + request.lateral**2
         elif self._is_turning(request):
@@ -126,21 +155,66 @@ class Recovery:
             return False
         if self._blocked_since is None:
             self._blocked_since = now
-        return now - self._blocked_since >= (
-            _MOVE_BLOCKED_TIME if is_moving else _TURN_BLOCKED_TIME
+        if self._state == "pass":
+            return now - self._blocked_since >= max(_STOPPED_TIME, self._patience)
+        least = self._patience if self._state == "follow" else _MOVE_BLOCKED_TIME
+        return now - self._blocked_since >= (least if is_moving else _TURN_BLOCKED_TIME)
+
+    def _waits(self, context: DecisionContext, points: Array) -> bool:
+        """True if the robot should wait for the other one to yield; counts its own attempts.
+
+        Of two that meet, the one that has come forward since it was blocked last waits; the other
+        backs off for longer. In the open each drives around the other instead.
+        """
+        now, pose = context.now, None if context.odometry is None else context.odometry.pose
+        is_beside = np.abs(_BEARINGS) <= 0.5 * np.pi
+        is_enclosed = self._free_lengths(points, _BEARINGS[is_beside]).max() < self.lookahead
+        before, self._last_block = self._last_block, None if pose is None else (now, pose)
+        patience, self._patience = self._patience, _MOVE_BLOCKED_TIME
+        if not is_enclosed or before is None or pose is None or now - before[0] > _ROUND_TIME:
+            self._attempts, self._back_time = 0, _BACK_OFF_TIME
+            return False
+        dx, dy = pose.x - before[1].x, pose.y - before[1].y
+        gain = math.cos(pose.yaw) * dx + math.sin(pose.yaw) * dy
+        if gain > _MIN_GAIN and patience == _MOVE_BLOCKED_TIME:
+            self._patience = self._rng.uniform(*_PATIENCE)
+            return True
+        self._attempts += 1
+        longest = min(_BACK_OFF_TIME * 2.0**self._attempts, _YIELD_TIME)
+        self._back_time = self._rng.uniform(0.5, 1.0) * longest
+        return False
+
+    def _through_passage(self, requested: Twist, safe: Twist, points: Points) -> Twist:
+        """The command that keeps to the middle of a narrow passage; `requested` outside of one."""
+        share = safe.linear / requested.linear if requested.linear >= self._least_linear else 1.0
+        is_limited = self._state == "pass" or (
+            self._is_moving(self._request) and share < _LIMITED_SHARE
         )
+        if requested.linear <= 0.0 or requested.lateral != 0.0 or not is_limited:
+            self._leave_passage()
+            return requested
+        target = self._middle(points())
+        if target is None:
+            self._leave_passage()
+            return requested
+        if self._state == "follow":
+            self._enter("pass", self._since)
+        allowed = _SPEED_UP * max(safe.linear, 0.0) + _SPEED_STEP * self._limits.linear
+        turn = _PASSAGE_GAIN * math.atan2(target[1], target[0])
+        turn = max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE)
+        return Twist(min(requested.linear, allowed), turn)
 
     def _recover(self, context: DecisionContext, points: Points, is_blocked: bool) -> Twist:
         """Change the state if necessary; the command of the present state."""
         now = context.now
         if self._state == "turn" and is_blocked:
             self._back_off(points(), now)
-        elif self._state == "back" and (is_blocked or now - self._since >= _BACK_OFF_TIME):
+        elif self._state == "back" and (is_blocked or now - self._since >= self._back_time):
             self._plan(0.0, context, points())
         elif self._state == "go" and is_blocked:
             self._plan(self._bearing - self._turned_since_plan(context), context, points())
         if self._state == "back":
-            return Twist(-0.5 * self._speed if self._is_backing else 0.5 * self._speed)
+            return self._backing(points)
         left = math.remainder(self._bearing - self._turned_since_plan(context), 2.0 * math.pi)
         if self._state == "turn":
             if abs(left) > _HEADING_TOLERANCE:
@@ -149,6 +223,17 @@ class Recovery:
         if now - self._since >= _FOLLOW_TIME:
             self.reset()
         return Twist(self._speed, max(min(2.0 * left, self._turn_rate), -self._turn_rate))
+
+    def _backing(self, points: Points) -> Twist:
+        """The command that backs off, along the middle line of a narrow passage."""
+        speed = 0.5 * self._speed
+        if not self._is_backing:
+            return Twist(speed)
+        if self._back_time <= _BACK_OFF_TIME:
+            return Twist(-speed)
+        target = self._middle(-points())  # seen from the rear
+        turn = 0.0 if target is None else _PASSAGE_GAIN * math.atan2(target[1], target[0])
+        return Twist(-2.0 * speed, max(min(turn, _PASSAGE_TURN_RATE), -_PASSAGE_TURN_RATE))
 
     def _is_moving(self, twist: Twist) -> bool:
         """True if the twist translates faster than the least speed."""
@@ -159,6 +244,33 @@ class Recovery:
     def _is_turning(self, twist: Twist) -> bool:
         """True if the twist turns faster than the least speed."""
         return abs(twist.angular) >= self._least_angular
+
+    def _leave_passage(self) -> None:
+        if self._state == "pass":
+            self._enter("follow", self._since)
+
+    def _middle(self, points: Array) -> Array | None:
+        """(2,) a place ahead on the middle line of a narrow passage; None where there is none.
+
+        The passage is between the nearest pair of a return to the left and one to the right.
+        """
+        first, last = _PASSAGE_REACH
+        widest = 2.0 * _PASSAGE_WIDTHS * self._half_width
+        x, y = points[:, 0], points[:, 1]
+        near = points[(x > first) & (x < last) & (np.abs(y) < widest)]
+        left, right = near[near[:, 1] > 0.0], near[near[:, 1] <= 0.0]
+        if not len(left) or not len(right):
+            return None
+        across = left[:, None] - right[None]
+        widths = np.hypot(across[..., 0], across[..., 1])
+        i, j = divmod(int(widths.argmin()), len(right))
+        width = widths[i, j]
+        if not self._width < width < widest:
+            return None
+        along = np.array((across[i, j, 1], -across[i, j, 0])) / width
+        middle = 0.5 * (left[i] + right[j])
+        target: Array = middle - along * (middle @ along - _PURSUIT_LENGTH)
+        return target if target[0] > 0.0 else None
 
     def _back_off(self, points: Array, now: float) -> None:
         """Move forward or backward, to the side with more room."""
