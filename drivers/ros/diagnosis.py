@@ -286,6 +286,9 @@ class Report:
             self.cmd_vel, self.command_type, has_subscriber=self.has_subscriber
         )
         yield self._scan_delay()
+        sweep = self.subscriptions.sweep_finding()
+        if sweep is not None:
+            yield sweep
         well = f"{self.cmd_vel} ({middleware.type_name(self.command_type)}) has a subscriber"
         yield Finding("cmd_vel", not fault, fault or well)
         yield self._last_word()

@@ -15,11 +15,15 @@ import numpy as np
 
 from swarmd.core.errors import CodecError
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.driver_api.driver import Finding
 from swarmd.driver_api.hw_codec import MAX_RAYS
 from swarmd.drivers.ros import messages as ros
 
 _MAX_SPAN = 1.1 * 2.0 * math.pi  # of a scan: some sensors repeat their first rays at the end
 _MAX_FIRST_ANGLE = 4.0 * math.pi
+_MAX_PERIODS = 1.5  # a scan takes no longer than that many periods
+_MAX_SWEEP_ERROR = 0.2  # of the duration: an LDS turns at 5 Hz within a tenth
+_TURNS = {True: "counter-clockwise", False: "clockwise"}
 _PER_CENT = 100.0  # TurtleBot3 gives its battery's percentage in per cent, not as a share of 1
 
 
@@ -38,8 +42,9 @@ def scan_of(
 ) -> Scan:
     """The scan with bearings in the base frame, of a sensor whose zero points to `yaw` rad.
 
-    A sensor that is upside down turns the other way round. Raises CodecError if the angles are no
-    scan of at most one turn.
+    A sensor that is upside down turns the other way round. The ages of the rays are those of the
+    platform's `sweep`; without one `time_increment` gives them, as far as it is possible. Raises
+    CodecError if the angles are no scan of at most one turn.
     """
     count, first, step = len(message.ranges), message.angle_min, message.angle_increment
     span = step * max(count - 1, 0)
@@ -55,7 +60,33 @@ def scan_of(
         _bearings(yaw + side * first, side * step, count),
         spec.range_min,
         spec.range_max,
+        # Both drivers of TurtleBot3's lidars give a positive time_increment for rays in falling
+        # order of time, and hls_lfcd_lds_driver one 18 times too short: the platform knows better.
+        _ages(message.time_increment, count, 1.0 / spec.rate) if spec.sweep is None else None,
     )
+
+
+def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: bool) -> Finding:
+    """How the rays of a scan follow one another, by `time_increment` and by the platform."""
+    step, count = message.time_increment, len(message.ranges)
+    seconds = abs(step) * count
+    is_told = _ages(step, count, 1.0 / spec.rate) is not None
+    is_rising = (step > 0.0) == (message.angle_increment > 0.0) != is_upside_down
+    told = f"time_increment says {seconds:.3g} s a scan, {_TURNS[is_rising]}"
+    sweep = spec.sweep
+    if sweep is None and is_told:
+        return Finding("scan sweep", True, f"{told}; the platform has no scan.sweep")
+    if sweep is None:
+        why = "is 0" if step == 0.0 else f"of {step:g} s is impossible at {spec.rate:g} Hz"
+        text = f"time_increment {why}, and the platform has no scan.sweep: all rays count as of"
+        return Finding("scan sweep", step == 0.0, f"{text} one instant")
+    own = f"the platform's scan.sweep is {sweep.duration:.3g} s, {_TURNS[sweep.direction > 0.0]}"
+    if step == 0.0:
+        return Finding("scan sweep", True, f"{own}; time_increment is 0")
+    agrees = is_told and abs(seconds - sweep.duration) < _MAX_SWEEP_ERROR * sweep.duration
+    if agrees and is_rising == (sweep.direction > 0.0):
+        return Finding("scan sweep", True, f"{own}, as time_increment says")
+    return Finding("scan sweep", True, f"{own}, and counts; {told}")
 
 
 def odometry_of(message: ros.Odometry) -> Odometry:
@@ -160,6 +191,20 @@ class RangeRing:
         self._seq += 1
         spec = self._spec
         return Scan(self._seq, stamp, ranges, self._bearings, spec.range_min, spec.range_max)
+
+
+@lru_cache(maxsize=8)
+def _ages(step: float, count: int, period: float) -> Array | None:
+    """How much older than the newest ray each is, in s; None where `step` is 0 or impossible.
+
+    `step` s from each ray to the next in the order of the message, negative against it.
+    """
+    if step == 0.0 or not abs(step) * count <= _MAX_PERIODS * period:  # false for NaN too
+        return None
+    since = abs(step) * np.arange(count, dtype=np.float64)
+    ages = since[::-1].copy() if step > 0.0 else since
+    ages.flags.writeable = False
+    return ages
 
 
 @lru_cache(maxsize=8)

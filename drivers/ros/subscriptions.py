@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from swarmd.core.values import Platform, Scan
-from swarmd.driver_api.driver import Sink
+from swarmd.driver_api.driver import Finding, Sink
 from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros.messages import BatteryState, Imu, LaserScan, Odometry, Range
 from swarmd.drivers.ros.options import TopicOptions
@@ -37,6 +37,7 @@ class Subscriptions:
         self._is_upside_down = options.scan_upside_down
         self._scan_seq = 0
         self.scan: Scan | None = None
+        self._laser: LaserScan | None = None
         self.last_arrival = -math.inf
         self._readings: dict[str, float] = {}
         ring = options.ring()
@@ -67,9 +68,16 @@ class Subscriptions:
             if stats.is_needed and now - stats.last_arrival() > timeout
         )
 
+    def sweep_finding(self) -> Finding | None:
+        """How the rays of the last scan follow one another; None without a scan of one message."""
+        if self._laser is None:
+            return None
+        return from_ros.sweep_finding(self._laser, self._spec, is_upside_down=self._is_upside_down)
+
     def _value(self, stats: TopicStats, message: Any) -> tuple[Deliver, str]:
         if stats.message_type is LaserScan:
             self._scan_seq += 1
+            self._laser = message
             self.scan = scan = from_ros.scan_of(
                 message, self._scan_seq, self._spec, self._yaw, is_upside_down=self._is_upside_down
             )

@@ -75,6 +75,9 @@ class World:
         self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)
         self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
         self._steps = 0
+        self._at_once = [np.zeros(len(platform.scan.bearings)) for platform in self.platforms]
+        for ages in self._at_once:
+            ages.flags.writeable = False
         self._seq, self._is_out = [0] * n, np.zeros(n, dtype=np.bool_)
         self._contacts = ContactReader(self.model, n)
         self._touching: list[ContactPoints] = []
@@ -202,6 +205,8 @@ class World:
         spec = self.platforms[robot].scan
         seq = self._seq[robot]
         self._seq[robot] += 1
+        if ages is None and spec.sweep is not None:  # all at once, whatever the platform says
+            ages = self._at_once[robot]
         return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max, ages)
 
     def odometry(self, robots: Indices | None = None) -> list[Odometry]:

@@ -153,12 +153,26 @@ class _Rays:
         self.span = float(self.ages.max())
         self.newest_age = max(latency - float(self.ages.mean()), 0.0)
         self.cos, self.sin = np.cos(scan.bearings), np.sin(scan.bearings)
-        order = np.argsort(-self.ages, kind="stable")
-        self.oldest = float(scan.bearings[order[0]])
-        steps = (np.diff(scan.bearings[order]) + math.pi) % _TURN - math.pi
-        self.spacing = float(np.median(np.abs(steps))) if len(steps) else _TURN
-        is_sweep = len(steps) > 1 and (np.all(steps >= 0.0) or np.all(steps <= 0.0))
-        self.direction = math.copysign(1.0, steps.sum()) if is_sweep else 0.0
+        rising = np.sort(scan.bearings % _TURN)
+        self.spacing = float(np.median(np.diff(rising))) if len(rising) > 1 else _TURN
+        self.direction, self.oldest = self._direction()
+
+    def _direction(self) -> tuple[float, float]:
+        """The direction, and the bearing of the oldest ray."""
+        # Rays of one age, if the driver tells the ages of whole sectors, count as one.
+        ages, first = np.unique(-self.ages, return_index=True)
+        steps = _wrap(np.diff(self.bearings[first]))
+        if len(steps) < 2 or not (np.all(steps > 0.0) or np.all(steps < 0.0)):
+            return 0.0, 0.0
+        direction = math.copysign(1.0, steps[0])
+        oldest = self.bearings[-self.ages == ages[0]]
+        begin = int((direction * _wrap(oldest - oldest[0])).argmin())
+        return direction, float(oldest[begin])
+
+
+def _wrap(angles: Array) -> Array:
+    wrapped: Array = (angles + math.pi) % _TURN - math.pi
+    return wrapped
 
 
 def _ages_of_sweep(bearings: Array, sweep: Sweep) -> Array:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -31,7 +32,7 @@ def empty_scan(platform: Platform, seq: int, stamp: float, distance: float = np.
     """A scan in which every ray returns `distance` m (+inf: no return), plus some micrometres."""
     spec = platform.scan
     ranges = trembling(np.full(len(spec.bearings), distance), seq)
-    return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
+    return replace(scan_from(platform, ranges, spec.bearings, seq=seq), stamp=stamp)
 
 
 def scan_of(
@@ -71,9 +72,9 @@ def scan_of(
 
 
 def scan_from(platform: Platform, ranges: Array, bearings: Array, *, seq: int = 0) -> Scan:
-    """A scan of these rays with the platform's range limits."""
-    spec = platform.scan
-    return Scan(seq, seq / spec.rate, ranges, bearings, spec.range_min, spec.range_max)
+    """A scan of these rays with the platform's range limits, all measured at once."""
+    spec, at_once = platform.scan, np.zeros(len(ranges))
+    return Scan(seq, seq / spec.rate, ranges, bearings, spec.range_min, spec.range_max, at_once)
 
 
 def odd_scans(platform: Platform) -> Mapping[str, Scan]:

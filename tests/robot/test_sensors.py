@@ -187,7 +187,8 @@ def test_small_faults_of_a_sensor_do_not_stop(fault: str) -> None:
             return None if seq % 3 == 0 else scan
         n = 350 + 5 * (seq % 4)
         bearings = np.linspace(0.0, 2.0 * np.pi, n, endpoint=False)
-        return replace(scan, ranges=np.full(n, 2.0 + 1e-6 * seq), bearings=bearings)
+        ranges = np.full(n, 2.0 + 1e-6 * seq)
+        return replace(scan, ranges=ranges, bearings=bearings, ages=None)
 
     harness.scans = harness.nan_scan(0.1) if fault == "unknown rays" else faulty
     harness.commands.clear()

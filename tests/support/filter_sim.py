@@ -215,7 +215,8 @@ class FilterSim:
         else:
             ranges = trembling(ranges, self._seq)
         reported = driver_ranges(ranges, spec)
-        return Scan(self._seq, self.time, reported, spec.bearings, spec.range_min, spec.range_max)
+        limits, at_once = (spec.range_min, spec.range_max), np.zeros(len(reported))
+        return Scan(self._seq, self.time, reported, spec.bearings, *limits, at_once)
 
     def odometry(self) -> Odometry:
         """The present odometry."""
