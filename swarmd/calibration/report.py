@@ -140,7 +140,7 @@ def _number(value: float) -> str:
 def _down(value: float) -> float:
     """The value with three digits, rounded down."""
     digit = 10.0 ** (math.floor(math.log10(value)) - 2)
-    return float(f"{math.floor(value / digit) * digit:.6g}")
+    return float(f"{math.floor(value / digit + 1e-9) * digit:.6g}")
 
 
 def _up(value: float) -> float:

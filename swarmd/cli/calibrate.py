@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.calibration.figures import DONE, PATTERN
+from swarmd.calibration.figures import DONE, PATTERN, Figure
 from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table, printable, warn
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from swarmd.network.operator import Operator
 
-LONGEST = 300.0
+LONGEST = 600.0
 """Seconds after which the robot ends the run by itself, whatever becomes of swarmctl."""
 
 _PERIOD = 0.5  # s between two looks at the robot
@@ -43,6 +43,12 @@ _NO_HOLD = (None, Reason.PROTECTION, Reason.NO_REQUESTED_COMMAND)
     help="Side of the free square floor around the robot [what its platform needs, at least 2].",
 )
 @click.option(
+    "--repeats",
+    type=click.IntRange(1, 20),
+    default=4,
+    help="Drives to and fro at each of two speeds [4]; fewer are less exact.",
+)
+@click.option(
     "-w",
     "--write",
     type=click.Path(dir_okay=False, path_type=Path),
@@ -54,7 +60,12 @@ _NO_HOLD = (None, Reason.PROTECTION, Reason.NO_REQUESTED_COMMAND)
 )
 @common_options
 def calibrate(
-    options: CommonOptions, robot: str, floor: float | None, write: Path | None, yes: bool
+    options: CommonOptions,
+    robot: str,
+    floor: float | None,
+    repeats: int,
+    write: Path | None,
+    yes: bool,
 ) -> None:
     """Measure brakes, delays and scales of ROBOT by a few short drives.
 
@@ -76,7 +87,7 @@ def calibrate(
             raise Failure(f"{robot} {does}; nothing was sent; it must be idle or stopped", REFUSED)
         side = _floor(status.platform) if floor is None else floor
         _confirm(robot, status.platform, side, yes)
-        report = _measure(operator, robot, side)
+        report = _measure(operator, robot, {"floor": side, "repeats": repeats})
         _show(options, robot, status.platform, report, write)
 
 
@@ -123,7 +134,7 @@ def _confirm(robot: str, platform: str, floor: float, yes: bool) -> None:
         raise click.ClickException("nothing was sent")
 
 
-def _measure(operator: Operator, robot: str, floor: float) -> Mapping[str, object]:
+def _measure(operator: Operator, robot: str, params: dict[str, float]) -> Mapping[str, object]:
     """Run the drives; the report with the figures. Every way out leaves the robot stopped."""
     for one in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C
         signal.signal(one, signal.default_int_handler)
@@ -131,7 +142,7 @@ def _measure(operator: Operator, robot: str, floor: float) -> Mapping[str, objec
     must_stop = True
     try:
         outcome = operator.request(
-            RunRequest, epochs, pattern=PATTERN, params={"floor": floor}, seconds=LONGEST
+            RunRequest, epochs, pattern=PATTERN, params=params, seconds=LONGEST
         )
         if not outcome.applied:
             reply = outcome.replies.get(robot)
@@ -194,6 +205,10 @@ def _report(robot: str, status: Status) -> Mapping[str, object]:
     if status.report.get("state") != DONE:
         raise Failure(f"{robot}: {status.report.get('why', status.detail)}; no figures", REFUSED)
     decision = status.decision
+    if decision.speed_share < 1.0:  # it scales commands, a stop not: brakes and delays are right
+        why = f"the assumption monitor slows the robot to {decision.speed_share:.0%}"
+        slowed = dict.fromkeys(("speed_linear", "speed_angular"), Figure(assumed=1.0, why=why).text)
+        return {**status.report, **slowed}
     if decision.duty > 0.0:
         raise Failure(
             f"{robot}: protection limited {decision.duty:.1%} of the decisions, so that the figures"

@@ -74,7 +74,9 @@ def found(sim: Lockstep) -> dict[str, Figure]:
     assert report["state"] == DONE, report.get("why")
     shell = sim.shells[0]
     assert shell is not None
-    assert shell.robot.status(sim.world.time).decision.duty == 0.0  # nothing was limited
+    decision = shell.robot.status(sim.world.time).decision
+    # Nothing was limited, but by the monitor of the assumptions that this base breaks.
+    assert decision.duty == 0.0 or decision.speed_share < 1.0
     return figures_of(report)
 
 

@@ -1,0 +1,82 @@
+"""Estimates from synthetic samples."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from swarmd.calibration.estimators import Stop, is_steady, stop_of, stopping, turn_delay
+from swarmd.core.values import Array
+
+
+def driven(
+    speed: float, brake: float, delay: float, at: float, *, rate: float, phase: float
+) -> tuple[Array, Array]:
+    """Times and way of a drive at `speed` that gets the command zero at `at`."""
+    times = np.arange(phase / rate, at + delay + speed / brake + 1.0, 1.0 / rate)
+    braked = np.clip(times - at - delay, 0.0, speed / brake)
+    return times, speed * np.minimum(times, at + delay) + speed * braked - 0.5 * brake * braked**2
+
+
+@pytest.mark.parametrize("rate", [10.0, 20.0, 30.0])
+@pytest.mark.parametrize(("brake", "delay"), [(0.4, 0.05), (1.0, 0.12), (3.0, 0.3)])
+def test_stops_give_brake_and_delay_however_slow_odometry_is(
+    rate: float, brake: float, delay: float
+) -> None:
+    stops = []
+    for index, speed in enumerate((0.22, 0.08) * 4):
+        times, way = driven(speed, brake, delay, 1.5, rate=rate, phase=index / 8.0)
+        assert is_steady(times[times <= 1.5], way[times <= 1.5])
+        stop = stop_of(times, way, 1.5)
+        assert stop is not None
+        assert stop.speed == pytest.approx(speed)
+        stops.append(stop)
+    braking, reaction = stopping(stops)
+    assert braking.value == pytest.approx(brake, rel=1e-6)
+    assert reaction.value == pytest.approx(delay, rel=1e-6)
+    assert (braking.samples, reaction.samples) == (4, 8)
+
+
+def test_the_spread_of_a_brake_is_that_of_its_stops() -> None:
+    rng = np.random.default_rng(1)
+    brakes = 1.0 + 0.05 * rng.standard_normal(400)
+    stops = [Stop(v, 0.1 + v / (2.0 * b)) for v, b in zip((0.22, 0.08) * 200, brakes, strict=True)]
+    braking, _ = stopping(stops)
+    assert braking.value == pytest.approx(1.0, rel=0.02)
+    assert braking.spread == pytest.approx(0.05, rel=0.25)
+
+
+def test_a_brake_within_the_scatter_of_odometry_is_not_measured() -> None:
+    rng = np.random.default_rng(2)
+    stops = [Stop(v, 0.1 + 0.02 * e) for v, e in zip((0.2, 0.1) * 6, rng.random(12), strict=True)]
+    braking, reaction = stopping(stops)
+    assert not braking.is_measured
+    assert reaction.value == pytest.approx(0.11, abs=0.02)
+
+
+def test_a_base_that_still_gains_speed_is_not_steady() -> None:
+    times = np.arange(0.0, 1.0, 0.05)
+    assert not is_steady(times, 0.5 * times**2)
+    assert not is_steady(times[:5], times[:5])
+    assert is_steady(times, times)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.07, 0.1, 0.6])
+def test_turns_give_the_delay_of_scans_and_the_scale_of_odometry(delay: float) -> None:
+    def yaw(t: Array) -> Array:
+        return -0.5 * np.cos(2.0 * np.pi * t / 3.0)
+
+    times = np.arange(0.0, 12.0, 0.05)
+    arrivals = np.arange(2.0, 11.0, 0.2)
+    noise = 0.003 * np.random.default_rng(3).standard_normal(len(arrivals))
+    late, scale = turn_delay(arrivals, yaw(arrivals - delay) + noise, times, 1.06 * yaw(times))
+    assert late.value == pytest.approx(delay, rel=0.05, abs=0.002)
+    assert scale.value == pytest.approx(1.06, rel=0.01)
+    assert late.spread < 0.01
+
+
+def test_a_robot_that_does_not_turn_shows_no_delay() -> None:
+    times, arrivals = np.arange(0.0, 9.0, 0.05), np.arange(2.0, 8.0, 0.2)
+    late, scale = turn_delay(arrivals, 0.0 * arrivals, times, 1e-4 * np.sin(times))
+    assert not late.is_measured
+    assert not scale.is_measured

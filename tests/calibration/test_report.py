@@ -1,0 +1,95 @@
+"""Figures as settings: to the safe side, as a platform file that loads."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import pytest
+
+from swarmd.calibration.figures import NAMES, Figure
+from swarmd.calibration.report import figures_of, platform_file, rows, settings
+from swarmd.settings.settings import load_platform
+
+GOOD = {
+    "braking_linear": Figure(1.6, 0.05, 8, 1.0),
+    "braking_angular": Figure(4.0, 0.1, 8, 3.0),
+    "reaction_linear": Figure(0.03, 0.002, 16, 0.05),
+    "reaction_angular": Figure(0.03, 0.002, 16, 0.05),
+    "odometry_age": Figure(0.025, 0.014, 3000),
+    "speed_linear": Figure(1.0, 0.005, 8, 1.0),
+    "speed_angular": Figure(1.0, 0.005, 8, 1.0),
+    "odometry_linear": Figure(assumed=1.0, why="a bare corridor"),
+    "odometry_angular": Figure(1.0, 0.001, 45, 1.0),
+    "scan_delay": Figure(0.06, 0.01, 45, 0.1),
+    "margin": Figure(0.03, 0.0, 32, 0.03),
+}
+DROVE = 0.22, 2.1
+
+
+def loaded(folder: Path, figures: dict[str, Figure]) -> tuple[str, dict[str, float]]:
+    """The text of the file, and what it sets."""
+    file = folder / "mine.yaml"
+    text = platform_file("r01", "burger", "2026-01-01", figures, settings(figures, DROVE))
+    file.write_text(text)
+    platform = load_platform(str(file))
+    barrier = platform.protection["barrier"]
+    values = {key: barrier[key] for key in ("braking_linear", "braking_angular", "margin")}
+    return text, {
+        **values,
+        "latency": platform.scan.latency,
+        "linear": platform.limits.linear,
+        "angular": platform.limits.angular,
+    }
+
+
+def test_what_is_less_careful_is_left_to_the_user(tmp_path: Path) -> None:
+    text, values = loaded(tmp_path, GOOD)
+    assert values == {
+        **{"braking_linear": 1.0, "braking_angular": 3.0, "margin": 0.03},
+        **{"latency": 0.1, "linear": 0.22, "angular": 2.84},
+    }
+    commented = [line for line in text.splitlines() if line.startswith("#     braking_")]
+    assert len(commented) == 2
+    assert "braking_linear: 1.5 " in commented[0]  # mean less 2 sd
+
+
+def test_what_is_more_careful_is_set(tmp_path: Path) -> None:
+    weak = {
+        **GOOD,
+        "braking_linear": Figure(0.6, 0.02, 8, 1.0),
+        "braking_angular": Figure(3.1, 0.2, 8, 3.0),
+        "speed_linear": Figure(0.9, 0.005, 8, 1.0),
+        "scan_delay": Figure(0.14, 0.01, 45, 0.1),
+        "margin": Figure(0.0712, 0.0, 32, 0.03),
+    }
+    _, values = loaded(tmp_path, weak)
+    assert values == pytest.approx(
+        {
+            **{"braking_linear": 0.56, "braking_angular": 2.7, "margin": 0.072},
+            **{"latency": 0.16, "linear": 0.198, "angular": 2.84},
+        }
+    )
+
+
+def test_a_figure_survives_the_report() -> None:
+    report = {name: figure.text for name, figure in GOOD.items()}
+    assert all(len(text) <= 256 for text in report.values())
+    back = figures_of(report)
+    for name, figure in GOOD.items():
+        assert back[name].why == figure.why
+        assert back[name].samples == figure.samples
+        assert back[name].value == pytest.approx(figure.value, nan_ok=True)
+        assert math.isnan(back[name].assumed) == math.isnan(figure.assumed)
+
+
+def test_a_report_of_another_pattern_is_refused() -> None:
+    with pytest.raises(ValueError, match="braking_linear"):
+        figures_of({"state": "straight"})
+
+
+def test_each_figure_has_a_row() -> None:
+    table = rows(GOOD)
+    assert len(table) == len(NAMES)
+    assert table[0] == ("braking, linear", "1.6 m/s2", "0.05", "8", "1 m/s2")
+    assert table[7][1:3] == ("not measured", "-")
