@@ -387,7 +387,7 @@ class _Turns:
         bend = a - 2.0 * b + c
         if bend <= 0.0:
             return
-        self.delay = max(_CANDIDATES[i] + 0.5 * _STEP * (a - c) / bend, 0.0)
+        self.delay = max(float(_CANDIDATES[i]) + 0.5 * _STEP * (a - c) / bend, 0.0)
         self.spread = max(_ALIKE * _STEP * math.sqrt(2.0 * variance / bend), 0.005)
 
 

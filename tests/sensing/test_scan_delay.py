@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.core.codec import encode
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
 from swarmd.sensing.scan_delay import ScanDelay, delay_by_stamps
 from swarmd.settings.platforms import load_platform
@@ -175,6 +176,14 @@ def test_turns_tell_the_delay_where_clocks_differ(late: float, scale: float) -> 
     assert delay == pytest.approx(SPEC.latency + late, abs=TURN_ERROR)
     assert delays.added == (0.0 if late == 0.0 else pytest.approx(late, abs=2 * TURN_ERROR))
     assert delays.added >= 0.9 * late
+
+
+def test_figures_can_be_sent() -> None:
+    """A numpy number in a status would end the daemon that answers `members`."""
+    rig = Rig(lambda seq: SPEC.latency + 0.1, heading=swinging)
+    delays = rig.run(15.0)
+    assert rig.figure("turns")[0] is not None
+    assert encode(delays.summary(rig.time))
 
 
 def test_constant_rate_of_turn_gives_no_figure() -> None:
