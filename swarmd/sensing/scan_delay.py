@@ -17,12 +17,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection, Iterable
+from itertools import pairwise
 from typing import NamedTuple
 
 import numpy as np
 
 from swarmd.core.messages import DelayFigure, ScanDelaySummary
-from swarmd.core.values import Array, Odometry, Scan, ScanSpec
+from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
 
 TOLERANCE = 0.01
 """Seconds beyond the declared latency that count as none: the clocks of a tick resolve no less."""
@@ -69,7 +70,7 @@ class ScanDelay:
     """
 
     def __init__(self, spec: ScanSpec) -> None:
-        self._spec = spec
+        self._latency, self._bound = spec.latency, spec.max_scan_delay
         self._stamps, self._turns = _Stamps(spec), _Turns()
         self.added = 0.0
         self.is_late = False
@@ -82,7 +83,7 @@ class ScanDelay:
 
     def on_scan(self, scan: Scan, now: float) -> None:
         """Take in a raw scan that arrived at `now` and is valid."""
-        offset, latency = self._stamps.offset, self._spec.latency
+        offset, latency, bound = self._stamps.offset, self._latency, self._bound
         stamps = self._stamps.on_scan(scan, now)
         if offset < math.inf:
             self._turns.on_scan(scan, now - offset, now)
@@ -91,20 +92,19 @@ class ScanDelay:
         known = max(latency, stamps) + TOLERANCE
         if turns.delay is not None and turns.delay - _CERTAIN * turns.spread > known:
             upper = turns.delay + turns.spread - latency
-            if upper > self._spec.max_scan_delay and now - turns.at > _EXPIRES:
+            if upper > bound and now - turns.at > _EXPIRES:
                 turns.forget()  # a robot that is held cannot turn to measure anew
             else:
                 added = max(added, upper)
         self.added = added if added > TOLERANCE else 0.0
-        bound = self._spec.max_scan_delay
         self.is_late = self.added > (_CLEARS * bound if self.is_late else bound)
 
     def summary(self, now: float) -> ScanDelaySummary:
         """The figures of both methods, for the status."""
         return ScanDelaySummary(
-            declared=self._spec.latency,
+            declared=self._latency,
             added=self.added,
-            bound=self._spec.max_scan_delay,
+            bound=self._bound,
             figures=(self._stamps.figure(now), self._turns.figure(now)),
         )
 
@@ -151,7 +151,8 @@ class _Stamps:
         self._spec = spec
         self.offset = math.inf
         self._stamp = -math.inf
-        self._lowest, self._until = math.inf, -math.inf
+        self._lowest, self._before, self._until = math.inf, math.inf, -math.inf
+        self._drifts = False
         self._minima: deque[float] = deque(maxlen=4)
         self._ages: deque[float] = deque(maxlen=_WINDOW)
         self._at = 0.0
@@ -167,15 +168,28 @@ class _Stamps:
         is_back, self._stamp = stamp < self._stamp, stamp
         if is_back:
             self._minima.clear()
-            self._lowest, self._until, self.offset = math.inf, now + _PERIOD, math.inf
-            self._is_shared = False
+            self._lowest = self._before = math.inf
+            self._until = now + _PERIOD
+            self._is_shared = self._drifts = False
         elif now >= self._until:
-            if self._lowest < math.inf:
-                self._minima.append(self._lowest)
-            self._lowest, self._until = math.inf, now + _PERIOD
-        self._lowest = min(self._lowest, now - stamp)
-        self.offset = min(self._lowest, *list(self._minima)[-2:], math.inf)
+            self._end_period(now)
+        lag = now - stamp
+        if lag < self._lowest:
+            self._lowest = lag
+        self.offset = self._lowest if self._lowest < self._before else self._before
         return is_back
+
+    def _end_period(self, now: float) -> None:
+        minima = self._minima
+        if self._lowest < math.inf:
+            minima.append(self._lowest)
+        self._lowest, self._until = math.inf, now + _PERIOD
+        self._before = min(list(minima)[-2:], default=math.inf)
+        changes = [later - earlier for earlier, later in pairwise(minima)]
+        # A clock that is not real time, as that of a slow simulator.
+        self._drifts = len(changes) == 3 and (
+            min(changes) > _MAX_DRIFT or max(changes) < -_MAX_DRIFT
+        )
 
     def on_scan(self, scan: Scan, now: float) -> float:
         """Take in a scan; the delay that counts, or 0 if stamps do not tell it."""
@@ -184,7 +198,7 @@ class _Stamps:
         if scan.ages is not self._ages_of_rays:  # mostly they are those of the last scan
             self._ages_of_rays, self._lead = scan.ages, _lead(scan, self._spec)
         age = now - self.offset - scan.stamp - self._lead
-        if self._drifts():
+        if self._drifts:
             self._forget("the stamps of odometry do not run at real time")
         elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):
             self._forget(_other_clock(age))
@@ -203,14 +217,6 @@ class _Stamps:
             why = self._why if not ages else "too few scans yet"
             return DelayFigure(method="stamps", text=why)
         return _figure(ages, max(now - self._at, 0.0))
-
-    def _drifts(self) -> bool:
-        """True if the clock of the stamps is not real time, as that of a slow simulator."""
-        minima = self._minima
-        if len(minima) < 4:
-            return False
-        changes = [minima[i + 1] - minima[i] for i in range(3)]
-        return min(changes) > _MAX_DRIFT or max(changes) < -_MAX_DRIFT
 
     def _forget(self, why: str) -> None:
         self._ages.clear()
@@ -237,15 +243,15 @@ class _Turns:
         self.delay: float | None = None
         self.spread = 0.0
         self.at = 0.0
-        self._times, self._yaws = np.empty(_HISTORY), np.empty(_HISTORY)
-        self._count = 0
+        self._times, self._yaws = np.empty(4 * _HISTORY), np.empty(4 * _HISTORY)
+        self._first = self._end = 0  # of the headings kept
+        self._stamp = -math.inf
         self._yaw = 0.0
         self._slow_rate = 0.0
         self._changed_at = -math.inf
-        self._place = (0.0, 0.0)
-        self._last: tuple[float, tuple[float, float], Array] | None = None
-        self._spectrum: tuple[Array, np.ndarray[tuple[int], np.dtype[np.complex128]], float] | None
-        self._spectrum = None
+        self._total = 0.0  # turned so far
+        self._odometry = Odometry(0.0, Pose(), Twist())
+        self._last: tuple[float, Pose, Array] | None = None  # arrival, place and ranges of a scan
         self._sums, self._pairs, self._skipped = _no_pairs(), 0, 0
         self._bearings: Array | None = None
         self._ray = 0.0
@@ -258,41 +264,45 @@ class _Turns:
 
     def forget_headings(self) -> None:
         """The clock of odometry was set."""
-        self._count, self._last = 0, None
+        self._first = self._end = 0
+        self._stamp, self._last = -math.inf, None
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Keep a heading."""
-        pose, count = odometry.pose, self._count
-        self._place = pose.x, pose.y
         rate = odometry.twist.angular
         self._slow_rate += 0.1 * (rate - self._slow_rate)
         if abs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
             self._changed_at = odometry.stamp
-        times, yaws = self._times, self._yaws
-        if count and odometry.stamp - times[-1] < _SPACING:
+        self._odometry = odometry
+        if odometry.stamp - self._stamp < _SPACING:
             return
-        turned = math.remainder(pose.yaw - self._yaw, 2.0 * math.pi) if count else 0.0
-        unwrapped = yaws[-1] + turned if count else 0.0
-        times[:-1], yaws[:-1] = times[1:], yaws[1:]
-        times[-1], yaws[-1] = odometry.stamp, unwrapped
-        self._yaw, self._count = pose.yaw, min(count + 1, _HISTORY)
+        end, yaw = self._end, odometry.pose.yaw
+        if end == len(self._times):
+            kept = slice(end - _HISTORY, end)
+            self._times[:_HISTORY], self._yaws[:_HISTORY] = self._times[kept], self._yaws[kept]
+            self._first, end = 0, _HISTORY
+        if end > self._first:
+            self._total += math.remainder(yaw - self._yaw, 2.0 * math.pi)
+        self._times[end], self._yaws[end] = odometry.stamp, self._total
+        self._yaw, self._stamp, self._end = yaw, odometry.stamp, end + 1
+        self._first = max(self._first, end + 1 - _HISTORY)
 
     def on_scan(self, scan: Scan, at: float, now: float) -> None:
         """Compare a scan with the last one; `at` is its arrival on the clock of odometry."""
         longest = _CANDIDATES[-1] + 0.5
         if at - self._changed_at > longest or not self._can_correlate(scan):
-            self._last = self._spectrum = None
+            self._last = None
             return
-        last, self._last = self._last, (at, self._place, np.array(scan.ranges, np.float64))
-        if last is None or not self._count:
+        pose, ranges = self._odometry.pose, np.array(scan.ranges, np.float64)
+        last, self._last = self._last, (at, pose, ranges)
+        if last is None or self._end == self._first:
             return
-        first = self._times[_HISTORY - self._count]
-        if at - last[0] > 0.5 or last[0] - _CANDIDATES[-1] < first:
+        kept = slice(self._first, self._end)
+        times, yaws = self._times[kept], self._yaws[kept]
+        if at - last[0] > 0.5 or last[0] - _CANDIDATES[-1] < times[0]:
             return
-        (x, y), (before_x, before_y) = self._place, last[1]
-        if math.hypot(x - before_x, y - before_y) > _MAX_SHIFT:
+        if math.hypot(pose.x - last[1].x, pose.y - last[1].y) > _MAX_SHIFT:
             return
-        times, yaws = self._times[-self._count :], self._yaws[-self._count :]
         turns = np.interp(at - _CANDIDATES, times, yaws)
         turns -= np.interp(last[0] - _CANDIDATES, times, yaws)
         low, high = float(turns.min()), float(turns.max())
@@ -301,7 +311,6 @@ class _Turns:
         self._skipped += 1
         if self._pairs >= _ENOUGH_PAIRS and self._skipped % 4:
             return
-        ranges = self._last[2] if self._last is not None else last[2]
         turn = self._measured(last[2], ranges, scan, low - _SEARCHED, high + _SEARCHED)
         if turn is not None:
             self._add(turn, turns)
