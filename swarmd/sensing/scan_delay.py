@@ -34,6 +34,7 @@ _RANK = 3
 _MIN_STAMPS = 5  # scans before stamps give a figure
 _PERIOD = 0.5  # s of odometry whose lowest lag is kept
 _MAX_DRIFT = 0.005  # s between periods: beyond it, three times one way, the clock is no real time
+_SHIFT = 0.1  # s by which odometry gets later at once
 _MAX_AGE = 5.0  # s: a scan that seems older has another clock
 _MAX_LEAD = -0.05  # s: as one that seems to come from the future
 
@@ -184,7 +185,9 @@ class _Stamps:
         if self._lowest < math.inf:
             minima.append(self._lowest)
         self._lowest, self._until = math.inf, now + _PERIOD
-        self._before = min(list(minima)[-2:], default=math.inf)
+        before, self._before = self._before, min(list(minima)[-2:], default=math.inf)
+        if before + _SHIFT < self._before < math.inf:
+            self._ages.clear()  # scan and odometry were late together, or their clock was set back
         changes = [later - earlier for earlier, later in pairwise(minima)]
         # A clock that is not real time, as that of a slow simulator.
         self._drifts = len(changes) == 3 and (
@@ -205,10 +208,11 @@ class _Stamps:
         else:
             self._ages.append(max(age, 0.0))
             self._at = now
-        if len(self._ages) < _MIN_STAMPS or len(self._minima) < 4:
+        ages = self._ages
+        if not self._is_shared and (len(ages) < _MIN_STAMPS or len(self._minima) < 4):
             return 0.0
-        self._is_shared = True
-        return max(sorted(self._ages)[-_RANK], self._ages[-1])
+        self._is_shared = bool(ages)
+        return max(sorted(ages)[-min(_RANK, len(ages))], ages[-1]) if ages else 0.0
 
     def figure(self, now: float) -> DelayFigure:
         """The mean delay of the last scans, with its deviation."""

@@ -160,6 +160,17 @@ def test_delay_that_grows_beyond_any_bound_stays_late() -> None:
     assert Rig(lambda seq: 0.1 + 0.15 * max(seq - 20, 0)).run(40.0).is_late
 
 
+def test_link_that_delays_scans_and_odometry_alike_is_late_for_a_moment_only() -> None:
+    """A simulator that stands still for 0.6 s, and never makes up for it."""
+    paused = lambda time: 0.6 if time >= 6.0 else 0.0  # noqa: E731
+    rig = Rig(lambda seq: SPEC.latency + paused(0.2 * (seq - 1)), odometry_lag=paused)
+    rig.run(6.0)
+    late = [rig.run(0.1).is_late for _ in range(60)]
+    assert 0 < sum(late) <= 18
+    assert not late[-1]
+    assert rig.delays.added == 0.0
+
+
 def test_stamps_that_go_back_begin_anew() -> None:
     rig = Rig(lambda seq: SPEC.latency + 0.2)
     rig.run(4.0)
