@@ -14,6 +14,11 @@ from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.window import by_platform, late, mean, presence, reaches, row_means
 from swarmd.sim.trace import Trace
 
+_DEADLOCK_WINDOW = 60.0  # s
+_DEADLOCK_WAY = 0.15  # of the way at full speed in a window: the size of the area it stays in
+_MIN_REQUEST = 0.1  # of the top speed: what counts as a request to travel
+_ROUNDING = 1e-9
+
 HOLDS = (
     Reason.NO_SCAN,
     Reason.INVALID_SCAN,
@@ -109,6 +114,34 @@ def recovery_share(trace: Trace) -> float | None:
     return mean(trace.recovering.astype(np.float64), _running(trace))
 
 
+def deadlock_share(trace: Trace) -> float | None:
+    """The share of windows of 60 s in which robots wanted to travel and got nowhere.
+
+    Of the windows in which a robot requested motion for at least half of the time, those in which
+    it stayed within a square of 0.15 of the way at full speed (2 m for a Burger). A robot that
+    wanders to and fro before a door counts, although it moves; one that travels from goal to goal
+    in an open room does not. Ours. None without requested commands or such a window.
+    """
+    limits = by_platform(trace, "v_max")
+    if trace.requested is None or limits is None:
+        return None
+    asks = np.hypot(trace.requested[..., 0], trace.requested[..., 2]) >= _MIN_REQUEST * limits
+    asks &= _running(trace)
+    windows = deadlocked = 0
+    for start in np.arange(
+        trace.t[0], trace.t[-1] - _DEADLOCK_WINDOW + _ROUNDING, _DEADLOCK_WINDOW
+    ):
+        first, stop = np.searchsorted(
+            trace.t, (start - _ROUNDING, start + _DEADLOCK_WINDOW + _ROUNDING)
+        )
+        place = trace.pose[first:stop, :, :2]
+        spread = np.ptp(place, axis=0).max(axis=1)  # of a box around all places
+        wants = asks[first:stop].mean(axis=0) >= 0.5
+        windows += int(wants.sum())
+        deadlocked += int((wants & (spread <= _DEADLOCK_WAY * limits * _DEADLOCK_WINDOW)).sum())
+    return deadlocked / windows if windows else None
+
+
 def failed_patterns(trace: Trace) -> int | None:
     """The number of robots whose pattern failed at least once and was restarted or set aside.
 
@@ -148,6 +181,9 @@ METRICS = (
     Metric("recovery_share", "share",
            "share of running time in recovery, which leads a robot around an obstacle", "ours",
            recovery_share, better="less"),
+    Metric("deadlock_share", "share",
+           "share of 60 s windows in which a robot requests motion and stays in a small area, even"
+           " if it wanders there", "ours", deadlock_share, better="less"),
     Metric("failed_patterns", "robots",
            "robots whose pattern failed: it was restarted, or set aside", "ours", failed_patterns,
            better="less"),

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import click
 from msgspec import to_builtins
 
@@ -10,7 +12,15 @@ from swarmd.cli.explain import activity, obstacles, why
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
 from swarmd.cli.send import exit_code_of, known_members
-from swarmd.core.messages import Body, Member, Presence, ScanDelaySummary, State, Status
+from swarmd.core.messages import (
+    Body,
+    Member,
+    NarrowestPassage,
+    Presence,
+    ScanDelaySummary,
+    State,
+    Status,
+)
 
 
 @click.command()
@@ -82,6 +92,18 @@ def body_text(body: Body) -> str:
     return f"{text}; scan plane at {body.scan_plane:.3f} m; {seen}"
 
 
+def passage_text(passage: NarrowestPassage) -> str:
+    """The narrowest passages in one line, in whole centimetres that suffice."""
+    door, corridor, meeting = (
+        f"{math.ceil(100.0 * width - 1e-6) / 100.0:.2f} m"
+        for width in (passage.door, passage.corridor, passage.meeting)
+    )
+    return (
+        f"doors of {door} and corridors of {corridor} or wider; two that meet need {meeting} to"
+        " pass each other"
+    )
+
+
 def _state(status: Status) -> list[tuple[str, str]]:
     return [
         ("state", f"{status.state} for {seconds(status.since)}"),
@@ -115,6 +137,7 @@ def _protection(status: Status) -> list[tuple[str, str]]:
         *zip(titles, limits, strict=False),
         ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
         ("scan age", NOTHING if age is None else seconds(age)),
+        ("passes", NOTHING if status.passage is None else passage_text(status.passage)),
         *_scan_delay(status.scan_delay),
         ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
     ]

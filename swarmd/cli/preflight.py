@@ -12,6 +12,7 @@ from typing import Any
 
 import click
 
+from swarmd.cli.describe import passage_text
 from swarmd.cli.plugin_check import Record, describe_patterns
 from swarmd.core.errors import SwarmError, unknown
 from swarmd.core.kernels import describe_kernels
@@ -20,6 +21,7 @@ from swarmd.driver_api.driver import Driver, Finding, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.kit.touch import describe_zone
 from swarmd.plugins import pattern_names
+from swarmd.protection.arbiter import make_arbiter, narrowest_passage
 from swarmd.protection.compatibility import assumed_speed, body_of, findings
 from swarmd.settings.driver_options import base_options, effective_command_timeout
 from swarmd.settings.platforms import load_platform, platform_names
@@ -36,6 +38,7 @@ def check_daemon(settings: DaemonSettings) -> int:
     findings = [
         Finding("settings", True, f"robot {settings.id} of swarm {settings.network.swarm}"),
         Finding("platform", True, _platform_text(settings)),
+        *_check_passage(settings),
         Finding("peers", True, _peers_text(settings)),
         Finding("kernels", True, describe_kernels()),
         _check_network(settings),
@@ -60,6 +63,12 @@ def _platform_text(settings: DaemonSettings) -> str:
         f"{platform.name}: up to {limits.linear:g} m/s and {limits.angular:g} rad/s;"
         f" protection {protection_text(platform.protection)}"
     )
+
+
+def _check_passage(settings: DaemonSettings) -> list[Finding]:
+    """The narrowest passages of mode `barrier`; other modes have none."""
+    passage = narrowest_passage(make_arbiter(settings.platform))
+    return [] if passage is None else [Finding("passes", True, passage_text(passage))]
 
 
 def _peers_text(settings: DaemonSettings) -> str:

@@ -303,6 +303,18 @@ class ScanDelaySummary(Struct, frozen=True, kw_only=True):
     figures: tuple[DelayFigure, ...] = ()
 
 
+class NarrowestPassage(Struct, frozen=True):
+    """The widths in m that protection lets a robot through, alone, and of two that meet.
+
+    `door`: between two posts; `corridor`: of some length; `meeting`: a corridor in which two such
+    robots can pass each other.
+    """
+
+    door: Metres
+    corridor: Metres
+    meeting: Metres
+
+
 class Health(Struct, frozen=True, kw_only=True):
     """Measurements of the daemon itself. Rates in Hz, times in s.
 
@@ -374,6 +386,7 @@ class Status(Struct, frozen=True, kw_only=True):
     `readings`: the latest values of its scalar sensors, such as `battery` from 0 to 1. `version`:
     of the daemon's package. `kernels`: which code decides, see `describe_kernels`. `body`: what its
     beacons tell of it. `peers`: those that it may not see, or that are faster than it assumes.
+    `passage`: what protection lets it through; None if its mode has no such width.
     """
 
     robot: Name
@@ -405,6 +418,7 @@ class Status(Struct, frozen=True, kw_only=True):
     scan_delay: ScanDelaySummary | None = None
     body: Body | None = None
     peers: tuple[PeerFinding, ...] = ()
+    passage: NarrowestPassage | None = None
 
 
 class StatusHeader(Struct, frozen=True, kw_only=True):

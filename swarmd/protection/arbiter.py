@@ -12,9 +12,10 @@ from typing import Protocol
 import numpy as np
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.messages import Reason
+from swarmd.core.messages import NarrowestPassage, Reason
 from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, TouchZone, Twist
 from swarmd.protection.assumption_monitor import AssumptionMonitor
+from swarmd.protection.barrier import Barrier
 from swarmd.protection.compiled_barrier import CompiledBarrier, make_barrier
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, ModeDecision, Permit
 from swarmd.protection.footprint import Footprint, ScanGeometry
@@ -59,6 +60,11 @@ MODES: Mapping[str, Callable[[Platform], Arbiter]] = MappingProxyType(
 """The arbiter of each mode."""
 
 
+def narrowest_passage(arbiter: Arbiter) -> NarrowestPassage | None:
+    """What mode `barrier` lets the robot through; None for the other modes."""
+    return arbiter.narrowest_passage() if isinstance(arbiter, Barrier) else None
+
+
 def make_arbiter(platform: Platform) -> Arbiter:
     """The arbiter of the mode in the platform file; ConfigError if there is no such mode."""
     mode = str(platform.protection.get("mode", "barrier"))
@@ -97,6 +103,11 @@ class Protection:
         self._last: Decision
         clearance = self._arbiter.clearance(_CORRIDOR_SPEED_SHARE * platform.limits.linear)
         self._recovery = None if clearance is None else Recovery(clearance, platform.limits, seed)
+
+    @property
+    def passage(self) -> NarrowestPassage | None:
+        """The widths that the mode lets the robot through; None for a mode without one."""
+        return narrowest_passage(self._arbiter)
 
     def observe(self, scan: Scan, context: DecisionContext) -> None:
         """Take in a conditioned scan."""

@@ -24,12 +24,14 @@ from numpy.typing import NDArray
 
 from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError
+from swarmd.core.messages import NarrowestPassage
 from swarmd.core.values import ZERO, Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
 from swarmd.protection.blind_zone import BlindZoneMemory, blind_zone_memory
 from swarmd.protection.constraints import (
     CREEP_SPEED,
     LIMIT_BOX,
     MIN_BRAKING,
+    SIDE_ANGLE,
     BindingRange,
     Constraints,
     concatenated,
@@ -59,6 +61,8 @@ from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.stopping import SPEED_SHARES, StopCheck
 
 AGE_TOLERANCE = 1e-6  # s, for the rounding of ages
+_RANGE_NOISE = 0.015  # m by which a passage must be wider on each side
+_CORRIDOR_SPEED = 0.08  # m/s: what counts as passing a corridor
 _MAX_ENVELOPES = 8  # kept at a time: a holonomic base moves in any direction
 
 
@@ -192,6 +196,27 @@ class Barrier:
         body = beside
         beside += settings.margin + settings.unseen_extent + 0.06
         return Clearance(float(ahead), max(beside, settings.keep_out or 0.0), body)
+
+    def narrowest_passage(self) -> NarrowestPassage:
+        """The narrowest door, corridor and meeting that protection lets this robot through.
+
+        At a door, the corners pass posts that may approach while they are not seen. Along the sides
+        of a corridor the gap also leaves the side constraints `_CORRIDOR_SPEED`. Each gap is
+        `_RANGE_NOISE` wider, since the nearest of many noisy returns is nearer than the surface.
+        """
+        settings = self._settings
+        width = 2.0 * float(np.abs(self._outline.corners[:, 1]).max())
+        age = self._spec.latency + REACTION_TIME
+        others = settings.others_speed if settings.responsibility == "passive" else 0.0
+        post = settings.margin + settings.unseen_extent + others * (age + TICK) + _RANGE_NOISE
+        mean_age = age + 0.5 / self._spec.rate
+        rest = _CORRIDOR_SPEED * math.sin(SIDE_ANGLE)
+        side = self._contact_gap + 2.0 * (mean_age + TICK) * rest + _RANGE_NOISE
+        if settings.keep_out is not None:
+            side = post = max(side, post, settings.keep_out + _RANGE_NOISE - 0.5 * width)
+        door = width + 2.0 * post
+        corridor = max(door, width + 2.0 * side)
+        return NarrowestPassage(door, corridor, corridor + width + post)
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.

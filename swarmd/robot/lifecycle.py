@@ -33,6 +33,7 @@ from swarmd.core.messages import (
     Epoch,
     Latch,
     LoggedEvent,
+    NarrowestPassage,
     ParamRequest,
     Reason,
     Refusal,
@@ -94,6 +95,7 @@ class RobotIdentity:
     settings: RobotSettings
     seed: int
     instance: str
+    passage: NarrowestPassage | None
 
 
 class Lifecycle:

@@ -59,7 +59,7 @@ class Robot:
         self._settled: Actions  # those of the last event but a quiet tick
         self._sensors = Sensors(platform, settings.accepts)
         self._protection = Protection(platform, f"{seed}/{id}")
-        identity = RobotIdentity(id, platform, settings, seed, instance)
+        identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
         self._lifecycle = Lifecycle(identity, latches, now)
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._requests = RequestHandler(id, self._lifecycle, self._stop_text)

@@ -84,6 +84,7 @@ def make_status(
         scan_delay=sensors.scan_delay.summary(now),
         body=sensors.peers.own,
         peers=sensors.peers.findings(now)[:MAX_PEERS],
+        passage=identity.passage,
     )
 
 

@@ -123,3 +123,16 @@ def test_holds_are_counted_while_running(run: Run) -> None:
     assert protection.hold_share(trace) == pytest.approx(2.0 / 7.0)
     assert protection.hold_share(run(STILL)) is None
     assert protection.hold_share(run(STILL, state=np.full((4, 2), "idle"), reason=reason)) is None
+
+
+def test_deadlock_share_counts_robots_that_wander_in_a_small_area(run: Run) -> None:
+    t = np.arange(0.0, 60.05, 0.1)
+    poses = np.zeros((len(t), 3, 3))
+    poses[:, 0, 0] = 0.5 * np.sin(t)  # to and fro
+    poses[:, 1, 0] = 0.1 * t
+    requested = np.full((len(t), 3, 3), (0.2, 0.0, 0.0))
+    requested[:, 2] = 0.0  # rests on purpose
+    trace = replace(run(poses, requested=requested), t=t)
+    assert protection.deadlock_share(trace) == 0.5
+    assert protection.deadlock_share(replace(trace, requested=None)) is None
+    assert protection.deadlock_share(run(STILL, requested=STILL)) is None
