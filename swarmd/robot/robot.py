@@ -106,7 +106,11 @@ class Robot:
         """A raw scan arrived."""
         effects = self._begin(now)
         effects.is_routine = True
+        blind = self._sensors.blind_text
         effects.is_new_scan = self._sensors.on_scan(scan, now)
+        if self._sensors.blind_text != blind:
+            text = self._sensors.blind_text or "all sectors return something again"
+            self._lifecycle.log(f"scan: {text}", now)
         if effects.is_new_scan and self._sensors.scan is not None:
             self._protection.observe(self._sensors.scan, self._sensors.context(now))
             self._log_protection(now)

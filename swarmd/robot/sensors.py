@@ -88,6 +88,11 @@ class Sensors:
         self.scan = self._deskewer.deskew(conditioned, now, odometry_age, self.scan_delay.added)
         return True
 
+    @property
+    def blind_text(self) -> str:
+        """The blind sectors of the sensor; empty without one."""
+        return self._conditioner.blind_text
+
     def on_odometry(self, odometry: Odometry, now: float) -> None:
         """Take in a measured pose and twist.
 

@@ -15,6 +15,7 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Scan, ScanSpec
 from swarmd.sensing import conditioning_numpy
+from swarmd.sensing.blind_sector import BlindSectors
 
 MAX_REPEATS = 3  # repeats of a noisy sensor after which its scan counts as frozen
 COMPARED_SCANS = 4  # with which a repeat is compared: a driver may resend any of its buffers
@@ -46,6 +47,7 @@ class ScanConditioner:
         self._max_sector = max(spec.max_gap, _widest_between_rays(spec.bearings)) + 1e-9
         self._bearings = np.empty(0)  # the last valid ones
         self._ages: Array | None = None
+        self._blind = BlindSectors(spec)
         rays = load_kernel("swarmd.sensing.scan_kernel") or conditioning_numpy
         self._rays: conditioning_numpy.RayMemory = rays.RayMemory(spec, guesses_near=guesses_near)
         self._last: Scan | None = None
@@ -58,6 +60,11 @@ class ScanConditioner:
     def known_at(self) -> float:
         """The time in s to which the last returned scan is valid."""
         return self._rays.known_at
+
+    @property
+    def blind_text(self) -> str:
+        """The blind sectors of the sensor, whose rays count as unknown; empty without one."""
+        return self._blind.text
 
     def take(self, scan: Scan, odometry: Odometry | None, now: float) -> Scan | Reason:
         """Condition one scan that arrived at `now` (s on this machine's clock)."""
@@ -76,7 +83,8 @@ class ScanConditioner:
             if self._identical >= MAX_REPEATS:
                 return Reason.FROZEN_SCAN
         yaw = math.nan if odometry is None else odometry.pose.yaw
-        ranges = self._rays.condition(scan.ranges, self._bearings, yaw, now)
+        raw = self._blind.take(scan.ranges, self._bearings, odometry, now)
+        ranges = self._rays.condition(raw, self._bearings, yaw, now)
         if ranges is None:
             return Reason.INVALID_SCAN
         ranges.flags.writeable = False  # the memory and an inline pattern share it

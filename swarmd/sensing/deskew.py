@@ -42,6 +42,7 @@ class Deskewer:
         self._rays: _Rays | None = None
         self._last: Scan | None = None
         self._last_at = -math.inf  # the time of its newest ray
+        self._filled = 0  # its first rays, which are those of the scan before it
         self._kernel = load_kernel("swarmd.sensing.scan_kernel") or deskew_numpy
 
     def on_odometry(self, odometry: Odometry) -> None:
@@ -66,6 +67,7 @@ class Deskewer:
             result = self._moved(scan, rays, stamp, now - ago)
         if result is None:
             result = replace(scan, ages=rays.ages, newest_age=rays.newest_age)
+        self._filled = len(result.ranges) - len(scan.ranges)
         self._last, self._last_at = result, now - ago
         return result
 
@@ -130,6 +132,7 @@ class Deskewer:
         start = rays.oldest - 0.5 * rays.direction * rays.spacing
         seen = np.stack((last.bearings + way.yaw, bearings))
         chosen = (rays.direction * (seen - start) % _TURN < unmeasured).any(axis=0)
+        chosen[: self._filled] = False  # or a ray could be passed on for ever
         return ranges[chosen], bearings[chosen], last.ages[chosen] + elapsed
 
 
