@@ -1,0 +1,116 @@
+"""`swarmctl calibrate` with a daemon: what it refuses, Ctrl-C, and a whole calibration."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from swarmd.core.messages import State, Status
+from swarmd.network.operator import Operator
+from swarmd.network.settings import NetworkSettings
+from swarmd.settings.settings import load_platform
+from swarmd.sim.live.demo_run import statuses_of
+from swarmd.sim.live.fleet import Fleet, FleetSpec
+from tests.support.processes import unique_swarm, wait_until
+
+pytestmark = pytest.mark.integration
+ROBOT = "r01"
+
+
+@pytest.fixture(scope="module")
+def swarm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """A Burger with weak brakes in the middle of a room of 3 x 2.6 m."""
+    folder = tmp_path_factory.mktemp("fleet")
+    weak = folder / "weak.yaml"
+    body = "{linear_acceleration: 0.6, angular_acceleration: 2.4}"
+    weak.write_text(f"extends: burger\nbody: {body}\n")
+    name = unique_swarm()
+    spec = FleetSpec(
+        swarm=name, robots={ROBOT: str(weak)}, folder=folder, arena="3x2.6", layout="grid:0.6"
+    )
+    with Fleet(spec) as fleet:
+        assert fleet
+        wait_until(lambda: scans(name), "the robot scans", 60.0)
+        yield name
+
+
+def status(swarm: str) -> Status | None:
+    with Operator(NetworkSettings(swarm=swarm)) as operator:
+        return statuses_of(operator.members()).get(ROBOT)
+
+
+def scans(swarm: str) -> bool:
+    found = status(swarm)
+    return found is not None and found.health.scan_rate > 0.0
+
+
+def calibrate(swarm: str, *options: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [str(Path(sys.executable).with_name("swarmctl")), "calibrate", ROBOT, *options],
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "SWARM": swarm},
+    )
+
+
+def test_nothing_is_sent_without_confirmation(swarm: str) -> None:
+    process = calibrate(swarm, "--floor", "2")
+    assert "--yes" in process.communicate(timeout=30.0)[1]
+    assert process.returncode == 2
+    found = status(swarm)
+    assert found is not None
+    assert found.generation == 0
+
+
+def test_a_file_is_not_overwritten_without_a_terminal(swarm: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    file.write_text("mine")
+    process = calibrate(swarm, "--floor", "2", "--yes", "--write", str(file))
+    assert "mine.yaml exists" in process.communicate(timeout=30.0)[1]
+    assert process.returncode == 2
+    assert file.read_text() == "mine"
+
+
+def test_a_floor_that_is_not_free_is_refused(swarm: str) -> None:
+    process = calibrate(swarm, "--floor", "3", "--yes")
+    assert "is not free" in process.communicate(timeout=60.0)[1]
+    assert process.returncode == 7
+
+
+def test_an_interrupt_stops_the_robot(swarm: str) -> None:
+    process = calibrate(swarm, "--floor", "2", "--yes")
+    assert process.stderr is not None
+    for line in process.stderr:
+        if "drive 1" in line:
+            break
+    process.send_signal(signal.SIGINT)
+    assert "commanded zero" in process.communicate(timeout=30.0)[1]
+    assert process.returncode == 130
+    found = status(swarm)
+    assert found is not None
+    assert found.state is State.STOPPED
+
+
+def test_a_calibration_finds_weak_brakes_and_writes_them(swarm: str, tmp_path: Path) -> None:
+    file = tmp_path / "mine.yaml"
+    options = ("--floor", "2", "--yes", "--repeats", "1", "-o", "json", "--write", str(file))
+    process = calibrate(swarm, *options)
+    out, error = process.communicate(timeout=180.0)
+    assert process.returncode == 0, error
+    figures = json.loads(out)["figures"]
+    assert figures["braking_linear"]["value"] == pytest.approx(0.6, rel=0.15)
+    assert figures["braking_angular"]["value"] == pytest.approx(2.4, rel=0.15)
+    assert figures["scan_delay"]["value"] == pytest.approx(0.1, abs=0.02)
+    file.write_text(file.read_text().replace("extends: ./weak.yaml", "extends: burger"))
+    barrier = load_platform(str(file)).protection["barrier"]
+    assert barrier["braking_linear"] < 0.7
+    assert barrier["braking_angular"] < 2.8
