@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
 from swarmd.core.errors import CodecError
-from swarmd.core.values import Scan, Twist
+from swarmd.core.values import Scan, Sweep, Twist
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros import from_ros as conversion
 from tests.drivers.ros2 import robots
@@ -221,3 +222,60 @@ def test_a_twist_that_is_not_finite_is_refused(field: str) -> None:
     setattr(message.twist.twist, field, dds.Vector3(math.nan, 0.0, math.inf))
     with pytest.raises(CodecError, match="not finite"):
         conversion.odometry_of(read(messages.Odometry, message))
+
+
+WITHOUT_SWEEP = replace(SPEC, rate=5.0, sweep=None)
+SWEEP = Sweep(start=0.0, direction=-1.0, duration=0.2)
+STEP = 0.05  # s, of four rays in 0.2 s
+
+
+def laser(step: float, angle_increment: float = 1.5) -> Any:
+    given = robots.scan(1.0, [1.0] * 4, time_increment=step, angle_increment=angle_increment)
+    return read(messages.LaserScan, given)
+
+
+@pytest.mark.parametrize(
+    ("step", "ages"),
+    [
+        (STEP, [0.15, 0.10, 0.05, 0.0]),
+        (-STEP, [0.0, 0.05, 0.10, 0.15]),
+        (0.0, None),
+        (math.nan, None),
+        (math.inf, None),
+        (0.1, None),  # 0.4 s at 5 Hz
+    ],
+)
+def test_time_increment_gives_the_ages_of_the_rays(step: float, ages: list[float] | None) -> None:
+    scan = conversion.scan_of(laser(step), 7, WITHOUT_SWEEP)
+    if ages is None:
+        assert scan.ages is None
+    else:
+        assert scan.ages is not None
+        np.testing.assert_allclose(scan.ages, ages, atol=1e-6)
+        assert conversion.scan_of(laser(step), 8, WITHOUT_SWEEP).ages is scan.ages
+
+
+def test_the_sweep_of_the_platform_counts_more_than_time_increment() -> None:
+    spec = replace(WITHOUT_SWEEP, sweep=SWEEP)
+    assert conversion.scan_of(laser(STEP), 7, spec).ages is None
+
+
+@pytest.mark.parametrize(
+    ("step", "increment", "sweep", "is_well", "text"),
+    [
+        (STEP, -1.5, SWEEP, True, "0.2 s, clockwise, as time_increment says"),
+        (STEP, 1.5, SWEEP, True, "and counts; time_increment says 0.2 s a scan, counter-clockwise"),
+        (STEP / 18, -1.5, SWEEP, True, "and counts; time_increment says 0.0111 s a scan"),
+        (0.0, 1.5, SWEEP, True, "time_increment is 0"),
+        (STEP, 1.5, None, True, "0.2 s a scan, counter-clockwise; the platform has no scan.sweep"),
+        (0.0, 1.5, None, True, "all rays count as of one instant"),
+        (7.0, 1.5, None, False, "of 7 s is impossible at 5 Hz"),
+    ],
+)
+def test_check_compares_time_increment_with_the_sweep_of_the_platform(
+    step: float, increment: float, sweep: Sweep | None, is_well: bool, text: str
+) -> None:
+    spec = replace(WITHOUT_SWEEP, sweep=sweep)
+    finding = conversion.sweep_finding(laser(step, increment), spec, is_upside_down=False)
+    assert finding.is_well is is_well
+    assert text in finding.text

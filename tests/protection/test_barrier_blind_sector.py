@@ -1,0 +1,42 @@
+"""A lidar with 20 degrees of zeros ahead, and a thin pole in them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+from swarmd.core.values import Pose, Scan, Twist
+from swarmd.settings.platforms import load_platform
+from tests.support.filter_sim import FilterSim, box, pole, under_barrier
+
+BURGER = under_barrier(load_platform("burger"))
+WALLS = tuple(
+    box(*(0.1, 4.0) if k % 2 == 0 else (4.0, 0.1), Pose(x, y))
+    for k, (x, y) in enumerate(((2.0, 0.0), (0.0, 2.0), (-2.0, 0.0), (0.0, -2.0)))
+)
+
+
+class Covered(FilterSim):
+    """Rays within 10 degrees of ahead have zeros, always."""
+
+    def scan(self) -> Scan:
+        scan = super().scan()
+        is_dead = np.abs(np.angle(np.exp(1j * scan.bearings))) < math.radians(10.0)
+        return replace(scan, ranges=np.where(is_dead, 0.0, scan.ranges))
+
+
+def drive(sim: FilterSim) -> float:
+    """The speed in m/s at which the robot meets a pole of 3 cm; 0 if it does not."""
+    touch = sim.run(Twist(0.22), 8.0).touch
+    return 0.0 if touch is None else touch.speed
+
+
+def test_a_robot_that_has_turned_does_not_drive_into_a_pole_that_it_cannot_see() -> None:
+    shapes = (*WALLS, pole(0.015, Pose(1.2)))
+    sim = Covered(BURGER, shapes)
+    sim.run(lambda _: Twist(0.0, 2.0), 18.0)
+    sim.run(lambda _: Twist(0.0, -math.remainder(sim.pose.yaw, math.tau)), 3.0)
+    assert "deg have not returned anything" in sim.sensors.blind_text
+    assert drive(sim) <= 0.02
+    assert drive(Covered(BURGER, shapes)) > 0.15  # it cannot know without a turn
