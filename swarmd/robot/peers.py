@@ -37,6 +37,7 @@ class Peers:
         self._figures: dict[str, _Figure] = {}
         self._unseen: tuple[str, ...] = ()  # not accepted: each must be told
         self._holds_always = False
+        self._due = math.inf  # until when all of `_unseen` are told
 
     def on_peers(self, bodies: Mapping[str, Body | None]) -> list[PeerFinding]:
         """Take in all peers that are known, alive or gone; the findings that are new."""
@@ -60,6 +61,7 @@ class Peers:
         self._figures = {r: f for r, f in self._figures.items() if r in self._radii}
         self._unseen = tuple(f.robot for f in found if f.kind == "unseen" and f.holds)
         self._holds_always = any(f.kind == "faster" and f.holds for f in found)
+        self._find_due()
         return [finding for finding in found if finding not in before]
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> bool:
@@ -80,6 +82,7 @@ class Peers:
                 radius + error,
                 at,
             )
+        self._find_due()
         return bool(self._figures)
 
     def told(self, now: float) -> tuple[ToldObstacle, ...]:
@@ -94,11 +97,14 @@ class Peers:
 
     def holds(self, now: float) -> bool:
         """True if a peer that is not accepted is faster than assumed, or neither seen nor told."""
-        return self._holds_always or any(now > self._told_until(robot) for robot in self._unseen)
+        return self._holds_always or now > self._due
 
     def hold_due_at(self) -> float:
         """The time until which `holds` stays False, if it is False now and nothing arrives."""
-        return min(map(self._told_until, self._unseen), default=math.inf)
+        return self._due
+
+    def _find_due(self) -> None:
+        self._due = min(map(self._told_until, self._unseen), default=math.inf)
 
     def _told_until(self, robot: str) -> float:
         figure = self._figures.get(robot)
