@@ -35,7 +35,8 @@ _JUDGED = 3  # stops of which two must be weak: in one, another may have pushed 
 _MIN_DROP = 0.08, 0.4  # m/s and rad/s by which the command must fall at once
 _MIN_DROP_TIME = 0.1  # s of assumed braking that it takes at least
 _FOLLOWED = 0.15  # share of the command that the speed may be off it before
-_BEGUN, _ENDS = 0.93, 0.15  # shares of the drop that is left: between them the base brakes
+_MIN_DROP_SHARE = 0.5  # of the speed: noise of odometry grows with it
+_BEGUN, _ENDS = 0.85, 0.15  # shares of the drop that is left: between them the base brakes
 _MIN_READINGS = 3
 _MIN_TIME = 0.09  # s between the first and the last of them
 _RISE = 0.1  # share of the speed by which noise may raise it while the base brakes
@@ -83,7 +84,8 @@ class _Brake:
             self._judge(stop.readings)
             self.stop = stop = None
         has_followed = abs(begin - sign * before) <= _FOLLOWED * abs(before)
-        if stop is None and has_followed and begin - target >= self._min_drop:
+        min_drop = max(self._min_drop, _MIN_DROP_SHARE * begin)
+        if stop is None and has_followed and begin - target >= min_drop:
             self.stop = _Stop(sign, begin, target, stamp, [])
 
     def on_speed(self, speed: float, stamp: float) -> None:

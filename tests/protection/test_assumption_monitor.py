@@ -117,6 +117,15 @@ def test_gentle_requests_are_no_violation() -> None:
         assert driven(command, lambda time: (1.0, 3.0), 30.0) == (1.0, [])
 
 
+def test_small_falls_at_speed_are_not_judged() -> None:
+    """Odometry is off by a share of the speed, which is much of a small fall."""
+
+    def steps(time: float) -> Twist:
+        return Twist(TOP if time % 1.0 < 0.5 else 0.6 * TOP)
+
+    assert driven(steps, lambda time: (1.0, 3.0), 120.0, slip=0.05) == (1.0, [])
+
+
 def test_another_driver_of_the_base_is_no_violation() -> None:
     """The base does not follow these commands at all."""
     assert driven(to_and_fro, lambda time: (0.0, 0.0), push=lambda time: Twist(0.2)) == (1.0, [])

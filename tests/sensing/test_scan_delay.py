@@ -162,7 +162,10 @@ def test_delay_that_grows_beyond_any_bound_stays_late() -> None:
 
 def test_link_that_delays_scans_and_odometry_alike_is_late_for_a_moment_only() -> None:
     """A simulator that stands still for 0.6 s, and never makes up for it."""
-    paused = lambda time: 0.6 if time >= 6.0 else 0.0  # noqa: E731
+
+    def paused(time: float) -> float:
+        return 0.6 if time >= 6.0 else 0.0
+
     rig = Rig(lambda seq: SPEC.latency + paused(0.2 * (seq - 1)), odometry_lag=paused)
     rig.run(6.0)
     late = [rig.run(0.1).is_late for _ in range(60)]
