@@ -337,6 +337,7 @@ class Barrier:
             points,
             placed.gaps[near],
             need[near],
+            need[near] - settings.margin,
             others,
             shares,
         )

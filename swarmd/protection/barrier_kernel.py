@@ -27,7 +27,7 @@ from swarmd.protection.constraints import (
 )
 from swarmd.protection.dead_reckoning import HISTORY, MAX_EXTRAPOLATION, REACTION_TIME
 from swarmd.protection.projection import BINDING_TOLERANCE, TOLERANCE
-from swarmd.protection.stopping import NEGLIGIBLE_SPEED, ROUNDING, SPEED_SHARES
+from swarmd.protection.stopping import FAULT_SPEED, NEGLIGIBLE_SPEED, ROUNDING, SPEED_SHARES
 
 _tick = cython.declare(cython.double, TICK)
 _creep = cython.declare(cython.double, CREEP_SPEED)
@@ -37,6 +37,7 @@ _side_sin = cython.declare(cython.double)
 _side_cos, _side_sin = cos(SIDE_ANGLE), sin(SIDE_ANGLE)
 _max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
 _reaction = cython.declare(cython.double, REACTION_TIME)
+_fault = cython.declare(cython.double, FAULT_SPEED)
 _negligible = cython.declare(cython.double, NEGLIGIBLE_SPEED)
 _tolerance = cython.declare(cython.double, TOLERANCE)
 _binding = cython.declare(cython.double, BINDING_TOLERANCE)
@@ -248,6 +249,8 @@ class BarrierKernel:
     _stop_cos: cython.double[4]
     _stop_sin: cython.double[4]
     _stop_way: cython.double[4]
+    _stop_v: cython.double[4]
+    _stop_w: cython.double[4]
     _poses: cython.Py_ssize_t
     _shares: cython.double[:, ::1]
     _forbidding: cython.Py_ssize_t
@@ -1445,6 +1448,7 @@ class BarrierKernel:
             x += move * (c * self._along_x - d * self._along_y)
             y += move * (d * self._along_x + c * self._along_y)
             self._stop_x[j], self._stop_y[j] = x, y
+            self._stop_v[j], self._stop_w[j] = move / step, turn / step
             self._stop_cos[j], self._stop_sin[j] = cos(yaw), sin(yaw)
             moved: cython.double = fabs(move) + fabs(turn) * self._radius
             if not (moved + 1e-12 <= _negligible * step):
@@ -1475,13 +1479,56 @@ class BarrierKernel:
             dy: cython.double = self._placed_y[point] - self._stop_y[j]
             c: cython.double = self._stop_cos[j]
             d: cython.double = self._stop_sin[j]
-            left: cython.double = self._gap_of(c * dx + d * dy, c * dy - d * dx)
+            x: cython.double = c * dx + d * dy
+            y: cython.double = c * dy - d * dx
+            left: cython.double = self._gap_of(x, y)
             is_free: cython.bint = left >= need + others * (step * (j + 1.0))
             if not is_free and not (before - left <= _negligible * step):
+                return 1
+            within: cython.double = need - self._margin + others * (step * (j + 0.5))
+            if left < within and self._swings(x, y, within, self._stop_v[j], self._stop_w[j]):
                 return 1
             if left - self._stop_way[j] >= least:
                 return 0
             before = left
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _swings(
+        self,
+        x: cython.double,
+        y: cython.double,
+        within: cython.double,
+        v: cython.double,
+        w: cython.double,
+    ) -> cython.int:
+        """1 if a turn moves a place of the outline outwards within a distance of a point.
+
+        See StopCheck._swings.
+        """
+        k: cython.Py_ssize_t
+        edges: cython.Py_ssize_t = self._edges
+        for k in range(edges):
+            nx: cython.double = self._axis_x[edges + k]
+            ny: cython.double = self._axis_y[edges + k]
+            above: cython.double = nx * x + ny * y - self._origin[edges + k]
+            if not (0.0 < above < within):
+                continue
+            along: cython.double = self._axis_x[k] * x + self._axis_y[k] * y - self._origin[k]
+            half: cython.double = sqrt(within * within - above * above)
+            first: cython.double = along - half if along > half else 0.0
+            last: cython.double = (
+                along + half if along + half < self._length[k] else self._length[k]
+            )
+            if first > last:
+                continue
+            turned: cython.double = w * (
+                self._corner_x[k] * ny - self._corner_y[k] * nx - (first if w > 0.0 else last)
+            )
+            moved: cython.double = v * (self._along_x * nx + self._along_y * ny)
+            if turned > _fault and turned + moved > _fault:
+                return 1
         return 0
 
     # The report.

@@ -5,6 +5,9 @@ corner swings outwards while a turn ends, and of two speeds, one of which opens 
 closes, one may reach zero first. So the stop from a command is simulated, as in the dynamic window
 approach (Fox, Burgard and Thrun, IEEE RAM 1997): with both brakes as weak as assumed, and with
 either of them ideal.
+
+An obstacle may also move along the outline, to where a turn moves the outline outwards. So at each
+pose no place that an obstacle can have reached by then may move outwards by the turn.
 """
 
 from __future__ import annotations
@@ -16,6 +19,9 @@ from swarmd.core.values import Array
 from swarmd.protection.footprint import Footprint
 
 NEGLIGIBLE_SPEED = 0.015
+"""m/s: closing at a speed up to this is no approach."""
+
+FAULT_SPEED = 0.02
 """m/s: a contact at a closing speed up to this is not a fault of the robot."""
 
 _STEPS = 4  # poses of a simulated stop; the kernel has four, too
@@ -48,6 +54,7 @@ class StopCheck:
         points: Array,
         gaps: Array,
         need: Array,
+        reach: Array,
         others: float,
         shares: Array = SPEED_SHARES,
     ) -> Array:
@@ -55,30 +62,40 @@ class StopCheck:
 
         `speeds` (2,) in m/s along the unit vector `along` (2,) and in rad/s. `points` (k, 2) in the
         base frame, at `gaps` (k,) m from the outline. `need` (k,) m: the gap within which the
-        outline must not close on a point; it grows at `others` m/s. The zero command is always
-        clear.
+        outline must not close on a point; it grows at `others` m/s. An obstacle seen at a point
+        may be `reach` (k,) m from it, which grows likewise. The zero command
+        is always clear.
         """
-        if self._is_clear(speeds[None], along, points, gaps, need, others)[0]:
+        if self._is_clear(speeds[None], along, points, gaps, need, reach, others)[0]:
             return speeds
         for first in range(0, len(shares), _BATCH_SIZE):  # mostly one of the first is clear
             candidates: Array = shares[first : first + _BATCH_SIZE] * speeds
-            found = np.flatnonzero(self._is_clear(candidates, along, points, gaps, need, others))
+            found = np.flatnonzero(
+                self._is_clear(candidates, along, points, gaps, need, reach, others)
+            )
             if len(found):
                 chosen: Array = candidates[found[0]]
                 return chosen
         return np.zeros(2)
 
     def _is_clear(
-        self, speeds: Array, along: Array, points: Array, gaps: Array, need: Array, others: float
+        self,
+        speeds: Array,
+        along: Array,
+        points: Array,
+        gaps: Array,
+        need: Array,
+        reach: Array,
+        others: float,
     ) -> NDArray[np.bool_]:
         """(c,) true for those of `speeds` (c, 2) from which every stop stays clear."""
-        poses, times, step, way = self._stops(speeds, along)
+        poses, times, speeds_then, step, way = self._stops(speeds, along)
         # The outline comes no nearer to a point than by its own way.
         is_beyond = gaps >= need + others * times.max() + way + ROUNDING
         if is_beyond.all():
             return np.ones(len(speeds), np.bool_)
         if is_beyond.any():
-            points, gaps, need = points[~is_beyond], gaps[~is_beyond], need[~is_beyond]
+            points, gaps, need, reach = (part[~is_beyond] for part in (points, gaps, need, reach))
         cos, sin = np.cos(poses[..., 2:]), np.sin(poses[..., 2:])
         dx, dy = points[:, 0] - poses[..., :1], points[:, 1] - poses[..., 1:2]
         seen = np.stack((cos * dx + sin * dy, cos * dy - sin * dx), axis=-1)
@@ -89,13 +106,41 @@ class StopCheck:
         )
         is_free = left >= need + others * times.reshape(shape[:3])[..., None]
         is_free |= before - left <= NEGLIGIBLE_SPEED * step[..., None]
+        middle = times.reshape(shape[:3]) - 0.5 * step
+        within = reach + others * middle[..., None]
+        is_free &= ~self._swings(seen.reshape(*shape, 2), within, speeds_then, along)
         clear: NDArray[np.bool_] = np.asarray(is_free.all(axis=(1, 2, 3)))
         return clear
 
-    def _stops(self, speeds: Array, along: Array) -> tuple[Array, Array, Array, Array]:
+    def _swings(
+        self, points: Array, within: Array, speeds: Array, along: Array
+    ) -> NDArray[np.bool_]:
+        """(c, b, s, k) true where a turn moves a place of the outline near a point outwards.
+
+        `points` (c, b, s, k, 2) in the base frame of each pose, `within` (c, b, s, k) m from them,
+        at `speeds` (c, b, s, 2). Along an edge the outward speed is linear, so it is greatest where
+        the circle around the point, or the edge, begins or ends.
+        """
+        found = np.zeros(within.shape, np.bool_)
+        v, w = speeds[..., None, 0], speeds[..., None, 1]
+        outline, count = self._outline, len(self._outline.lengths)
+        for k, (x, y) in enumerate(outline.corners):
+            (ax, ay), (nx, ny) = outline.axes[k], outline.axes[count + k]
+            above = points[..., 0] * nx + points[..., 1] * ny - outline.origins[count + k]
+            place = points[..., 0] * ax + points[..., 1] * ay - outline.origins[k]
+            half = np.sqrt(np.maximum(within * within - above * above, 0.0))
+            first = np.maximum(place - half, 0.0)
+            last = np.minimum(place + half, outline.lengths[k])
+            turned = w * (x * ny - y * nx - np.where(w > 0.0, first, last))
+            outwards = np.minimum(turned, turned + v * (along[0] * nx + along[1] * ny))
+            found |= (above > 0.0) & (above < within) & (first <= last) & (outwards > FAULT_SPEED)
+        return found
+
+    def _stops(self, speeds: Array, along: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Poses (c, s, 3) and times (c, s) of the stops from `speeds` (c, 2).
 
-        Also the time steps, and the m by which a place of the outline moves at most in each stop.
+        Also the speeds (c, b, s, 2) and the time steps, and the m by which a place of the outline
+        moves at most in each stop.
         """
         v, w = np.abs(speeds[:, None, None, 0]), np.abs(speeds[:, None, None, 1])
         b_v, b_w = self._brakes[:, 0, None], self._brakes[:, 1, None]
@@ -113,7 +158,8 @@ class StopCheck:
         flat = len(speeds), -1
         poses = np.stack((x.reshape(flat), y.reshape(flat), yaw.reshape(flat)), axis=2)
         way = (np.abs(moves) + self._radius * np.abs(turns)).sum(axis=2).max()
-        return poses, np.broadcast_to(times, x.shape).reshape(flat), step, way
+        then = np.stack(np.broadcast_arrays(moves / step, turns / step), axis=-1)
+        return poses, np.broadcast_to(times, x.shape).reshape(flat), then, step, way
 
 
 def _shed(brake: Array, seconds: Array) -> Array:

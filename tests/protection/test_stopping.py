@@ -29,6 +29,7 @@ def cleared(
     speeds: tuple[float, float],
     *points: tuple[float, float],
     free: tuple[float, float] = (0.01, 0.0),
+    reach: float = 0.0,
     platform: Platform = BURGER,
     along: tuple[float, float] = (1.0, 0.0),
 ) -> tuple[float, float]:
@@ -37,6 +38,7 @@ def cleared(
     check = StopCheck(outline, LINEAR, ANGULAR, TICK)
     left = check.limited(
         np.array(speeds), np.array(along), seen, outline.gaps(seen), np.full(len(seen), free[0]),
+        np.full(len(seen), reach),
         free[1],
     )  # fmt: skip
     return float(left[0]), float(left[1])

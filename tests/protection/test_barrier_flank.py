@@ -1,0 +1,46 @@
+"""Closed loop: a turning robot does not meet a thing that moves along its outline."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from swarmd.core.values import Pose, Twist
+from swarmd.settings.platforms import load_platform
+from tests.support.filter_sim import FilterSim, Shape, pole, under_barrier
+
+NO_FAULT = 0.02  # m/s: a slower contact is not a fault of the robot
+STEP, BEGIN = 0.1, 0.8  # s
+# A way at 0.3 m/s, a place each step, past the flank of a Burger that turns, in m.
+WAY = np.array((
+    (-0.293, 0.649), (-0.269, 0.650), (-0.239, 0.653), (-0.210, 0.656), (-0.180, 0.660),
+    (-0.158, 0.644), (-0.139, 0.621), (-0.120, 0.598), (-0.101, 0.575), (-0.082, 0.551),
+    (-0.064, 0.527), (-0.048, 0.502), (-0.032, 0.476), (-0.019, 0.449), (-0.004, 0.424),
+    (0.015, 0.401), (0.036, 0.379), (0.058, 0.359), (0.081, 0.340), (0.106, 0.323),
+    (0.131, 0.306), (0.157, 0.291), (0.183, 0.276),
+))  # fmt: skip
+REQUESTS = (Twist(0.22, 1.745), Twist(0.176, 2.84), Twist(-0.032, 2.121))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passing(Shape):
+    """A thing that moves along `WAY`."""
+
+    def at(self, time: float) -> Pose:
+        step, share = divmod(max(time - BEGIN, 0.0), STEP)
+        i = min(int(step), len(WAY) - 2)
+        x, y = (WAY[i] + share / STEP * (WAY[i + 1] - WAY[i])).tolist()
+        return Pose(x, y)
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.01])
+@pytest.mark.parametrize("phase", np.arange(0.0, 0.2, 0.02).round(2).tolist())
+def test_pole_that_passes_a_turning_flank_is_not_met(phase: float, noise: float) -> None:
+    """Told a speed of 0.31 m/s, so that no step of the pole is faster."""
+    platform = under_barrier(load_platform("burger"), unseen_extent=0.0, others_speed=0.31)
+    passing = Passing(pole(0.02).corners)
+    sim = FilterSim(platform, [passing], phase=phase, noise=noise, seed=20007)
+    touch = sim.run(lambda time: REQUESTS[min(int(time), 2)], 3.2).touch
+    assert touch is None or touch.speed <= NO_FAULT
