@@ -7,7 +7,16 @@ import math
 import msgspec
 
 from swarmd.cli.describe import sections
-from swarmd.core.messages import DecisionSummary, LimitingObstacle, Member, Reason, State, Status
+from swarmd.core.messages import (
+    DecisionSummary,
+    DelayFigure,
+    LimitingObstacle,
+    Member,
+    Reason,
+    ScanDelaySummary,
+    State,
+    Status,
+)
 from tests.support.statuses import ESTOPPED, make_member
 
 
@@ -80,3 +89,24 @@ def test_shows_no_minus_zero() -> None:
     decision = DecisionSummary(requested_angular=-1e-5, safe_linear=-0.0, rows=rows)
     text = repr(shown(make_member(decision=decision, report={"turn": -0.0}, readings={"x": -0.0})))
     assert "-0" not in text
+
+
+def test_shows_how_late_scans_arrive_and_what_is_used() -> None:
+    figures = (
+        DelayFigure(method="stamps", delay=0.18, spread=0.004, samples=20, age=0.1),
+        DelayFigure(method="turns", text="it has not turned"),
+    )
+    delay = ScanDelaySummary(declared=0.1, added=0.082, bound=0.4, figures=figures)
+    member = make_member(scan_delay=delay)
+    assert member.status is not None
+    rows = dict(sections(member, member.status))["Protection"]
+    first = rows.index(("scan delay", "declared 100 ms, used 182 ms, hold beyond 500 ms"))
+    assert "0.180 s +- 0.004 s, 20 samples" in rows[first + 1][1]
+    assert "turns: not known: it has not turned" in rows[first + 2][1]
+
+
+def test_shows_the_share_of_the_speed_after_a_violated_assumption() -> None:
+    member = make_member(decision=DecisionSummary(mode="barrier", is_active=True, speed_share=0.6))
+    assert member.status is not None
+    rows = dict(sections(member, member.status))["Protection"]
+    assert rows[0] == ("mode", "barrier, active, speed 60%")

@@ -6,6 +6,7 @@ import math
 from dataclasses import replace
 
 import numpy as np
+
 from swarmd.core.values import Pose, Scan, Twist
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import FilterSim, box, pole, under_barrier
