@@ -250,6 +250,13 @@ def test_reported_constraints_bind_and_have_a_return() -> None:
     assert [row.gap for row in found] == pytest.approx([2.9, 0.9])
 
 
+def test_constraint_across_the_motion_brakes_by_its_lever_only() -> None:
+    """The stop check hides a wrong brake from tests of decisions."""
+    barrier = Barrier(under_barrier(load_platform("burger")))  # brakes: 1 m/s2 and 3 rad/s2
+    linear, lever = np.array([0.0, 1.0, -0.6, 0.0]), np.array([-0.1, 0.0, 0.1, 0.0])
+    assert barrier._braking(linear, lever) == pytest.approx([0.3, 1.0, 0.9, 0.02])
+
+
 @pytest.mark.parametrize("speed", [0.1, 0.2])
 def test_binding_range_ends_where_the_cap_reaches_the_speed(speed: float) -> None:
     platform = under_barrier(load_platform("burger"), braking_angular=100.0)
