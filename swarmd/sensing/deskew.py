@@ -131,8 +131,9 @@ class Deskewer:
         # of a near return changes between them.
         start = rays.oldest - 0.5 * rays.direction * rays.spacing
         seen = np.stack((last.bearings + way.yaw, bearings))
-        chosen = (rays.direction * (seen - start) % _TURN < unmeasured).any(axis=0)
-        chosen[: self._filled] = False  # or a ray could be passed on for ever
+        inside = np.any(rays.direction * (seen - start) % _TURN < unmeasured, axis=0)
+        inside[: self._filled] = False  # or a ray could be passed on for ever
+        chosen = np.flatnonzero(inside)
         return ranges[chosen], bearings[chosen], last.ages[chosen] + elapsed
 
 
