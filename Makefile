@@ -96,7 +96,7 @@ voting: $(VENV)/tools
 	@$(BIN)/python -m studies.voting $(ARGS)
 
 # Robot-hours and progress under protection, kept in build/safety; hours on two cores. With
-# ARGS="--robot-hours 30" a tenth of it.
+# ARGS="--robot-hours 30" a tenth of it; --attack-share sets how many of them are among attackers.
 safety: $(VENV)/tools
 	@$(BIN)/python -m studies.safety hours $(ARGS)
 	@$(BIN)/python -m studies.safety progress

@@ -100,7 +100,7 @@ def test_scans_arrive_at_the_sensors_rate_with_their_latency(plugins: str) -> No
     stamps = np.unique(told(trace, "scan_stamp"))
     assert np.diff(stamps[stamps >= 0.0]) == pytest.approx(0.2)
     ages = told(trace, "scan_age")
-    assert ages[ages >= 0.0] == pytest.approx(0.1)  # half a sweep
+    assert ages[ages >= 0.0] == pytest.approx(0.2)  # of the first ray, which the stamp tells
 
 
 def test_odometry_beats_and_alarms_come_at_their_rates(plugins: str) -> None:
