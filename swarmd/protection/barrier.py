@@ -61,7 +61,7 @@ from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.stopping import SPEED_SHARES, StopCheck
 
 AGE_TOLERANCE = 1e-6  # s, for the rounding of ages
-_RANGE_NOISE = 0.015  # m by which a passage must be wider on each side
+_PASSAGE_SLACK = 0.03  # m per side by which a passage must be wider: noise, a turning lidar
 _CORRIDOR_SPEED = 0.08  # m/s: what counts as passing a corridor
 _MAX_ENVELOPES = 8  # kept at a time: a holonomic base moves in any direction
 
@@ -202,18 +202,18 @@ class Barrier:
 
         At a door, the corners pass posts that may approach while they are not seen. Along the sides
         of a corridor the gap also leaves the side constraints `_CORRIDOR_SPEED`. Each gap is
-        `_RANGE_NOISE` wider, since the nearest of many noisy returns is nearer than the surface.
+        `_PASSAGE_SLACK` wider: the nearest of noisy returns is nearer than the surface.
         """
         settings = self._settings
         width = 2.0 * float(np.abs(self._outline.corners[:, 1]).max())
         age = self._spec.latency + REACTION_TIME
         others = settings.others_speed if settings.responsibility == "passive" else 0.0
-        post = settings.margin + settings.unseen_extent + others * (age + TICK) + _RANGE_NOISE
+        post = settings.margin + settings.unseen_extent + others * (age + TICK) + _PASSAGE_SLACK
         mean_age = age + 0.5 / self._spec.rate
         rest = _CORRIDOR_SPEED * math.sin(SIDE_ANGLE)
-        side = self._contact_gap + 2.0 * (mean_age + TICK) * rest + _RANGE_NOISE
+        side = self._contact_gap + 2.0 * (mean_age + TICK) * rest + _PASSAGE_SLACK
         if settings.keep_out is not None:
-            side = post = max(side, post, settings.keep_out + _RANGE_NOISE - 0.5 * width)
+            side = post = max(side, post, settings.keep_out + _PASSAGE_SLACK - 0.5 * width)
         door = width + 2.0 * post
         corridor = max(door, width + 2.0 * side)
         return NarrowestPassage(door, corridor, corridor + width + post)

@@ -41,7 +41,7 @@ def test_a_robot_passes_the_narrowest_door_and_none_much_narrower(
     width: float, is_passed: bool
 ) -> None:
     door = Passage(width * burger().door, duration=60.0)
-    assert (crossings(door, 0) > 0) == is_passed
+    assert (crossings(door, 2) > 0) == is_passed
 
 
 @pytest.mark.parametrize(("width", "is_passed"), [(1.0, True), (0.85, False)])
