@@ -281,7 +281,8 @@ def test_order_and_repetition_of_rays_do_not_matter(
 ) -> None:
     scan, requested = seeing(platform, returns), request_of(platform, v, w)
     safe = decided(platform, scan, requested).safe
-    twice = replace(scan, ranges=np.tile(scan.ranges, 2), bearings=np.tile(scan.bearings, 2))
+    ranges, bearings = np.tile(scan.ranges, 2), np.tile(scan.bearings, 2)
+    twice = replace(scan, ranges=ranges, bearings=bearings, ages=None)
     for changed in (reordered(scan, np.random.default_rng(seed)), twice):
         other = decided(platform, changed, requested).safe
         assert other.linear == pytest.approx(safe.linear, abs=1e-9)
