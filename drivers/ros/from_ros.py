@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from swarmd.core.errors import CodecError
-from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, SharedPose, Twist
 from swarmd.driver_api.driver import Finding
 from swarmd.driver_api.hw_codec import MAX_RAYS
 from swarmd.drivers.ros import messages as ros
@@ -24,6 +24,7 @@ _MAX_FIRST_ANGLE = 4.0 * math.pi
 _MAX_PERIODS = 1.5  # a scan takes no longer than that many periods
 _MAX_SWEEP_ERROR = 0.2  # of the duration: an LDS turns at 5 Hz within a tenth
 _TURNS = {True: "counter-clockwise", False: "clockwise"}
+_ROUNDING = 1e-9  # of a covariance
 _PER_CENT = 100.0  # TurtleBot3 gives its battery's percentage in per cent, not as a share of 1
 
 
@@ -98,6 +99,39 @@ def odometry_of(message: ros.Odometry) -> Odometry:
     if not (pose.is_finite and twist.is_finite):
         raise CodecError("pose or twist is not finite")
     return Odometry(stamp_of(message.header.stamp), pose, twist)
+
+
+def shared_pose_of(
+    message: ros.PoseStamped | ros.PoseWithCovarianceStamped, error: float, yaw_error: float
+) -> SharedPose:
+    """The pose in a shared frame, with errors of at least `error` m and `yaw_error` rad.
+
+    A covariance gives three standard deviations: of the worst direction in the plane, and of yaw.
+    CodecError if the pose, its covariance or the name of its frame makes no sense.
+    """
+    pose: Any = message.pose
+    if hasattr(pose, "covariance"):
+        covariance, pose = np.reshape(pose.covariance, (6, 6)), pose.pose
+        plane, yaw = covariance[:2, :2], float(covariance[5, 5])
+        if not (np.isfinite(plane).all() and 0.0 <= yaw < math.inf):
+            raise CodecError("the covariance is not finite, or negative")
+        least, most = np.linalg.eigvalsh(0.5 * (plane + plane.T)).tolist()
+        if least < -_ROUNDING * max(most, 1.0):
+            raise CodecError("the covariance is negative")
+        error = max(error, 3.0 * math.sqrt(max(most, 0.0)))
+        yaw_error = max(yaw_error, min(3.0 * math.sqrt(yaw), math.pi))
+    shared = SharedPose(
+        stamp_of(message.header.stamp),
+        Pose(pose.position.x, pose.position.y, yaw_of(pose.orientation)),
+        error,
+        yaw_error,
+        message.header.frame_id.lstrip("/"),
+    )
+    if not shared.is_valid:
+        raise CodecError(
+            "the pose is not finite, too far or too inaccurate, or its frame has no proper name"
+        )
+    return shared
 
 
 def yaw_of(q: ros.Quaternion) -> float:

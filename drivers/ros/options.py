@@ -13,7 +13,12 @@ from msgspec import Meta, Struct
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Value
-from swarmd.drivers.ros.messages import Twist, TwistStamped
+from swarmd.drivers.ros.messages import (
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Twist,
+    TwistStamped,
+)
 from swarmd.network.settings import parse_endpoint
 from swarmd.settings.layered import Layered
 
@@ -39,7 +44,10 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     several `sensor_msgs/Range` in place of `scan`: topic to bearing in degrees, or to bearing and
     the sensor's distance in m from the scan's origin. `scan_yaw_deg`: where the lidar's own zero
     points, from the base's front to the left; `scan_upside_down`: the lidar hangs, and so turns the
-    other way round. `cmd_vel_frame` is the frame of stamped commands.
+    other way round. `shared_pose`: a topic with the pose of the base's axle in a frame that all
+    robots share, of the class that `shared_pose_type` names; its errors are `shared_pose_error` m
+    and `shared_pose_error_deg`, or three standard deviations by the covariance, if that is more.
+    `cmd_vel_frame` is the frame of stamped commands.
     """
 
     namespace: str = ""
@@ -48,6 +56,10 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     cmd_vel: Name = "cmd_vel"
     imu: Name | None = None
     battery: Name | None = None
+    shared_pose: Name | None = None
+    shared_pose_type: Literal["pose", "pose_with_covariance"] = "pose"
+    shared_pose_error: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.05
+    shared_pose_error_deg: Annotated[float, Meta(ge=0.0, le=90.0)] = 3.0
     cmd_vel_type: Literal["twist", "twist_stamped"] = "twist"
     cmd_vel_frame: Annotated[str, Meta(max_length=200)] = "base_link"
     scan_yaw_deg: Degrees = 0.0
@@ -59,6 +71,12 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     def command_type(self) -> type:
         """The message class of the commands."""
         return Twist if self.cmd_vel_type == "twist" else TwistStamped
+
+    @property
+    def pose_type(self) -> type:
+        """The message class of the shared pose."""
+        is_plain = self.shared_pose_type == "pose"
+        return PoseStamped if is_plain else PoseWithCovarianceStamped
 
     def topic(self, name: str) -> str:
         """The full name of a topic, such as `/tb3_01/scan`."""
@@ -147,6 +165,7 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         "cmd_vel": options.cmd_vel,
         "imu": options.imu,
         "battery": options.battery,
+        "shared_pose": options.shared_pose,
         **{f"ranges.{name}": name for name in options.ranges},
     }
     owners: dict[str, str] = {}

@@ -10,7 +10,15 @@ from typing import Any
 from swarmd.core.values import Platform, Scan
 from swarmd.driver_api.driver import Finding, Sink
 from swarmd.drivers.ros import cdr, from_ros
-from swarmd.drivers.ros.messages import BatteryState, Imu, LaserScan, Odometry, Range
+from swarmd.drivers.ros.messages import (
+    BatteryState,
+    Imu,
+    LaserScan,
+    Odometry,
+    PoseStamped,
+    PoseWithCovarianceStamped,
+    Range,
+)
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.topic_stats import TopicStats
 
@@ -35,6 +43,7 @@ class Subscriptions:
         self._decode, self._spec = decode, platform.scan
         self._yaw = math.radians(options.scan_yaw_deg)
         self._is_upside_down = options.scan_upside_down
+        self._pose_errors = options.shared_pose_error, math.radians(options.shared_pose_error_deg)
         self._scan_seq = 0
         self.scan: Scan | None = None
         self._laser: LaserScan | None = None
@@ -89,6 +98,9 @@ class Subscriptions:
         if stats.message_type is Odometry:
             odometry = from_ros.odometry_of(message)
             return lambda sink: sink.odometry(odometry), ""
+        if stats.message_type in (PoseStamped, PoseWithCovarianceStamped):
+            pose = from_ros.shared_pose_of(message, *self._pose_errors)
+            return lambda sink: sink.pose(pose), f"frame {pose.frame}"
         is_imu = stats.message_type is Imu
         values = (from_ros.imu_readings if is_imu else from_ros.battery_readings)(message)
         self._readings = readings = {**self._readings, **values}
@@ -114,6 +126,7 @@ def _topics(options: TopicOptions, platform: Platform) -> list[TopicStats]:
     for name, given, message_type in (
         ("imu", options.imu, Imu),
         ("battery", options.battery, BatteryState),
+        ("shared_pose", options.shared_pose, options.pose_type),
     ):
         if given is not None:
             found.append(TopicStats(name, name, topic(given), message_type))

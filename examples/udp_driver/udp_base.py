@@ -28,6 +28,7 @@ from swarmd.core.values import (
     Pose,
     Scan,
     ScanSpec,
+    SharedPose,
     Twist,
     Value,
 )
@@ -229,6 +230,9 @@ class _CountingSink:
         self.count["odometry"] += 1
 
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
+        pass
+
+    def pose(self, pose: SharedPose) -> None:
         pass
 
     def readings(self, values: Mapping[str, float]) -> None:

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
-from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist
+from swarmd.core.values import Neighbor, Odometry, Platform, Scan, SharedPose, Twist
 from swarmd.driver_api.emulator import Emulator, EmulatorFactory
 
 DRIVER = "simulated"
@@ -56,6 +56,9 @@ class EmulatorTransport:
 
     def neighbors(self, robot: str, neighbors: tuple[Neighbor, ...]) -> None:
         """Ignored: emulated robots do not publish neighbors."""
+
+    def pose(self, robot: str, pose: SharedPose) -> None:
+        """Ignored: emulated robots do not publish poses in a shared frame."""
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
         """Ignored: no topic carries readings."""

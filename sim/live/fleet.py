@@ -38,7 +38,8 @@ class FleetSpec:
     """The processes to start. `robots`: platform by id; `folder` holds files, logs and latches.
 
     `emulator`: the driver whose interface the world emulates; None: driver `simulated`. The world
-    records `seconds` of simulation in the file `trace`, if given.
+    gives each robot its own pose if `shared_frame`, and records `seconds` of simulation in the file
+    `trace`, if given.
     """
 
     swarm: str
@@ -54,6 +55,7 @@ class FleetSpec:
     trace: Path | None = None
     seconds: float | None = None
     emulator: str | None = None
+    shared_frame: bool = False
 
 
 class Ready(msgspec.Struct, frozen=True):
@@ -152,6 +154,7 @@ def world_command(spec: FleetSpec) -> list[str]:
     if spec.emulator is not None:
         command += ["--emulator", spec.emulator, "--emulator-endpoint", "tcp/127.0.0.1:0"]
     command += [] if spec.radio_range is None else ["--radio-range", str(spec.radio_range)]
+    command += ["--shared-frame"] if spec.shared_frame else []
     command += ["--trace", str(spec.trace)] if spec.trace else []
     return command + (["--seconds", str(spec.seconds)] if spec.seconds else [])
 

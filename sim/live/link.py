@@ -17,11 +17,13 @@ import zenoh
 from swarmd.core import keys
 from swarmd.core.codec import MAX_CONTROL, encode
 from swarmd.core.errors import CodecError, NetworkError, SwarmError
-from swarmd.core.values import Neighbor, Odometry, Scan, Twist
+from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose, Twist
 from swarmd.driver_api.hw_codec import (
+    INPUTS,
     decode_command,
     encode_neighbors,
     encode_odometry,
+    encode_pose,
     encode_readings,
     encode_scan,
 )
@@ -91,7 +93,7 @@ class WorldLink:
         self._publishers = {
             (robot, name): self._publisher(keys.build(swarm, robot, "hw", name))
             for robot in self._ids
-            for name in ("scan", "odometry", "neighbors", "readings")
+            for name in INPUTS
         }
         self._state = self._session.declare_publisher(state_key(swarm))
         self._session.declare_subscriber(
@@ -114,6 +116,10 @@ class WorldLink:
     def neighbors(self, robot: str, neighbors: tuple[Neighbor, ...]) -> None:
         """Publish the robots in radio contact."""
         self.publish(robot, "neighbors", encode_neighbors(neighbors))
+
+    def pose(self, robot: str, pose: SharedPose) -> None:
+        """Publish a pose in the frame that the robots share."""
+        self.publish(robot, "pose", encode_pose(pose))
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
         """Publish scalar readings."""

@@ -13,7 +13,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from swarmd.core.errors import CodecError, SwarmError
-from swarmd.core.values import Array
+from swarmd.core.values import Array, Pose, SharedPose
 from swarmd.sim.live.body_transport import EmulatorTransport
 from swarmd.sim.live.link import PendingRequest, WorldLink
 from swarmd.sim.live.pacing import Staggered, StepPacer
@@ -28,6 +28,8 @@ COMMAND_TIMEOUT = 0.5
 """Real seconds without a command after which a simulated base stops."""
 
 STATE_RATE = 10.0
+POSE_RATE = 20.0
+POSE_ERROR, POSE_YAW_ERROR = 0.01, 0.01  # m and rad, as of motion capture
 
 
 class RealTimeWorld:
@@ -42,12 +44,14 @@ class RealTimeWorld:
         radio: Radio | None = None,
         emulated: EmulatorTransport | None = None,
         command_timeouts: Sequence[float] | None = None,
+        has_shared_frame: bool = False,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """`clock` is the clock with which `link` and `emulated` stamp arrivals.
 
         `radio` gives the neighbors; without one they are not published and all hear all.
-        With `emulated` the robots have its sensors and commands instead of those of the link.
+        With `has_shared_frame` each robot is given its pose in the world. With `emulated` the
+        robots have its sensors and commands instead of those of the link.
         `command_timeouts`: for each robot the seconds without a command after which its base stops,
         inf for never, by default `COMMAND_TIMEOUT`.
         """
@@ -65,6 +69,7 @@ class RealTimeWorld:
         self._scans_due = Staggered(np.array([p.scan.rate for p in world.platforms]), start)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start)
         self._neighbors_due = Staggered(np.full(n, NEIGHBORS_RATE), start)
+        self._poses_due = Staggered(np.full(n if has_shared_frame else 0, POSE_RATE), start)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
         self._pacer = StepPacer(world.dt, clock())
 
@@ -122,6 +127,11 @@ class RealTimeWorld:
                 transport.odometry(world.ids[row], odometry)
         for row in self._neighbors_due.due(world.time):
             self._publish_neighbors(int(row))
+        for row in self._poses_due.due(world.time):
+            pose = Pose(*world.poses()[row].tolist())
+            # Stamped in real time: simulated time may lag behind.
+            shared = SharedPose(self._clock(), pose, POSE_ERROR, POSE_YAW_ERROR, "world")
+            transport.pose(world.ids[row], shared)
         if len(self._state_due.due(world.time)):
             self._link.publish_state(self._state())
 

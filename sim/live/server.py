@@ -120,7 +120,13 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
         if options.radio_range is not None:
             radio = Radio(_radio_settings(options), world.ids, world.arena, seed=options.seed)
         live = RealTimeWorld(
-            world, link, record, radio=radio, emulated=emulated, command_timeouts=timeouts
+            world,
+            link,
+            record,
+            radio=radio,
+            emulated=emulated,
+            command_timeouts=timeouts,
+            has_shared_frame=options.shared_frame,
         )
         live.run(is_over)
 
@@ -214,6 +220,7 @@ def _parser() -> argparse.ArgumentParser:
     add("--lidar-visibility", choices=("body", "real"), default="body")
     add("--realism", choices=sorted(REALISMS), default="ideal")
     add("--radio-range", type=float, metavar="M", help="range of the radio between robots")
+    add("--shared-frame", action="store_true", help="robots measure their poses in one frame")
     add("--trace", type=Path, metavar="FILE.npz", help="where to write the trace")
     add("--trace-rate", type=float, default=50.0, metavar="HZ")
     add("--seconds", type=float, help="of simulation to record, from the start or `start`")

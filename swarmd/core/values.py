@@ -105,6 +105,54 @@ class Odometry(Struct, frozen=True, array_like=True):
     twist: Twist
 
 
+class SharedPose(Struct, frozen=True, array_like=True):
+    """A robot's own pose, that of the base's axle, in a frame that robots share.
+
+    `frame` names it, in 1 to 63 printable characters: places in frames of one name are compared.
+    `stamp` in s on the clock of what measures. `error` in m and `yaw_error` in rad bound what is
+    wrong with the pose.
+    """
+
+    stamp: float
+    pose: Pose
+    error: float
+    yaw_error: float
+    frame: str
+
+    @property
+    def is_valid(self) -> bool:
+        """True if the pose is finite and near, and the errors and the name have sense."""
+        return (
+            self.pose.is_finite
+            and abs(self.stamp) < math.inf
+            and max(abs(self.pose.x), abs(self.pose.y)) <= MAX_SHARED_COORDINATE
+            and 0.0 <= self.error <= MAX_SHARED_ERROR
+            and 0.0 <= self.yaw_error <= math.pi
+            and 0 < len(self.frame) < 64
+            and self.frame.isprintable()
+        )
+
+
+MAX_SHARED_COORDINATE = 1e6
+"""Metres from the origin of a shared frame."""
+MAX_SHARED_ERROR = 10.0
+"""Metres; a pose that is worse tells nothing."""
+
+
+class PeerPlace(Struct, frozen=True, array_like=True):
+    """Where the peer `robot` says that it is: `x`, `y` in m in the shared frame `frame`.
+
+    `error` in m bounds the error; `age` in s since it was measured, on arrival.
+    """
+
+    robot: str
+    frame: str
+    x: float
+    y: float
+    error: float
+    age: float
+
+
 class Neighbor(Struct, frozen=True, array_like=True):
     """A robot nearby, as far as it is sensed.
 

@@ -24,7 +24,7 @@ from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError, SwarmError
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.messages import Latch, Reply, Request, Status
-from swarmd.core.values import ZERO, Neighbor, Twist
+from swarmd.core.values import ZERO, Neighbor, PeerPlace, Twist
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.daemon.driver_sink import DriverSink
 from swarmd.daemon.latchfile import LatchFile
@@ -90,6 +90,7 @@ class Daemon:
                 on_stop=self._on_stop,
                 on_latches=self._on_latches,
                 on_message=self._on_message,
+                on_place=self._on_place,
                 on_members=self._update_neighbors,
                 on_duplicate=self._on_duplicate,
                 on_interface=self._on_interface,
@@ -251,6 +252,9 @@ class Daemon:
         if not is_accepted:
             self._network.drop("msg:not_a_neighbor")
 
+    def _on_place(self, place: PeerPlace) -> None:
+        self._robot.on_peer_place(place, boottime())
+
     def _on_duplicate(self, holder: str | None) -> None:
         if holder is not None:
             log.error("id %s is also held by %s", self._robot.id, holder)
@@ -287,6 +291,8 @@ class Daemon:
         self._ticks += 1
         self._carry_out(self._robot.tick(boottime()))
         self._network.advance()
+        if told := self._robot.pose_to_tell(boottime()):
+            self._network.publish_pose(*told)
         if self._ticks % NEIGHBORS_PERIOD == 0:
             self._update_neighbors()
             if self._notify.pings:

@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Reason
-from swarmd.core.values import Neighbor, Odometry, Scan
+from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 
@@ -37,6 +37,10 @@ class DriverSink:
         """The robots within communication range, as the driver measures them."""
         self.has_neighbors = True
         self._robot.on_neighbors(neighbors, boottime())
+
+    def pose(self, pose: SharedPose) -> None:
+        """The robot's own pose in a frame that robots share."""
+        self._robot.on_pose(pose, boottime())
 
     def readings(self, values: Mapping[str, float]) -> None:
         """Scalar sensors by name."""

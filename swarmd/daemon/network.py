@@ -21,6 +21,7 @@ from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError, IdHeldError, NetworkError
 from swarmd.core.messages import Body, Latch, Member, Presence, Reply, Status
+from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import (
     ANY_SWARM,
@@ -61,6 +62,7 @@ class NetworkHandlers:
     on_stop: Callable[[Stop, Address, Callable[[Reply], None]], None]
     on_latches: Callable[[Mapping[str, Latch]], None]
     on_message: Callable[[Message], None]
+    on_place: Callable[[PeerPlace], None]
     on_members: Callable[[], None]
     on_duplicate: Callable[[str | None], None]
     on_interface: Callable[[InterfaceChange], None]
@@ -208,6 +210,12 @@ class Network:
         if self._peer is not None and self._peer.owns_id:
             self._send(self._peer.message(channel, payload), None)
 
+    def publish_pose(self, pose: SharedPose, age: float) -> None:
+        """Tell all robots the own pose, measured `age` s ago; dropped if it is not due yet."""
+        place = None if self._peer is None else self._peer.place(pose, age, boottime())
+        if place is not None:
+            self._send(place, None)
+
     def publish_status(self, status: Callable[[], Status]) -> None:
         """Publish the status to the viewers that subscribe to it."""
         if self.bus is not None and self.owns_id:
@@ -270,6 +278,8 @@ class Network:
             self._handlers.on_latches(effects.latches)
         for message in effects.messages:
             self._handlers.on_message(message)
+        for place in effects.places:
+            self._handlers.on_place(place)
         if effects.duplicate:
             self._is_duplicate = True
             self._handlers.on_duplicate(f"instance {effects.duplicate}")

@@ -8,7 +8,7 @@ from typing import Any, Protocol, runtime_checkable
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.messages import Reason
-from swarmd.core.values import Neighbor, Odometry, Platform, Scan, Twist, Value
+from swarmd.core.values import Neighbor, Odometry, Platform, Scan, SharedPose, Twist, Value
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +31,9 @@ class Sink(Protocol):
 
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
         """The robots within radio range, if the base knows; never called means all members."""
+
+    def pose(self, pose: SharedPose) -> None:
+        """The robot's own pose in a frame that robots share, if something measures it."""
 
     def readings(self, values: Mapping[str, float]) -> None:
         """Scalar sensors by name."""
@@ -134,4 +137,4 @@ class NullSink:
     def _ignore(self, *args: Any, **kwargs: Any) -> None:
         pass
 
-    scan = odometry = neighbors = readings = state = dropped = _ignore
+    scan = odometry = neighbors = pose = readings = state = dropped = _ignore

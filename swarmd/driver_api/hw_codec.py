@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Count, Metres, Name, Speed, Word
-from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, ScanSpec, SharedPose, Twist
 from swarmd.driver_api.driver import Sink
 
 Angle = Annotated[float, Meta(ge=-100.0, le=100.0)]
@@ -26,8 +26,8 @@ Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]
 Coordinate = Annotated[float, Meta(ge=-1e9, le=1e9)]
 """Metres in the odometry frame, which may be that of a map."""
 MAX_RAYS = 20_000
-INPUTS = ("scan", "odometry", "neighbors", "readings")
-Input = Scan | Odometry | tuple[Neighbor, ...] | Mapping[str, float]
+INPUTS = ("scan", "odometry", "neighbors", "pose", "readings")
+Input = Scan | Odometry | tuple[Neighbor, ...] | SharedPose | Mapping[str, float]
 
 
 class ScanWire(Struct, frozen=True, array_like=True):
@@ -66,6 +66,18 @@ class NeighborsWire(Struct, frozen=True, array_like=True):
     neighbors: tuple[NeighborWire, ...]
 
 
+class PoseWire(Struct, frozen=True, array_like=True):
+    """The robot's pose in a frame that robots share; `error` in m, `yaw_error` in rad."""
+
+    stamp: Stamp
+    x: Coordinate
+    y: Coordinate
+    yaw: Metres
+    error: Metres
+    yaw_error: Angle
+    frame: Name
+
+
 class ReadingsWire(Struct, frozen=True, array_like=True):
     """Scalar sensors by name."""
 
@@ -85,6 +97,7 @@ class CommandWire(Struct, frozen=True, array_like=True):
 _scan = Decoder(ScanWire, MAX_SENSOR_PAYLOAD)
 _odometry = Decoder(OdometryWire)
 _neighbors = Decoder(NeighborsWire)
+_pose = Decoder(PoseWire)
 _readings = Decoder(ReadingsWire)
 _command = Decoder(CommandWire)
 
@@ -146,6 +159,23 @@ def decode_neighbors(payload: bytes) -> tuple[Neighbor, ...]:
     return tuple(Neighbor(n.id, 0.0, n.distance, n.bearing, n.heading) for n in wire.neighbors)
 
 
+def encode_pose(shared: SharedPose) -> bytes:
+    """The bytes of a pose in a shared frame."""
+    p = shared.pose
+    fields = p.x, p.y, p.yaw, shared.error, shared.yaw_error, shared.frame
+    return encode(PoseWire(shared.stamp, *fields))
+
+
+def decode_pose(payload: bytes) -> SharedPose:
+    """A pose in a shared frame; CodecError if it is not valid."""
+    wire = _pose(payload)
+    pose = Pose(wire.x, wire.y, wire.yaw)
+    shared = SharedPose(wire.stamp, pose, wire.error, wire.yaw_error, wire.frame)
+    if not shared.is_valid:
+        raise CodecError("a pose in a shared frame that is too far or too inaccurate")
+    return shared
+
+
 def encode_readings(values: Mapping[str, float]) -> bytes:
     """The bytes of scalar readings."""
     return encode(ReadingsWire(dict(values)))
@@ -174,6 +204,8 @@ def decode_input(kind: str, payload: bytes, spec: ScanSpec) -> Input:
         return decode_scan(payload, spec)
     if kind == "odometry":
         return decode_odometry(payload)
+    if kind == "pose":
+        return decode_pose(payload)
     return decode_neighbors(payload) if kind == "neighbors" else decode_readings(payload)
 
 
@@ -183,6 +215,8 @@ def deliver(sink: Sink, value: Input) -> None:
         sink.scan(value)
     elif isinstance(value, Odometry):
         sink.odometry(value)
+    elif isinstance(value, SharedPose):
+        sink.pose(value)
     elif isinstance(value, tuple):
         sink.neighbors(value)
     else:

@@ -18,15 +18,17 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError, ConfigError, DriverError
 from swarmd.core.messages import Reason
-from swarmd.core.values import Neighbor, Odometry, Scan, Twist
+from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose, Twist
 from swarmd.driver_api.driver import Driver, Finding, Sink
 from swarmd.driver_api.hw_codec import (
     decode_neighbors,
     decode_odometry,
+    decode_pose,
     decode_readings,
     encode_command,
     encode_neighbors,
     encode_odometry,
+    encode_pose,
     encode_readings,
     encode_scan,
 )
@@ -36,7 +38,7 @@ log = logging.getLogger(__name__)
 MAGIC = b"swarmd recording 1\n"
 MAX_FRAME = MAX_SENSOR_PAYLOAD + 1024
 T = TypeVar("T")
-EntryKind = Literal["scan", "odometry", "neighbors", "readings", "state", "command"]
+EntryKind = Literal["scan", "odometry", "neighbors", "pose", "readings", "state", "command"]
 
 
 class Header(Struct, frozen=True, kw_only=True):
@@ -207,6 +209,11 @@ class RecordingSink:
         """The robots within radio range."""
         self._sink.neighbors(neighbors)
         self._add("neighbors", encode_neighbors(neighbors), decode_neighbors)
+
+    def pose(self, pose: SharedPose) -> None:
+        """A pose in a shared frame."""
+        self._sink.pose(pose)
+        self._add("pose", encode_pose(pose), decode_pose)
 
     def readings(self, values: Mapping[str, float]) -> None:
         """Scalar sensors."""

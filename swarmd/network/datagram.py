@@ -48,6 +48,8 @@ DIGEST_BYTES = 6
 Digest = Annotated[bytes, Meta(max_length=DIGEST_BYTES)]
 Milliseconds = Annotated[int, Meta(ge=0, le=_MAX_MS)]
 Millimetres = Annotated[int, Meta(ge=0, le=100_000)]
+Coordinate = Annotated[int, Meta(ge=-1_000_000_000, le=1_000_000_000)]
+"""Millimetres in a shared frame."""
 Number = Annotated[int, Meta(ge=0, le=2**53)]
 Hops = Annotated[int, Meta(ge=0, le=MAX_HOPS)]
 Host = Annotated[str, Meta(max_length=64)]
@@ -66,6 +68,7 @@ class Kind(IntEnum):
     LATCHES = 6
     MESSAGE = 7
     SWARM = 8
+    PLACE = 9
 
 
 class Flag(IntFlag):
@@ -251,6 +254,23 @@ class Message(_Datagram, frozen=True, kw_only=True):
     payload: Annotated[bytes, Meta(max_length=1024)]
 
 
+class Place(_Datagram, frozen=True, kw_only=True):
+    """Where a robot is in a shared frame: sent up to 10 times a second to peers that miss it.
+
+    `sent`: ms on the sender's clock, by which a delay on the way shows. `age`: ms from the
+    measurement until then. `x`, `y` and `error`, which bounds the error, in mm.
+    """
+
+    robot: RobotId
+    instance: Bytes6
+    sent: Milliseconds
+    age: Milliseconds
+    frame: Annotated[str, Meta(min_length=1, max_length=63)]
+    x: Coordinate
+    y: Coordinate
+    error: Millimetres
+
+
 class Swarm(_Datagram, frozen=True, kw_only=True):
     """The answer to a `Solicit` of any swarm: the name of the robot's swarm and its profile."""
 
@@ -259,7 +279,7 @@ class Swarm(_Datagram, frozen=True, kw_only=True):
     robot: RobotId
 
 
-Datagram = Beacon | Solicit | MemberList | Stop | Ack | Latches | Message | Swarm
+Datagram = Beacon | Solicit | MemberList | Stop | Ack | Latches | Message | Swarm | Place
 _TYPES: dict[int, type[_Datagram]] = {
     Kind.BEACON: Beacon,
     Kind.SOLICIT: Solicit,
@@ -269,6 +289,7 @@ _TYPES: dict[int, type[_Datagram]] = {
     Kind.LATCHES: Latches,
     Kind.MESSAGE: Message,
     Kind.SWARM: Swarm,
+    Kind.PLACE: Place,
 }
 _KINDS = {kind: number for number, kind in _TYPES.items()}
 _encoder = msgspec.msgpack.Encoder()

@@ -11,8 +11,10 @@ import random
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from swarmd.core.arrival_delay import ArrivalDelay
 from swarmd.core.messages import Body, Latch, State
 from swarmd.core.token_bucket import TokenBucket
+from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.network.claim import CLAIM_PERIOD, Claim
 from swarmd.network.datagram import (
     STATES,
@@ -25,6 +27,7 @@ from swarmd.network.datagram import (
     Latches,
     MemberList,
     Message,
+    Place,
     Solicit,
     Stop,
     Swarm,
@@ -47,6 +50,10 @@ MAX_HOSTS = 128
 SYNC_TIMEOUT = 1.0  # a robot that joins waits so long for the latches of the others
 MEMBERS_PERIOD = 0.25  # between looks for members that are silent
 MESSAGE_WINDOW = 64
+PLACE_PERIOD = 0.1  # s between datagrams of the own place, at least
+FASTEST_DATAGRAM = 0.02  # s that the fastest takes at most: no clock shows it
+_JITTER = 0.01  # s by which a tick may be early
+_MAX_SENDERS = 1024
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,8 +72,8 @@ class Effects:
     `sends`: datagrams, each to an address or (None) to all. `stops`: to be carried out, with their
     sources; the ack goes to the source if `wants_ack`. `latches`: of peers. `changed`: robots whose
     presence changed. `messages`: of patterns. `indirect_addresses`: of robots that others hear.
-    `duplicate`: another instance that has begun to own the id. `lost`: messages that are missing,
-    or less than 0 for those that came late.
+    `places`: of peers in a shared frame. `duplicate`: another instance that has begun to own the
+    id. `lost`: messages that are missing, or less than 0 for those that came late.
     """
 
     sends: list[tuple[Datagram, Address | None]] = field(default_factory=list)
@@ -74,6 +81,7 @@ class Effects:
     latches: dict[str, Latch] = field(default_factory=dict)
     changed: list[str] = field(default_factory=list)
     messages: list[Message] = field(default_factory=list)
+    places: list[PeerPlace] = field(default_factory=list)
     indirect_addresses: list[Address] = field(default_factory=list)
     duplicate: str = ""
     lost: int = 0
@@ -148,6 +156,8 @@ class Peer:
         self._lists_at = now + self._random.uniform(0.0, 1.0)
         self._began = now
         self._windows: dict[str, _Window] = {}
+        self._place_at = -math.inf
+        self._place_delays: dict[str, tuple[bytes, ArrivalDelay]] = {}
         self._duplicates: dict[bytes, float] = {}
         self._answers = TokenBucket(ANSWER_RATE, ANSWER_RATE)
         self._members_at = now
@@ -211,6 +221,8 @@ class Peer:
                 effects.latches = dict(body.held)
             case Message() if body.robot != self.robot:
                 self._on_message(body, effects)
+            case Place() if body.robot != self.robot and self.membership.knows(body.robot):
+                self._on_place(body, now, effects)
         return effects
 
     def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
@@ -226,6 +238,22 @@ class Peer:
             sequence=self._message_sequence,
             channel=channel,
             payload=payload,
+        )
+
+    def place(self, pose: SharedPose, age: float, now: float) -> Place | None:
+        """The datagram of the own pose, measured `age` s ago; None if it is not due yet."""
+        if self._claim is not None or now < self._place_at:
+            return None
+        self._place_at = now + PLACE_PERIOD - _JITTER
+        return Place(
+            robot=self.robot,
+            instance=self._instance,
+            sent=max(round(1000.0 * now), 0),
+            age=math.ceil(1000.0 * max(age, 0.0)),
+            frame=pose.frame,
+            x=round(1000.0 * pose.pose.x),
+            y=round(1000.0 * pose.pose.y),
+            error=math.ceil(1000.0 * pose.error) + 1,  # that of rounding
         )
 
     def leave_beacon(self, summary: Summary) -> Beacon:
@@ -356,6 +384,20 @@ class Peer:
         is_new, effects.lost = window.take(message.sequence)
         if is_new:
             effects.messages.append(message)
+
+    def _on_place(self, place: Place, now: float, effects: Effects) -> None:
+        instance, delay = self._place_delays.get(place.robot, (b"", ArrivalDelay()))
+        if instance != place.instance:
+            delay = ArrivalDelay()
+            self._place_delays.pop(place.robot, None)
+            while len(self._place_delays) >= _MAX_SENDERS:
+                del self._place_delays[next(iter(self._place_delays))]
+            self._place_delays[place.robot] = place.instance, delay
+        late = delay.take(place.sent / 1000.0, now)
+        if late is not None:
+            x, y, error = place.x / 1000.0, place.y / 1000.0, place.error / 1000.0
+            age = place.age / 1000.0 + late + FASTEST_DATAGRAM
+            effects.places.append(PeerPlace(place.robot, place.frame, x, y, error, age))
 
     def _send_latches_if_due(self, now: float, summary: Summary, effects: Effects) -> None:
         digest = digest_of(summary.latches)

@@ -89,6 +89,9 @@ class _Listener(NamedTuple):
     way: _Way
 
 
+_PASSING = Kind.MESSAGE, Kind.PLACE  # robots that were only mentioned get no copy
+
+
 class UdpCarrier:
     """Sends and receives the datagrams of a swarm; raises NetworkError if it cannot be opened.
 
@@ -161,7 +164,7 @@ class UdpCarrier:
             self._refresh(now)
             if self._multicast:
                 self._send_to_groups(payload, kind, is_urgent, now)
-            for address in self.recipients.unicast(now, is_message=kind == Kind.MESSAGE):
+            for address in self.recipients.unicast(now, is_message=kind in _PASSING):
                 self._send_to(payload, address)
 
     def send_to(self, payload: bytes, address: Address) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from typing import NamedTuple
 
 from msgspec import structs
 
+from swarmd.core.arrival_delay import ArrivalDelay
 from swarmd.core.messages import Body, PeerFinding
-from swarmd.core.values import Neighbor, Platform
-from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
+from swarmd.core.values import Neighbor, PeerPlace, Platform, SharedPose, Twist
+from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings, sees
 from swarmd.protection.decision import ToldObstacle
 
 TOLD_TIMEOUT = 1.0  # s after which a place that a neighbour was told at says nothing any more
@@ -17,7 +19,28 @@ TOLD_WITHIN = 3.0  # m; a neighbour farther away constrains no command before it
 # Errors of range and bearing: three standard deviations of the boards that the simulator models.
 DISTANCE_ERROR, DISTANCE_SHARE, ANGLE_ERROR = 0.06, 0.06, math.radians(6.0)
 
-_Figure = tuple[float, float, float, float]  # x, y, radius in m, and the time of measuring in s
+POSE_TIMEOUT = 0.5  # s of age beyond which a pose in a shared frame is neither told nor used
+FASTEST_POSE = 0.1  # s that the fastest own pose takes at most to arrive: no clock shows it
+
+
+class _Figure(NamedTuple):
+    """A disc in m in the base frame at the time `at` in s; `until` s it tells where the peer is."""
+
+    x: float
+    y: float
+    radius: float
+    at: float
+    until: float
+
+
+class _OwnPose(NamedTuple):
+    """The own pose in a shared frame at the time `at` in s, which is right within half of
+    FASTEST_POSE: that shifts the pose by `shift` m and turns it by `turn` rad at most."""
+
+    shared: SharedPose
+    at: float
+    shift: float
+    turn: float
 
 
 class Peers:
@@ -31,6 +54,10 @@ class Peers:
         self._others_speed = assumed_speed(platform)
         self._is_off = platform.protection.get("mode") == "off"
         self._accepts = accepts
+        self._limits = platform.limits
+        self._pose_delay = ArrivalDelay()
+        self._own_pose: _OwnPose | None = None
+        self._is_missed = False  # by a peer that may not see this robot
         self._bodies: Mapping[str, Body | None] = {}
         self._findings: tuple[PeerFinding, ...] = ()
         self._radii: dict[str, float] = {}  # of peers whose places matter
@@ -58,6 +85,8 @@ class Peers:
             for finding in found
             if finding.kind != "faster" and (body := bodies[finding.robot]) is not None
         }
+        others = (body for body in bodies.values() if body is not None)
+        self._is_missed = any(sees(body, self.own) is not True for body in others)
         self._figures = {r: f for r, f in self._figures.items() if r in self._radii}
         self._unseen = tuple(f.robot for f in found if f.kind == "unseen" and f.holds)
         self._holds_always = any(f.kind == "faster" and f.holds for f in found)
@@ -76,23 +105,73 @@ class Peers:
                 continue
             distance, at = max(distance, 0.0), now - max(neighbor.age, 0.0)
             error = math.hypot(DISTANCE_ERROR + DISTANCE_SHARE * distance, ANGLE_ERROR * distance)
-            self._figures[neighbor.id] = (
+            self._figures[neighbor.id] = _Figure(
                 distance * math.cos(neighbor.bearing),
                 distance * math.sin(neighbor.bearing),
                 radius + error,
                 at,
+                at + TOLD_TIMEOUT,
             )
         self._find_due()
         return bool(self._figures)
+
+    def on_pose(self, pose: SharedPose, twist: Twist | None, now: float) -> None:
+        """Take in the own pose; `twist` is the measured one. One that is not valid is ignored."""
+        if not pose.is_valid:
+            return
+        late = self._pose_delay.take(pose.stamp, now)
+        if late is None:
+            return
+        limits, half = self._limits, 0.5 * FASTEST_POSE
+        if twist is None:
+            twist = Twist(limits.linear, limits.angular, limits.lateral)
+        shift = half * math.hypot(twist.linear, twist.lateral)
+        self._own_pose = _OwnPose(pose, now - late - half, shift, half * abs(twist.angular))
+
+    def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
+        """The own pose and its highest age in s, if a peer may not see this robot."""
+        if not self._is_missed or self._own_pose is None:
+            return None
+        age = now - self._own_pose.at + 0.5 * FASTEST_POSE
+        return (self._own_pose.shared, age) if age <= POSE_TIMEOUT else None
+
+    def on_place(self, place: PeerPlace, now: float) -> bool:
+        """Take in where a peer is by its own word; True if it is now told by that.
+
+        Needs an own pose in the same frame. The peer's motion until the time of that pose, the
+        errors of both and that of the time of the own pose enlarge the circle.
+        """
+        own, radius = self._own_pose, self._radii.get(place.robot)
+        body = self._bodies.get(place.robot)
+        if own is None or radius is None or body is None or place.frame != own.shared.frame:
+            return False
+        at = now - place.age
+        if now - own.at > POSE_TIMEOUT or place.age > POSE_TIMEOUT:
+            return False
+        pose = own.shared.pose
+        dx, dy = place.x - pose.x, place.y - pose.y
+        cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
+        error = own.shared.error + own.shift + place.error
+        error += (own.shared.yaw_error + own.turn) * math.hypot(dx, dy)
+        error += body.surface_speed * max(own.at - at, 0.0)
+        self._figures[place.robot] = _Figure(
+            cos * dx + sin * dy,
+            cos * dy - sin * dx,
+            radius + error,
+            own.at,
+            min(own.at, at) + TOLD_TIMEOUT,
+        )
+        self._find_due()
+        return True
 
     def told(self, now: float) -> tuple[ToldObstacle, ...]:
         """The near peers that are told and not seen for certain, by name."""
         if not self._figures:
             return ()
         return tuple(
-            ToldObstacle(x, y, radius, max(now - at, 0.0))
-            for x, y, radius, at in self._figures.values()
-            if now - at <= TOLD_TIMEOUT and math.hypot(x, y) - radius <= TOLD_WITHIN
+            ToldObstacle(one.x, one.y, one.radius, max(now - one.at, 0.0))
+            for one in self._figures.values()
+            if now <= one.until and math.hypot(one.x, one.y) - one.radius <= TOLD_WITHIN
         )
 
     def holds(self, now: float) -> bool:
@@ -108,7 +187,7 @@ class Peers:
 
     def _told_until(self, robot: str) -> float:
         figure = self._figures.get(robot)
-        return -math.inf if figure is None else figure[3] + TOLD_TIMEOUT
+        return -math.inf if figure is None else figure.until
 
     def findings(self, now: float) -> tuple[PeerFinding, ...]:
         """The findings at `now`: one that is told does not hold the robot."""

@@ -11,7 +11,16 @@ from collections.abc import Mapping
 
 from swarmd.core.host_messages import HostEvent, Step, TrialDone
 from swarmd.core.messages import Body, Epoch, Latch, Reason, Request, State, Status
-from swarmd.core.values import Neighbor, Odometry, Platform, Scalar, Scan, Value
+from swarmd.core.values import (
+    Neighbor,
+    Odometry,
+    PeerPlace,
+    Platform,
+    Scalar,
+    Scan,
+    SharedPose,
+    Value,
+)
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import NO_PERMIT, Decision
 from swarmd.robot.actions import Actions, Effects
@@ -135,6 +144,18 @@ class Robot:
             self._due_at = self._quiet_until = -math.inf
         for text, names in robots.items():
             self._lifecycle.log(f"peer {', '.join(names)}: {text}", now)
+
+    def on_pose(self, pose: SharedPose, now: float) -> None:
+        """The robot's own pose in a frame that robots share."""
+        self._sensors.on_pose(pose, now)
+
+    def on_peer_place(self, place: PeerPlace, now: float) -> None:
+        """Where a peer says that it is in a shared frame."""
+        self._sensors.on_place(place, now)
+
+    def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
+        """The own pose in a shared frame and its age in s, if peers are to be told it."""
+        return self._sensors.peers.pose_to_tell(now)
 
     def on_readings(self, readings: Mapping[str, float]) -> None:
         """Scalar sensor readings by name."""

@@ -9,7 +9,17 @@ from dataclasses import dataclass
 
 from swarmd.core.codec import encode_value
 from swarmd.core.messages import Body, PeerFinding, Reason
-from swarmd.core.values import Inputs, Message, Neighbor, Odometry, Platform, Scan, Value
+from swarmd.core.values import (
+    Inputs,
+    Message,
+    Neighbor,
+    Odometry,
+    PeerPlace,
+    Platform,
+    Scan,
+    SharedPose,
+    Value,
+)
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
 from swarmd.protection.decision import DecisionContext
 from swarmd.robot.peers import Peers
@@ -116,6 +126,18 @@ class Sensors:
         if self.peers.on_neighbors(neighbors, now):
             self._context = None
         self._aged, self._renewals = neighbors, 0.0
+
+    def on_pose(self, pose: SharedPose, now: float) -> None:
+        """Take in the own pose in a shared frame."""
+        at, odometry = self._odometry_at, self.odometry
+        is_fresh = odometry is not None and at is not None and now - at <= ODOMETRY_TIMEOUT
+        twist = odometry.twist if is_fresh and odometry is not None else None
+        self.peers.on_pose(pose, twist, now)
+
+    def on_place(self, place: PeerPlace, now: float) -> None:
+        """Take in where a peer is in a shared frame."""
+        if self.peers.on_place(place, now):
+            self._context = None
 
     def on_peers(self, bodies: Mapping[str, Body | None]) -> list[PeerFinding]:
         """Take in what all known peers tell of their bodies; the findings that are new."""

@@ -30,7 +30,17 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.messages import Reason
-from swarmd.core.values import ZERO, Array, Neighbor, Odometry, Platform, Scan, Twist, Value
+from swarmd.core.values import (
+    ZERO,
+    Array,
+    Neighbor,
+    Odometry,
+    Platform,
+    Scan,
+    SharedPose,
+    Twist,
+    Value,
+)
 from swarmd.driver_api.driver import Driver
 
 TIMEOUT = 30.0
@@ -98,6 +108,7 @@ class CollectingSink:
     scans: list[Scan] = field(default_factory=list)
     odometries: list[Odometry] = field(default_factory=list)
     neighborhoods: list[tuple[Neighbor, ...]] = field(default_factory=list)
+    poses: list[SharedPose] = field(default_factory=list)
     values: list[Mapping[str, float]] = field(default_factory=list)
     states: list[tuple[bool, str]] = field(default_factory=list)
     hold: Reason | None = None
@@ -126,6 +137,10 @@ class CollectingSink:
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
         """Record the robots in radio range."""
         self.neighborhoods.append(neighbors)
+
+    def pose(self, pose: SharedPose) -> None:
+        """Record a pose in a shared frame."""
+        self.poses.append(pose)
 
     def readings(self, values: Mapping[str, float]) -> None:
         """Record scalar sensors."""

@@ -9,11 +9,13 @@ import pytest
 import zenoh
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist, Value
+from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist, Value
 from swarmd.driver_api.hw_codec import (
+    INPUTS,
     decode_command,
     encode_neighbors,
     encode_odometry,
+    encode_pose,
     encode_readings,
     encode_scan,
 )
@@ -28,6 +30,7 @@ from swarmd.testing.driver_contract import (
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan
+POSE = SharedPose(2.0, Pose(1.0, -2.0, 3.0), error=0.01, yaw_error=0.02, frame="world")
 ODOMETRY = Odometry(1.0, Pose(0.1, 0.2, 0.3), Twist(0.1, 0.2))
 
 
@@ -77,7 +80,7 @@ class Body:
 
     def publish_garbage(self) -> None:
         whole = encode_scan(scan(1))
-        for name in ("scan", "odometry", "neighbors", "readings"):
+        for name in INPUTS:
             for payload in (b"", b"\xff\x00garbage", whole[: len(whole) // 2], whole[:-1]):
                 self.send(name, payload)
 
@@ -122,13 +125,15 @@ def test_all_senses_arrive_as_they_were_sent() -> None:
         body.send("scan", encode_scan(scan(77)))
         body.send("odometry", encode_odometry(ODOMETRY))
         body.send("neighbors", encode_neighbors(neighbors))
+        body.send("pose", encode_pose(POSE))
         body.send("readings", encode_readings({"light": 0.25}))
         sink = harness.sink
-        await harness.until(lambda: bool(sink.neighborhoods and sink.values))
+        await harness.until(lambda: bool(sink.neighborhoods and sink.poses and sink.values))
         await harness.until(lambda: sink.scans[-1].seq == 77 and sink.odometries[-1] == ODOMETRY)
         np.testing.assert_allclose(sink.scans[-1].ranges, scan(77).ranges)
         np.testing.assert_allclose(sink.scans[-1].bearings, SPEC.bearings, atol=1e-9)
         assert sink.neighborhoods == [neighbors]
+        assert sink.poses == [POSE]
         assert sink.values == [{"light": 0.25}]
 
     play(story)

@@ -145,3 +145,18 @@ def test_lists_of_many_members_are_cut_into_datagrams_that_fit() -> None:
             roster=names,
         )
         assert len(pack(TAG, word)) <= MAX_DATAGRAM
+
+
+def test_a_place_has_at_most_sixty_bytes_and_is_read_back() -> None:
+    place = datagram.Place(
+        robot="tb3-01", instance=b"abcdef", sent=10**9, age=105, frame="mocap", x=-3_500,
+        y=12_000, error=51,
+    )  # fmt: skip
+    payload = pack(TAG, place)
+    assert 40 <= len(payload) <= 60
+    assert unpack(TAG, payload) == place
+    head = ("r1", b"abcdef", 1, 1)
+    assert unpack(TAG, body(Kind.PLACE, *head, "map", 0, 0, 0)) is not None
+    for wrong in (("", 0, 0, 0), ("map", 2**40, 0, 0), ("map", 0.5, 0, 0), ("map", 0, 0, -1)):
+        with pytest.raises(CodecError):
+            unpack(TAG, body(Kind.PLACE, *head, *wrong))

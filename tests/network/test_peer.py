@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from typing import Literal
 
 import pytest
 from msgspec.structs import replace
 
 from swarmd.core.messages import Latch, Presence, State
+from swarmd.core.values import Pose, SharedPose
 from swarmd.network.datagram import Ack, Beacon, MemberList, Solicit, Stop
-from swarmd.network.peer import BEACON_PERIOD
+from swarmd.network.peer import BEACON_PERIOD, FASTEST_DATAGRAM
 from tests.network.virtual_network import OPERATOR, VirtualNetwork
 
 
@@ -348,3 +350,50 @@ def test_beacons_show_state_and_revision_at_once() -> None:
     network.run(0.15)
     beacons = [body for _, body in network.heard if isinstance(body, Beacon)]
     assert any(body.robot == "r1" and (body.state, body.revision) == (1, 5) for body in beacons)
+
+
+# Places in a shared frame
+
+POSE = SharedPose(0.0, Pose(1.2345, -2.0, 0.5), error=0.05, yaw_error=0.1, frame="mocap")
+
+
+def test_a_place_is_sent_ten_times_a_second_at_most_and_only_by_the_owner_of_the_id() -> None:
+    network = VirtualNetwork(1)
+    peer = network.robots["r1"].peer
+    sent = [peer.place(POSE, 0.1, network.now + tick / 20.0) for tick in range(100)]
+    assert sum(place is not None for place in sent) == 50
+    new = VirtualNetwork(1, joined=False)
+    assert new.robots["r1"].peer.place(POSE, 0.1, new.now) is None
+
+
+def test_a_place_arrives_with_its_error_and_with_the_delay_on_the_way() -> None:
+    network = VirtualNetwork(2)
+    one, two = network.robots["r1"], network.robots["r2"]
+    ages = []
+    for number, delay in enumerate([0.3, 0.005, 0.01, 0.005, 0.255, 0.005]):
+        now = network.now + number * 0.5
+        place = one.peer.place(POSE, 0.1004, now)
+        assert place is not None
+        effects = two.peer.on_datagram(place, one.address, now + delay, two.summary)
+        again = two.peer.on_datagram(place, one.address, now + delay, two.summary)
+        assert again.places == []  # by another way
+        ages += [told.age for told in effects.places]
+    assert ages == pytest.approx([0.101 + 0.25 + FASTEST_DATAGRAM, 0.101 + FASTEST_DATAGRAM],
+                                 abs=2e-3)  # fmt: skip
+    (told,) = effects.places
+    assert (told.robot, told.frame) == ("r1", "mocap")
+    assert math.hypot(told.x - 1.2345, told.y + 2.0) + 0.05 <= told.error <= 0.052
+
+
+def test_places_of_strangers_and_of_the_own_id_are_ignored() -> None:
+    network = VirtualNetwork(2)
+    one, two = network.robots["r1"], network.robots["r2"]
+    told = {"r1": 0, "r2": 0, "r9": 0}
+    for number in range(10):
+        now = network.now + number * 0.5
+        place = one.peer.place(POSE, 0.1, now)
+        assert place is not None
+        for robot in told:
+            body = replace(place, robot=robot)
+            told[robot] += len(two.peer.on_datagram(body, one.address, now, two.summary).places)
+    assert told == {"r1": 6, "r2": 0, "r9": 0}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import suppress
 from typing import Any
 
@@ -11,13 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmd.core.errors import CodecError
+from swarmd.core.values import Pose, SharedPose
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
 from tests.support import ros2_types as dds
 
-OPTIONS = RosOptions(imu="imu", battery="battery")
+OPTIONS = RosOptions(imu="imu", battery="battery", shared_pose="pose")
+COVARIANT = RosOptions(shared_pose="/mocap/pose", shared_pose_type="pose_with_covariance")
 RING = RosOptions(ranges={"a": 0.0, "b": (90.0, 0.1)})
 singles, doubles = st.floats(width=32), st.floats()
 vectors = st.builds(dds.Vector3, doubles, doubles, doubles)
@@ -30,6 +33,11 @@ messages = [
         dds.Odometry,
         pose=st.builds(dds.PoseWithCovariance, st.builds(dds.Pose, vectors, turned)),
         twist=st.builds(dds.TwistWithCovariance, twists),
+    )),
+    ("shared_pose", st.builds(
+        dds.PoseStamped,
+        header=st.builds(dds.stamped, st.just(1.0), st.text()),
+        pose=st.builds(dds.Pose, vectors, turned),
     )),
     ("imu", st.builds(dds.Imu, orientation=turned)),
     ("battery", st.builds(dds.BatteryState, voltage=singles, percentage=singles)),
@@ -46,9 +54,47 @@ def test_any_payload_gives_a_value_or_one_error(name: str, values: st.SearchStra
             Subscriptions(OPTIONS, robots.PLATFORM).read(name, value.serialize(), 0.0)(sink)
         assert all(np.isfinite(scan.bearings).all() for scan in sink.scans)
         assert all(odometry.pose.is_finite for odometry in sink.odometries)
+        assert all(pose.is_valid for pose in sink.poses)
         assert all(np.isfinite(list(values.values())).all() for values in sink.values)
 
     check()
+
+
+def covariant(*, x: float = 0.0, y: float = 0.0, xy: float = 0.0, yaw: float = 0.0) -> bytes:
+    """A pose whose covariance has these elements."""
+    covariance = np.zeros((6, 6))
+    covariance[0, 0], covariance[1, 1], covariance[5, 5] = x, y, yaw
+    covariance[0, 1] = covariance[1, 0] = xy
+    middle = dds.Pose(dds.Vector3(3.0, -4.0, 0.5), dds.Quaternion(0.0, 0.0, 1.0, 0.0))
+    pose = dds.PoseWithCovariance(middle, covariance.ravel())
+    header = dds.stamped(2.5, "/mocap")
+    return bytes(dds.PoseWithCovarianceStamped(header=header, pose=pose).serialize())
+
+
+def shared_pose(payload: bytes) -> SharedPose:
+    sink = CollectingSink()
+    Subscriptions(COVARIANT, robots.PLATFORM).read("shared_pose", payload, 0.0)(sink)
+    return sink.poses[0]
+
+
+def test_a_shared_pose_has_the_errors_of_the_options_or_of_its_covariance_if_more() -> None:
+    pose = shared_pose(covariant())
+    assert (pose.stamp, pose.frame) == (2.5, "mocap")
+    assert pose.pose == Pose(3.0, -4.0, math.pi)
+    assert (pose.error, pose.yaw_error) == (0.05, math.radians(3.0))
+    pose = shared_pose(covariant(x=0.01, y=0.01, xy=0.006, yaw=0.04))
+    assert pose.error == pytest.approx(3.0 * math.sqrt(0.016))  # along the diagonal
+    assert pose.yaw_error == pytest.approx(0.6)
+
+
+@pytest.mark.parametrize(
+    "payload",
+    [covariant(x=-1.0), covariant(xy=0.1), covariant(yaw=-1.0), covariant(y=math.nan),
+     covariant(yaw=math.inf), covariant(x=1e9)],
+)  # fmt: skip
+def test_a_covariance_without_sense_is_refused(payload: bytes) -> None:
+    with pytest.raises(CodecError):
+        shared_pose(payload)
 
 
 def test_only_scans_and_odometry_count_as_a_sign_of_life() -> None:

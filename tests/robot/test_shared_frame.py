@@ -1,0 +1,158 @@
+"""Peers that are told by poses in a shared frame: places, ages, errors; when none is told."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from msgspec.structs import replace
+
+from swarmd.core.messages import Body, Reason
+from swarmd.core.values import PeerPlace, Pose, SharedPose, Twist
+from swarmd.protection.compatibility import ACCEPTS_NONE, body_of
+from swarmd.robot.peers import FASTEST_POSE, POSE_TIMEOUT, TOLD_TIMEOUT, Peers
+from swarmd.settings.platforms import load_platform
+from tests.support.robot_harness import RobotHarness
+from tests.support.stub_patterns import PATTERNS
+
+BURGER, JACKAL = body_of(load_platform("burger")), body_of(load_platform("jackal"))
+REST = Twist()
+HALF = 0.5 * FASTEST_POSE
+
+
+def shared(x: float = 1.0, y: float = 2.0, yaw: float = 0.0, **changes: object) -> SharedPose:
+    pose = SharedPose(0.0, Pose(x, y, yaw), error=0.02, yaw_error=0.01, frame="mocap")
+    return replace(pose, **changes)
+
+
+def place(x: float, y: float, *, age: float = 0.1, frame: str = "mocap") -> PeerPlace:
+    return PeerPlace("b", frame, x, y, error=0.03, age=age)
+
+
+def peers(bodies: dict[str, Body | None] | None = None, name: str = "jackal") -> Peers:
+    made = Peers(load_platform(name), ACCEPTS_NONE)
+    made.on_peers({"b": BURGER} if bodies is None else bodies)
+    return made
+
+
+def located(robot: Peers, pose: SharedPose, now: float, twist: Twist | None = REST) -> Peers:
+    """The robot after poses at 50 Hz, all without delay, up to `now`."""
+    for number in range(9, -1, -1):
+        at = now - 0.02 * number
+        robot.on_pose(replace(pose, stamp=at), twist, at)
+    return robot
+
+
+def test_a_peer_is_an_obstacle_in_the_base_frame_at_the_time_of_the_own_pose() -> None:
+    robot = located(peers(), shared(1.0, 2.0, math.pi / 2), 10.0)
+    assert robot.holds(10.0)
+    assert robot.on_place(place(1.0, 4.0, age=0.04), 10.0)  # 2 m ahead
+    assert robot.on_place(place(0.0, 2.0, age=0.04), 10.0)  # then 1 m to the left
+    (told,) = robot.told(10.2)
+    assert (told.x, told.y) == pytest.approx((0.0, 1.0))
+    assert told.age == pytest.approx(0.2 + HALF)
+    assert told.radius == pytest.approx(BURGER.radius + 0.02 + 0.03 + 0.01 * 1.0, abs=1e-4)
+    assert not robot.holds(10.2)
+
+
+def test_the_circle_grows_by_the_motion_of_the_peer_until_the_time_of_the_own_pose() -> None:
+    robot = located(peers(), shared(), 10.0)
+    sizes = []
+    for age in (0.0, 0.04, HALF, 0.45):
+        robot.on_place(place(2.0, 2.0, age=age), 10.0)
+        sizes.append(robot.told(10.0)[0].radius)
+    assert sizes[1:3] == pytest.approx([sizes[0]] * 2, abs=1e-4)
+    assert sizes[3] - sizes[0] == pytest.approx(BURGER.surface_speed * 0.4, abs=1e-4)
+
+
+def test_the_unknown_part_of_the_own_delay_counts_with_the_own_motion() -> None:
+    still = located(peers(), shared(), 10.0)
+    moving = located(peers(), shared(), 10.0, Twist(0.5, 1.0))
+    unknown = located(peers(), shared(), 10.0, None)
+    limits = load_platform("jackal").limits
+    for robot in (still, moving, unknown):
+        robot.on_place(place(3.0, 2.0), 10.0)
+    radius, *others = (robot.told(10.0)[0].radius for robot in (still, moving, unknown))
+    more = [HALF * (0.5 + 2.0), HALF * (limits.linear + 2.0 * limits.angular)]
+    assert [other - radius for other in others] == pytest.approx(more, abs=1e-4)
+
+
+def test_a_delay_of_the_own_pose_counts_as_age() -> None:
+    robot = located(peers(), shared(), 10.0)
+    robot.on_pose(shared(stamp=10.02), REST, 10.22)
+    robot.on_place(place(2.0, 2.0), 10.22)
+    assert robot.told(10.22)[0].age == pytest.approx(0.2 + HALF, abs=1e-3)
+
+
+def test_the_hold_returns_a_second_after_the_older_pose_was_measured() -> None:
+    robot = located(peers(), shared(), 10.0)
+    robot.on_place(place(2.0, 2.0, age=0.3), 10.0)
+    until = 9.7 + TOLD_TIMEOUT
+    assert robot.hold_due_at() == pytest.approx(until)
+    assert robot.told(until - 0.01)
+    assert not robot.holds(until - 0.01)
+    assert robot.told(until + 0.01) == ()
+    assert robot.holds(until + 0.01)
+
+
+@pytest.mark.parametrize(
+    ("pose", "other", "now"),
+    [
+        (shared(frame="map"), place(2.0, 2.0), 10.0),
+        (shared(), place(2.0, 2.0, age=POSE_TIMEOUT + 0.01), 10.0),
+        (shared(), place(2.0, 2.0), 10.0 + POSE_TIMEOUT),
+        (shared(x=math.nan), place(2.0, 2.0), 10.0),
+        (shared(error=math.nan), place(2.0, 2.0), 10.0),
+        (shared(error=-0.1), place(2.0, 2.0), 10.0),
+        (shared(yaw_error=math.inf), place(2.0, 2.0), 10.0),
+        (shared(frame=""), place(2.0, 2.0, frame=""), 10.0),
+        (shared(), PeerPlace("c", "mocap", 2.0, 2.0, 0.03, 0.1), 10.0),
+    ],
+)  # fmt: skip
+def test_other_frames_old_and_invalid_poses_and_strangers_tell_nothing(
+    pose: SharedPose, other: PeerPlace, now: float
+) -> None:
+    robot = located(peers(), pose, 10.0)
+    assert not robot.on_place(other, now)
+    assert robot.told(now) == ()
+    assert robot.holds(now)
+
+
+def test_a_pose_whose_stamp_stands_is_not_renewed() -> None:
+    robot = located(peers(), shared(), 10.0)
+    for number in range(100):
+        robot.on_pose(shared(stamp=10.0), REST, 10.0 + 0.02 * number)
+    assert robot.pose_to_tell(12.0) is None
+    assert not robot.on_place(place(2.0, 2.0), 12.0)
+
+
+def test_the_pose_is_told_with_its_highest_age_while_a_peer_may_miss_the_robot() -> None:
+    robot = located(peers({"j": JACKAL}, "burger"), shared(), 10.0)
+    told = robot.pose_to_tell(10.2)
+    assert told is not None
+    assert told[0].pose == shared().pose
+    assert told[1] == pytest.approx(0.2 + FASTEST_POSE)
+    assert robot.pose_to_tell(10.0 + POSE_TIMEOUT) is None
+    robot.on_peers({"b": BURGER})
+    assert robot.pose_to_tell(10.2) is None  # a Burger sees a Burger
+    robot.on_peers({"b": replace(BURGER, scan_plane=None)})
+    assert robot.pose_to_tell(10.2) is not None
+
+
+def test_a_robot_runs_beside_an_unseen_peer_while_it_is_told_and_no_longer() -> None:
+    harness = RobotHarness("jackal", PATTERNS)
+    harness.advance(1.0)
+    harness.applied("run", pattern="forward")
+    harness.advance(0.5)
+    robot = harness.robot
+    robot.on_peers({"b": BURGER}, harness.now)
+    harness.advance(0.2)
+    assert harness.status.reason is Reason.INCOMPATIBLE_PEER
+    for _ in range(10):
+        robot.on_pose(shared(stamp=harness.now), harness.now)
+        robot.on_peer_place(place(-3.0, 2.0), harness.now)
+        harness.advance(0.1)
+    assert harness.twist.linear > 0.0
+    harness.advance(TOLD_TIMEOUT)
+    assert harness.twist.is_zero
+    assert harness.status.reason is Reason.INCOMPATIBLE_PEER

@@ -1,0 +1,53 @@
+"""A live Jackal beside a Burger that it cannot see: both know their poses in one frame."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from swarmd.core.messages import Reason, RunRequest, State, Status
+from swarmd.network.operator import Operator
+from swarmd.network.settings import NetworkSettings
+from swarmd.sim.live.demo_run import await_robots, statuses_of
+from swarmd.sim.live.fleet import Fleet, FleetSpec, world_command
+from tests.support.processes import unique_swarm, wait_until
+
+JACKAL, BURGER = "jackal-01", "tb3-01"
+
+
+def make_spec(folder: Path) -> FleetSpec:
+    return FleetSpec(
+        swarm=unique_swarm(),
+        robots={JACKAL: "jackal", BURGER: "burger"},
+        folder=folder,
+        arena="8x8",
+        layout="grid:3",
+        lidar_visibility="real",
+        shared_frame=True,
+    )
+
+
+def test_the_world_is_told_to_give_poses(tmp_path: Path) -> None:
+    assert "--shared-frame" in world_command(make_spec(tmp_path))
+
+
+@pytest.mark.integration
+def test_a_jackal_drives_beside_a_burger_that_tells_its_place(tmp_path: Path) -> None:
+    spec = make_spec(tmp_path)
+    with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
+
+        def status() -> Status:
+            return statuses_of(operator.members())[JACKAL]
+
+        def finds() -> list[tuple[str, str, bool]]:
+            return [(found.robot, found.kind, found.holds) for found in status().peers]
+
+        await_robots(operator, fleet)
+        wait_until(lambda: finds() == [(BURGER, "unseen", False)], "the Burger is told")
+        epochs = {JACKAL: status().epoch}
+        operator.request(RunRequest, epochs, pattern="random_walk")
+        wait_until(lambda: abs(status().decision.safe_linear) > 0.05, "the Jackal drives")
+        assert status().state is State.RUNNING
+        assert status().reason is not Reason.INCOMPATIBLE_PEER
+        assert status().peers[0].text.endswith("told")
