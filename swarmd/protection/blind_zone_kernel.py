@@ -99,6 +99,7 @@ class BlindZoneMemory:
     _narrow: cython.double
     _given: object
     _n: cython.Py_ssize_t
+    _reserved: cython.Py_ssize_t
     # Per ray, in the order of rising bearings.
     _order: cython.longlong[::1]
     _bearing: cython.double[::1]
@@ -149,7 +150,9 @@ class BlindZoneMemory:
         self._blind, self._speed, self._period = range_min, speed, period
         self._narrow = rules.narrow_sector(range_min)
         self._given = None
-        self._n = self._points = self._old_points = self._were_empty = self._hidden = 0
+        self._n = self._reserved = self._points = self._old_points = self._were_empty = (
+            self._hidden
+        ) = 0
         self._entered_x = self._entered_y = 0.0
         self._x = self._y = self._old_x = self._old_y = self._empty_bearing = _NOTHING
         self._hidden_at = self._age = self._near = self._is_face = _NOTHING
@@ -158,7 +161,7 @@ class BlindZoneMemory:
     def update(self, scan, geometry, moved, seconds: cython.double):
         """See `blind_zone_numpy.BlindZoneMemory.update`."""
         if scan.bearings is not self._given:
-            self._set_bearings(scan.bearings)
+            self._set_bearings(scan.bearings, geometry.directions(scan))
         given: cython.const[cython.double][::1] = np.ascontiguousarray(scan.ranges, np.float64)
         n: cython.Py_ssize_t = self._n
         step: cython.double = self._speed * min(seconds, 5.0 * self._period) + _RANGE_NOISE
@@ -188,21 +191,71 @@ class BlindZoneMemory:
                 self._were_empty += 1
 
     @cython.cfunc
-    def _set_bearings(self, bearings):
-        values = np.array(bearings, dtype=np.float64)
-        order = np.argsort(values % _TURN, kind="stable")
-        values = values[order]
-        n = len(values)
+    def _set_bearings(self, bearings, directions: cython.const[cython.double][:, ::1]):
+        """Take the rays of other bearings; those of a robot that moves differ with each scan."""
+        values: cython.const[cython.double][::1] = np.ascontiguousarray(bearings, np.float64)
+        n: cython.Py_ssize_t = values.shape[0]
+        if n > self._reserved:
+            self._reserve(n + n // 4)
         self._given, self._n = bearings, n
-        self._order, self._bearing, self._rising = order, values, values % _TURN
-        self._cos, self._sin = np.cos(values), np.sin(values)
-        self._range, self._exact, self._corner = np.empty(n), np.empty(n), np.empty(n)
-        self._age_of, self._nearest_of = np.empty(n), np.empty(n)
-        self._is_empty, self._inside = np.empty(n, np.uint8), np.empty(n, np.uint8)
-        self._face_of = np.empty(n, np.uint8)
-        self._first, self._width = np.empty(n, np.intp), np.empty(n, np.intp)
-        self._crossings, self._ray = np.empty(n, np.intp), np.empty(n, np.intp)
-        size = max(n, self._x.shape[0])
+        if not self._sort(values):
+            sorted_rays: cython.longlong[::1] = np.argsort(
+                np.asarray(values) % _TURN, kind="stable"
+            )
+            self._order[:n] = sorted_rays
+        i: cython.Py_ssize_t
+        ray: cython.Py_ssize_t
+        for i in range(n):
+            ray = self._order[i]
+            self._bearing[i], self._rising[i] = values[ray], _mod(values[ray])
+            self._cos[i], self._sin[i] = directions[ray, 0], directions[ray, 1]
+
+    @cython.cfunc
+    def _sort(self, values: cython.const[cython.double][::1]) -> cython.bint:
+        """Order the rays by rising angles, equal ones as they are; false: too disordered for this.
+
+        From the lowest one on most sensors' angles rise, or fall, but for a few: an insertion sort.
+        """
+        n: cython.Py_ssize_t = self._n
+        first: cython.Py_ssize_t = 0
+        rises: cython.Py_ssize_t = 0
+        moves: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        ray: cython.Py_ssize_t
+        angle: cython.double
+        for i in range(1, n):
+            rises += 1 if values[i] > values[i - 1] else -1
+            if _mod(values[i]) < _mod(values[first]):
+                first = i
+        for i in range(n):
+            ray = (first + i) % n if rises >= 0 else (first - i + n) % n
+            angle, k = _mod(values[ray]), i
+            while k > 0 and (
+                self._rising[k - 1] > angle
+                or (self._rising[k - 1] == angle and self._order[k - 1] > ray)
+            ):
+                self._rising[k], self._order[k] = self._rising[k - 1], self._order[k - 1]
+                k -= 1
+            self._rising[k], self._order[k] = angle, ray
+            moves += i - k
+            if moves > 8 * n:
+                return False
+        return True
+
+    @cython.cfunc
+    def _reserve(self, size: cython.Py_ssize_t):
+        """Room for so many rays; keeps what is remembered."""
+        self._reserved = size
+        self._order = np.empty(size, np.int64)
+        self._bearing, self._rising = np.empty(size), np.empty(size)
+        self._cos, self._sin = np.empty(size), np.empty(size)
+        self._range, self._exact, self._corner = np.empty(size), np.empty(size), np.empty(size)
+        self._age_of, self._nearest_of = np.empty(size), np.empty(size)
+        self._is_empty, self._inside = np.empty(size, np.uint8), np.empty(size, np.uint8)
+        self._face_of = np.empty(size, np.uint8)
+        self._first, self._width = np.empty(size, np.intp), np.empty(size, np.intp)
+        self._crossings, self._ray = np.empty(size, np.intp), np.empty(size, np.intp)
         self._x, self._y = _grown(self._x, size), _grown(self._y, size)
         self._old_x, self._old_y = _grown(self._old_x, size), _grown(self._old_y, size)
         self._empty_bearing = _grown(self._empty_bearing, size)

@@ -11,7 +11,6 @@ before fill it. A robot that turns with the sensor measures a sector twice, and 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 
@@ -66,7 +65,7 @@ class Deskewer:
             stamp = latest.stamp + odometry_age - ago
             result = self._moved(scan, rays, stamp, now - ago)
         if result is None:
-            result = replace(scan, ages=rays.ages, newest_age=rays.newest_age)
+            result = rays.scan(scan, scan.ranges, scan.bearings, rays.ages)
         self._filled = len(result.ranges) - len(scan.ranges)
         self._last, self._last_at = result, now - ago
         return result
@@ -88,13 +87,13 @@ class Deskewer:
         unmeasured sector.
         """
         path = self._history.path(stamp, rays.span) if rays.span else None
-        if path is None or float(np.abs(path[:, 1:]).max()) <= AT_REST:
+        if path is None or _is_at_rest(path):
             return None
-        ages = rays.ages
+        ages, way = rays.ages, np.array(path)
         ranges, bearings = self._kernel.move_rays(
-            scan.ranges, rays.bearings, rays.cos, rays.sin, ages, path, self._limits
+            scan.ranges, rays.bearings, rays.cos, rays.sin, ages, way, self._limits
         )
-        unmeasured = rays.direction * float(path[-1, 3])
+        unmeasured = rays.direction * path[-1][3]
         if unmeasured > 0.5 * rays.spacing:
             before = self._before(rays, unmeasured, stamp, at)
             if before is None:
@@ -104,9 +103,7 @@ class Deskewer:
             ages = np.concatenate((before[2], ages))
         for array in ranges, bearings, ages:
             array.flags.writeable = False
-        return replace(
-            scan, ranges=ranges, bearings=bearings, ages=ages, newest_age=rays.newest_age
-        )
+        return rays.scan(scan, ranges, bearings, ages)
 
     def _before(
         self, rays: _Rays, unmeasured: float, stamp: float, at: float
@@ -122,19 +119,30 @@ class Deskewer:
             return None
         way = relative(self._history.pose(stamp - elapsed), self._history.pose(stamp))
         path = np.array(((0.0, way.x, way.y, way.yaw), (1.0, way.x, way.y, way.yaw)))
-        cos, sin = np.cos(last.bearings), np.sin(last.bearings)
-        ages = np.zeros(len(last.bearings))
-        ranges, bearings = self._kernel.move_rays(
-            last.ranges, last.bearings, cos, sin, ages, path, self._limits
-        )
         # Within the sector as seen from the place of the last scan, or of this one: the direction
-        # of a near return changes between them.
+        # of a near return changes between them, by at most `most`.
         start = rays.oldest - 0.5 * rays.direction * rays.spacing
-        seen = np.stack((last.bearings + way.yaw, bearings))
-        inside = np.any(rays.direction * (seen - start) % _TURN < unmeasured, axis=0)
-        inside[: self._filled] = False  # or a ray could be passed on for ever
-        chosen = np.flatnonzero(inside)
-        return ranges[chosen], bearings[chosen], last.ages[chosen] + elapsed
+        away = math.hypot(way.x, way.y) + abs(way.yaw) * math.hypot(*self._spec.offset)
+        most = math.asin(min(away / max(self._spec.range_min, 1e-9), 1.0)) if away else 0.0
+        most = math.pi if most > 1.5 else most + 1e-9
+        before = rays.direction * (last.bearings + (way.yaw - start))
+        near = (before + most) % _TURN <= unmeasured + 2.0 * most
+        near[: self._filled] = False  # or a ray could be passed on for ever
+        chosen = near.nonzero()[0]
+        old, then = last.bearings[chosen], last.ages[chosen]
+        ranges, bearings = self._kernel.move_rays(
+            last.ranges[chosen], old, np.cos(old), np.sin(old), then, path, self._limits
+        )
+        inside = rays.direction * (old + way.yaw - start) % _TURN < unmeasured
+        inside |= rays.direction * (bearings - start) % _TURN < unmeasured
+        return ranges[inside], bearings[inside], then[inside] + elapsed
+
+
+def _is_at_rest(path: list[tuple[float, float, float, float]]) -> bool:
+    return all(
+        -AT_REST <= x <= AT_REST and -AT_REST <= y <= AT_REST and -AT_REST <= yaw <= AT_REST
+        for _, x, y, yaw in path
+    )
 
 
 class _Rays:
@@ -160,6 +168,11 @@ class _Rays:
         rising = np.sort(scan.bearings % _TURN)
         self.spacing = float(np.median(np.diff(rising))) if len(rising) > 1 else _TURN
         self.direction, self.oldest = self._direction()
+
+    def scan(self, raw: Scan, ranges: Array, bearings: Array, ages: Array) -> Scan:
+        """The scan with other rays, at the time of its newest ray."""
+        limits = raw.range_min, raw.range_max
+        return Scan(raw.seq, raw.stamp, ranges, bearings, *limits, ages, self.newest_age)
 
     def _direction(self) -> tuple[float, float]:
         """The direction, and the bearing of the oldest ray."""

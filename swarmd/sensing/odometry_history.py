@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 
-import numpy as np
-
-from swarmd.core.values import Array, Odometry, Pose, Twist
+from swarmd.core.values import Odometry, Pose, Twist
 
 MAX_EXTRAPOLATION = 0.15
 """Seconds for which the last measured twist is extrapolated: three odometry periods."""
@@ -65,8 +63,8 @@ class OdometryHistory:
             later = reading
         return moved(later.pose, later.twist, at - later.stamp)
 
-    def path(self, at: float, seconds: float) -> Array | None:
-        """(m, 4) the way to the pose at a time: s before it, x and y in m and yaw in rad.
+    def path(self, at: float, seconds: float) -> list[tuple[float, float, float, float]] | None:
+        """The way to the pose at a time: rows of s before it, x and y in m and yaw in rad.
 
         Relative to that pose, from it back to the pose `seconds` earlier; between two rows the pose
         changes linearly. None if the readings do not reach back that far.
@@ -74,6 +72,7 @@ class OdometryHistory:
         if not self.covers(at - seconds):
             return None
         end = self.pose(at)
+        cos, sin = math.cos(end.yaw), math.sin(end.yaw)
         steps = [(0.0, end)]
         for reading in reversed(self.readings):
             ago = at - reading.stamp
@@ -84,10 +83,10 @@ class OdometryHistory:
         steps.append((seconds, self.pose(at - seconds)))
         rows, turned = [], 0.0
         for ago, pose in steps:
-            way = relative(pose, end)
-            turned += math.remainder(way.yaw - turned, 2.0 * math.pi)
-            rows.append((ago, way.x, way.y, turned))
-        return np.array(rows)
+            dx, dy = pose.x - end.x, pose.y - end.y
+            turned += math.remainder(pose.yaw - end.yaw - turned, 2.0 * math.pi)
+            rows.append((ago, cos * dx + sin * dy, cos * dy - sin * dx, turned))
+        return rows
 
 
 def relative(pose: Pose, frame: Pose) -> Pose:

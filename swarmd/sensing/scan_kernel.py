@@ -417,6 +417,11 @@ def move_rays(
     along: cython.double
     across: cython.double
     distance: cython.double
+    tangent: cython.double
+    square: cython.double
+    moved_by: cython.double
+    turned: cython.double = 0.0  # the turn whose cosine and sine are known
+    c, s = 1.0, 0.0
     for i in range(n):
         while k < last and ages[i] > path[k, 0]:
             k += 1
@@ -431,7 +436,8 @@ def move_rays(
             continue
         x = path[k - 1, 1] + share * (path[k, 1] - path[k - 1, 1])
         y = path[k - 1, 2] + share * (path[k, 2] - path[k - 1, 2])
-        c, s = cos(turn), sin(turn)
+        if turn != turned:
+            turned, c, s = turn, cos(turn), sin(turn)
         ahead = c * cosines[i] - s * sines[i]
         left = s * cosines[i] + c * sines[i]
         x += (c - 1.0) * offset_x - s * offset_y
@@ -439,7 +445,13 @@ def move_rays(
         along, across = distance + (ahead * x + left * y), ahead * y - left * x
         distance = min(sqrt(along * along + across * across), range_max)
         out[0, i] = -INFINITY if distance < range_min else distance
-        out[1, i] = _mod(bearings[i] + turn + atan2(across, along) + _PI) - _PI
+        if fabs(across) < 0.03 * along:  # the series to 3e-15, faster than atan2
+            tangent = across / along
+            square = tangent * tangent
+            moved_by = tangent * (1.0 - square * (1.0 / 3.0 - square * (0.2 - square / 7.0)))
+        else:
+            moved_by = atan2(across, along)
+        out[1, i] = _mod(bearings[i] + turn + moved_by + _PI) - _PI
     return moved[0], moved[1]
 
 
