@@ -28,7 +28,7 @@ from studies.safety.scenes import (
     Scene,
     scenario,
 )
-from swarmd.core.errors import SwarmError
+from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.provenance import git_state
 from swarmd.sim.lockstep.lockstep import simulate_run
 
@@ -62,6 +62,18 @@ def plan_progress(options: Options, seeds: Sequence[int]) -> list[Task]:
     )
 
 
+def _count(text: str) -> int:
+    if int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text} is below 1")
+    return int(text)
+
+
+def _seed(text: str) -> int:
+    if int(text) < 0:
+        raise argparse.ArgumentTypeError(f"{text} is below 0")
+    return int(text)
+
+
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="python -m studies.safety", description=__doc__)
     verbs = parser.add_subparsers(required=True, metavar="VERB", dest="verb")
@@ -76,7 +88,7 @@ def _parser() -> argparse.ArgumentParser:
         verb.add_argument("--visibilities", nargs="+", choices=VISIBILITIES, default=VISIBILITIES)
         verb.add_argument("--duration", type=float, default=600.0, help="of a run in s")
         verb.add_argument("--dev", action="store_true", help="seeds to work with, not to accept by")
-        verb.add_argument("--jobs", type=int, default=os.cpu_count() or 1, help="processes")
+        verb.add_argument("--jobs", type=_count, default=os.cpu_count() or 1, help="processes")
         verb.add_argument("--out", type=Path, default=Path("build/safety"))
         if name == "hours":
             verb.add_argument("--robot-hours", type=float, default=300.0, help="in all")
@@ -84,8 +96,8 @@ def _parser() -> argparse.ArgumentParser:
             verb.add_argument("--mode", choices=MODES, default="barrier")
         else:
             verb.add_argument("--modes", nargs="+", choices=MODES, default=progress.MODES)
-            verb.add_argument("--seeds", type=int, default=5, help="how many")
-    one = verbs.add_parser("one", help="a single run with every collision")
+            verb.add_argument("--seeds", type=_count, default=5, help="how many")
+    one = verbs.add_parser("one", help="A single run with every collision.")
     for name, choices in (
         ("family", FAMILIES),
         ("platform", PLATFORMS),
@@ -93,13 +105,13 @@ def _parser() -> argparse.ArgumentParser:
         ("mode", MODES),
     ):
         one.add_argument(name, choices=choices)
-    one.add_argument("seed", type=int)
+    one.add_argument("seed", type=_seed)
     one.add_argument("--duration", type=float, default=600.0, help="in s")
     return parser
 
 
-def main() -> None:
-    options = _parser().parse_args()
+def main(arguments: Sequence[str] | None = None) -> None:
+    options = _parser().parse_args(arguments)
     if options.verb == "one":
         words = (options.family, options.platform, options.visibility, options.mode)
         made = scenario(Scene(*words, duration=options.duration))
@@ -109,6 +121,10 @@ def main() -> None:
         print(*collisions(trace, among), "at fault:", *found, sep="\n")
         return
     tasks = options.plan(options, DEV_SEEDS if options.dev else ACCEPTANCE_SEEDS)
+    if not tasks:
+        raise ConfigError(
+            "no run: none of these families has a scene on these platforms, or --robot-hours is 0"
+        )
     records = carry_out(tasks, options.out / f"{options.verb}.jsonl", options.jobs)
     state = git_state(Path(__file__).parent)
     commit = "unknown" if state is None else state.commit[:10] + " (changed)" * state.is_dirty

@@ -24,7 +24,7 @@ import numpy as np
 import yaml
 import zenoh
 
-from benchmarks.latency import Stamps, between, read_stamps, row
+from benchmarks.latency import FULL_BUDGET, REFLEX_BUDGET, Stamps, between, read_stamps, row
 from benchmarks.swarm import Swarm
 from benchmarks.table import Row, print_table
 from studies.safety.driven import faults
@@ -208,25 +208,30 @@ def _of(robots: Sequence[str], stamps: Stamps) -> Stamps:
     return Stamps(put, stamps.safe_back, stamps.requested_back)
 
 
-def rows(platform: str, options: argparse.Namespace) -> Iterator[Row]:
-    """One platform's course: how fast robots drove into something, and latency meanwhile."""
+def _course(platform: str, options: argparse.Namespace) -> Iterator[Row]:
     kind = {"visibility": options.visibility, "seed": options.seed}
     result = run_course(platform, options.mode, options.seconds, **kind)
     if options.traces is not None:
         result.trace.save(options.traces / f"{platform}-{options.visibility}-{options.seed}.npz")
     for fault in result.faults():
         print(fault)
+    yield from rows(platform, result)
+
+
+def rows(platform: str, result: CourseResult) -> Iterator[Row]:
+    """One platform's course: how fast robots drove into something, and latency meanwhile."""
     note = f"in {result.trace.duration * ROBOTS / 60.0:.0f} robot-minutes"
     yield _speeds(f"{platform}: own speed when rammed", result, True, note)
     note = f"of {result.appeared} things none nearer than {result.nearest():.2f} m"
     yield _speeds(f"{platform}: own speed at other contacts", result, False, note)
-    most = f"{result.others_speed:g} m/s"
-    yield Row(f"{platform}: ramming robot's fastest corner", result.ram_speeds(), most, unit="m/s")
+    note = f"it commands {result.others_speed:g} m/s"
+    what = f"{platform}: ramming robot's fastest corner"
+    yield Row(what, result.ram_speeds(), note=note, unit="m/s")
     stamps, span = result.stamps, result.span
     reflex = between(stamps.put, stamps.safe_back, span)
-    yield row(f"{platform}: reflex, {ROBOTS} live daemons", "p50 1.5 ms, p99 5 ms", reflex)
+    yield row(f"{platform}: reflex, {ROBOTS} live daemons", REFLEX_BUDGET, reflex)
     full = between(stamps.put, stamps.requested_back, span)
-    yield row(f"{platform}: full, {ROBOTS} live daemons", "p50 2 ms, p99 8 ms", full)
+    yield row(f"{platform}: full, {ROBOTS} live daemons", FULL_BUDGET, full)
 
 
 def _speeds(what: str, result: CourseResult, is_by_rammer: bool, note: str) -> Row:
@@ -234,25 +239,33 @@ def _speeds(what: str, result: CourseResult, is_by_rammer: bool, note: str) -> R
     driven = [one for one in result.faults() if is_ram(one) is is_by_rammer]
     hits = sum(one.is_hit for one in driven)
     thrown = sum(one.is_fault for one in touches) - len(driven)
-    note = f"{len(driven)} at fault, {hits} from the first; {thrown} only thrown; {note}"
-    return Row(what, [one.own_speed for one in touches], f"{FAULT:g} m/s", note, unit="m/s")
+    note = (
+        f"{len(driven)} at fault (above {FAULT:g} m/s), {hits} from the first;"
+        f" {thrown} only thrown; {note}"
+    )
+    return Row(what, [one.own_speed for one in touches], note=note, unit="m/s")
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("platforms", nargs="*", default=KINDS)
-    parser.add_argument("--seconds", type=float, default=SECONDS)
-    parser.add_argument("--mode", default="barrier")
-    parser.add_argument("--visibility", choices=VISIBILITIES, default="body")
+    parser = argparse.ArgumentParser(prog="python -m studies.safety.live", description=__doc__)
+    parser.add_argument("platforms", nargs="*", default=KINDS, help=f"[{' '.join(KINDS)}]")
+    parser.add_argument("--seconds", type=float, default=SECONDS, help="of each course [120]")
+    parser.add_argument("--mode", default="barrier", help="of protection [barrier]")
+    parser.add_argument("--visibility", choices=VISIBILITIES, default="body", help="[body]")
     parser.add_argument("--seed", type=int, default=1)
-    parser.add_argument("--load", type=int, default=0, help="cores kept busy by other work")
+    parser.add_argument("--load", type=int, default=0, help="cores kept busy by other work [0]")
     parser.add_argument("--traces", type=Path, metavar="DIR", help="where traces are kept")
     options = parser.parse_args(arguments)
+    if options.traces is not None:
+        options.traces.mkdir(parents=True, exist_ok=True)
     for platform in options.platforms:
         title = f"{platform} live, mode {options.mode}, lidar visibility {options.visibility}"
         with _busy(options.load):
-            print_table(f"{title}, {options.load} busy cores", rows(platform, options))
+            print_table(f"{title}, {options.load} busy cores", _course(platform, options))
 
 
 if __name__ == "__main__":
-    main()
+    try:
+        main()
+    except SwarmError as error:
+        raise SystemExit(f"error: {error}") from error

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 import math
+import os
 import signal
 import sys
 import time
@@ -74,6 +75,8 @@ def calibrate(
     printed beside the values of its platform file, with the platform file that follows from them.
     Ctrl-C stops the robot.
     """
+    if floor is not None and math.isnan(floor):
+        raise click.UsageError("--floor nan is no length; give metres, such as 2.5")
     _check_file(write)
     with options.operator() as operator:
         view = known_members(options, operator)
@@ -99,6 +102,8 @@ def _check_file(write: Path | None) -> None:
         raise click.UsageError(f"--write {write}: a platform file must end in .yaml")
     if not write.parent.is_dir():
         raise click.UsageError(f"--write {write}: there is no folder {write.parent}")
+    if not os.access(write if write.exists() else write.parent, os.W_OK):
+        raise click.UsageError(f"--write {write}: cannot be written; check its permissions")
     if write.exists():
         if not sys.stdin.isatty():
             raise click.UsageError(f"{write} exists, and there is no terminal to ask; remove it")

@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 from msgspec import to_builtins
 
-from swarmd.core.values import Platform
+from swarmd.core.values import Platform, Sweep
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import DaemonSettings
 
@@ -29,6 +29,8 @@ def effective_config(settings: DaemonSettings) -> str:
         "labels": {label: list(robots) for label, robots in settings.label_members.items()},
         "parameters": to_builtins(settings.parameters),
         "touch": to_builtins(settings.touch),
+        "accepts_unseen": dict(settings.accepts.unseen),
+        "accepts_faster": dict(settings.accepts.faster),
         "state_dir": str(settings.state_dir.absolute()),
         "plugin_dir": str(settings.plugin_dir.absolute()) if settings.plugin_dir else None,
     }
@@ -63,11 +65,23 @@ def _platform(platform: Platform) -> Mapping[str, Any]:
             "max_gap_deg": round(math.degrees(scan.max_gap), 6),
             "zero": scan.zero,
             "noisy": scan.is_noisy,
+            "near": scan.near,
+            "latency": scan.latency,
+            "sweep": None if scan.sweep is None else _sweep(scan.sweep),
         },
+        "heights": None if platform.heights is None else to_builtins(platform.heights),
         "provides": sorted(platform.provides),
         "protection": dict(platform.protection),
         "patterns": platform.patterns,
         "body": dict(platform.body),
+    }
+
+
+def _sweep(sweep: Sweep) -> Mapping[str, Any]:
+    return {
+        "start_deg": round(math.degrees(sweep.start), 6),
+        "direction": "ccw" if sweep.direction > 0.0 else "cw",
+        "duration": sweep.duration,
     }
 
 

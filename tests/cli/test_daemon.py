@@ -106,7 +106,8 @@ def test_the_effective_configuration_has_sources_and_reads_back_the_same(tmp_pat
     (tmp_path / "swarm.yaml").write_text("swarm: lab\nroster: [r1, r2]\nlabels: {red: [r1]}")
     (tmp_path / "r.yaml").write_text(
         "swarm_file: swarm.yaml\nplatform: burger\ndriver_options: {endpoint: tcp/127.0.0.1:9}\n"
-        "touch: {push: {half_width_deg: 20, speed: 0.1}, dock: null}"
+        "touch: {push: {half_width_deg: 20, speed: 0.1}, dock: null}\n"
+        "accepts_unseen: {waffle_pi: a fence}\naccepts_faster: [jackal]"
     )
     done = swarmd("--config", "r.yaml", "--id", "r1", "--print-effective-config", cwd=tmp_path)
     lines = [line.split("  #") for line in done.stdout.splitlines() if "  #" in line]
@@ -120,7 +121,7 @@ def test_the_effective_configuration_has_sources_and_reads_back_the_same(tmp_pat
     first = load_daemon_settings(tmp_path / "r.yaml", {"id": "r1"}, {"HOME": str(tmp_path)})
     again = load_daemon_settings(tmp_path / "again.yaml", {}, {})
     same = ("id", "network", "roster", "labels", "driver_options", "state_dir", "platform_name")
-    for key in (*same, "touch"):
+    for key in (*same, "touch", "accepts"):
         assert getattr(again, key) == getattr(first, key)
 
 

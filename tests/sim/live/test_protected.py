@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from studies.safety.live import is_ram, run_course
+from studies.safety.live import is_ram, rows, run_course
 
 SECONDS = 60.0  # of simulation, at most: a run ends as soon as enough has appeared
 GRAZE = 0.05
@@ -22,3 +22,4 @@ def test_seven_daemons_drive_into_nothing_that_appears(appeared: int, rams: int)
     assert [fault for fault in outcome.faults() if not is_ram(fault)] == []
     assert max((fault.own_speed for fault in outcome.faults()), default=0.0) <= GRAZE
     assert max(outcome.ram_speeds()) <= outcome.others_speed + 1e-3
+    assert [row.cells()[0] for row in rows("burger", outcome)]

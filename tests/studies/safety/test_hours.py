@@ -7,10 +7,12 @@ from __future__ import annotations
 
 import pytest
 
+from studies.safety.__main__ import main
 from studies.safety.judge import collisions
 from studies.safety.judgement import judge
 from studies.safety.runs import attackers
 from studies.safety.scenes import Scene, scenario
+from swarmd.core.errors import ConfigError
 from swarmd.sim.lockstep.lockstep import simulate_run
 
 SEED = 7
@@ -53,3 +55,26 @@ def test_without_protection_the_same_swarms_collide() -> None:
     # Otherwise the tests above would pass without any effect of protection.
     trace = simulate_run(scenario(Scene("goals", "burger", mode="off", duration=30.0)), SEED)
     assert len(collisions(trace)) > 10
+
+
+@pytest.mark.parametrize(
+    "words", [("--families", "poles", "--platforms", "jackal"), ("--robot-hours", "0")]
+)
+def test_robot_hours_without_a_run_are_refused(words: tuple[str, ...]) -> None:
+    with pytest.raises(ConfigError, match="none of these families"):
+        main(("hours", *words))
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (("hours", "--jobs", "0"), "0 is below 1"),
+        (("one", "ram", "burger", "body", "barrier", "-1"), "-1 is below 0"),
+    ],
+)
+def test_a_number_out_of_range_is_named(
+    words: tuple[str, ...], text: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit):
+        main(words)
+    assert text in capsys.readouterr().err
