@@ -1,4 +1,4 @@
-"""The peers of one robot: which of them it does not see, and where those are by their own word."""
+"""The peers of one robot: which of them it does not see, and where others tell them to be."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping
 from typing import NamedTuple
 
+import numpy as np
 from msgspec import structs
 
 from swarmd.core.arrival_delay import ArrivalDelay
@@ -16,6 +17,7 @@ from swarmd.protection.decision import ToldObstacle
 
 TOLD_TIMEOUT = 1.0  # s after which a place that a neighbour was told at says nothing any more
 TOLD_WITHIN = 3.0  # m; a neighbour farther away constrains no command before it is told again
+BLIND_RING = 0.1  # m around the outline: a robot does not fit into less
 # Errors of range and bearing: three standard deviations of the boards that the simulator models.
 DISTANCE_ERROR, DISTANCE_SHARE, ANGLE_ERROR = 0.06, 0.06, math.radians(6.0)
 
@@ -61,6 +63,9 @@ class Peers:
         self._bodies: Mapping[str, Body | None] = {}
         self._findings: tuple[PeerFinding, ...] = ()
         self._radii: dict[str, float] = {}  # of peers whose places matter
+        # A peer that the lidar sees may still vanish in its blind zone.
+        self._blind_within = _blind_within(platform)
+        self._seen: frozenset[str] = frozenset()  # peers that are seen beyond the blind zone
         self._figures: dict[str, _Figure] = {}
         self._unseen: tuple[str, ...] = ()  # not accepted: each must be told
         self._holds_always = False
@@ -85,6 +90,10 @@ class Peers:
             for finding in found
             if finding.kind != "faster" and (body := bodies[finding.robot]) is not None
         }
+        if self._blind_within:
+            known = {robot: body.radius for robot, body in bodies.items() if body is not None}
+            self._seen = frozenset(known) - frozenset(self._radii)
+            self._radii = known
         others = (body for body in bodies.values() if body is not None)
         self._is_missed = any(sees(body, self.own) is not True for body in others)
         self._figures = {r: f for r, f in self._figures.items() if r in self._radii}
@@ -165,13 +174,15 @@ class Peers:
         return True
 
     def told(self, now: float) -> tuple[ToldObstacle, ...]:
-        """The near peers that are told and not seen for certain, by name."""
+        """The near peers that are told and not seen for certain: not there, or in a blind zone."""
         if not self._figures:
             return ()
         return tuple(
             ToldObstacle(one.x, one.y, one.radius, max(now - one.at, 0.0))
-            for one in self._figures.values()
-            if now <= one.until and math.hypot(one.x, one.y) - one.radius <= TOLD_WITHIN
+            for robot, one in self._figures.items()
+            if now <= one.until
+            and math.hypot(one.x, one.y) - one.radius
+            <= (self._blind_within if robot in self._seen else TOLD_WITHIN)
         )
 
     def holds(self, now: float) -> bool:
@@ -199,3 +210,15 @@ class Peers:
             else f
             for f in self._findings
         )
+
+
+def _blind_within(platform: Platform) -> float:
+    """m from the axle within which the lidar may lose a peer; 0 without a blind zone outside.
+
+    A blind zone that ends within BLIND_RING of the outline has no room for a robot.
+    """
+    scan = platform.scan
+    outer = float(np.hypot(*(platform.footprint - scan.offset).T).max())
+    if scan.near != "lost" or scan.range_min <= outer + BLIND_RING:
+        return 0.0
+    return scan.range_min + math.hypot(*scan.offset)

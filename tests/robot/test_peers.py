@@ -82,10 +82,21 @@ def test_places_that_are_not_finite_tell_nothing() -> None:
 
 def test_what_is_seen_or_far_is_not_told() -> None:
     robot = peers("jackal", {"b": BURGER, "j": JACKAL})
-    seen, far = Neighbor("j", 0.0, 1.0, 0.0), Neighbor("b", 0.0, 2.0 * TOLD_WITHIN, 0.0)
+    seen, far = Neighbor("j", 0.0, 2.0, 0.0), Neighbor("b", 0.0, 2.0 * TOLD_WITHIN, 0.0)
     robot.on_neighbors((seen, far), 0.0)
     assert robot.told(0.0) == ()
     assert not robot.holds(0.0)  # its place is known all the same
+
+
+def test_a_peer_that_the_lidar_sees_is_told_within_its_blind_zone() -> None:
+    robot = peers("jackal", {"j": JACKAL})
+    robot.on_neighbors((Neighbor("j", 0.0, 1.0, 0.0),), 0.0)
+    assert [told.x for told in robot.told(0.1)] == [1.0]
+    robot.on_neighbors((Neighbor("j", 0.0, 2.0, 0.0),), 1.0)
+    assert robot.told(1.1) == ()
+    burger = peers("burger", {"b": BURGER})  # nothing fits into its blind zone
+    burger.on_neighbors((Neighbor("b", 0.0, 0.3, 0.0),), 0.0)
+    assert burger.told(0.1) == ()
 
 
 def test_an_accepted_peer_is_avoided_where_it_is_told() -> None:
