@@ -110,7 +110,7 @@ class Peers:
             radius, distance = self._radii.get(neighbor.id), neighbor.distance
             if radius is None or distance is None or neighbor.bearing is None:
                 continue
-            if not (math.isfinite(distance) and math.isfinite(neighbor.bearing)):
+            if not all(map(math.isfinite, (distance, neighbor.bearing, neighbor.age))):
                 continue
             distance, at = max(distance, 0.0), now - max(neighbor.age, 0.0)
             error = math.hypot(DISTANCE_ERROR + DISTANCE_SHARE * distance, ANGLE_ERROR * distance)
@@ -190,8 +190,8 @@ class Peers:
         return self._holds_always or now > self._due
 
     def hold_due_at(self) -> float:
-        """The time until which `holds` stays False, if it is False now and nothing arrives."""
-        return self._due
+        """The time until which `holds` stays False if nothing arrives; -inf if it is True."""
+        return -math.inf if self._holds_always else self._due
 
     def _find_due(self) -> None:
         self._due = min(map(self._told_until, self._unseen), default=math.inf)

@@ -106,9 +106,12 @@ class Sensors:
     def on_odometry(self, odometry: Odometry, now: float) -> None:
         """Take in a measured pose and twist.
 
-        A reading with an old stamp does not renew the age; one that is not finite is ignored.
+        A reading with an old stamp does not renew the age; one with a value that is not finite is
+        ignored.
         """
         if not (odometry.pose.is_finite and odometry.twist.is_finite):
+            return
+        if not math.isfinite(odometry.stamp):
             return
         self._context = None
         if self.odometry is None or odometry.stamp != self.odometry.stamp:

@@ -16,6 +16,7 @@ from swarmd.robot.sensors import Sensors
 
 MAX_REPORTED = 16
 MAX_ROWS = 4
+MAX_GAP = 1e6  # m, which the message can tell: odometry that jumps puts obstacles anywhere
 MAX_PEERS = 16
 SCALAR: Any = BoundedScalar  # the type as msgspec reads it, with its bounds
 MAX_NAME = 64
@@ -103,7 +104,7 @@ def _summary(decision: Decision, duty: DutyCycle) -> DecisionSummary:
         safe_angular=decision.safe.angular,
         min_gap=decision.min_gap,
         scan_age=decision.scan_age,
-        rows=decision.rows[:MAX_ROWS],
+        rows=tuple(row for row in decision.rows[:MAX_ROWS] if row.gap <= MAX_GAP),
         is_recovering=decision.is_recovering,
         duty=duty.share,
         decisions=duty.decisions,

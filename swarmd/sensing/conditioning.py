@@ -32,10 +32,10 @@ class ScanConditioner:
     The memory turns against the sensor, as far as odometry is available.
 
     `take` returns the conditioned scan or the reason to reject it. INVALID_SCAN: lengths differ, no
-    rays, an impossible age of a ray, fewer than half of the rays known, an unknown sector wider
-    than `max_gap`, such a sector without rays (unless the sensor never has rays there), or no
-    return at all after a scan with many far returns. FROZEN_SCAN: stamp or sequence does not rise,
-    or a noisy sensor sends bit-identical scans.
+    rays, a stamp that is not finite, an impossible age of a ray, fewer than half of the rays known,
+    an unknown sector wider than `max_gap`, such a sector without rays (unless the sensor never has
+    rays there), or no return at all after a scan with many far returns. FROZEN_SCAN: stamp or
+    sequence does not rise, or a noisy sensor sends bit-identical scans.
 
     `known_at` is the time in s to which the last returned scan is valid: its arrival, unless a
     sector wider than `max_gap` comes from the memory, or the scan repeats an earlier one.
@@ -70,7 +70,7 @@ class ScanConditioner:
         """Condition one scan that arrived at `now` (s on this machine's clock)."""
         if scan.ranges.ndim != 1 or len(scan.ranges) == 0:
             return Reason.INVALID_SCAN
-        if scan.ranges.shape != scan.bearings.shape:
+        if scan.ranges.shape != scan.bearings.shape or not math.isfinite(scan.stamp):
             return Reason.INVALID_SCAN
         if scan.bearings is not self._bearings and not self._has_no_gap(scan.bearings):
             return Reason.INVALID_SCAN

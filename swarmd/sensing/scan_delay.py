@@ -36,6 +36,7 @@ _PERIOD = 0.5  # s of odometry whose lowest lag is kept
 _MAX_DRIFT = 0.005  # s between periods: beyond it, three times one way, the clock is no real time
 _SHIFT = 0.1  # s by which odometry gets later at once
 _MAX_AGE = 5.0  # s: a scan that seems older has another clock
+_LONGEST = 1000.0  # s: what a clock that was set shows at most, so that a status can tell it
 _MAX_LEAD = -0.05  # s: as one that seems to come from the future
 
 _CANDIDATES = np.linspace(0.0, 1.2, 49)  # s
@@ -206,7 +207,7 @@ class _Stamps:
         elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):
             self._forget(_other_clock(age))
         else:
-            self._ages.append(max(age, 0.0))
+            self._ages.append(min(max(age, 0.0), _LONGEST))
             self._at = now
         ages = self._ages
         if not self._is_shared and (len(ages) < _MIN_STAMPS or len(self._minima) < 4):

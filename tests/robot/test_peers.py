@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import pytest
+from msgspec import structs
 
 from swarmd.core.messages import Body, Reason, State
 from swarmd.core.values import Neighbor
@@ -78,6 +79,8 @@ def test_places_that_are_not_finite_tell_nothing() -> None:
     for distance, bearing in ((math.nan, 0.0), (1.0, math.inf), (None, 0.0), (1.0, None)):
         robot.on_neighbors((Neighbor("b", 0.0, distance, bearing),), 0.0)
         assert robot.holds(0.0)
+    robot.on_neighbors((Neighbor("b", math.nan, 1.0, 0.0),), 0.0)
+    assert robot.holds(0.0)
 
 
 def test_what_is_seen_or_far_is_not_told() -> None:
@@ -156,3 +159,32 @@ def test_a_robot_whose_peer_is_no_longer_told_stops_in_that_tick() -> None:
     standing = [at for at, twist in robot.commands if twist.is_zero and at > moving[0]]
     assert told_until - 0.1 < max(moving) <= told_until
     assert told_until < min(standing) <= told_until + 0.051
+
+
+PHASES = (0.05, 0.1, 0.15, 0.2)  # of ticks, steps and scans at which something changes
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_robot_whose_peer_is_told_with_an_older_place_stops_in_that_tick(phase: float) -> None:
+    robot = running_jackal()
+    robot.robot.on_peers({"b": BURGER}, robot.now)
+    robot.robot.on_neighbors((Neighbor("b", 0.0, 2.5, math.pi),), robot.now)
+    robot.advance(phase)
+    assert not robot.twist.is_zero
+    robot.robot.on_neighbors((Neighbor("b", 5.0, 2.5, math.pi),), robot.now)
+    robot.scans = lambda seq, now: None  # a scan looks at holds, too
+    robot.advance(0.05)
+    assert robot.status.reason is Reason.INCOMPATIBLE_PEER
+    assert robot.twist.is_zero
+
+
+@pytest.mark.parametrize("phase", PHASES)
+def test_a_robot_that_hears_of_a_faster_peer_stops_in_that_tick(phase: float) -> None:
+    robot = running_jackal()
+    robot.advance(phase)
+    faster = structs.replace(JACKAL, surface_speed=3.0)
+    robot.robot.on_peers({"j": faster}, robot.now)
+    robot.scans = lambda seq, now: None
+    robot.advance(0.05)
+    assert robot.status.reason is Reason.INCOMPATIBLE_PEER
+    assert robot.twist.is_zero

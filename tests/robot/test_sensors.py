@@ -112,6 +112,8 @@ def test_lost_rays_keep_their_obstacle_while_the_robot_turns(senses: Sensors) ->
         Odometry(1.0, Pose(), Twist(angular=math.inf)),
         Odometry(1.0, Pose(math.nan), Twist()),
         Odometry(1.0, Pose(yaw=-math.inf), Twist()),
+        Odometry(math.nan, Pose(), Twist()),
+        Odometry(-math.inf, Pose(), Twist()),
     ],
 )
 def test_non_finite_odometry_is_ignored(senses: Sensors, odometry: Odometry) -> None:

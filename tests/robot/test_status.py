@@ -8,9 +8,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec import structs
 
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.messages import DecisionSummary, Reason, Status
+from swarmd.core.messages import DecisionSummary, LimitingObstacle, Reason, Status
 from swarmd.core.values import Scan
 from swarmd.robot.status import MAX_ROWS
 from swarmd.testing.scans import empty_scan
@@ -80,3 +81,12 @@ def test_status_reports_finite_readings(harness: RobotHarness) -> None:
     harness.robot.on_readings(readings)
     assert harness.status.readings == {"battery": 0.71, "yaw": -1.5}
     assert decode(encode(harness.status)).readings == harness.status.readings
+
+
+def test_an_obstacle_that_odometry_has_put_far_away_leaves_a_status_that_peers_can_read(
+    harness: RobotHarness,
+) -> None:
+    shown = summary(harness, 0.0, 0.3)
+    rows = (LimitingObstacle(0.0, 2e6, 0.1), *shown.rows)
+    harness.robot.decision = structs.replace(harness.robot.decision, rows=rows)
+    assert decode(encode(harness.status)).decision.rows == shown.rows[: MAX_ROWS - 1]

@@ -397,3 +397,11 @@ def test_range_of_low_precision_is_compared_with_the_limit_as_it_is(
         assert isinstance(taken, Scan)
         found.append(taken.ranges.tolist())
     assert found[0] == found[1]
+
+
+@pytest.mark.parametrize("stamp", [math.nan, math.inf, -math.inf])
+def test_a_stamp_that_is_not_finite_is_refused(stamp: float) -> None:
+    conditioner = ScanConditioner(SPEC)
+    scan = replace(raw_scan(1.0, 1), stamp=stamp)
+    assert conditioner.take(scan, None, 0.2) is Reason.INVALID_SCAN
+    assert isinstance(conditioner.take(raw_scan(1.0, 2), None, 0.4), Scan)

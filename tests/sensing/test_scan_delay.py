@@ -6,10 +6,12 @@ import math
 from collections.abc import Callable
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
 from swarmd.core.codec import encode
+from swarmd.core.messages import ScanDelaySummary
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
 from swarmd.sensing.scan_delay import ScanDelay, delay_by_stamps
 from swarmd.settings.platforms import load_platform
@@ -252,3 +254,18 @@ def test_clockwise_rays_turn_the_same_way() -> None:
     rig = Rig(lambda seq: 0.2, heading=swinging, scan_clock=77.0, platform=platform)
     rig.run(15.0)
     assert rig.figure("turns")[0] == pytest.approx(0.2, abs=TURN_ERROR)
+
+
+def test_a_clock_that_is_set_far_ahead_leaves_figures_that_a_status_can_tell() -> None:
+    """Odometry shows first that the clock was set, as on a computer without one of its own."""
+    delay, set_by = ScanDelay(SPEC), 1.7e9
+    for tick in range(200):
+        now = 0.05 * tick
+        clock = set_by if tick >= 190 else 0.0
+        delay.on_odometry(Odometry(now + clock, Pose(), Twist()), now)
+        if tick % 4 == 0:
+            scan = scan_of(BURGER, ROOM, seq=tick)
+            delay.on_scan(replace(scan, stamp=now - 0.1), now)
+    assert delay.is_late
+    summary = delay.summary(10.0)
+    assert msgspec.convert(msgspec.to_builtins(summary), ScanDelaySummary) == summary
