@@ -41,6 +41,7 @@ def decision_rows() -> Iterator[Row]:
         what = f"barrier, {neighbors} neighbours"
         yield Row(f"scan and decision, {what}", steps.measure(decider.scan), "p99 0.25 ms")
         yield Row(f"decision between scans, {what}", steps.measure(decider.requested), "p50 30 us")
+    yield from protection.moving_rows(load_platform("burger"))
     slowest = max(
         steps.pattern_rows(steps.in_an_arena(platform, 100)),
         key=lambda row: sorted(row.samples)[len(row.samples) // 2],

@@ -29,14 +29,21 @@ from swarmd.protection.decision import DecisionContext
 from swarmd.protection.settings import Mode
 from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
+from swarmd.robot.sensors import Sensors
 from swarmd.sensing.conditioning import ScanConditioner
+from swarmd.sensing.odometry_history import moved
 from swarmd.settings.settings import load_platform
-from swarmd.testing.scans import Disc, scan_of
+from swarmd.testing.scans import Disc, scan_of, trembling
 from tests.support.platforms import with_mode
 
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone")
 REQUESTED = Twist(0.2, 0.1)
 PERIOD = 0.2
+MOTIONS = {
+    "at rest": Twist(),
+    "turning with the sweep": Twist(0.1, -1.0),
+    "turning against the sweep": Twist(0.1, 1.0),
+}
 
 
 class LiveRobot:
@@ -142,6 +149,48 @@ def among(platform: Platform, neighbors: int, count: int = 100) -> list[Scan]:
     return scans
 
 
+class Moving:
+    """What a daemon does with the scans of a sweeping sensor while the robot moves at a twist."""
+
+    def __init__(self, platform: Platform, scans: Sequence[Scan], twist: Twist) -> None:
+        self._sensors, self._protection = Sensors(platform), Protection(platform)
+        self._sensors.on_driver(True, "")
+        # No ages: those of the platform's sweep count.
+        self._scans = cycle([replace(scan, ages=None) for scan in scans])
+        self._twist, self._pose, self._seq = twist, Pose(), 0
+
+    def prepare(self) -> Callable[[], object]:
+        """Let a scan period pass, with odometry at 20 Hz; the call that takes in the scan."""
+        now, self._seq = PERIOD * self._seq, self._seq + 1
+        for _ in range(4):
+            now += PERIOD / 4
+            self._pose = moved(self._pose, self._twist, PERIOD / 4)
+            odometry = Odometry(now, self._pose, self._twist)
+            self._sensors.on_odometry(odometry, now)
+            self._protection.on_odometry(odometry)
+        raw = next(self._scans)
+        ranges = trembling(raw.ranges, self._seq)
+        scan = replace(raw, seq=self._seq, stamp=now - PERIOD, ranges=ranges)
+        return partial(self._take, scan, now)
+
+    def _take(self, raw: Scan, now: float) -> None:
+        sensors = self._sensors
+        if not sensors.on_scan(raw, now) or sensors.scan is None:
+            raise RuntimeError(f"the scan does not count: {sensors.hold(now)}")
+        self._protection.observe(sensors.scan, sensors.context(now))
+        hold = sensors.hold(now)
+        self._protection.decide(REQUESTED, sensors.context(now), is_running=True, hold=hold)
+
+
+def moving_rows(platform: Platform) -> Iterator[Row]:
+    """Scans of the default configuration with conditioning and de-skew, up to the decision."""
+    for neighbors in (1, 8):
+        for what, twist in MOTIONS.items():
+            moving = Moving(platform, among(platform, neighbors), twist)
+            name = f"scan with de-skew and decision, {what}, {neighbors} neighbours"
+            yield Row(name, measure_each(moving.prepare), "p99 0.25 ms")
+
+
 def mode_rows(platform: Platform) -> Iterator[Row]:
     """Each mode beside 0 to 8 neighbours."""
     for mode in MODES:
@@ -162,6 +211,7 @@ def rows() -> Iterator[Row]:
     loop = measure(map(partial(loop_field, range_max=0.5), cycle(scans)).__next__)
     yield Row("the field ray by ray in plain Python", loop, note="yardstick")
     yield from mode_rows(platform)
+    yield from moving_rows(load_platform("burger"))
     conditioner = ScanConditioner(platform.scan)
     yield Row(
         "scan conditioned",

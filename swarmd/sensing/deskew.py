@@ -118,24 +118,13 @@ class Deskewer:
         if not self._history.covers(stamp - elapsed):
             return None
         way = relative(self._history.pose(stamp - elapsed), self._history.pose(stamp))
-        path = np.array(((0.0, way.x, way.y, way.yaw), (1.0, way.x, way.y, way.yaw)))
-        # Within the sector as seen from the place of the last scan, or of this one: the direction
-        # of a near return changes between them, by at most `most`.
-        start = rays.oldest - 0.5 * rays.direction * rays.spacing
-        away = math.hypot(way.x, way.y) + abs(way.yaw) * math.hypot(*self._spec.offset)
-        most = math.asin(min(away / max(self._spec.range_min, 1e-9), 1.0)) if away else 0.0
-        most = math.pi if most > 1.5 else most + 1e-9
-        before = rays.direction * (last.bearings + (way.yaw - start))
-        near = (before + most) % _TURN <= unmeasured + 2.0 * most
-        near[: self._filled] = False  # or a ray could be passed on for ever
-        chosen = near.nonzero()[0]
-        old, then = last.bearings[chosen], last.ages[chosen]
-        ranges, bearings = self._kernel.move_rays(
-            last.ranges[chosen], old, np.cos(old), np.sin(old), then, path, self._limits
+        sector = rays.oldest - 0.5 * rays.direction * rays.spacing, rays.direction, unmeasured
+        ranges, bearings, ages = self._kernel.rays_in_sector(
+            *(last.ranges, last.bearings, last.ages),
+            self._filled,  # or a ray could be passed on for ever
+            *((way.x, way.y, way.yaw), sector, self._limits),
         )
-        inside = rays.direction * (old + way.yaw - start) % _TURN < unmeasured
-        inside |= rays.direction * (bearings - start) % _TURN < unmeasured
-        return ranges[inside], bearings[inside], then[inside] + elapsed
+        return ranges, bearings, ages + elapsed
 
 
 def _is_at_rest(path: list[tuple[float, float, float, float]]) -> bool:

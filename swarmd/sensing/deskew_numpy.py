@@ -1,4 +1,4 @@
-"""Motion of rays with numpy: the reference of `scan_kernel.move_rays`."""
+"""Motion of rays with numpy: the reference of the same functions of `scan_kernel`."""
 
 from __future__ import annotations
 
@@ -41,3 +41,29 @@ def move_rays(
     distance = np.where(distance < range_min, -np.inf, distance)
     turned = bearings + turn + np.where(is_return, np.arctan2(across, along), 0.0)
     return np.where(is_return, distance, ranges), (turned + math.pi) % _TURN - math.pi
+
+
+def rays_in_sector(
+    ranges: Array,
+    bearings: Array,
+    ages: Array,
+    first: int,
+    way: tuple[float, float, float],
+    sector: tuple[float, float, float],
+    limits: tuple[float, float, float, float],
+) -> tuple[Array, Array, Array]:
+    """Ranges, bearings and ages (k,) of the rays that lie in a sector, from ray `first` on.
+
+    `way`: x and y in m and yaw in rad of the place where all were measured, relative to the one for
+    which ranges and bearings are returned; a ray counts if it lies in the sector as seen from one
+    of the two. `sector`: the bearing of its start, 1.0 if it lies counter-clockwise of that or else
+    -1.0, and its width in rad. `limits` as of `move_rays`.
+    """
+    ranges, bearings, ages = ranges[first:], bearings[first:], ages[first:]
+    path, at = np.array(((0.0, *way), (1.0, *way))), np.zeros(len(ranges))
+    cos, sin = np.cos(bearings), np.sin(bearings)
+    moved, turned = move_rays(ranges, bearings, cos, sin, at, path, limits)
+    start, direction, width = sector
+    seen = np.stack((bearings + way[2], turned))
+    inside = np.any(direction * (seen - start) % _TURN < width, axis=0)
+    return moved[inside], turned[inside], ages[inside]

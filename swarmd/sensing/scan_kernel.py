@@ -13,6 +13,7 @@ import numpy as np
 from cython.cimports.libc.math import (
     INFINITY,
     NAN,
+    asin,
     atan2,
     cos,
     fabs,
@@ -386,6 +387,39 @@ def _no_clusters():
     return RayClusters(nothing, nothing, nothing, np.empty(0, np.int64), np.empty(0, np.bool_))
 
 
+@cython.cfunc
+def _move(
+    out: cython.double[:, ::1],
+    i: cython.Py_ssize_t,
+    distance: cython.double,
+    bearing: cython.double,
+    cosine: cython.double,
+    sine: cython.double,
+    x: cython.double,
+    y: cython.double,
+    turn: cython.double,
+    limits: cython.double[::1],
+) -> cython.int:
+    """Column i of `out`: a finite range and its bearing; the sensor was moved by x, y and turn.
+
+    `cosine` and `sine` of the direction of the ray after the turn.
+    """
+    along: cython.double = distance + (cosine * x + sine * y)
+    across: cython.double = cosine * y - sine * x
+    tangent: cython.double
+    square: cython.double
+    distance = min(sqrt(along * along + across * across), limits[3])
+    out[0, i] = -INFINITY if distance < limits[2] else distance
+    if fabs(across) < 0.03 * along:  # the series to 3e-15, faster than atan2
+        tangent = across / along
+        square = tangent * tangent
+        turn += tangent * (1.0 - square * (1.0 / 3.0 - square * (0.2 - square / 7.0)))
+    else:
+        turn += atan2(across, along)
+    out[1, i] = _mod(bearing + turn + _PI) - _PI
+    return 0
+
+
 def move_rays(
     ranges: cython.const[cython.double][::1],
     bearings: cython.const[cython.double][::1],
@@ -397,10 +431,7 @@ def move_rays(
 ):
     """See `deskew_numpy.move_rays`."""
     n: cython.Py_ssize_t = ranges.shape[0]
-    offset_x: cython.double = limits[0]
-    offset_y: cython.double = limits[1]
-    range_min: cython.double = limits[2]
-    range_max: cython.double = limits[3]
+    bounds: cython.double[::1] = np.array(limits)
     moved = np.empty((2, n))
     out: cython.double[:, ::1] = moved
     last: cython.Py_ssize_t = path.shape[0] - 1
@@ -410,18 +441,10 @@ def move_rays(
     turn: cython.double
     c: cython.double
     s: cython.double
-    ahead: cython.double
-    left: cython.double
     x: cython.double
     y: cython.double
-    along: cython.double
-    across: cython.double
-    distance: cython.double
-    tangent: cython.double
-    square: cython.double
-    moved_by: cython.double
-    turned: cython.double = 0.0  # the turn whose cosine and sine are known
-    c, s = 1.0, 0.0
+    ahead: cython.double
+    left: cython.double
     for i in range(n):
         while k < last and ages[i] > path[k, 0]:
             k += 1
@@ -430,29 +453,67 @@ def move_rays(
         share = (ages[i] - path[k - 1, 0]) / (path[k, 0] - path[k - 1, 0])
         share = min(max(share, 0.0), 1.0)
         turn = path[k - 1, 3] + share * (path[k, 3] - path[k - 1, 3])
-        distance = ranges[i]
-        if not isfinite(distance):
-            out[0, i], out[1, i] = distance, _mod(bearings[i] + turn + _PI) - _PI
+        if not isfinite(ranges[i]):
+            out[0, i], out[1, i] = ranges[i], _mod(bearings[i] + turn + _PI) - _PI
             continue
         x = path[k - 1, 1] + share * (path[k, 1] - path[k - 1, 1])
         y = path[k - 1, 2] + share * (path[k, 2] - path[k - 1, 2])
-        if turn != turned:
-            turned, c, s = turn, cos(turn), sin(turn)
+        c, s = cos(turn), sin(turn)
+        x += (c - 1.0) * bounds[0] - s * bounds[1]
+        y += s * bounds[0] + (c - 1.0) * bounds[1]
         ahead = c * cosines[i] - s * sines[i]
         left = s * cosines[i] + c * sines[i]
-        x += (c - 1.0) * offset_x - s * offset_y
-        y += s * offset_x + (c - 1.0) * offset_y
-        along, across = distance + (ahead * x + left * y), ahead * y - left * x
-        distance = min(sqrt(along * along + across * across), range_max)
-        out[0, i] = -INFINITY if distance < range_min else distance
-        if fabs(across) < 0.03 * along:  # the series to 3e-15, faster than atan2
-            tangent = across / along
-            square = tangent * tangent
-            moved_by = tangent * (1.0 - square * (1.0 / 3.0 - square * (0.2 - square / 7.0)))
-        else:
-            moved_by = atan2(across, along)
-        out[1, i] = _mod(bearings[i] + turn + moved_by + _PI) - _PI
+        _move(out, i, ranges[i], bearings[i], ahead, left, x, y, turn, bounds)
     return moved[0], moved[1]
+
+
+def rays_in_sector(
+    ranges: cython.const[cython.double][::1],
+    bearings: cython.const[cython.double][::1],
+    ages: cython.const[cython.double][::1],
+    first: cython.Py_ssize_t,
+    way: tuple,
+    sector: tuple,
+    limits: tuple,
+):
+    """See `deskew_numpy.rays_in_sector`."""
+    bounds: cython.double[::1] = np.array(limits)
+    x: cython.double = way[0]
+    y: cython.double = way[1]
+    turn: cython.double = way[2]
+    start: cython.double = sector[0]
+    direction: cython.double = sector[1]
+    width: cython.double = sector[2]
+    c: cython.double = cos(turn)
+    s: cython.double = sin(turn)
+    x += (c - 1.0) * bounds[0] - s * bounds[1]
+    y += s * bounds[0] + (c - 1.0) * bounds[1]
+    # Nothing changes its direction by more than this; farther rays need no look.
+    most: cython.double = _PI
+    away: cython.double = sqrt(x * x + y * y)
+    if away < 0.9 * bounds[2]:
+        most = asin(away / bounds[2]) + 1e-9
+    n: cython.Py_ssize_t = ranges.shape[0]
+    moved = np.empty((3, n))
+    out: cython.double[:, ::1] = moved
+    count: cython.Py_ssize_t = 0
+    i: cython.Py_ssize_t
+    before: cython.double
+    ahead: cython.double
+    left: cython.double
+    for i in range(first, n):
+        before = direction * (bearings[i] + turn - start)
+        if _mod(before + most) > width + 2.0 * most:
+            continue
+        if isfinite(ranges[i]):
+            ahead, left = cos(bearings[i] + turn), sin(bearings[i] + turn)
+            _move(out, count, ranges[i], bearings[i], ahead, left, x, y, turn, bounds)
+        else:
+            out[0, count], out[1, count] = ranges[i], _mod(bearings[i] + turn + _PI) - _PI
+        if _mod(before) < width or _mod(direction * (out[1, count] - start)) < width:
+            out[2, count] = ages[i]
+            count += 1
+    return moved[0, :count], moved[1, :count], moved[2, :count]
 
 
 _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": NAN}

@@ -146,3 +146,25 @@ def test_the_kernel_moves_rays_as_numpy_does(seed: int, n: int, steps: int) -> N
     args = (ranges, bearings, np.cos(bearings), np.sin(bearings), ages, path, limits)
     for ours, theirs in zip(kernel.move_rays(*args), deskew_numpy.move_rays(*args), strict=True):
         np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-12)
+
+
+@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 60), motion=st.floats(0.0, 0.2))
+def test_the_kernel_finds_the_rays_of_a_sector_as_numpy_does(
+    seed: int, n: int, motion: float
+) -> None:
+    kernel = load_kernel("swarmd.sensing.scan_kernel")
+    if kernel is None:
+        pytest.skip("scan_kernel was not built; `make kernels` builds it")
+    rng = np.random.default_rng(seed)
+    odd = rng.choice((np.nan, np.inf, -np.inf, 0.12, 3.5, 1.0), n)
+    ranges = np.where(rng.random(n) < 0.3, odd, rng.uniform(0.12, 0.5, n))
+    bearings, ages = rng.uniform(-7.0, 7.0, n), rng.uniform(0.0, 0.3, n)
+    x, y, yaw = rng.normal(0.0, motion, 3).tolist()
+    sector = rng.uniform(-4.0, 4.0), float(rng.choice((-1.0, 1.0))), 0.8
+    limits = (-0.03, 0.01, 0.12, 3.5)
+    ours, theirs = (
+        module.rays_in_sector(ranges, bearings, ages, n // 4, (x, y, yaw), sector, limits)
+        for module in (kernel, deskew_numpy)
+    )
+    for one, other in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
