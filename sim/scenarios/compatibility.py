@@ -6,10 +6,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator
 from itertools import product
 
+from swarmd.core.errors import unknown
 from swarmd.core.messages import PeerFinding
 from swarmd.core.values import Platform
 from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
 from swarmd.settings.layered import Layered
+from swarmd.settings.platforms import platform_names
 from swarmd.sim.scenarios.groups import Groups
 from swarmd.sim.scenarios.schema import ScenarioFile
 
@@ -29,6 +31,12 @@ def check_compatibility(
     """
     accepts = Accepts.of(file.accepts_unseen, file.accepts_faster)
     names = dict.fromkeys(platform.name for platform in groups.robots.values())
+    known = {*names, *file.platforms, *platform_names()}
+    for kind, accepted in (("unseen", accepts.unseen), ("faster", accepts.faster)):
+        for name in accepted:
+            if name not in known:
+                key = f"accepts_{kind}"
+                raise layers.error((key,), f"{key}: {unknown('platform', name, known)}")
     is_told = file.radio.range_and_bearing
     if file.lidar_visibility == "body":
         accepts = Accepts(dict.fromkeys(names, WHOLE_BODIES), accepts.faster)

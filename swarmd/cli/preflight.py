@@ -39,7 +39,7 @@ def check_daemon(settings: DaemonSettings) -> int:
         Finding("settings", True, f"robot {settings.id} of swarm {settings.network.swarm}"),
         Finding("platform", True, _platform_text(settings)),
         *_check_passage(settings),
-        Finding("peers", True, _peers_text(settings)),
+        Finding("peers", True, peers_text(settings)),
         Finding("kernels", True, describe_kernels()),
         _check_network(settings),
         check_state_dir(settings.state_dir),
@@ -71,8 +71,11 @@ def _check_passage(settings: DaemonSettings) -> list[Finding]:
     return [] if passage is None else [Finding("passes", True, passage_text(passage))]
 
 
-def _peers_text(settings: DaemonSettings) -> str:
-    """Beside which platforms that come with swarmd this robot is held; its roster names none."""
+def peers_text(settings: DaemonSettings) -> str:
+    """Beside which platforms that come with swarmd this robot is held; its roster names none.
+
+    An accepted platform may be a file of another robot, so an unknown one is no fault.
+    """
     own, speed = body_of(settings.platform), assumed_speed(settings.platform)
     held: list[str] = []
     for name in platform_names():
@@ -82,7 +85,10 @@ def _peers_text(settings: DaemonSettings) -> str:
                 return "platform has no heights: whether this robot sees others is not known"
             if found.holds:
                 held.append(f"{name} ({'not seen' if found.kind == 'unseen' else 'faster'})")
-    return f"held beside {', '.join(held)}" if held else "fits all platforms of swarmd"
+    accepted = {*settings.accepts.unseen, *settings.accepts.faster}
+    foreign = sorted(accepted.difference(platform_names()))
+    note = f"; accepts {', '.join(foreign)}: no platform of swarmd" if foreign else ""
+    return (f"held beside {', '.join(held)}" if held else "fits all platforms of swarmd") + note
 
 
 def protection_text(protection: Mapping[str, Any]) -> str:

@@ -113,8 +113,8 @@ class Recovery:
         """
         now = context.now
         is_idle = not (self._is_moving(requested) or self._is_turning(requested))
-        is_late = self._state not in {"follow", "pass"}
-        if is_idle or (is_late and now - self._began > _MAX_RECOVERY_TIME + self._back_time):
+        is_under_way = self._state not in {"follow", "pass"}
+        if is_idle or (is_under_way and now - self._began > _MAX_RECOVERY_TIME + self._back_time):
             self.reset()
             return requested
         is_blocked = self._is_blocked(safe, now)

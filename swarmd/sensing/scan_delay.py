@@ -4,7 +4,7 @@ The delay of a scan is the mean age of its rays when it arrives. Two methods mea
 
 - Stamps. Where scan and odometry are stamped by one clock, the fastest odometry of the last second
   tells the time of that clock. The stamp of a scan is the time of its oldest ray, as in ROS. The
-  delay of odometry itself is not seen; a delay that both share for more than a second is not, too.
+  delay of odometry itself goes unnoticed, and so does one that both have for more than a second.
 - Turns. The turn between two scans, by circular correlation of their ranges, is compared with the
   turn by odometry at candidate delays, in least squares with a free scale of the odometry. It needs
   a rate of turn that changes: at a constant rate all delays explain the turns alike, and then there
@@ -45,7 +45,7 @@ _HISTORY = 96  # headings
 _SPACING = 0.02  # s between two of them, at least
 _MIN_RATE_CHANGE = 0.15  # rad/s
 _MIN_TURN_SPREAD = 0.06  # rad by which candidates must differ for a pair of scans to tell anything
-_SEARCHED = 0.25  # rad beyond all candidates within which the turn is searched
+_SEARCHED = 0.25  # rad by which the search for the turn goes beyond the turns of all candidates
 _MAX_SEARCHED = 1.2  # rad; beyond it a square room looks like itself
 _MAX_SHIFT = 0.03  # m between two scans: a shift of near things looks like a turn
 _MIN_RAYS = 90
@@ -55,8 +55,8 @@ _MIN_LIKENESS = 0.6  # correlation of two scans at the turn found
 _FORGETTING = 0.98  # of earlier pairs, for each new one: some 50 count
 _MIN_PAIRS = 8
 _MIN_SPREAD = 0.015  # rad of one measured turn
-_ALIKE = 2.0  # the errors of pairs are alike: measured over estimated spread, in simulation 1.7
-_CERTAIN = 2.5  # spreads by which turns must exceed what is known otherwise
+_ALIKE = 2.0  # factor on the spread, as errors of pairs are not independent: 1.7 in simulation
+_CERTAIN = 2.5  # spreads by which turns must exceed declaration and stamps
 _MAX_INTERVAL = 0.2  # s of candidates within three deviations: a wider one is no figure
 _SCALES = 0.85, 1.15  # of odometry
 _ENOUGH_PAIRS = 20  # after which only each fourth pair of scans is compared

@@ -252,6 +252,7 @@ def _described(node: inspect.Type) -> str:
             types = list(node.types)
             words = ["a number, text, true or false"] if set(map(type, types)) >= _SCALARS else []
             others = [one for one in types if not words or type(one) not in _SCALARS]
+            others.sort(key=lambda one: isinstance(one, inspect.ListType))  # its items end the text
             return " or ".join(dict.fromkeys([*words, *map(_described, others)]))
         case inspect.TupleType():
             return f"[{', '.join(_described(part) for part in node.item_types)}]"

@@ -13,6 +13,7 @@ from swarmd.cli.preflight import (
     check_patterns,
     check_state_dir,
     command_timeout_text,
+    peers_text,
     protection_text,
 )
 from swarmd.core.values import Value
@@ -175,3 +176,10 @@ def test_a_wrong_option_of_the_driver_is_one_line(
     (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("FAIL"))
     assert "driver simulated" in line
     assert "'never'" in line
+
+
+def test_accepted_platforms_that_swarmd_does_not_have_are_named(tmp_path: Path) -> None:
+    given = {"id": "r1", "platform": "burger", "accepts_unseen": ["burgr", "thymio"]}
+    settings = load_daemon_settings(None, given, {"HOME": str(tmp_path)})
+    text = peers_text(settings)
+    assert text.endswith("waffle_pi_lds02 (faster); accepts burgr: no platform of swarmd")

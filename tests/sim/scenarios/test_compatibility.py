@@ -39,6 +39,16 @@ def test_a_pair_of_unlike_speeds_is_refused_with_what_to_set() -> None:
         mixed("burger", "waffle_pi", platforms={}, lidar_visibility="body")
 
 
+def test_an_accepted_platform_that_does_not_exist_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"accepts_unseen.*no platform 'burgr'.*'burger'"):
+        mixed("burger", "jackal", accepts_unseen=["burgr"])
+
+
+def test_a_grant_of_the_wrong_type_says_both_types() -> None:
+    with pytest.raises(ConfigError, match=r"expected keys and values or a list, each text"):
+        mixed("burger", "jackal", accepts_unseen="burger")
+
+
 @pytest.mark.parametrize(
     ("changes", "note"),
     [
