@@ -145,11 +145,8 @@ class Recovery:
         share = 1.0
         if self._state == "pass":
             share = 1.0 if safe.linear >= 0.25 * self._least_linear else 0.0
-        elif is_moving:
-            share = safe.linear * request.linear + safe.lateral * request.lateral
-            share /= request.linear**2 + request.lateral**2
-        elif self._is_turning(request):
-            share = safe.angular / request.angular
+        elif is_moving or self._is_turning(request):
+            share = self._product(safe, request) / self._product(request, request)
         if share >= _BLOCKED_SHARE:
             self._blocked_since = None
             return False
@@ -159,6 +156,14 @@ class Recovery:
             return now - self._blocked_since >= max(_STOPPED_TIME, self._patience)
         least = self._patience if self._state == "follow" else _MOVE_BLOCKED_TIME
         return now - self._blocked_since >= (least if is_moving else _TURN_BLOCKED_TIME)
+
+    def _product(self, a: Twist, b: Twist) -> float:
+        """The inner product of two twists in m2/s2, with turns scaled by the ratio of the limits.
+
+        So a robot that may make the turn of its request is not blocked, however slowly it moves.
+        """
+        scale = (self._limits.linear / self._limits.angular) ** 2
+        return a.linear * b.linear + a.lateral * b.lateral + scale * a.angular * b.angular
 
     def _waits(self, context: DecisionContext, points: Array) -> bool:
         """True if the robot should wait for the other one to yield; counts its own attempts.

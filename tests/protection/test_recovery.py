@@ -44,6 +44,15 @@ def test_recovery_turns_again_where_the_corridor_is_blocked_too() -> None:
     assert sum(is_turn) * TICK >= 1.0
 
 
+@pytest.mark.parametrize(("safe", "is_active"), [(Twist(0.0, 2.2), False), (Twist(0.03), True)])
+def test_a_turn_that_protection_allows_is_not_blocked(safe: Twist, is_active: bool) -> None:
+    recovery = Recovery(Clearance(0.5, 0.2), Limits(0.22, 2.84), "seed")
+    for now in (0.0, 0.1, 0.2, 0.3):
+        context = DecisionContext(now, 0.0)
+        recovery.replacement(Twist(0.03, 2.84), safe, context, lambda: np.array([[0.3, 0.0]]))
+    assert recovery.is_active == is_active
+
+
 def still(platform: Platform) -> Platform:
     """Obstacles are assumed to stand and to be fully visible."""
     return under_barrier(platform, others_speed=0.001, surface_speed=0.22, unseen_extent=0.0)
