@@ -97,12 +97,23 @@ class Scan:
     newest_age: float | None = None
 
 
+MAX_STEP, MAX_SPEED = 0.5, 10.0
+"""m and m/s: two readings of odometry that are farther apart have no common frame."""
+
+
 class Odometry(Struct, frozen=True, array_like=True):
     """Pose in the odometry frame and measured twist in the base frame."""
 
     stamp: float
     pose: Pose
     twist: Twist
+
+    def jumps_from(self, last: Odometry) -> bool:
+        """True if no base gets here from the last reading: an estimator has moved the pose."""
+        seconds = self.stamp - last.stamp
+        here, there = self.pose, last.pose
+        way = math.hypot(here.x - there.x, here.y - there.y)
+        return way > MAX_STEP + MAX_SPEED * seconds
 
 
 class SharedPose(Struct, frozen=True, array_like=True):

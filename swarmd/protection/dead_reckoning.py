@@ -21,7 +21,8 @@ HISTORY = 40
 class DeadReckoning:
     """Poses from measured odometry, interpolated and extrapolated; times in s on its own clock.
 
-    `clock_resets` counts how often that clock went back: earlier poses are invalid after a reset.
+    `clock_resets` counts how often that clock went back or the pose jumped: earlier poses are
+    invalid after a reset.
     """
 
     def __init__(self, braking_linear: float, braking_angular: float) -> None:
@@ -33,12 +34,13 @@ class DeadReckoning:
     def update(self, context: DecisionContext) -> None:
         """Record the odometry of the context if it is new.
 
-        A new reading whose stamp does not rise counts as a clock reset and clears the history.
+        A new reading whose stamp does not rise, or whose pose jumps, counts as a clock reset and
+        clears the history.
         """
         odometry, readings = context.odometry, self._readings
         if odometry is None or (readings and odometry == readings[-1]):
             return
-        if readings and odometry.stamp <= readings[-1].stamp:
+        if readings and (odometry.stamp <= readings[-1].stamp or odometry.jumps_from(readings[-1])):
             readings.clear()
             self.clock_resets += 1
         readings.append(odometry)

@@ -19,7 +19,8 @@ _MIN_STEP = 1e-9  # s between two poses of a path
 class OdometryHistory:
     """Poses in the odometry frame, interpolated and extrapolated; times are stamps in s.
 
-    `resets` counts how often the stamps went back: earlier poses are invalid after a reset.
+    `resets` counts how often the stamps went back or the pose jumped: earlier poses are invalid
+    after a reset.
     """
 
     def __init__(self) -> None:
@@ -29,12 +30,13 @@ class OdometryHistory:
     def update(self, odometry: Odometry) -> None:
         """Record a reading if it is new.
 
-        A new reading whose stamp does not rise counts as a reset and clears the history.
+        A new reading whose stamp does not rise, or whose pose jumps, counts as a reset and clears
+        the history.
         """
         readings = self.readings
         if readings and odometry == readings[-1]:
             return
-        if readings and odometry.stamp <= readings[-1].stamp:
+        if readings and (odometry.stamp <= readings[-1].stamp or odometry.jumps_from(readings[-1])):
             readings.clear()
             self.resets += 1
         readings.append(odometry)

@@ -129,3 +129,11 @@ def test_headings_are_interpolated_the_short_way() -> None:
     last = Odometry(0.1, Pose(0.0, 0.0, -3.1), ZERO)
     between = motion.pose(DecisionContext(0.1, 0.0, last, 0.0), 0.05).yaw
     assert math.cos(between) == pytest.approx(-1.0, abs=1e-9)
+
+
+def test_a_pose_that_jumps_is_a_clock_reset() -> None:
+    motion, last = driven(Twist(0.2))
+    again = Odometry(last.stamp + 0.05, Pose(last.pose.x, last.pose.y + 5.0), last.twist)
+    motion.update(DecisionContext(1.15, 0.0, again, 0.0))
+    assert motion.clock_resets == 1
+    assert motion.pose(DecisionContext(1.15, 0.0, again, 0.0), 0.0) == again.pose

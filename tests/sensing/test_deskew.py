@@ -13,6 +13,7 @@ from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Sweep, Twist
 from swarmd.sensing import deskew_numpy
 from swarmd.sensing.deskew import Deskewer
+from swarmd.sensing.odometry_history import OdometryHistory
 
 N, PERIOD = 360, 0.2
 BEARINGS = np.arange(N) * 2.0 * np.pi / N
@@ -168,3 +169,11 @@ def test_the_kernel_finds_the_rays_of_a_sector_as_numpy_does(
     )
     for one, other in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
+
+
+def test_a_pose_that_jumps_ends_the_history() -> None:
+    history = OdometryHistory()
+    for tick, x in enumerate((0.0, 0.01, 5.0, 5.01)):
+        history.update(Odometry(0.05 * tick, Pose(x), Twist(0.2)))
+    assert history.resets == 1
+    assert [reading.pose.x for reading in history.readings] == [5.0, 5.01]
