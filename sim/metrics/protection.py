@@ -14,8 +14,7 @@ from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.metrics.window import by_platform, late, mean, presence, reaches, row_means
 from swarmd.sim.trace import Trace
 
-_DEADLOCK_WINDOW = 60.0  # s
-_DEADLOCK_WAY = 0.15  # of the way at full speed in a window: the size of the area it stays in
+_TRAVEL_WINDOW = 60.0  # s
 _MIN_REQUEST = 0.1  # of the top speed: what counts as a request to travel
 _ROUNDING = 1e-9
 
@@ -114,32 +113,28 @@ def recovery_share(trace: Trace) -> float | None:
     return mean(trace.recovering.astype(np.float64), _running(trace))
 
 
-def deadlock_share(trace: Trace) -> float | None:
-    """The share of windows of 60 s in which robots wanted to travel and got nowhere.
+def travel_extent(trace: Trace) -> float | None:
+    """How far robots that request travel get about, in m: the mean over robots and windows of 60 s.
 
-    Of the windows in which a robot requested motion for at least half of the time, those in which
-    it stayed within a square of 0.15 of the way at full speed (2 m for a Burger). A robot that
-    wanders to and fro before a door counts, although it moves; one that travels from goal to goal
-    in an open room does not. Ours. None without requested commands or such a window.
+    The extent of a window is the longer side of the box, along the axes of the arena, around all
+    places of the robot. Only windows count in which it requests motion for at least half of the
+    time. A group in deadlock that wanders to and fro before a door has a small extent, compared
+    with the way to its goals. Ours. None without requested commands or such a window.
     """
     limits = by_platform(trace, "v_max")
     if trace.requested is None or limits is None:
         return None
     asks = np.hypot(trace.requested[..., 0], trace.requested[..., 2]) >= _MIN_REQUEST * limits
     asks &= _running(trace)
-    windows = deadlocked = 0
-    for start in np.arange(
-        trace.t[0], trace.t[-1] - _DEADLOCK_WINDOW + _ROUNDING, _DEADLOCK_WINDOW
-    ):
+    extents: list[float] = []
+    for start in np.arange(trace.t[0], trace.t[-1] - _TRAVEL_WINDOW + _ROUNDING, _TRAVEL_WINDOW):
         first, stop = np.searchsorted(
-            trace.t, (start - _ROUNDING, start + _DEADLOCK_WINDOW + _ROUNDING)
+            trace.t, (start - _ROUNDING, start + _TRAVEL_WINDOW + _ROUNDING)
         )
-        place = trace.pose[first:stop, :, :2]
-        spread = np.ptp(place, axis=0).max(axis=1)  # of a box around all places
+        sides = np.ptp(trace.pose[first:stop, :, :2], axis=0)
         wants = asks[first:stop].mean(axis=0) >= 0.5
-        windows += int(wants.sum())
-        deadlocked += int((wants & (spread <= _DEADLOCK_WAY * limits * _DEADLOCK_WINDOW)).sum())
-    return deadlocked / windows if windows else None
+        extents.extend(sides[wants].max(axis=1))
+    return float(np.mean(extents)) if extents else None
 
 
 def failed_patterns(trace: Trace) -> int | None:
@@ -181,9 +176,9 @@ METRICS = (
     Metric("recovery_share", "share",
            "share of running time in recovery, which leads a robot around an obstacle", "ours",
            recovery_share, better="less"),
-    Metric("deadlock_share", "share",
-           "share of 60 s windows in which a robot requests motion and stays in a small area, even"
-           " if it wanders there", "ours", deadlock_share, better="less"),
+    Metric("travel_extent", "m",
+           "mean extent of the area that a robot covers in 60 s while it requests motion; small in"
+           " a deadlock, even if it wanders", "ours", travel_extent, better="more"),
     Metric("failed_patterns", "robots",
            "robots whose pattern failed: it was restarted, or set aside", "ours", failed_patterns,
            better="less"),

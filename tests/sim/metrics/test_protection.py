@@ -125,14 +125,14 @@ def test_holds_are_counted_while_running(run: Run) -> None:
     assert protection.hold_share(run(STILL, state=np.full((4, 2), "idle"), reason=reason)) is None
 
 
-def test_deadlock_share_counts_robots_that_wander_in_a_small_area(run: Run) -> None:
+def test_travel_extent_is_small_for_robots_that_wander_to_and_fro(run: Run) -> None:
     t = np.arange(0.0, 60.05, 0.1)
     poses = np.zeros((len(t), 3, 3))
-    poses[:, 0, 0] = 0.5 * np.sin(t)  # to and fro
-    poses[:, 1, 0] = 0.1 * t
+    poses[:, 0, 0] = 0.5 * np.sin(t)  # to and fro: 1 m
+    poses[:, 1, 0] = 0.1 * t  # 6 m
     requested = np.full((len(t), 3, 3), (0.2, 0.0, 0.0))
     requested[:, 2] = 0.0  # rests on purpose
     trace = replace(run(poses, requested=requested), t=t)
-    assert protection.deadlock_share(trace) == 0.5
-    assert protection.deadlock_share(replace(trace, requested=None)) is None
-    assert protection.deadlock_share(run(STILL, requested=STILL)) is None
+    assert protection.travel_extent(trace) == pytest.approx(3.5, abs=0.01)
+    assert protection.travel_extent(replace(trace, requested=None)) is None
+    assert protection.travel_extent(run(STILL, requested=STILL)) is None
