@@ -122,7 +122,7 @@ def travel_extent(trace: Trace) -> float | None:
     with the way to its goals. Ours. None without requested commands or such a window.
     """
     limits = by_platform(trace, "v_max")
-    if trace.requested is None or limits is None:
+    if trace.requested is None or limits is None or len(trace.t) == 0:
         return None
     asks = np.hypot(trace.requested[..., 0], trace.requested[..., 2]) >= _MIN_REQUEST * limits
     asks &= _running(trace)
