@@ -122,13 +122,16 @@ def test_jackal_rammed_out_of_its_blind_zone_is_not_at_fault() -> None:
 
 
 def test_turning_robot_does_not_swing_into_one_that_passes() -> None:
-    """The other robot is unprotected; it passes within reach of the rear corners."""
+    """The other robot is unprotected; it passes within reach of the rear corners.
+
+    The turn may end with a corner in its way: then the other one hits a robot at rest.
+    """
     trace = meeting(
         group("burger", "a", (0.0, 0.0, 0.0), 0.0, 2.84),
         group("ram-burger", "b", (-0.2, 1.5, -math.pi / 2), 0.22),
         duration=8.0,
     )
-    assert len(trace.contact_t) == 0
+    assert first_touch(trace) <= NO_FAULT
     assert driven(trace, "b") > 1.5
     assert np.ptp(np.cos(trace.pose[:, trace.ids.index("a"), 2])) > 1.0  # it has turned
 
