@@ -5,9 +5,9 @@ BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
 COMPILE = $(BIN)/python -m compileall -q swarmd patterns drivers sim config
 ARGS ?=
-# Test files at a time; three for two cores, since half of the time a test waits and computes
+# Test files at a time; five for two cores, since half of the time a test waits and computes
 # nothing. 0: one after the other, in this process.
-JOBS ?= 4
+JOBS ?= 5
 
 .PHONY: help demo kernels wheels test evidence check format bench budget network network-scale paper safety outcomes voting mutants kernel-mutants lock clean
 .DELETE_ON_ERROR:

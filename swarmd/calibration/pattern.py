@@ -62,6 +62,7 @@ class CalibrationParams(Params, frozen=True, kw_only=True):
             "drives to and fro, at each of two speeds",
             ge=1,
             le=20,
+            unit="drives",
             source="ours: brakes are within 5 % with noise of 2 % in each reading of odometry",
         ),
     ] = 4

@@ -24,8 +24,8 @@ FAULTS: dict[str, dict[str, Any]] = {
 @pytest.mark.parametrize(
     ("fault", "count"),
     [
-        ("duplicated", 2),
         ("slow and lossy", 2),
+        pytest.param("duplicated", 2, marks=pytest.mark.evidence),
         *(pytest.param(fault, 100, marks=pytest.mark.evidence) for fault in FAULTS),
     ],
 )

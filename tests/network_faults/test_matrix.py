@@ -18,6 +18,7 @@ def test_each_answer_is_true_with_losses(swarm: FieldSwarm) -> None:
         assert row.judged.verdict == TRUE, row
 
 
+@pytest.mark.evidence
 def test_without_loss_a_slow_radio_reaches_every_robot(swarm: FieldSwarm) -> None:
     for row in cell(swarm, 0.3, 0.0):
         print("; ".join((*row.cells, row.judged.text)))

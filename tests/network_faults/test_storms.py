@@ -48,6 +48,7 @@ def test_most_of_a_swarm_is_killed(swarm: FieldSwarm) -> None:
     check_all_alive(swarm)
 
 
+@pytest.mark.evidence
 def test_most_of_a_swarm_is_cut_off(swarm: FieldSwarm) -> None:
     """From the far laptop and the robots that stay: the near laptop still reaches everybody."""
     staying = swarm.robots[: len(swarm.robots) // 4]

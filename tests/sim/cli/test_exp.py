@@ -94,7 +94,10 @@ def test_a_sweep_leaves_rows_traces_a_summary_and_a_manifest(
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize("what", [".", "traces", "runs.csv"])
+@pytest.mark.parametrize(
+    "what",
+    ["traces", *(pytest.param(one, marks=pytest.mark.evidence) for one in (".", "runs.csv"))],
+)
 def test_removed_results_are_one_line_and_the_command_works_again(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl, what: str
 ) -> None:

@@ -163,7 +163,10 @@ def test_ctrl_c_cancels_what_runs_and_keeps_what_is_finished(
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     ("number", "words"),
-    [(signal.SIGKILL, "is gone"), (signal.SIGSTOP, "has not answered for 5 s")],
+    [
+        (signal.SIGKILL, "is gone"),
+        pytest.param(signal.SIGSTOP, "has not answered for 5 s", marks=pytest.mark.evidence),
+    ],
 )
 def test_a_scheduler_that_ends_or_hangs_is_one_line_and_keeps_finished_runs(
     tmp_path: Path, duo: Path, cluster: Cluster, number: signal.Signals, words: str
@@ -186,6 +189,7 @@ def test_a_scheduler_that_ends_or_hangs_is_one_line_and_keeps_finished_runs(
     assert len(table(far)) == 2
 
 
+@pytest.mark.evidence
 def test_other_software_of_a_worker_is_refused_by_its_name(
     tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
 ) -> None:

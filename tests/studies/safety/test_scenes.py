@@ -168,7 +168,7 @@ def test_attackers_move_at_the_speed_of_their_cell(family: str, platform: str) -
     speed = attack_speed(scene, platform)
     assert speed == scene.of.speed * load_platform(platform).protection["barrier"]["others_speed"]
     fastest = fastest_points(lab, rows, 5.0)
-    assert (fastest <= 1.01 * speed).all()
+    assert (fastest <= 1.02 * speed).all()  # the servo of a base overshoots a little
     if family != "spin":  # its corners add both parts only where they are parallel
         assert (fastest >= 0.99 * speed).all()
 
