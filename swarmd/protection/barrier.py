@@ -47,18 +47,14 @@ from swarmd.protection.constraints import (
     side_constraints,
     touch_directions,
 )
-from swarmd.protection.dead_reckoning import (
-    MAX_EXTRAPOLATION,
-    REACTION_TIME,
-    DeadReckoning,
-    relative,
-)
+from swarmd.protection.dead_reckoning import REACTION_TIME, DeadReckoning
 from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
 from swarmd.protection.footprint import Footprint, ScanGeometry, Separations
 from swarmd.protection.projection import TOLERANCE, Point, nearest_feasible
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import BarrierSettings
 from swarmd.protection.stopping import SPEED_SHARES, StopCheck
+from swarmd.sensing.odometry_history import MAX_EXTRAPOLATION, relative
 
 AGE_TOLERANCE = 1e-6  # s, for the rounding of ages
 _PASSAGE_SLACK = 0.03  # m per side by which a passage must be wider: noise, a turning lidar

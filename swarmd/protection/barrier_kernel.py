@@ -25,9 +25,10 @@ from swarmd.protection.constraints import (
     MIN_BRAKING,
     SIDE_ANGLE,
 )
-from swarmd.protection.dead_reckoning import HISTORY, MAX_EXTRAPOLATION, REACTION_TIME
+from swarmd.protection.dead_reckoning import REACTION_TIME
 from swarmd.protection.projection import BINDING_TOLERANCE, TOLERANCE
 from swarmd.protection.stopping import FAULT_SPEED, NEGLIGIBLE_SPEED, ROUNDING, SPEED_SHARES
+from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
 
 _tick = cython.declare(cython.double, TICK)
 _creep = cython.declare(cython.double, CREEP_SPEED)

@@ -8,13 +8,9 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from swarmd.core.values import ZERO, Odometry, Pose, Twist
-from swarmd.protection.dead_reckoning import (
-    MAX_EXTRAPOLATION,
-    REACTION_TIME,
-    DeadReckoning,
-    relative,
-)
+from swarmd.protection.dead_reckoning import REACTION_TIME, DeadReckoning
 from swarmd.protection.decision import DecisionContext
+from swarmd.sensing.odometry_history import MAX_EXTRAPOLATION, relative
 from tests.support.filter_sim import placed
 
 SPEED = st.floats(-1, 1)
