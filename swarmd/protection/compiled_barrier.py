@@ -104,7 +104,7 @@ class CompiledBarrier(Barrier):
             self._record(odometry)
         if touch is not self._touch:
             self._grant(touch)
-        if context.told is not self._told:
+        if context.told != self._told:
             self._told = context.told
             table = [(one.x, one.y, one.radius, one.age) for one in self._told]
             self._kernel.set_told(np.array(table, np.float64).reshape(-1, 4))

@@ -285,6 +285,16 @@ def test_other_odometry_at_the_same_time_is_another_situation() -> None:
     assert pair.decisions[0].twist != pair.decisions[1].twist
 
 
+def test_equal_told_obstacles_at_the_same_time_are_the_same_situation() -> None:
+    """The command that takes effect first has changed, and is not looked at again."""
+    pair, told = Pair(BURGER), {"x": 0.0, "y": 0.0, "radius": 0.0, "age": 0.0}
+    pair.take(Seen([], 0.0))
+    for _ in range(2):
+        pair.take(Asked(0.0, [(-1.0, 1.0, 0.0)], None, 0.0, -1, (ToldObstacle(**told),)))
+    assert pair.decisions[0] == pair.decisions[1]
+    assert pair.decisions[0].is_active
+
+
 @pytest.mark.parametrize("age", [0.0, 0.05, 0.6])
 def test_scan_is_placed_alike_between_readings_and_after_the_last(age: float) -> None:
     """The yaw passes from pi to -pi between the readings."""
