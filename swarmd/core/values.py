@@ -98,7 +98,7 @@ class Scan:
 
 
 MAX_STEP, MAX_SPEED = 0.5, 10.0
-"""m and m/s: two readings of odometry that are farther apart have no common frame."""
+"""m and m/s, rad and rad/s: two readings of odometry farther apart have no common frame."""
 
 
 class Odometry(Struct, frozen=True, array_like=True):
@@ -113,7 +113,8 @@ class Odometry(Struct, frozen=True, array_like=True):
         seconds = self.stamp - last.stamp
         here, there = self.pose, last.pose
         way = math.hypot(here.x - there.x, here.y - there.y)
-        return way > MAX_STEP + MAX_SPEED * seconds
+        turn = abs(math.remainder(here.yaw - there.yaw, 2.0 * math.pi))
+        return max(way, turn) > MAX_STEP + MAX_SPEED * seconds
 
 
 class SharedPose(Struct, frozen=True, array_like=True):

@@ -231,8 +231,10 @@ class Barrier:
             return
         pose = self._dead_reckoning.pose(context, latency)
         if self._memory is not None:
-            moved = relative(pose, self._taken_at)
-            self._memory.update(scan, geometry, moved, max(taken - self._taken, 0.0))
+            seconds, last = max(taken - self._taken, 0.0), self._taken_at
+            if self._clock_resets != self._dead_reckoning.clock_resets:  # by the speed alone
+                last = self._dead_reckoning.pose(context, latency + min(seconds, self._stale))
+            self._memory.update(scan, geometry, relative(pose, last), seconds)
         self._taken_at, self._taken = pose, taken
         self._lag, self._clock_resets = age, self._dead_reckoning.clock_resets
         late = context.scan_delay + oldest

@@ -16,6 +16,7 @@ from array import array
 from cython.cimports.libc.math import atan2, copysign, cos, fabs, hypot, remainder, sin, sqrt
 
 from swarmd.core.clock import TICK
+from swarmd.core.values import MAX_SPEED, MAX_STEP
 from swarmd.protection.barrier import AGE_TOLERANCE
 from swarmd.protection.compiled_barrier import LIMITS, PASSES, REPEATS, STOPS
 from swarmd.protection.constraints import (
@@ -37,6 +38,8 @@ _side_cos = cython.declare(cython.double)
 _side_sin = cython.declare(cython.double)
 _side_cos, _side_sin = cos(SIDE_ANGLE), sin(SIDE_ANGLE)
 _max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
+_max_step = cython.declare(cython.double, MAX_STEP)
+_max_speed = cython.declare(cython.double, MAX_SPEED)
 _reaction = cython.declare(cython.double, REACTION_TIME)
 _fault = cython.declare(cython.double, FAULT_SPEED)
 _negligible = cython.declare(cython.double, NEGLIGIBLE_SPEED)
@@ -330,7 +333,10 @@ class BarrierKernel:
                 and r[at + 6] == lateral
             ):
                 return
-            if stamp <= r[at]:
+            apart: cython.double = _maximum(
+                hypot(x - r[at + 1], y - r[at + 2]), fabs(remainder(yaw - r[at + 3], 2.0 * _pi))
+            )
+            if stamp <= r[at] or apart > _max_step + _max_speed * (stamp - r[at]):
                 self._known = 0
                 self._resets += 1
         self._last = (self._last + 1) % _history
@@ -445,6 +451,11 @@ class BarrierKernel:
         if age > 0.0 and taken < self._taken + _age_tolerance:
             return False
         self._oldest, self._late = oldest, delay + oldest
+        self.seconds = _maximum(taken - self._taken, 0.0)
+        if self._scan_resets != self._resets:  # the motion since the last scan by the speed alone
+            self._pose(odometry_age, latency + min(self.seconds, self._stale))
+            self._taken_x, self._taken_y = self._pose_x, self._pose_y
+            self._taken_yaw = self._pose_yaw
         self._pose(odometry_age, latency)
         dx: cython.double = self._pose_x - self._taken_x
         dy: cython.double = self._pose_y - self._taken_y
@@ -452,7 +463,6 @@ class BarrierKernel:
         s: cython.double = sin(self._taken_yaw)
         self.moved_x, self.moved_y = c * dx + s * dy, c * dy - s * dx
         self.moved_yaw = self._pose_yaw - self._taken_yaw
-        self.seconds = _maximum(taken - self._taken, 0.0)
         self._taken_x, self._taken_y, self._taken_yaw = self._pose_x, self._pose_y, self._pose_yaw
         self._taken, self._lag, self._scan_resets = taken, age, self._resets
         return True

@@ -5,11 +5,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import msgspec
 import numpy as np
 import pytest
 
 from swarmd.core.clock import TICK
-from swarmd.core.values import Platform, Pose, Twist
+from swarmd.core.values import Odometry, Platform, Pose, Twist
 from swarmd.protection.constraints import reciprocal_caps
 from swarmd.protection.dead_reckoning import REACTION_TIME
 from swarmd.settings.settings import load_platform
@@ -118,6 +119,21 @@ def test_approached_obstacle_is_remembered_when_it_vanishes() -> None:
     assert run.min_gap < BLIND - 0.254
     assert run.twists[-1].linear == pytest.approx(0.0, abs=1e-6)
     assert sim.run(Twist(-0.5), 4.0).poses[-1].x < run.poses[-1].x - 0.04
+
+
+def test_hidden_obstacle_is_remembered_when_the_pose_of_odometry_jumps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    sim = FilterSim(calm(JACKAL), [box(0.1, 0.6, Pose(2.0))])
+    stopped = sim.run(AHEAD, 8.0).poses[-1]
+    true = sim.odometry
+
+    def jumped() -> Odometry:
+        pose = true().pose
+        return msgspec.structs.replace(true(), pose=Pose(pose.x + 5.0, pose.y - 3.0, pose.yaw))
+
+    monkeypatch.setattr(sim, "odometry", jumped)
+    assert sim.run(AHEAD, 4.0).poses[-1].x == pytest.approx(stopped.x, abs=1e-6)
 
 
 @pytest.mark.parametrize("bearing", [0.0, 0.5, 1.2, 2.0])

@@ -67,12 +67,13 @@ class Seen(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """A reading of odometry arrives: its stamp relative to the time, and shares of the limits."""
+    """A reading of odometry arrives: its stamp relative to the time, shares, and m of a jump."""
 
     late: float
     ahead: float
     turn: float
     aside: float
+    jump: float = 0.0
 
 
 class Asked(NamedTuple):
@@ -104,7 +105,8 @@ SEEN = st.builds(
     st.sampled_from([0.0, 0.0, 0.05, 0.2, 0.7]),
     st.sampled_from([0.0, 0.0, 0.1]),
 )
-MOVED = st.builds(Moved, st.sampled_from([0.0, 0.0, 0.02, 0.2, 5.0]), SHARE, SHARE, SHARE)
+LATE, JUMP = st.sampled_from([0.0, 0.0, 0.02, 0.2, 5.0]), st.sampled_from([0.0, 0.0, 0.0, 3.0])
+MOVED = st.builds(Moved, LATE, SHARE, SHARE, SHARE, JUMP)
 TOUCH = st.one_of(
     st.none(),
     st.none(),
@@ -167,7 +169,7 @@ class Pair:
             moved.ahead * limits.linear, moved.turn * limits.angular, moved.aside * limits.lateral
         )
         self.now += 0.02
-        x, y, yaw = self.pose.x, self.pose.y, self.pose.yaw + 0.05 * twist.angular
+        x, y, yaw = self.pose.x, self.pose.y + moved.jump, self.pose.yaw + 0.05 * twist.angular
         self.pose = Pose(
             x + 0.05 * twist.linear * math.cos(yaw), y + 0.05 * twist.linear * math.sin(yaw), yaw
         )

@@ -127,9 +127,10 @@ def test_headings_are_interpolated_the_short_way() -> None:
     assert math.cos(between) == pytest.approx(-1.0, abs=1e-9)
 
 
-def test_a_pose_that_jumps_is_a_clock_reset() -> None:
+@pytest.mark.parametrize("jump", [Pose(0.2, 5.0), Pose(0.2, 0.0, 1.5)])
+def test_a_pose_that_jumps_is_a_clock_reset(jump: Pose) -> None:
     motion, last = driven(Twist(0.2))
-    again = Odometry(last.stamp + 0.05, Pose(last.pose.x, last.pose.y + 5.0), last.twist)
+    again = Odometry(last.stamp + 0.05, jump, last.twist)
     motion.update(DecisionContext(1.15, 0.0, again, 0.0))
     assert motion.clock_resets == 1
     assert motion.pose(DecisionContext(1.15, 0.0, again, 0.0), 0.0) == again.pose
