@@ -25,6 +25,7 @@ from swarmd.network.datagram import (
     PRESENCES,
     Address,
     Beacon,
+    BodyReport,
     Flag,
     MemberList,
     MemberReport,
@@ -56,9 +57,13 @@ class _Instance:
 
 @dataclass(slots=True)
 class _Record:
-    """`shown`: the instance and presence at the last event, and `since` when."""
+    """`shown`: the instance and presence at the last event, and `since` when.
+
+    `body`: what the latest instance that tells its body told of it.
+    """
 
     instances: dict[bytes, _Instance] = field(default_factory=dict)
+    body: BodyReport | None = None
     shown: tuple[bytes, Presence] | None = None
     since: float = 0.0
     first: float = 0.0
@@ -140,6 +145,8 @@ class Membership:
             return False  # delayed; after that time a forged number must not hide the robot
         instance.heard, instance.beacon, instance.address = now, beacon, address
         instance.has_left = bool(beacon.flags & Flag.LEFT)
+        if beacon.body is not None and (record.body is None or instance is record.latest):
+            record.body = beacon.body
         return self._settle(record, now)
 
     def on_member_list(self, members: MemberList, now: float) -> None:
@@ -209,16 +216,16 @@ class Membership:
         return {robot: member for robot, member in found if member is not None}
 
     def bodies(self) -> dict[str, Body | None]:
-        """What each member that was heard here tells of its body; None: nothing.
+        """What each member that was heard here tells of its body; None: nothing so far.
 
-        Also of those that left or failed, until they are forgotten: they still stand somewhere.
+        Also of those that left or failed, until they are forgotten: they still stand somewhere. An
+        instance that tells nothing of its body does not take back what another one told.
         """
-        reports = {
-            robot: record.latest.beacon.body
+        return {
+            robot: None if record.body is None else record.body.body
             for robot, record in self._records.items()
             if record.shown is not None
         }
-        return {robot: None if report is None else report.body for robot, report in reports.items()}
 
     @property
     def indirect(self) -> Mapping[str, IndirectMember]:

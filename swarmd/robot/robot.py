@@ -27,6 +27,7 @@ from swarmd.robot.actions import Actions, Effects
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.lifecycle import MAX_HOLD_TIME, Lifecycle, RobotIdentity, RobotSettings
 from swarmd.robot.pattern_run import ROUNDING
+from swarmd.robot.peers import FindingEvents
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state_machine import Trigger
@@ -67,6 +68,7 @@ class Robot:
         self._is_status_due = True  # the lifecycle may have changed since the last look at it
         self._settled: Actions  # those of the last event but a quiet tick
         self._sensors = Sensors(platform, settings.accepts)
+        self._finding_events = FindingEvents()
         self._protection = Protection(platform, f"{seed}/{id}")
         identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
         self._lifecycle = Lifecycle(identity, latches, now)
@@ -140,12 +142,11 @@ class Robot:
 
     def on_peers(self, bodies: Mapping[str, Body | None], now: float) -> None:
         """What the other robots tell of their bodies: all that were heard and are not forgotten."""
-        robots: dict[str, list[str]] = {}  # by what is found, so that a swarm is a few events
-        for found in self._sensors.on_peers(bodies):
-            robots.setdefault(found.text, []).append(found.robot)
+        found = self._sensors.on_peers(bodies)
+        if found:
             self._due_at = self._quiet_until = -math.inf
-        for text, names in robots.items():
-            self._lifecycle.log(f"peer {', '.join(names)}: {text}", now)
+        for text in self._finding_events.texts(found, now):
+            self._lifecycle.log(text, now)
 
     def on_pose(self, pose: SharedPose, now: float) -> None:
         """The robot's own pose in a frame that robots share."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from msgspec.structs import replace
 
 from swarmd.core.messages import Body, Presence
@@ -150,6 +151,23 @@ def test_only_addresses_are_taken_from_the_lists_of_others() -> None:
         "r3": ("", 0),
         "r4": ("", 0),
     }
+
+
+def test_an_instance_without_a_body_does_not_take_back_what_another_told() -> None:
+    """As a forged beacon would, or a robot that restarts with an older version."""
+    body = Body(platform="burger", surface_speed=0.3, radius=0.136)
+    membership = Membership("me", LEASE)
+    told = replace(beacon("r1"), body=BodyReport.of(body))
+    membership.on_beacon(told, ADDRESS, 0.0)
+    for number in range(10):
+        membership.on_beacon(beacon("r1", instance=bytes([number]) * 6), ADDRESS, 0.1)
+        membership.on_beacon(beacon("r1", 2 + number), ADDRESS, 0.1)
+        assert membership.bodies() == {"r1": body}
+    other = replace(body, surface_speed=0.5)
+    latest = replace(beacon("r1", instance=b"latest"), body=BodyReport.of(other))
+    membership.on_beacon(latest, ADDRESS, 0.2)
+    membership.on_beacon(replace(told, sequence=50), ADDRESS, 0.3)
+    assert membership.bodies()["r1"].surface_speed == pytest.approx(0.5)
 
 
 def test_the_body_of_a_member_stays_known_until_it_is_forgotten() -> None:

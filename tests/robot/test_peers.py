@@ -15,6 +15,8 @@ from swarmd.robot.peers import (
     ANGLE_ERROR,
     DISTANCE_ERROR,
     DISTANCE_SHARE,
+    EVENT_BURST,
+    EVENT_PERIOD,
     TOLD_TIMEOUT,
     TOLD_WITHIN,
     Peers,
@@ -147,6 +149,30 @@ def test_a_run_beside_an_unseen_peer_is_held_and_ends() -> None:
     assert "peer b" in status.events[-1].text
     robot.advance(MAX_HOLD_TIME)
     assert (robot.status.state, robot.status.reason) == (State.STOPPED, Reason.INCOMPATIBLE_PEER)
+
+
+def test_a_peer_whose_body_flaps_leaves_room_for_other_events() -> None:
+    robot = running_jackal()
+    robot.robot.log("the driver was replaced", robot.now)
+    for turn in range(40):
+        faster = structs.replace(JACKAL, surface_speed=2.0 + turn % 2)
+        robot.robot.on_peers({"j": faster}, robot.now)
+        robot.advance(0.5)
+    texts = [event.text for event in robot.status.events]
+    assert "the driver was replaced" in texts
+    assert sum("is faster than assumed" in text for text in texts) == EVENT_BURST
+    robot.advance(EVENT_PERIOD)
+    robot.robot.on_peers({"j": faster}, robot.now)
+    assert robot.status.events[-1].text == "peers: 37 more findings of kind faster; see members"
+
+
+def test_many_false_names_are_few_events() -> None:
+    robot, bodies = running_jackal(), {"b0": BURGER}
+    before = len(robot.status.events)
+    for number in range(1, 30):
+        bodies = {**bodies, f"b{number}": BURGER}
+        robot.robot.on_peers(bodies, robot.now)
+    assert len(robot.status.events) <= before + EVENT_BURST
 
 
 def test_a_robot_whose_peer_is_no_longer_told_stops_in_that_tick() -> None:
