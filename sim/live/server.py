@@ -165,7 +165,7 @@ def _make_world(options: argparse.Namespace, robots: Mapping[str, Platform]) -> 
         visibility=options.lidar_visibility,
         realism=_as_daemons_expect(REALISMS[options.realism]),
         seed=options.seed,
-        sectors=100,  # daemons take the ages of rays from the platform, not from the scan
+        sectors=100,  # over ROS, a scan tells one time from each ray to the next
     )
 
 

@@ -1,8 +1,8 @@
 """The wire between a simulated robot and its daemon: scan, odometry, neighbours, readings, command.
 
 The robot is any process that publishes `hw/*` and subscribes to `hw/cmd_vel`. Arrays travel as
-little-endian float32; regular bearings as (first, step). `range_min` and `range_max` come from the
-platform file, not from the message.
+little-endian float32; regular bearings and ages as (first, step). `range_min` and `range_max` come
+from the platform file, not from the message.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from msgspec import Meta, Struct
 
 from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Count, Metres, Name, Speed, Word
+from swarmd.core.messages import Count, Metres, Name, Seconds, Speed, Word
 from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, ScanSpec, SharedPose, Twist
 from swarmd.driver_api.driver import Sink
 
@@ -25,18 +25,24 @@ Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]
 """Seconds on the sensor's clock: a real one counts from 1970."""
 Coordinate = Annotated[float, Meta(ge=-1e9, le=1e9)]
 """Metres in the odometry frame, which may be that of a map."""
+Step = Annotated[float, Meta(ge=-10.0, le=10.0)]
+"""Seconds from one ray to the next."""
 MAX_RAYS = 20_000
 INPUTS = ("scan", "odometry", "neighbors", "pose", "readings")
 Input = Scan | Odometry | tuple[Neighbor, ...] | SharedPose | Mapping[str, float]
 
 
 class ScanWire(Struct, frozen=True, array_like=True):
-    """One scan; `bearings` (first, step) in rad if regular, else float32 bytes."""
+    """One scan; `bearings` in rad and `ages` in s as (first, step) if regular, else float32 bytes.
+
+    `ages` None: the sensor does not tell them, and those of the platform's sweep hold.
+    """
 
     seq: Count
     stamp: Stamp
     ranges: bytes
     bearings: tuple[Angle, Angle] | bytes
+    ages: tuple[Seconds, Step] | bytes | None = None
 
 
 class OdometryWire(Struct, frozen=True, array_like=True):
@@ -104,26 +110,18 @@ _command = Decoder(CommandWire)
 
 def encode_scan(scan: Scan) -> bytes:
     """The bytes of a scan."""
-    bearings = scan.bearings
-    regular: tuple[float, float] | bytes
-    step = float(bearings[1] - bearings[0]) if len(bearings) > 1 else 0.0
-    first = float(bearings[0]) if len(bearings) else 0.0
-    if np.allclose(bearings, first + step * np.arange(len(bearings)), rtol=0.0, atol=1e-9):
-        regular = (first, step)
-    else:
-        regular = bearings.astype("<f4").tobytes()
-    return encode(ScanWire(scan.seq, scan.stamp, scan.ranges.astype("<f4").tobytes(), regular))
+    ranges = scan.ranges.astype("<f4").tobytes()
+    ages = None if scan.ages is None else _short(scan.ages)
+    return encode(ScanWire(scan.seq, scan.stamp, ranges, _short(scan.bearings), ages))
 
 
 def decode_scan(payload: bytes, spec: ScanSpec) -> Scan:
     """A scan as the sensor gave it, not yet conditioned: even its lengths may disagree."""
     wire = _scan(payload)
     ranges = _floats(wire.ranges)
-    if isinstance(wire.bearings, bytes):
-        bearings = _floats(wire.bearings)
-    else:
-        bearings = _regular(*wire.bearings, len(ranges))
-    return Scan(wire.seq, wire.stamp, ranges, bearings, spec.range_min, spec.range_max)
+    bearings = _of_rays(wire.bearings, len(ranges))
+    ages = None if wire.ages is None else _of_rays(wire.ages, len(ranges))
+    return Scan(wire.seq, wire.stamp, ranges, bearings, spec.range_min, spec.range_max, ages)
 
 
 def encode_odometry(odometry: Odometry) -> bytes:
@@ -223,12 +221,25 @@ def deliver(sink: Sink, value: Input) -> None:
         sink.readings(value)
 
 
-@lru_cache(maxsize=8)
-def _regular(first: float, step: float, count: int) -> Array:
-    """Evenly spread bearings; one array for equal scans, computed once."""
-    bearings = first + step * np.arange(count, dtype=np.float64)
-    bearings.flags.writeable = False
-    return bearings
+def _short(values: Array) -> tuple[float, float] | bytes:
+    """The bearings or ages of rays as (first, step) if regular, else as bytes."""
+    step = float(values[1] - values[0]) if len(values) > 1 else 0.0
+    first = float(values[0]) if len(values) else 0.0
+    off = np.abs(values - (first + step * np.arange(len(values))))
+    if off.max(initial=0.0) <= 1e-9:  # false for NaN
+        return first, step
+    return values.astype("<f4").tobytes()
+
+
+@lru_cache(maxsize=16)
+def _of_rays(wire: tuple[float, float] | bytes, count: int) -> Array:
+    """The bearings or ages of rays; one array for equal scans, computed once."""
+    if isinstance(wire, bytes):
+        values = _floats(wire)
+    else:
+        values = wire[0] + wire[1] * np.arange(count, dtype=np.float64)
+    values.flags.writeable = False
+    return values
 
 
 def _floats(data: bytes) -> Array:

@@ -15,7 +15,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError, DriverError
 from swarmd.core.messages import Reason
-from swarmd.core.values import Odometry, Pose, Scan, Twist, Value
+from swarmd.core.values import Array, Odometry, Pose, Scan, Twist, Value
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Driver, NullSink
 from swarmd.driver_api.hw_codec import MAX_RAYS, decode_command, encode_odometry, encode_scan
@@ -39,10 +39,12 @@ HEAD = {"robot": "r", "platform": "burger", "driver": "test"}
 
 
 def scan(seq: int) -> Scan:
+    """One scan with ages of its rays, one with those of sectors, one without, in turn."""
     ranges = np.linspace(0.5, 3.0, 360 + seq % 3).astype(np.float32).astype(np.float64)
     ranges[:3] = (np.inf, -np.inf, np.nan)
-    bearings = 0.01 * np.arange(len(ranges), dtype=np.float64)
-    return Scan(seq, 0.2 * seq, ranges, bearings, SPEC.range_min, SPEC.range_max)
+    rays = np.arange(len(ranges), dtype=np.float64)
+    ages = (0.2 - 0.0005 * rays, (1.0 - rays // 90 / 4) / 4, None)[seq % 3]
+    return Scan(seq, 0.2 * seq, ranges, 0.01 * rays, SPEC.range_min, SPEC.range_max, ages)
 
 
 def odometry(seq: int) -> Odometry:
@@ -168,7 +170,13 @@ def same(one: Scan, other: Scan) -> bool:
         other.seq, other.stamp, other.range_min, other.range_max,
     ) and np.array_equal(one.ranges, other.ranges, equal_nan=True) and np.allclose(
         one.bearings, other.bearings, rtol=0.0, atol=1e-12
-    )  # fmt: skip
+    ) and same_ages(one.ages, other.ages)  # fmt: skip
+
+
+def same_ages(one: Array | None, other: Array | None) -> bool:
+    if one is None or other is None:
+        return one is other
+    return np.allclose(one, other, rtol=0.0, atol=1e-7)
 
 
 @pytest.mark.parametrize("speed", [1.0, 4.0])

@@ -44,7 +44,8 @@ from swarmd.settings.settings import load_platform
 
 PLATFORM = load_platform("jackal")
 SPEC = PLATFORM.scan
-SCAN = Scan(7, 1.4, np.full(len(SPEC.bearings), np.inf), SPEC.bearings, 0.8, 5.0)
+AGES = np.linspace(0.2, 0.0, len(SPEC.bearings))
+SCAN = Scan(7, 1.4, np.full(len(SPEC.bearings), np.inf), SPEC.bearings, 0.8, 5.0, AGES, 0.03)
 
 
 def test_a_load_arrives_whole() -> None:
@@ -87,7 +88,10 @@ def test_inputs_arrive_bit_by_bit() -> None:
     scan = got.inputs.scan
     assert scan is not None
     assert (scan.seq, scan.stamp, scan.range_min, scan.range_max) == (7, 1.4, 0.8, 5.0)
-    for mine, sent in ((scan.ranges, SCAN.ranges), (scan.bearings, SCAN.bearings)):
+    assert scan.ages is not None
+    assert scan.newest_age == SCAN.newest_age
+    arrays = (scan.ranges, SCAN.ranges), (scan.bearings, SCAN.bearings), (scan.ages, AGES)
+    for mine, sent in arrays:
         assert np.array_equal(mine, sent)
         assert mine.dtype == np.float64
         assert not mine.flags.writeable  # as where patterns run inline
