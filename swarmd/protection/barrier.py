@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError
 from swarmd.core.messages import NarrowestPassage
-from swarmd.core.values import ZERO, Array, Platform, Pose, Scan, ScanSpec, TouchZone, Twist
+from swarmd.core.values import ZERO, Array, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.blind_zone import BlindZoneMemory, blind_zone_memory
 from swarmd.protection.constraints import (
     CREEP_SPEED,
@@ -38,6 +38,7 @@ from swarmd.protection.constraints import (
     direction_and_speed,
     envelope,
     half_planes,
+    hidden_gaps,
     in_touch_zone,
     linear_limit,
     passive_caps,
@@ -59,6 +60,7 @@ from swarmd.sensing.odometry_history import MAX_EXTRAPOLATION, relative
 AGE_TOLERANCE = 1e-6  # s, for the rounding of ages
 _PASSAGE_SLACK = 0.03  # m per side by which a passage must be wider: noise, a turning lidar
 _CORRIDOR_SPEED = 0.08  # m/s: what counts as passing a corridor
+_PLACES_BESIDE = 33  # along each wall of a corridor, odd: one lies beside a lidar in the middle
 _MAX_ENVELOPES = 8  # kept at a time: a holonomic base moves in any direction
 
 
@@ -84,7 +86,8 @@ class _Placed(NamedTuple):
     """All obstacles (o,) in the base frame at which a command takes effect: seen, then told ones.
 
     Points `x`, `y` m at `gaps` m from the outline, measured `ages` s before; `free` m must stay
-    free around each. `rows`: the index of the first constraint of each.
+    free around each. Within `contact` m unseen parts may touch the robot. `rows`: the index of the
+    first constraint of each.
     """
 
     rows: NDArray[np.intp]
@@ -93,6 +96,7 @@ class _Placed(NamedTuple):
     gaps: Array
     ages: Array
     free: Array
+    contact: Array
 
     def beyond(self, first: int) -> _Placed:
         """Those from an index on."""
@@ -159,9 +163,8 @@ class Barrier:
         self._stop_check = StopCheck(
             self._outline, settings.braking_linear, settings.braking_angular, TICK
         )
-        self._contact_gap = (
-            settings.margin + settings.unseen_extent + self._hidden_gap(platform.scan)
-        )
+        can_hide = platform.scan.near != "reported" and settings.keep_out is None
+        self._blind = platform.scan.range_min if can_hide else 0.0
         self._obstacles, self._taken_at, self._taken = _NO_OBSTACLES, Pose(), -math.inf
         self._lag, self._clock_resets = 0.0, 0
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
@@ -207,12 +210,20 @@ class Barrier:
         post = settings.margin + settings.unseen_extent + others * (age + TICK) + _PASSAGE_SLACK
         mean_age = age + 0.5 / self._spec.rate
         rest = _CORRIDOR_SPEED * math.sin(SIDE_ANGLE)
-        side = self._contact_gap + 2.0 * (mean_age + TICK) * rest + _PASSAGE_SLACK
+        side = self._contact_gap_beside() + 2.0 * (mean_age + TICK) * rest + _PASSAGE_SLACK
         if settings.keep_out is not None:
             side = post = max(side, post, settings.keep_out + _PASSAGE_SLACK - 0.5 * width)
         door = width + 2.0 * post
         corridor = max(door, width + 2.0 * side)
         return NarrowestPassage(door, corridor, corridor + width + post)
+
+    def _contact_gap_beside(self) -> float:
+        """m from the outline within which a wall along the way may touch the robot unseen."""
+        corners = self._outline.corners[:, 0]
+        places = np.linspace(corners.min(), corners.max(), _PLACES_BESIDE)
+        x = np.concatenate((places, places))
+        y = np.repeat((-2.0 * self._outer, 2.0 * self._outer), _PLACES_BESIDE)
+        return float(self._contact_gaps(self._outline.separations(x, y), x, y).max())
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.
@@ -297,11 +308,12 @@ class Barrier:
         """The feasible commands, computed once for all requested commands of one situation."""
         if self._feasible is None or self._feasible.situation != situation:
             context, along, touch = situation
-            of_seen, seen = self._constraints(self._obstacles, context, command, along, touch)
-            rows, placed, told = of_seen, seen, self._told_near(context)
+            rows, seen = self._constraints(self._obstacles, context, command, along, touch)
+            placed, told = seen, self._told_near(context)
             for one in told:
                 rows, placed = self._with_told(rows, placed, one, context, command, along)
-            bounds = self._half_planes(rows, of_seen, bool(told), along, limits)
+            is_touching = bool(((seen.gaps <= seen.contact) & (rows.caps[seen.rows] <= 0.0)).any())
+            bounds = self._half_planes(rows, is_touching, bool(told), along, limits)
             self._feasible = _Feasible(situation, rows, placed, len(seen.rows), *bounds)
         return self._feasible
 
@@ -342,16 +354,12 @@ class Barrier:
         return float(speeds[0]), float(speeds[1])
 
     def _half_planes(
-        self, rows: Constraints, seen: Constraints, is_told: bool, along: Point, limits: Point
+        self, rows: Constraints, is_touching: bool, is_told: bool, along: Point, limits: Point
     ) -> tuple[Array, Array]:
-        """Normals and caps of the constraints and the envelope, in speeds over their limits.
-
-        `seen`: the constraints of seen obstacles, which may touch the robot with unseen parts.
-        """
+        """Normals and caps of the constraints and the envelope, in speeds over their limits."""
         normals = np.array((rows.linear * limits[0], rows.lever * limits[1])).T
         if not (self._obstacles.is_near or is_told):
             return normals, rows.caps
-        is_touching = bool(((seen.gaps <= self._contact_gap) & (seen.caps <= 0.0)).any())
         key = along, CREEP_SPEED if is_touching else self._surface_speed
         if key not in self._envelopes:
             if len(self._envelopes) > _MAX_ENVELOPES:
@@ -379,8 +387,9 @@ class Barrier:
         x, y = placed(obstacles.x[:count], obstacles.y[:count], frame)
         separations = self._outline.separations(x, y)
         frees = np.full(count, self._free(context))
-        seen = _Placed(np.arange(count), x, y, separations.gap, ages, frees)
-        rows = self._obstacle_constraints(separations, seen, self._contact_gap, along)
+        contact = self._contact_gaps(separations, x, y)
+        seen = _Placed(np.arange(count), x, y, separations.gap, ages, frees, contact)
+        rows = self._obstacle_constraints(separations, seen, along)
         if self._settings.unseen_extent > 0.0:
             contacts = len(obstacles.rays)  # their places on the outline are a guess
             rows = concatenated(rows, self._corner_constraints(seen.beyond(contacts), along))
@@ -418,8 +427,8 @@ class Barrier:
         least = self._settings.margin + told.radius
         free = np.array([least + self._late(context) * self._surface_speed])
         ages, first = np.array([told.age + REACTION_TIME]), np.array([len(rows.caps)])
-        disc = _Placed(first, x, y, separations.gap, ages, free)
-        more = self._obstacle_constraints(separations, disc, least, along)
+        disc = _Placed(first, x, y, separations.gap, ages, free, np.array([least]))
+        more = self._obstacle_constraints(separations, disc, along)
         more = concatenated(more, self._corner_constraints(disc, along))
         rim_x, rim_y = x - told.radius * separations.nx, y - told.radius * separations.ny
         count = len(more.caps)
@@ -429,14 +438,14 @@ class Barrier:
         return concatenated(rows, more), placed_ones.followed_by(disc)
 
     def _obstacle_constraints(
-        self, separations: Separations, placed: _Placed, contact_gap: float, along: Point
+        self, separations: Separations, placed: _Placed, along: Point
     ) -> Constraints:
         """One constraint for each obstacle, then the side constraints."""
         x, y, ages = placed.x, placed.y, placed.ages
         rows = self._point_constraints(
             separations, separations.gap - placed.free, x, y, along, ages
         )
-        rest = 0.5 * (separations.gap - contact_gap) / (ages + TICK)
+        rest = 0.5 * (separations.gap - placed.contact) / (ages + TICK)
         corners = self._outline.corners
         return concatenated(
             rows, side_constraints(rows, separations, corners, along, rest, CREEP_SPEED)
@@ -581,14 +590,10 @@ class Barrier:
         points = self._offset + memory.nearest[is_beyond, None] * rays[is_beyond]
         return rays[~is_beyond], points
 
-    def _hidden_gap(self, spec: ScanSpec) -> float:
-        """m from the outline within which an obstacle may be that touches the robot unseen."""
-        if spec.near == "reported" or self._settings.keep_out is not None:
-            return 0.0
-        angles = np.linspace(-np.pi, np.pi, 73)
-        rays = np.stack((np.cos(angles), np.sin(angles)), axis=1)
-        nearest = float(self._outline.along_rays(self._offset, rays).min())
-        return max(spec.range_min - nearest, 0.0)
+    def _contact_gaps(self, separations: Separations, x: Array, y: Array) -> Array:
+        """(k,) m from the outline within which obstacles seen at `x`, `y` may touch it unseen."""
+        least = self._settings.margin + self._settings.unseen_extent
+        return least + hidden_gaps(separations, x, y, self._offset, self._blind)
 
     def _free(self, context: DecisionContext) -> float:
         """m that must stay free around each return, for unseen parts and unknown motion.

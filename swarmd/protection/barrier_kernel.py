@@ -124,7 +124,7 @@ class BarrierKernel:
     _radius: cython.double
     _inner: cython.double
     _outer: cython.double
-    _contact_gap: cython.double
+    _blind: cython.double
     _fresh: cython.double
     _fastest: cython.double
     _within: cython.double
@@ -209,7 +209,7 @@ class BarrierKernel:
     _at_half: cython.double
     _at_speed: cython.double
     # The feasible set: placed points, `_count` seen and then `_discs` told ones, and rows: of seen
-    # points, from `_told_rows` on of told ones, and of the envelope.
+    # points, then of told ones, and of the envelope.
     _free: cython.double
     _count: cython.Py_ssize_t
     _rows: cython.Py_ssize_t
@@ -219,9 +219,9 @@ class BarrierKernel:
     _placed_gap: cython.double[::1]
     _placed_free: cython.double[::1]
     _placed_age: cython.double[::1]
+    _placed_contact: cython.double[::1]
     _radius_of: cython.double[::1]
     _first_row: cython.longlong[::1]
-    _told_rows: cython.Py_ssize_t
     _normal_x: cython.double[::1]
     _normal_y: cython.double[::1]
     _near: cython.longlong[::1]
@@ -279,7 +279,7 @@ class BarrierKernel:
         self._surface_speed = derived.surface_speed
         self._angular_limit = derived.angular
         self._offset_x, self._offset_y = derived.offset
-        self._radius, self._contact_gap = derived.radius, derived.contact_gap
+        self._radius, self._blind = derived.radius, derived.blind
         self._inner, self._outer = outline.circles(derived.offset)
         self._fresh, self._fastest = derived.fresh, derived.fastest
         self._within, self._stale = derived.within, derived.stale
@@ -674,6 +674,7 @@ class BarrierKernel:
         self._placed_x, self._placed_y = _doubles(count), _doubles(count)
         self._placed_gap, self._placed_free = _doubles(count), _doubles(count)
         self._placed_age, self._radius_of = _doubles(count), _doubles(count)
+        self._placed_contact = _doubles(count)
         self._normal_x, self._normal_y = _doubles(count), _doubles(count)
         self._near, self._inside = _indices(count), _indices(count)
         self._first_row = _indices(count)
@@ -925,7 +926,8 @@ class BarrierKernel:
                 frame_y + s * self._x[i] + c * self._y[i],
                 0.0,
             )
-        self._add_sides(0, count, self._contact_gap)
+            self._placed_contact[i] = self._margin + self._unseen_extent + self._hidden_gap(i)
+        self._add_sides(0, count)
         if self._unseen_extent > 0.0:
             self._add_corners(contacts, count)
         for i in range(contacts):
@@ -938,7 +940,6 @@ class BarrierKernel:
             self._add_keep_out(count)
         if self._has_touch:
             self._grant_touch(count)
-        self._told_rows = self._rows
         if self._discs:
             self._add_told(odometry_age, late)
         self._all = self._rows
@@ -970,6 +971,20 @@ class BarrierKernel:
         return 0
 
     @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _hidden_gap(self, i: cython.Py_ssize_t) -> cython.double:
+        """m by which the blind zone reaches beyond the outline; see constraints.hidden_gaps."""
+        nx: cython.double = self._normal_x[i]
+        ny: cython.double = self._normal_y[i]
+        dx: cython.double = self._placed_x[i] - self._offset_x
+        dy: cython.double = self._placed_y[i] - self._offset_y
+        across: cython.double = dx * ny - dy * nx
+        half: cython.double = self._blind * self._blind - across * across
+        if not half > 0.0:
+            return 0.0
+        return _maximum(sqrt(half) - (dx * nx + dy * ny - self._placed_gap[i]), 0.0)
+
+    @cython.cfunc
     @cython.exceptval(-1)
     def _add_told(self, odometry_age: cython.double, late: cython.double) -> cython.int:
         """The rows of the discs that the robot is told of; see Barrier._with_told."""
@@ -994,7 +1009,8 @@ class BarrierKernel:
             self._placed_free[i] = least + late * self._surface_speed
             self._placed_age[i] = told[n, 3] + _reaction
             self._add_point(i, c * dx + s * dy + x, c * dy - s * dx + y, radius)
-            self._add_sides(i, i + 1, least)
+            self._placed_contact[i] = least
+            self._add_sides(i, i + 1)
             self._add_corners(i, i + 1)
         return 0
 
@@ -1061,9 +1077,7 @@ class BarrierKernel:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _add_sides(
-        self, first: cython.Py_ssize_t, end: cython.Py_ssize_t, contact_gap: cython.double
-    ) -> cython.int:
+    def _add_sides(self, first: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
         """Two rows for each point whose cap is 0; see side_constraints."""
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -1085,7 +1099,8 @@ class BarrierKernel:
                         most, foremost = ahead, k
                 lever: cython.double = self._corner_x[foremost] * ay - self._corner_y[foremost] * ax
                 gap: cython.double = self._placed_gap[i]
-                rest: cython.double = 0.5 * (gap - contact_gap) / (self._placed_age[i] + _tick)
+                rest: cython.double = 0.5 * (gap - self._placed_contact[i])
+                rest /= self._placed_age[i] + _tick
                 linear: cython.double = ax * self._along_x + ay * self._along_y
                 self._add(linear, lever, _maximum(rest, _creep), gap - self._radius_of[i], i)
         return 0
@@ -1181,8 +1196,9 @@ class BarrierKernel:
         """The rows of the envelope, which are not reported."""
         i: cython.Py_ssize_t
         which: cython.Py_ssize_t = 1
-        for i in range(self._told_rows):
-            if self._row_gap[i] <= self._contact_gap and self._row_cap[i] <= 0.0:
+        for i in range(self._count):
+            is_within: cython.bint = self._placed_gap[i] <= self._placed_contact[i]
+            if is_within and self._row_cap[self._first_row[i]] <= 0.0:
                 which = 0
                 break
         if not (

@@ -27,7 +27,7 @@ class Derived(NamedTuple):
     angular: float
     offset: tuple[float, float]
     radius: float
-    contact_gap: float
+    blind: float
     surface_speed: float
     fresh: float
     fastest: float
@@ -51,7 +51,7 @@ class CompiledBarrier(Barrier):
             angular=platform.limits.angular,
             offset=platform.scan.offset,
             radius=self._radius,
-            contact_gap=self._contact_gap,
+            blind=self._blind,
             surface_speed=self._surface_speed,
             fresh=self._binding_range.fresh,
             fastest=self._binding_range.fastest,

@@ -237,6 +237,22 @@ def side_constraints(
     return Constraints(ax * along[0] + ay * along[1], lever, caps, x, y, gaps)
 
 
+def hidden_gaps(separations: Separations, x: Array, y: Array, lidar: Point, blind: float) -> Array:
+    """(k,) m by which the blind zone reaches beyond the outline towards points at `x`, `y` (k,).
+
+    An obstacle that is seen at one of the points continues unseen only within the blind zone, the
+    circle of `blind` m around the lidar. It is left at this gap on the shortest line from the
+    outline to the point. `separations` are those of the points.
+    """
+    gap, nx, ny, _ = separations
+    dx, dy = x - lidar[0], y - lidar[1]
+    across = dx * ny - dy * nx
+    half = blind * blind - across * across  # square of half of the chord on the line
+    ahead = dx * nx + dy * ny - gap  # from the middle of the chord to the outline
+    gaps: Array = np.maximum(np.where(half > 0.0, np.sqrt(np.maximum(half, 0.0)) - ahead, 0.0), 0.0)
+    return gaps
+
+
 def in_touch_zone(separations: Separations, zone: TouchZone) -> NDArray[np.bool_]:
     """(k,) true for points whose direction from the outline lies in the sector of the zone."""
     cos, sin = math.cos(zone.bearing), math.sin(zone.bearing)

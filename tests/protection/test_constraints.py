@@ -20,6 +20,7 @@ from swarmd.protection.constraints import (
     Constraints,
     envelope,
     half_planes,
+    hidden_gaps,
     linear_limit,
     passive_caps,
     reciprocal_caps,
@@ -328,3 +329,49 @@ def test_returns_beyond_the_binding_range_change_nothing(
     some = decided_by(Barrier(platform), platform, returns, twist, age)
     every = decided_by(SeesAll(platform), platform, returns, twist, age)
     assert (some.linear, some.angular) == pytest.approx((every.linear, every.angular), abs=1e-9)
+
+
+SECTORS = st.lists(st.floats(0.05, 1.0), min_size=3, max_size=9)
+LENGTH = st.floats(-0.5, 0.5)
+
+
+def hidden_at(outline: Footprint, place: Array, lidar: tuple[float, float], blind: float) -> float:
+    """The hidden gap towards a place (2,)."""
+    x, y = place[:1], place[1:]
+    return float(hidden_gaps(outline.separations(x, y), x, y, lidar, blind)[0])
+
+
+@given(SECTORS, st.floats(0.05, 1.0), LENGTH, LENGTH, st.floats(0.01, 0.8), st.floats(-4.0, 4.0))
+def test_what_is_farther_than_the_hidden_gap_is_beyond_range_min(
+    sectors: list[float], radius: float, ahead: float, left: float, blind: float, bearing: float
+) -> None:
+    angles = 2.0 * np.pi * np.cumsum(sectors) / sum(sectors)
+    ring = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    outline, lidar = Footprint(radius * ring), (ahead, left)
+    towards = np.array((math.cos(bearing), math.sin(bearing)))
+    for way in (0.0, 0.02, 0.1, 0.5, 2.0):
+        place = np.array(lidar) + (blind + way) * towards
+        gap, nx, ny, _ = (float(part[0]) for part in outline.separations(place[:1], place[1:]))
+        hidden = hidden_at(outline, place, lidar, blind)
+        if gap == 0.0:
+            continue
+        if way == 0.0:  # where an obstacle enters the blind zone, it may be in contact
+            assert gap <= hidden + 1e-6
+        on = place - gap * np.array((nx, ny))
+        beyond, within = (
+            math.dist(on + (hidden + more) * np.array((nx, ny)), lidar) for more in (1e-6, -1e-6)
+        )
+        assert beyond >= blind
+        assert hidden < 2e-6 or within <= blind
+
+
+@pytest.mark.parametrize(
+    ("ahead", "left", "hidden"), [(1.0, 0.0, 0.050), (0.0, 1.0, 0.0267), (1.0, 1.0, 0.0068)]
+)
+def test_hidden_gap_of_a_burger(ahead: float, left: float, hidden: float) -> None:
+    burger = load_platform("burger")
+    outline = Footprint(burger.footprint)
+    corner = outline.corners.max(axis=0)
+    place = corner * (ahead, left) + (0.04 * ahead, 0.04 * left)
+    found = hidden_at(outline, place, burger.scan.offset, burger.scan.range_min)
+    assert found == pytest.approx(hidden, abs=1e-3)
