@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import numpy as np
@@ -12,7 +11,6 @@ from msgspec import structs
 
 from swarmd.core.arrival_delay import ArrivalDelay
 from swarmd.core.messages import Body, PeerFinding
-from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.values import Neighbor, PeerPlace, Platform, SharedPose, Twist
 from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings, sees
 from swarmd.protection.decision import ToldObstacle
@@ -25,8 +23,6 @@ DISTANCE_ERROR, DISTANCE_SHARE, ANGLE_ERROR = 0.06, 0.06, math.radians(6.0)
 
 POSE_TIMEOUT = 0.5  # s of age beyond which a pose in a shared frame is neither told nor used
 FASTEST_POSE = 0.1  # s that the fastest own pose takes at most to arrive: no clock shows it
-
-EVENT_BURST, EVENT_PERIOD = 3, 60.0  # events of one kind of finding at once, and s for each more
 
 
 class _Figure(NamedTuple):
@@ -214,41 +210,6 @@ class Peers:
             else f
             for f in self._findings
         )
-
-
-class FindingEvents:
-    """The texts of events about new findings, so that a peer that flaps leaves room for others.
-
-    Of each kind EVENT_BURST texts pass at once, then one every EVENT_PERIOD s; one text for all
-    peers of which the same is found. Findings beyond are counted in a later text.
-    """
-
-    def __init__(self) -> None:
-        self._budgets: dict[str, TokenBucket] = {}
-        self._left_out: Counter[str] = Counter()
-
-    def texts(self, found: Iterable[PeerFinding], now: float) -> list[str]:
-        """The texts at `now`, also of findings that were left out before."""
-        robots: dict[tuple[str, str], list[str]] = {}
-        for one in found:
-            robots.setdefault((one.kind, one.text), []).append(one.robot)
-        texts = []
-        for (kind, text), names in robots.items():
-            if self._passes(kind, now):
-                texts.append(f"peer {', '.join(names)}: {text}")
-            else:
-                self._left_out[kind] += len(names)
-        for kind, count in list(self._left_out.items()):
-            if self._passes(kind, now):
-                del self._left_out[kind]
-                texts.append(f"peers: {count} more findings of kind {kind}; see members")
-        return texts
-
-    def _passes(self, kind: str, now: float) -> bool:
-        budget = self._budgets.get(kind)
-        if budget is None:
-            budget = self._budgets[kind] = TokenBucket(1.0 / EVENT_PERIOD, EVENT_BURST)
-        return budget.take(1.0, now)
 
 
 def _blind_within(platform: Platform) -> float:

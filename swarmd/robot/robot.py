@@ -24,10 +24,10 @@ from swarmd.core.values import (
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import NO_PERMIT, Decision
 from swarmd.robot.actions import Actions, Effects
+from swarmd.robot.event_limit import EventLimit
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.lifecycle import MAX_HOLD_TIME, Lifecycle, RobotIdentity, RobotSettings
 from swarmd.robot.pattern_run import ROUNDING
-from swarmd.robot.peers import FindingEvents
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.state_machine import Trigger
@@ -68,10 +68,10 @@ class Robot:
         self._is_status_due = True  # the lifecycle may have changed since the last look at it
         self._settled: Actions  # those of the last event but a quiet tick
         self._sensors = Sensors(platform, settings.accepts)
-        self._finding_events = FindingEvents()
         self._protection = Protection(platform, f"{seed}/{id}")
         identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
         self._lifecycle = Lifecycle(identity, latches, now)
+        self._events = EventLimit(self._lifecycle.log)
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._requests = RequestHandler(id, self._lifecycle, self._stop_text)
         self._duty = DutyCycle()
@@ -118,7 +118,9 @@ class Robot:
         effects = self._begin(now)
         effects.is_routine = True
         blind = self._sensors.blind_text
+        restarts = self._sensors.scan_delay.restarts
         effects.is_new_scan = self._sensors.on_scan(scan, now)
+        self._log_restart(restarts, now)
         if self._sensors.blind_text != blind:
             text = self._sensors.blind_text or "all sectors return something again"
             self._lifecycle.log(f"scan: {text}", now)
@@ -129,7 +131,9 @@ class Robot:
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:
         """A measured pose and twist arrived."""
+        restarts = self._sensors.scan_delay.restarts
         self._sensors.on_odometry(odometry, now)
+        self._log_restart(restarts, now)
         if self._sensors.odometry is odometry:
             self._protection.on_odometry(odometry)
             self._log_protection(now)
@@ -142,11 +146,13 @@ class Robot:
 
     def on_peers(self, bodies: Mapping[str, Body | None], now: float) -> None:
         """What the other robots tell of their bodies: all that were heard and are not forgotten."""
-        found = self._sensors.on_peers(bodies)
-        if found:
+        robots: dict[tuple[str, str], list[str]] = {}  # a swarm of one kind is one event
+        for found in self._sensors.on_peers(bodies):
+            robots.setdefault((found.kind, found.text), []).append(found.robot)
             self._due_at = self._quiet_until = -math.inf
-        for text in self._finding_events.texts(found, now):
-            self._lifecycle.log(text, now)
+        for (kind, text), names in robots.items():
+            self._events.log(f"peers {kind}", f"peer {', '.join(names)}: {text}", now)
+        self._events.advance(now)
 
     def on_pose(self, pose: SharedPose, now: float) -> None:
         """The robot's own pose in a frame that robots share."""
@@ -335,6 +341,11 @@ class Robot:
             step_at = self._run.step_due_at()
             status_at = self._published_at + STATUS_PERIOD
             self._quiet_until = min(due, step_at, status_at) - ROUNDING
+
+    def _log_restart(self, restarts: int, now: float) -> None:
+        if self._sensors.scan_delay.restarts != restarts:
+            text = "stamps of odometry or scan jumped: the scan delay is measured anew"
+            self._events.log("stamps that jump", text, now)
 
     def _log_protection(self, now: float) -> None:
         events = self._protection.events

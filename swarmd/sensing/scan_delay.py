@@ -33,8 +33,9 @@ _WINDOW = 20  # scans of which the third-latest is the delay: one late scan coun
 _RANK = 3
 _MIN_STAMPS = 5  # scans before stamps give a figure
 _PERIOD = 0.5  # s of odometry whose lowest lag is kept
+_RESTART_TIME = 2.5  # s after which stamps tell again whether scan and odometry share a clock
 _MAX_DRIFT = 0.005  # s between periods: beyond it, three times one way, the clock is no real time
-_SHIFT = 0.1  # s by which odometry gets later at once
+_SHIFT = 0.1  # s by which odometry gets later at once, or earlier: its clock was set then
 _MAX_AGE = 5.0  # s: a scan that seems older has another clock
 _LONGEST = 1000.0  # s: what a clock that was set shows at most, so that a status can tell it
 _MAX_LEAD = -0.05  # s: as one that seems to come from the future
@@ -68,29 +69,36 @@ class ScanDelay:
 
     `added` is what protection counts beyond the declared latency: an upper estimate, at least the
     age of the last scan by its stamp; 0 within TOLERANCE of the declared one. `is_late`: it exceeds
-    the platform's `max_scan_delay`, until it falls below 0.8 of that.
+    the platform's `max_scan_delay`, until it falls below 0.8 of that. `restarts` counts how often
+    stamps jumped, so that the clock of odometry or scan was set: stamps then count anew, and what
+    was added before is not taken back until they tell the delay again.
     """
 
     def __init__(self, spec: ScanSpec) -> None:
         self._latency, self._bound = spec.latency, spec.max_scan_delay
         self._stamps, self._turns = _Stamps(spec), _Turns()
-        self.added = 0.0
+        self.added = self._added_before = 0.0
         self.is_late = False
+        self.restarts = 0
 
     def on_odometry(self, odometry: Odometry, now: float) -> None:
         """Take in a reading that arrived at `now`."""
         if self._stamps.on_odometry(odometry.stamp, now):
-            self._turns.forget_headings()
+            self._restart()
         self._turns.on_odometry(odometry)
 
     def on_scan(self, scan: Scan, now: float) -> None:
         """Take in a raw scan that arrived at `now` and is valid."""
         offset, latency, bound = self._stamps.offset, self._latency, self._bound
+        if self._stamps.goes_back(scan.stamp, now):
+            self._restart()
         stamps = self._stamps.on_scan(scan, now)
         if offset < math.inf:
             self._turns.on_scan(scan, now - offset, now)
         turns = self._turns
         added = stamps - latency
+        if self._stamps.is_restarting:
+            added = max(added, self._added_before)
         known = max(latency, stamps) + TOLERANCE
         if turns.delay is not None and turns.delay - _CERTAIN * turns.spread > known:
             upper = turns.delay + turns.spread - latency
@@ -100,6 +108,11 @@ class ScanDelay:
                 added = max(added, upper)
         self.added = added if added > TOLERANCE else 0.0
         self.is_late = self.added > (_CLEARS * bound if self.is_late else bound)
+
+    def _restart(self) -> None:
+        self.restarts += 1
+        self._added_before = self.added
+        self._turns.forget_headings()
 
     def summary(self, now: float) -> ScanDelaySummary:
         """The figures of both methods, for the status."""
@@ -147,12 +160,18 @@ def _figure(ages: Collection[float], since: float) -> DelayFigure:
 
 
 class _Stamps:
-    """Delays by stamps. `offset`: the least arrival minus stamp of recent odometry; inf: none."""
+    """Delays by stamps. `offset`: the least arrival minus stamp of recent odometry; inf: none.
+
+    `is_restarting`: stamps jumped a moment ago, and whether scan and odometry share a clock is to
+    be found out. Until then a scan that seems late counts as late.
+    """
 
     def __init__(self, spec: ScanSpec) -> None:
         self._spec = spec
         self.offset = math.inf
-        self._stamp = -math.inf
+        self.is_restarting = False
+        self._restart_ends, self._scans = -math.inf, 0  # and how many came since the restart
+        self._stamp = self._scan_stamp = -math.inf
         self._lowest, self._before, self._until = math.inf, math.inf, -math.inf
         self._drifts = False
         self._minima: deque[float] = deque(maxlen=4)
@@ -164,22 +183,35 @@ class _Stamps:
         self._lead = 0.0 if spec.sweep is None else 0.5 * spec.sweep.duration
 
     def on_odometry(self, stamp: float, now: float) -> bool:
-        """Take in the stamp of a reading; true if its clock was set back."""
+        """Take in the stamp of a reading; true if its clock was set."""
         if stamp == self._stamp:
             return False
-        is_back, self._stamp = stamp < self._stamp, stamp
-        if is_back:
+        lag = now - stamp
+        is_set = stamp < self._stamp or lag < self.offset - _SHIFT < math.inf
+        self._stamp = stamp
+        if is_set:
             self._minima.clear()
             self._lowest = self._before = math.inf
             self._until = now + _PERIOD
-            self._is_shared = self._drifts = False
+            self._drifts = False
+            self._restart(now)
         elif now >= self._until:
             self._end_period(now)
-        lag = now - stamp
         if lag < self._lowest:
             self._lowest = lag
         self.offset = self._lowest if self._lowest < self._before else self._before
+        return is_set
+
+    def goes_back(self, stamp: float, now: float) -> bool:
+        """Take in the stamp of a scan; true if its clock was set back."""
+        is_back, self._scan_stamp = stamp < self._scan_stamp, stamp
+        if is_back:
+            self._restart(now)
         return is_back
+
+    def _restart(self, now: float) -> None:
+        self._ages.clear()
+        self.is_restarting, self._restart_ends, self._scans = True, now + _RESTART_TIME, 0
 
     def _end_period(self, now: float) -> None:
         minima = self._minima
@@ -202,6 +234,9 @@ class _Stamps:
         if scan.ages is not self._ages_of_rays:  # mostly they are those of the last scan
             self._ages_of_rays, self._lead = scan.ages, _lead(scan, self._spec)
         age = now - self.offset - scan.stamp - self._lead
+        self._scans += 1
+        if self.is_restarting and now > self._restart_ends and self._scans > _MIN_STAMPS:
+            self.is_restarting = self._is_shared = False
         if self._drifts:
             self._forget("the stamps of odometry do not run at real time")
         elif age < _MAX_LEAD or (age > _MAX_AGE and not self._is_shared):

@@ -10,13 +10,12 @@ from msgspec import structs
 from swarmd.core.messages import Body, Reason, State
 from swarmd.core.values import Neighbor
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, body_of
+from swarmd.robot.event_limit import BURST, PERIOD
 from swarmd.robot.lifecycle import MAX_HOLD_TIME
 from swarmd.robot.peers import (
     ANGLE_ERROR,
     DISTANCE_ERROR,
     DISTANCE_SHARE,
-    EVENT_BURST,
-    EVENT_PERIOD,
     TOLD_TIMEOUT,
     TOLD_WITHIN,
     Peers,
@@ -160,10 +159,10 @@ def test_a_peer_whose_body_flaps_leaves_room_for_other_events() -> None:
         robot.advance(0.5)
     texts = [event.text for event in robot.status.events]
     assert "the driver was replaced" in texts
-    assert sum("is faster than assumed" in text for text in texts) == EVENT_BURST
-    robot.advance(EVENT_PERIOD)
+    assert sum("is faster than assumed" in text for text in texts) == BURST
+    robot.advance(PERIOD)
     robot.robot.on_peers({"j": faster}, robot.now)
-    assert robot.status.events[-1].text == "peers: 37 more findings of kind faster; see members"
+    assert robot.status.events[-1].text == "peers faster: 37 more events"
 
 
 def test_many_false_names_are_few_events() -> None:
@@ -172,7 +171,7 @@ def test_many_false_names_are_few_events() -> None:
     for number in range(1, 30):
         bodies = {**bodies, f"b{number}": BURGER}
         robot.robot.on_peers(bodies, robot.now)
-    assert len(robot.status.events) <= before + EVENT_BURST
+    assert len(robot.status.events) <= before + BURST
 
 
 def test_a_robot_whose_peer_is_no_longer_told_stops_in_that_tick() -> None:

@@ -11,6 +11,7 @@ import pytest
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
 from swarmd.protection.settings import Mode
+from swarmd.robot.event_limit import BURST
 from swarmd.robot.sensors import (
     AGE_UPDATE_PERIOD,
     MAX_INBOX_BYTES,
@@ -122,6 +123,19 @@ def test_non_finite_odometry_is_ignored(senses: Sensors, odometry: Odometry) -> 
     senses.on_odometry(odometry, 10.2)
     assert senses.odometry is first
     assert senses.context(10.2).odometry_age == pytest.approx(0.2)
+
+
+def test_clocks_that_are_set_are_events() -> None:
+    robot = RobotHarness("burger")
+    robot.advance(2.0)
+    robot.odometry = None
+    before = len(robot.status.events)
+    for number in range(1, 8):
+        robot.advance(0.1)
+        stamp = robot.now + 100.0 * number
+        robot.robot.on_odometry(Odometry(stamp, Pose(), Twist()), robot.now)
+    texts = [event.text for event in robot.status.events[before:]]
+    assert texts == BURST * ["stamps of odometry or scan jumped: the scan delay is measured anew"]
 
 
 def test_missing_scan_holds_and_then_stops() -> None:

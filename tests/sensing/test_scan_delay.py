@@ -55,6 +55,7 @@ class Rig:
         self.delay, self.heading, self.discs, self.room = delay, heading, discs, room
         self.scan_clock, self.yaw_scale, self.odometry_lag = scan_clock, yaw_scale, odometry_lag
         self.platform, self.rng, self.seq = platform, np.random.default_rng(3), 0
+        self.odometry_clock = 0.0
         self.coming: list[tuple[float, int, Odometry | Scan]] = []
 
     def run(self, seconds: float) -> ScanDelay:
@@ -64,7 +65,8 @@ class Rig:
             yaw = self.yaw_scale * self.heading(now)
             rate = (yaw - self.yaw_scale * self.heading(now - 0.05)) / 0.05
             lag = self.odometry_lag(now)
-            odometry = Odometry(now, Pose(0.0, 0.0, math.remainder(yaw, math.tau)), Twist(0, rate))
+            stamp, pose = now + self.odometry_clock, Pose(0.0, 0.0, math.remainder(yaw, math.tau))
+            odometry = Odometry(stamp, pose, Twist(0.0, rate))
             self.coming.append((now + lag, tick, odometry))
             if tick % 4 == 0:
                 scan = replace(self.scan(now), stamp=now + self.scan_clock)
@@ -181,6 +183,39 @@ def test_stamps_that_go_back_begin_anew() -> None:
     rig.run(4.0)
     rig.delays.on_odometry(Odometry(0.5, Pose(), Twist()), rig.time)
     assert rig.figure("stamps")[0] is None
+
+
+@pytest.mark.parametrize("jump", [-1000.0, -0.6, 0.6, 1000.0])
+def test_clock_that_is_set_begins_the_stamps_anew(jump: float) -> None:
+    rig = Rig(lambda seq: SPEC.latency + 0.05)
+    rig.run(6.0)
+    rig.odometry_clock = rig.scan_clock = jump
+    rig.run(4.0)
+    assert rig.delays.restarts >= 1
+    assert rig.figure("stamps")[0] == pytest.approx(SPEC.latency + 0.05, abs=1e-3)
+    assert rig.delays.added == pytest.approx(0.05, abs=1e-3)
+
+
+@pytest.mark.parametrize(("odometry", "scans"), [(1000.0, 0.0), (-1000.0, 0.0), (0.0, -1000.0)])
+def test_clock_that_is_set_alone_is_another_clock_and_not_late_for_good(
+    odometry: float, scans: float
+) -> None:
+    """As when the driver of one of them restarts."""
+    rig = Rig(lambda seq: SPEC.latency)
+    rig.run(6.0)
+    rig.odometry_clock, rig.scan_clock = odometry, scans
+    delays = rig.run(5.0)
+    assert not delays.is_late
+    assert delays.restarts == 1
+    assert "clocks" in rig.figure("stamps")[1]
+
+
+@pytest.mark.parametrize("jump", [-1000.0, -0.6, 0.6, 1000.0])
+def test_late_scans_are_late_while_a_clock_is_set(jump: float) -> None:
+    rig = Rig(lambda seq: SPEC.latency + BOUND + 0.05)
+    assert rig.run(6.0).is_late
+    rig.odometry_clock = rig.scan_clock = jump
+    assert all(rig.run(0.1).is_late for _ in range(60))
 
 
 @pytest.mark.parametrize("late", [0.0, 0.1, 0.25])
