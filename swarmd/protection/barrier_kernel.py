@@ -20,6 +20,7 @@ from swarmd.core.values import MAX_SPEED, MAX_STEP
 from swarmd.protection.barrier import AGE_TOLERANCE
 from swarmd.protection.compiled_barrier import LIMITS, PASSES, REPEATS, STOPS
 from swarmd.protection.constraints import (
+    AT_AXLE,
     CREEP_SPEED,
     ENVELOPE_DIRECTIONS,
     MAX_REPORTED,
@@ -47,6 +48,7 @@ _tolerance = cython.declare(cython.double, TOLERANCE)
 _binding = cython.declare(cython.double, BINDING_TOLERANCE)
 _history = cython.declare(cython.Py_ssize_t, HISTORY)
 _reported = cython.declare(cython.Py_ssize_t, MAX_REPORTED)
+_at_axle = cython.declare(cython.double, AT_AXLE)
 _inf = cython.declare(cython.double, float("inf"))
 _pi = cython.declare(cython.double, math.pi)
 _age_tolerance = cython.declare(cython.double, AGE_TOLERANCE)
@@ -1583,7 +1585,8 @@ class BarrierKernel:
             radius: cython.double = self._radius_of[point]
             x: cython.double = self._placed_x[point] - radius * self._normal_x[point]
             y: cython.double = self._placed_y[point] - radius * self._normal_y[point]
-            shown.append((atan2(y, x), self._gap_of(x, y), self._row_cap[i]))
+            bearing: cython.double = 0.0 if hypot(x, y) < _at_axle else atan2(y, x)
+            shown.append((bearing, self._gap_of(x, y), self._row_cap[i]))
         return shown
 
     @cython.cfunc

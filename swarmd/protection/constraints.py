@@ -37,6 +37,9 @@ MIN_BRAKING = 0.02
 SIDE_ANGLE = math.radians(60.0)
 """rad between a return and its two side constraints."""
 
+AT_AXLE = 1e-9
+"""m from the axle: rounding decides the direction of a nearer place."""
+
 _TOUCH_STEP = math.radians(15.0)  # directions between two of these are at most 1 % faster
 _SAME_FACE = 1e-9  # m by which corners of one face may differ
 
@@ -74,7 +77,7 @@ def report(rows: Constraints, tight: list[int], outline: Footprint) -> tuple[Lim
     The gap of a reported constraint is measured from the outline, also where the constraint is
     that of one corner. `tight` are the indices of the binding constraints. Indices beyond
     `rows` belong to the envelope and are not reported. Nor are constraints with an infinite gap,
-    which belong to a touch zone.
+    which belong to a touch zone. The bearing of a place at the axle is 0.
     """
     among = [i for i in tight if i < len(rows.caps)]
     seen = [i for i in among if rows.gaps[i] < math.inf]
@@ -83,10 +86,14 @@ def report(rows: Constraints, tight: list[int], outline: Footprint) -> tuple[Lim
     gaps = outline.gaps(np.stack((rows.x[shown], rows.y[shown]), axis=1)) if shown else ()
     return tuple(
         LimitingObstacle(
-            math.atan2(float(rows.y[i]), float(rows.x[i])), float(gap), float(rows.caps[i])
+            _bearing(float(rows.x[i]), float(rows.y[i])), float(gap), float(rows.caps[i])
         )
         for i, gap in zip(shown, gaps, strict=True)
     )
+
+
+def _bearing(x: float, y: float) -> float:
+    return 0.0 if math.hypot(x, y) < AT_AXLE else math.atan2(y, x)
 
 
 def direction_and_speed(twist: Twist) -> tuple[Point, float]:

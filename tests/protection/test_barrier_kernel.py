@@ -278,6 +278,20 @@ def test_contact_stays_one_after_the_robot_has_moved_away() -> None:
     assert all(decision.is_active for decision in pair.decisions)
 
 
+@pytest.mark.parametrize("x", [0.0, -0.0, 1e-17, -1e-17])
+@pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0, -3.0])
+def test_an_obstacle_told_at_the_axle_is_reported_ahead(x: float, yaw: float) -> None:
+    """Its direction is not defined: the signs of zeros and rounding must not decide."""
+    pair = Pair(WAFFLE)
+    pair.pose = Pose(1.0, -2.0, yaw)
+    pair.take(Seen([], 0.0))
+    for _ in range(3):
+        pair.take(Moved(0.0, 0.0, 0.0, 0.0))
+    told = (ToldObstacle(x, -x, 0.0, 0.0),)
+    pair.take(Asked(0.01, [(1.0, 0.0, 0.0), (-1.0, 0.5, 0.0)], None, 0.0, -1, told))
+    assert {row.bearing for decision in pair.decisions for row in decision.rows} == {0.0}
+
+
 def test_other_odometry_at_the_same_time_is_another_situation() -> None:
     pair, asked = Pair(WAFFLE), Asked(0.0, [(1.0, 0.0, 0.0)], None, 0.0, -1)
     pair.take(Seen([Face(0.0, 0.1, 0.45, 0.0)], 0.0))
