@@ -284,6 +284,7 @@ def test_an_obstacle_told_at_the_axle_is_reported_ahead(x: float, yaw: float) ->
     """Its direction is not defined: the signs of zeros and rounding must not decide."""
     pair = Pair(WAFFLE)
     pair.pose = Pose(1.0, -2.0, yaw)
+    pair.readings = [Odometry(pair.now, pair.pose, ZERO)]
     pair.take(Seen([], 0.0))
     for _ in range(3):
         pair.take(Moved(0.0, 0.0, 0.0, 0.0))
