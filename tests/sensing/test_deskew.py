@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,9 @@ from swarmd.sensing import deskew_numpy
 from swarmd.sensing.deskew import Deskewer
 from swarmd.sensing.odometry_history import OdometryHistory
 
+KERNEL: Any = load_kernel("swarmd.sensing.scan_kernel")
+needs_kernel = pytest.mark.skipif(KERNEL is None, reason="the kernels are not compiled")
+SEEDS = st.integers(0, 2**32 - 1)
 N, PERIOD = 360, 0.2
 BEARINGS = np.arange(N) * 2.0 * np.pi / N
 BEARINGS.flags.writeable = False
@@ -132,41 +137,41 @@ def test_rays_without_a_distance_turn_and_keep_their_class() -> None:
     assert moved[4] == pytest.approx(3.45, abs=2e-3)
 
 
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 60), steps=st.integers(2, 12))
+LIMITS = (-0.03, 0.01, 0.12, 3.5)
+
+
+@needs_kernel
+@given(seed=SEEDS, n=st.integers(1, 60), steps=st.integers(2, 12))
 def test_the_kernel_moves_rays_as_numpy_does(seed: int, n: int, steps: int) -> None:
-    kernel = load_kernel("swarmd.sensing.scan_kernel")
-    if kernel is None:
-        pytest.skip("scan_kernel was not built; `make kernels` builds it")
     rng = np.random.default_rng(seed)
-    odd = rng.choice((np.nan, np.inf, -np.inf, 0.12, 3.5, 1.0), n)
-    ranges = np.where(rng.random(n) < 0.3, odd, rng.uniform(0.12, 3.5, n))
-    bearings, ages = rng.uniform(-7.0, 7.0, n), rng.uniform(0.0, 0.3, n)
+    ranges, bearings, ages = drawn_rays(rng, n, 3.5)
     path = rng.normal(0.0, 0.1, (steps, 4))
     path[:, 0] = np.linspace(0.0, 0.25, steps)
-    limits = (-0.03, 0.01, 0.12, 3.5)
-    args = (ranges, bearings, np.cos(bearings), np.sin(bearings), ages, path, limits)
-    for ours, theirs in zip(kernel.move_rays(*args), deskew_numpy.move_rays(*args), strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=0.0, atol=1e-12)
+    args = (ranges, bearings, np.cos(bearings), np.sin(bearings), ages, path, LIMITS)
+    assert_same(KERNEL.move_rays(*args), deskew_numpy.move_rays(*args))
 
 
-@given(seed=st.integers(0, 2**32 - 1), n=st.integers(1, 60), motion=st.floats(0.0, 0.2))
+@needs_kernel
+@given(seed=SEEDS, n=st.integers(1, 60), motion=st.floats(0.0, 0.2))
 def test_the_kernel_finds_the_rays_of_a_sector_as_numpy_does(
     seed: int, n: int, motion: float
 ) -> None:
-    kernel = load_kernel("swarmd.sensing.scan_kernel")
-    if kernel is None:
-        pytest.skip("scan_kernel was not built; `make kernels` builds it")
     rng = np.random.default_rng(seed)
-    odd = rng.choice((np.nan, np.inf, -np.inf, 0.12, 3.5, 1.0), n)
-    ranges = np.where(rng.random(n) < 0.3, odd, rng.uniform(0.12, 0.5, n))
-    bearings, ages = rng.uniform(-7.0, 7.0, n), rng.uniform(0.0, 0.3, n)
-    x, y, yaw = rng.normal(0.0, motion, 3).tolist()
+    rays = drawn_rays(rng, n, 0.5)
+    moved = tuple(rng.normal(0.0, motion, 3).tolist())
     sector = rng.uniform(-4.0, 4.0), float(rng.choice((-1.0, 1.0))), 0.8
-    limits = (-0.03, 0.01, 0.12, 3.5)
-    ours, theirs = (
-        module.rays_in_sector(ranges, bearings, ages, n // 4, (x, y, yaw), sector, limits)
-        for module in (kernel, deskew_numpy)
-    )
+    args = (*rays, n // 4, moved, sector, LIMITS)
+    assert_same(KERNEL.rays_in_sector(*args), deskew_numpy.rays_in_sector(*args))
+
+
+def drawn_rays(rng: np.random.Generator, n: int, farthest: float) -> tuple[Array, Array, Array]:
+    """Ranges, a third of them odd, bearings and ages (n,) of rays."""
+    odd = rng.choice((np.nan, np.inf, -np.inf, 0.12, 3.5, 1.0), n)
+    ranges = np.where(rng.random(n) < 0.3, odd, rng.uniform(0.12, farthest, n))
+    return ranges, rng.uniform(-7.0, 7.0, n), rng.uniform(0.0, 0.3, n)
+
+
+def assert_same(ours: Iterable[Array], theirs: Iterable[Array]) -> None:
     for one, other in zip(ours, theirs, strict=True):
         np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
 
