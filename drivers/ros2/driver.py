@@ -9,6 +9,7 @@ from collections.abc import Callable
 from functools import partial
 
 import zenoh
+from zenoh.handlers import Callback
 
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Reason
@@ -46,6 +47,7 @@ MAX_FOREIGN_ZEROS = 3.0
 """Seconds of another node's zeros after which they are reported; a watchdog's last 2 s."""
 
 _PERIOD = 0.1
+_GRAPH_TIMEOUT = 1.0
 _EXPLAIN_PERIOD = 2.0
 _MAX_ENDPOINTS, _MAX_TOKEN = 4096, 1000
 _COMMAND = "cmd_vel"
@@ -131,6 +133,7 @@ class RosDriver:
         self._tokens: list[zenoh.LivelinessToken] = []
         self._command_token = ""
         self._endpoints: dict[str, Endpoint] = {}
+        self._graph_query: object | None = None
         self._hubs: frozenset[str] = frozenset()
         self._duplicates = DuplicateNodes(self._scheme.nodes, self._cmd_vel)
         self._gate = CommandGate()
@@ -183,8 +186,10 @@ class RosDriver:
             is_there = sample.kind == zenoh.SampleKind.PUT
             hand_over(loop, self._on_token, str(sample.key_expr), is_there)
 
-        # Before the topics: the base's command type is known when its first message arrives.
-        session.liveliness().declare_subscriber(self._scheme.announcements, on_token, history=True)
+        session.liveliness().declare_subscriber(
+            self._scheme.announcements, Callback(on_token, indirect=False), history=True
+        )
+        self._query_graph(session, loop)
         topics = [(t.name, t.topic, t.message_type) for t in self._subscriptions.topics.values()]
         for name, topic, message_type in (
             *topics,
@@ -195,6 +200,36 @@ class RosDriver:
                 _receiver(self._scheme, inbox, name, topic, message_type),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
+
+    def _query_graph(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
+        """Query the announcements: the base stays lost until the answer is complete.
+
+        Its end arrives after the tokens of `_listen`, in the order of the link: their callbacks run
+        on the thread that receives. The usual ones have a thread each, and a scan may overtake the
+        token that names the command type of the base.
+        """
+        self._graph_query = query = object()
+        errors: list[zenoh.ReplyError] = []
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            errors.extend([reply.err] if reply.err is not None else [])
+
+        def on_end() -> None:
+            hand_over(loop, self._on_graph, loop, query, not errors)
+
+        session.liveliness().get(
+            self._scheme.announcements,
+            Callback(on_reply, on_end, indirect=False),
+            timeout=_GRAPH_TIMEOUT,
+        )
+
+    def _on_graph(self, loop: asyncio.AbstractEventLoop, query: object, is_complete: bool) -> None:
+        if query is not self._graph_query or self._session is None:
+            return  # of an earlier start of the hub, or of an earlier run
+        if is_complete:
+            self._graph_query = None
+        else:
+            self._query_graph(self._session, loop)
 
     def _on_token(self, token: str, is_there: bool) -> None:
         if len(token) > _MAX_TOKEN or not token.isprintable():
@@ -283,6 +318,8 @@ class RosDriver:
         silent = now - self._subscriptions.last_arrival
         if hubs and (not self._was_linked or hubs != before):
             self._gate.repeat_zero(now)
+            if before:
+                self._query_graph(session, asyncio.get_running_loop())
         was_linked, self._was_linked = self._was_linked, bool(hubs)
         conflict, self._conflict = self._conflict, self._scan_conflict()
         if self._gate.is_open and not hubs:
@@ -323,6 +360,8 @@ class RosDriver:
         """Why the base must not be commanded although its messages arrive; empty otherwise."""
         if now - self._foreign_motion_at < YIELD_TIME:
             return driven_by_others(self._cmd_vel)
+        if self._graph_query is not None:
+            return f"{self._place()} has not listed its nodes yet"
         if self._duplicates.duplicate:
             node, hub = self._duplicates.duplicate, self._scheme.hub
             return f"{node} crashed and is back; {hub} will forget it: start that again"

@@ -35,6 +35,7 @@ class Session:
         self.sent: list[tuple[str, Twist]] = []
         self.origins: list[object] = []
         self.tokens: list[str] = []
+        self.on_graph_query: Callable[[Any], None] = lambda answer: answer.drop()
         self._subscribers: dict[str, Callable[[Any], None]] = {}
         self.info = SimpleNamespace(
             zid=lambda: "ab",
@@ -56,7 +57,9 @@ class Session:
 
     def liveliness(self) -> Any:
         return SimpleNamespace(
-            declare_subscriber=lambda key, take, *, history: None, declare_token=self.tokens.append
+            declare_subscriber=lambda key, take, *, history: None,
+            declare_token=self.tokens.append,
+            get=lambda key, answer, *, timeout: self.on_graph_query(answer),
         )
 
     def get(self, selector: str, take: Callable[[Any], None], *, timeout: float) -> None:
@@ -114,6 +117,10 @@ class Scene:
     async def end(self) -> None:
         self.task.cancel()
         await asyncio.gather(self.task, return_exceptions=True)
+
+    async def restart(self) -> None:
+        await self.end()
+        self.task = asyncio.create_task(self.driver.run(self.sink))
 
 
 def play(
@@ -229,6 +236,35 @@ def test_any_command_but_zero_counts_as_driving(
         scene.session.publish("cmd_vel", message, key)
         await handclock.settle()
         assert scene.is_up != is_lost
+
+    play(monkeypatch, story)
+
+
+@pytest.mark.parametrize("hub", ["hub", "another"])
+def test_a_base_is_lost_until_its_hub_has_listed_its_nodes(
+    monkeypatch: pytest.MonkeyPatch, hub: str
+) -> None:
+    async def story(scene: Scene) -> None:
+        answers: list[Any] = []
+        scene.session.on_graph_query = answers.append
+        if hub == "hub":
+            await scene.restart()
+        else:
+            await scene.pass_time(0.2, moving=True)
+            assert scene.is_up
+            scene.session.hub = hub
+        await scene.pass_time(2.5, moving=True)
+        (answer,) = answers
+        assert not scene.is_up
+        assert "has not listed its nodes yet" in scene.sink.states[-1][1]
+        answer.callback(SimpleNamespace(err="Timeout"))
+        answer.drop()
+        await scene.pass_time(0.1, moving=True)
+        assert not scene.is_up
+        assert len(answers) == 2
+        answers[-1].drop()
+        await scene.pass_time(0.1, moving=True)
+        assert scene.is_up
 
     play(monkeypatch, story)
 
