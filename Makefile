@@ -39,7 +39,7 @@ demo: $(VENV)/installed
 
 # After an edit of a *_kernel.py.
 kernels: $(VENV)/tools
-	@$(BIN)/python setup.py --quiet build_ext --inplace
+	@$(BIN)/python setup.py --quiet build_ext --inplace --parallel $$(nproc)
 
 wheels: $(VENV)/made
 	@.ci/build-wheels $(BIN)/python

@@ -2,8 +2,12 @@
 
 Each kernel is a Python file that Cython compiles (pure-Python mode). Where there is no compiler the
 build goes on without kernels, and the numpy code runs instead. The stable ABI of Python 3.11 makes
-one wheel serve all later versions.
+one wheel serve all later versions. Each library holds the digest of its source, which
+swarmd/core/kernels.py compares before it loads the library.
 """
+
+import hashlib
+from pathlib import Path
 
 from Cython.Build import cythonize
 from setuptools import Extension, setup
@@ -15,6 +19,7 @@ KERNELS = {
     "swarmd.sim.world.base_kernel": "sim/world/base_kernel.py",
     "swarmd.sim.world.lidar_kernel": "sim/world/lidar_kernel.py",
 }
+GENERATED = Path("build/cython")
 STABLE_ABI = "0x030B0000"
 DIRECTIVES = {
     "language_level": "3",
@@ -24,6 +29,22 @@ DIRECTIVES = {
     "cdivision": True,
 }
 
+
+def write_digest(source: str) -> str:
+    """The path of a C file with the digest of a kernel's source, written if it changed."""
+    file = (GENERATED / source).with_suffix(".digest.c")
+    text = (
+        f'const char source_digest[] = "{hashlib.sha256(Path(source).read_bytes()).hexdigest()}";\n'
+    )
+    if not file.exists() or file.read_text() != text:
+        file.parent.mkdir(parents=True, exist_ok=True)
+        # Times of files do not tell: an older version of a source may be newer than its C code.
+        (GENERATED / source).with_suffix(".c").unlink(missing_ok=True)
+        file.write_text(text)
+    return str(file)
+
+
+digests = {name: write_digest(path) for name, path in KERNELS.items()}
 extensions = [
     Extension(
         name,
@@ -36,9 +57,10 @@ extensions = [
     for name, path in KERNELS.items()
 ]
 modules = cythonize(
-    extensions, compiler_directives=DIRECTIVES, build_dir="build/cython", quiet=True
+    extensions, compiler_directives=DIRECTIVES, build_dir=str(GENERATED), quiet=True
 )
 for module in modules:
+    module.sources.append(digests[module.name])
     module.optional = True  # cythonize drops it from the extensions that it is given
 setup(
     ext_modules=modules,

@@ -1,15 +1,17 @@
 """The compiled kernels: arithmetic on scans and near points, in C.
 
 The numpy code does the same and stays the reference. It runs where the kernels were not built, and
-where the environment has SWARMD_COMPILED=0.
+where the environment has SWARMD_COMPILED=0. A kernel that was compiled from another version of its
+source is not loaded either: the code around it may call what it lacks.
 """
 
 from __future__ import annotations
 
 import ctypes
+import hashlib
 import os
 import struct
-import sys
+from functools import cache
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,10 +25,16 @@ KERNELS = (
     "swarmd.sim.world.lidar_kernel",
 )
 
+_NOT_COMPILED = "not compiled"
+_STALE = "older than its source (run make kernels)"
+
 
 def load_kernel(name: str) -> Any:
-    """The kernel of this module name; None where the numpy code runs instead."""
-    if not _is_wanted() or (name not in sys.modules and _library(name) is None):
+    """The kernel of this module name; None where the numpy code runs instead.
+
+    One line in the log tells of a kernel that is older than its source.
+    """
+    if not _is_wanted() or _fault_of(name):
         return None
     try:
         return import_module(name)
@@ -38,28 +46,49 @@ def describe_kernels() -> str:
     """`compiled`, or `numpy` and why; it imports no kernel."""
     if not _is_wanted():
         return "numpy (SWARMD_COMPILED=0)"
-    names = {name: name.rpartition(".")[2].removesuffix("_kernel") for name in KERNELS}
-    missing = [short for name, short in names.items() if not _is_built(name)]
-    if not missing:
+    faults = {name: fault for name in KERNELS if (fault := _fault_of(name))}
+    if not faults:
         return "compiled"
-    is_all = len(missing) == len(KERNELS)
-    return "numpy (not compiled)" if is_all else f"compiled, but not {', '.join(missing)}"
+    if len(faults) == len(KERNELS):
+        return f"numpy ({', '.join(dict.fromkeys(faults.values()))})"
+    return (
+        f"compiled, but {', '.join(f'{_short(name)} is {fault}' for name, fault in faults.items())}"
+    )
 
 
 def _is_wanted() -> bool:
     return os.environ.get("SWARMD_COMPILED", "1") != "0"
 
 
-def _is_built(name: str) -> bool:
-    """True if the kernel can be loaded; the library is tried, but not imported."""
-    library = _library(name)
-    if library is None:
-        return False
+@cache
+def _fault_of(name: str) -> str:
+    """Why a kernel cannot be used, empty if it can; its library is opened, but not imported."""
+    path = _library(name)
+    if path is None:
+        return _NOT_COMPILED
     try:
-        ctypes.CDLL(str(library))
+        library = ctypes.CDLL(str(path))
     except OSError:  # damaged, or built for another processor
-        return False
-    return True
+        return _NOT_COMPILED
+    source = path.with_name(f"{name.rpartition('.')[2]}.py")
+    if source.exists() and _digest_in(library) != hashlib.sha256(source.read_bytes()).hexdigest():
+        import logging  # rarely needed, and swarmctl starts fast
+
+        logging.getLogger(__name__).warning("kernel %s is %s", _short(name), _STALE)
+        return _STALE
+    return ""
+
+
+def _digest_in(library: ctypes.CDLL) -> str:
+    """What setup.py put into a kernel; empty if it is of before that."""
+    try:
+        return (ctypes.c_char * 64).in_dll(library, "source_digest").value.decode()
+    except ValueError:
+        return ""
+
+
+def _short(name: str) -> str:
+    return name.rpartition(".")[2].removesuffix("_kernel")
 
 
 def _library(name: str) -> Path | None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -25,8 +26,8 @@ def test_a_kernel_that_was_not_built_is_none_and_named(monkeypatch: pytest.Monke
     assert load_kernel("swarmd.protection.absent_kernel") is None
     assert describe_kernels() == "numpy (not compiled)"
     monkeypatch.setattr(kernels, "KERNELS", (*KERNELS, "swarmd.protection.absent_kernel"))
-    monkeypatch.setattr(kernels, "_is_built", lambda name: "absent" not in name)
-    assert describe_kernels() == "compiled, but not absent"
+    monkeypatch.setattr(kernels, "_fault_of", lambda name: "gone" if "absent" in name else "")
+    assert describe_kernels() == "compiled, but absent is gone"
 
 
 def test_a_description_imports_no_kernel() -> None:
@@ -64,6 +65,37 @@ def test_a_kernel_of_another_processor_is_not_loaded_and_named(
     foreign[18:20] = b"\xff\x7f"  # e_machine
     (tmp_path / "cut_kernel.abi3.so").write_bytes(foreign)
     assert _said_of_cut_kernel(tmp_path) == "None numpy (not compiled)"
+
+
+def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SWARMD_COMPILED", raising=False)
+    spec = find_spec("swarmd.sim.world.base_kernel")
+    if spec is None or not str(spec.origin).endswith(".so"):
+        pytest.skip("the kernels are not compiled")
+    library = Path(str(spec.origin))
+    source = library.with_name("base_kernel.py")
+    shutil.copy(library, tmp_path)
+    script = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from swarmd.core import kernels;"
+        "kernels.KERNELS = ('base_kernel',);"
+        "print([kernels.load_kernel('base_kernel') is not None for _ in range(2)],"
+        " kernels.describe_kernels())"
+    )
+
+    def answer() -> tuple[str, str]:
+        command = [sys.executable, "-c", script]
+        done = subprocess.run(command, capture_output=True, text=True, check=True)
+        return done.stdout.strip(), done.stderr.strip()
+
+    loaded = ("[True, True] compiled", "")
+    assert answer() == loaded, "without a source"
+    (tmp_path / source.name).write_bytes(source.read_bytes())
+    assert answer() == loaded
+    (tmp_path / source.name).write_bytes(source.read_bytes() + b"\n")
+    text = "older than its source (run make kernels)"
+    assert answer() == (f"[False, False] numpy ({text})", f"kernel base is {text}")
 
 
 def _said_of_cut_kernel(folder: Path) -> str:

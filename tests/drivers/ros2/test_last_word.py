@@ -63,7 +63,8 @@ def test_a_stopped_robot_gets_each_zero_while_another_drives(make: Callable[[], 
     async def story(harness: DriverHarness) -> None:
         await drive(harness)
         harness.driver.send(ZERO, 3, 3, is_stopped=True)
-        robot.put("cmd_vel", robots.command(FOREIGN))
+        assert (await harness.command()).is_zero
+        await taken_after(harness, lambda: robot.put("cmd_vel", robots.command(FOREIGN)))
         await harness.until(lambda: not harness.sink.is_up)
         for _ in range(5):
             (twist,) = await taken_after(
