@@ -313,6 +313,7 @@ class Barrier:
             for one in told:
                 rows, placed = self._with_told(rows, placed, one, context, command, along)
             is_touching = bool(((seen.gaps <= seen.contact) & (rows.caps[seen.rows] <= 0.0)).any())
+            is_touching |= self._may_touch(placed.beyond(len(seen.rows)))
             bounds = self._half_planes(rows, is_touching, bool(told), along, limits)
             self._feasible = _Feasible(situation, rows, placed, len(seen.rows), *bounds)
         return self._feasible
@@ -352,6 +353,16 @@ class Barrier:
             shares,
         )
         return float(speeds[0]), float(speeds[1])
+
+    def _may_touch(self, told: _Placed) -> bool:
+        """Whether a told obstacle may touch the robot.
+
+        It is somewhere in its disc. Once the disc may have reached the outline, the direction to
+        its middle does not show on which side the obstacle is.
+        """
+        settings = self._settings
+        left = told.gaps - (told.free - settings.margin)
+        return bool((left <= settings.others_speed * (told.ages + TICK)).any())
 
     def _half_planes(
         self, rows: Constraints, is_touching: bool, is_told: bool, along: Point, limits: Point

@@ -1203,6 +1203,10 @@ class BarrierKernel:
             if is_within and self._row_cap[self._first_row[i]] <= 0.0:
                 which = 0
                 break
+        for i in range(self._count, self._count + self._discs):  # see Barrier._may_touch
+            left: cython.double = self._placed_gap[i] - (self._placed_free[i] - self._margin)
+            if left <= self._others * (self._placed_age[i] + _tick):
+                which = 0
         if not (
             self._envelope_along_x[which] == self._along_x
             and self._envelope_along_y[which] == self._along_y

@@ -104,6 +104,15 @@ def test_no_surface_is_faster_than_others_assume_near_a_told_obstacle(platform: 
     assert decided(platform, seeing(platform, []), requested).safe == requested
 
 
+@pytest.mark.parametrize(("gap", "is_slow"), [(0.0, True), (0.29, True), (0.31, False)])
+def test_robot_creeps_where_a_told_obstacle_may_touch_it(gap: float, is_slow: bool) -> None:
+    """The disc is on its left; the obstacle in it may be ahead. It moves at 0.30 m/s at most."""
+    age, radius = 0.9, 0.15  # with reaction and tick 1.0 s
+    beside = ToldObstacle(0.0, 0.089 + radius + gap, radius, age)
+    safe = decided(BURGER, seeing(BURGER, []), Twist(0.2), told=(beside,)).safe
+    assert (0.01 < safe.linear <= 0.015) if is_slow else safe.linear > 0.03
+
+
 def test_touch_zone_and_keep_out_are_not_for_told_obstacles() -> None:
     ahead = (ToldObstacle(0.20, 0.0, 0.14, 0.0),)
     zone = TouchZone(0.0, 0.5, 0.1)
