@@ -289,7 +289,8 @@ def test_an_obstacle_told_at_the_axle_is_reported_ahead(x: float, yaw: float) ->
     for _ in range(3):
         pair.take(Moved(0.0, 0.0, 0.0, 0.0))
     told = (ToldObstacle(x, -x, 0.0, 0.0),)
-    pair.take(Asked(0.01, [(1.0, 0.0, 0.0), (-1.0, 0.5, 0.0)], None, 0.0, -1, told))
+    slow = [(0.04, 0.0, 0.0), (-0.04, 0.002, 0.0)]  # below the speed in contact
+    pair.take(Asked(0.01, slow, None, 0.0, -1, told))
     assert {row.bearing for decision in pair.decisions for row in decision.rows} == {0.0}
 
 
