@@ -24,6 +24,7 @@ from cython.cimports.libc.math import (
     rint,
     sin,
     sqrt,
+    tan,
 )
 from cython.cimports.libc.string import memcmp
 
@@ -39,10 +40,6 @@ from swarmd.sensing.rays_numpy import (
     UNSEEN,
     Ray,
     RayClusters,
-    in_order,
-    in_sectors,
-    surfaces,
-    wrapped,
 )
 
 if not cython.compiled:
@@ -107,13 +104,21 @@ def _nearest(
 
 @cython.cclass
 class _Layout:
-    """The bearings of a scan and what derives from them; buffers for its features."""
+    """The bearings of a scan and what derives from them; buffers for the features of a scan.
+
+    A robot that moves has other bearings in each scan, so the buffers are used again.
+    """
 
     n: cython.Py_ssize_t
+    capacity: cython.Py_ssize_t
     given: cython.double[::1]
+    angles: object
     wrapped: cython.double[::1]
+    is_ordered: cython.bint
     order: cython.longlong[::1]
     rising: cython.double[::1]
+    gaps: object
+    steps: cython.double[::1]
     spacing: cython.double
     grazing: cython.double
     slopes: cython.double[::1]
@@ -135,18 +140,18 @@ class _Layout:
     counts: cython.longlong[::1]
     is_free: cython.uchar[::1]
 
-    def __init__(self, bearings):
-        n = len(bearings)
-        self.n, self.given = n, np.array(bearings)
-        layout = bearings.tobytes()
-        order, rising, _, self.spacing = in_order(layout)
-        self.wrapped, self.order, self.rising = wrapped(layout), order, rising
-        self.work, self.is_last = np.empty(n), np.empty(n, np.uint8)
+    def __init__(self, n):
+        """For up to n bearings."""
+        self.capacity = n
+        self.angles, self.gaps = np.empty(n), np.empty(n)
+        self.given, self.wrapped, self.steps = np.empty(n), self.angles, self.gaps
+        self.rising, self.slopes, self.work = np.empty(n), np.empty(n), np.empty(n)
+        self.sector = np.empty(n, np.int64)
+        self.is_apart, self.is_last = np.empty(n, np.uint8), np.empty(n, np.uint8)
         self.found, self.found_counts = np.empty((3, n)), np.empty(n, np.int64)
         self.found_free = np.empty(n, np.bool_)
         self.ranges, self.bearings, self.widths = self.found
         self.counts, self.is_free = self.found_counts, self.found_free.view(np.uint8)
-        self.grazing, self.count = NAN, -1
 
     @cython.cfunc
     def is_of(self, bearings: cython.const[cython.double][::1]) -> cython.bint:
@@ -156,20 +161,53 @@ class _Layout:
         return memcmp(cython.address(bearings[0]), cython.address(self.given[0]), 8 * n) == 0
 
     @cython.cfunc
+    def set_bearings(self, bearings: cython.const[cython.double][::1]) -> cython.int:
+        i: cython.Py_ssize_t
+        self.n = bearings.shape[0]
+        for i in range(self.n):
+            self.given[i] = bearings[i]
+            self.wrapped[i] = _mod(bearings[i] + _PI) - _PI
+        self.is_ordered, self.grazing, self.count = False, NAN, -1
+        return 0
+
+    @cython.cfunc
     def set_grazing(self, grazing: cython.double):
+        """As `rays_numpy.in_order` and `surfaces`."""
+        n: cython.Py_ssize_t = self.n
+        i: cython.Py_ssize_t
+        if not self.is_ordered:
+            self.order = np.argsort(self.angles[:n], kind="stable")
+            for i in range(n):
+                self.rising[i] = self.wrapped[self.order[i]]
+            for i in range(n - 1):
+                self.steps[i] = self.rising[i + 1] - self.rising[i]
+            self.steps[n - 1] = self.rising[0] - self.rising[n - 1] + _TURN
+            self.spacing = np.sort(self.gaps[:n])[n // 2]
+            self.is_ordered = True
         if grazing != self.grazing:
-            slopes, is_apart = surfaces(np.asarray(self.given).tobytes(), grazing)
-            self.slopes, self.is_apart = slopes, is_apart.view(np.uint8)
+            slope: cython.double = tan(grazing)
+            least: cython.double = min(3.5 * self.spacing, 0.5 * _PI)
+            for i in range(n):
+                self.slopes[i] = self.steps[i] / slope
+                self.is_apart[i] = self.steps[i] >= least
             self.grazing = grazing
 
     @cython.cfunc
     def set_sectors(self, count: cython.Py_ssize_t):
-        if count != self.count:
-            self.sector = in_sectors(np.asarray(self.given).tobytes(), count)
+        """As `rays_numpy.in_sectors`."""
+        if count == self.count:
+            return
+        if self.points is None or len(self.points) != count:
             self.points = np.empty((count, 2))
             self.point = self.points
             self.lowest, self.nearest_ray = np.empty(count), np.empty(count, np.intp)
-            self.count = count
+        share: cython.double = count / _TURN
+        i: cython.Py_ssize_t
+        sector: cython.longlong
+        for i in range(self.n):
+            sector = cython.cast(cython.longlong, rint(self.wrapped[i] * share)) % count
+            self.sector[i] = sector + count if sector < 0 else sector
+        self.count = count
 
 
 _layouts: list = []  # a cache of the latest ones: most sensors keep their bearings
@@ -183,9 +221,11 @@ def _layout_of(bearings) -> _Layout:
     for layout in _layouts:
         if layout.is_of(view):
             return layout
-    layout = _Layout(bearings)
+    layout = _layouts.pop() if len(_layouts) == _MAX_LAYOUTS else _Layout(view.shape[0])
+    if layout.capacity < view.shape[0]:
+        layout = _Layout(view.shape[0])
+    layout.set_bearings(view)
     _layouts.insert(0, layout)
-    del _layouts[_MAX_LAYOUTS:]
     return layout
 
 
