@@ -68,13 +68,13 @@ class RollingScans:
         if self._waiting:
             self._start(step)
         since = step - self._begun
-        counts = self._counts[since]
-        if counts.any():
-            first, robots = self._first[since], self._robots
+        counts = self._counts.take(since)
+        if np.count_nonzero(counts):
+            first, robots = self._first.take(since), self._robots
             self._lidar.cast_sectors(self._ranges, self._rows, poses, robots, first, counts)
-        is_done = since == self._steps
-        if not is_done.any():
+        if not (len(since) and since[0] == self._steps):  # the oldest scan is the first one
             return []
+        is_done = since == self._steps
         complete = [
             CompleteScan(robot, self._ranges[row].copy(), self._ages, begun)
             for robot, row, begun in zip(

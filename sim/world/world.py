@@ -68,6 +68,7 @@ class World:
         # Views of MuJoCo's memory.
         self._qpos, self._qvel = self.data.qpos, self.data.qvel
         self._qpos[: 3 * n] = starts.ravel()
+        self._robot_poses = self._qpos[: 3 * n].reshape(-1, 3)
         self._movable_boxes = MovableBoxes(arena, self.model, self.data, n)
         self.movable_boxes, self.box_shapes = self._movable_boxes.names, self._movable_boxes.shapes
         mujoco.mj_forward(self.model, self.data)
@@ -79,6 +80,7 @@ class World:
         for ages in self._at_once:
             ages.flags.writeable = False
         self._seq, self._is_out = [0] * n, np.zeros(n, dtype=np.bool_)
+        self._are_all_in = True
         self._contacts = ContactReader(self.model, n)
         self._touching: list[ContactPoints] = []
         self._sensors = RangeSensors(self.platforms, arena, visibility)
@@ -146,11 +148,13 @@ class World:
         NaN for a robot that was taken out of the arena.
         """
         poses = self._places()
-        poses[self._is_out] = np.nan
+        if not self._are_all_in:
+            poses[self._is_out] = np.nan
         return poses
 
     def _places(self) -> Array:
-        return np.array(self._qpos[: 3 * len(self.ids)], dtype=np.float64).reshape(-1, 3)
+        places: Array = self._robot_poses.copy()
+        return places
 
     def twists(self) -> Array:
         """(n, 3) linear, angular, lateral velocity in each base frame over the last step, exact."""
@@ -243,7 +247,7 @@ class World:
 
     def take_out(self, robot: int) -> None:
         """Remove a robot from contacts and scans for good."""
-        self._is_out[robot] = True
+        self._is_out[robot], self._are_all_in = True, False
         geom = self.model.geom(self.ids[robot]).id
         self.model.geom_contype[geom] = self.model.geom_conaffinity[geom] = 0
 

@@ -64,13 +64,14 @@ class _Stop(NamedTuple):
 class _Brake:
     """Judges the stops of one axis with an assumed braking in m/s2 or rad/s2.
 
-    `stop` is the one under way, `measured` the weakest braking that is certain, or the assumed one.
+    `min_drop` in m/s or rad/s is the least fall of the command that begins a stop. `stop` is the
+    one under way, `measured` the weakest braking that is certain, or the assumed one.
     `is_weaker`: that has changed.
     """
 
     def __init__(self, assumed: float, min_drop: float) -> None:
         self._assumed = assumed
-        self._min_drop = max(min_drop, _MIN_DROP_TIME * assumed)
+        self.min_drop = max(min_drop, _MIN_DROP_TIME * assumed)
         self.stop: _Stop | None = None
         self._judged: deque[float] = deque(maxlen=_JUDGED)
         self.measured, self.is_weaker = assumed, False
@@ -84,7 +85,7 @@ class _Brake:
             self._judge(stop.readings)
             self.stop = stop = None
         has_followed = abs(begin - sign * before) <= _FOLLOWED * abs(before)
-        min_drop = max(self._min_drop, _MIN_DROP_SHARE * begin)
+        min_drop = max(self.min_drop, _MIN_DROP_SHARE * begin)
         if stop is None and has_followed and begin - target >= min_drop:
             self.stop = _Stop(sign, begin, target, stamp, [])
 
@@ -140,8 +141,12 @@ class AssumptionMonitor:
             return
         before, self._command = self._command, command
         measured, stamp = self._odometry.twist, self._odometry.stamp
-        self._linear.on_command(before.linear, command.linear, measured.linear, stamp)
-        self._angular.on_command(before.angular, command.angular, measured.angular, stamp)
+        linear, angular = self._linear, self._angular
+        # Only a stop under way, or one that begins, concerns a brake: most commands are neither.
+        if linear.stop or abs(command.linear - measured.linear) >= linear.min_drop:
+            linear.on_command(before.linear, command.linear, measured.linear, stamp)
+        if angular.stop or abs(command.angular - measured.angular) >= angular.min_drop:
+            angular.on_command(before.angular, command.angular, measured.angular, stamp)
 
     def on_odometry(self, odometry: Odometry) -> str:
         """A reading arrived."""

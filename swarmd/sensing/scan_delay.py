@@ -60,7 +60,7 @@ _ALIKE = 2.0  # factor on the spread, as errors of pairs are not independent: 1.
 _CERTAIN = 2.5  # spreads by which turns must exceed declaration and stamps
 _MAX_INTERVAL = 0.2  # s of candidates within three deviations: a wider one is no figure
 _SCALES = 0.85, 1.15  # of odometry
-_ENOUGH_PAIRS = 20  # after which only each fourth pair of scans is compared
+_ENOUGH_PAIRS = 20  # after which only each fourth scan is compared with the one before it
 _EXPIRES = 60.0  # s after which turns no longer say that scans are late
 
 
@@ -263,6 +263,9 @@ class _Stamps:
         self._is_shared, self._why = False, why
 
 
+_Spectrum = np.ndarray[tuple[int], np.dtype[np.complex128]]
+
+
 class _Candidates(NamedTuple):
     """Sums over pairs of scans: of measured turns m, and of turns p (c,) by candidate delay."""
 
@@ -274,6 +277,27 @@ class _Candidates(NamedTuple):
 
 def _no_pairs() -> _Candidates:
     return _Candidates(0.0, np.zeros(len(_CANDIDATES)), np.zeros(len(_CANDIDATES)), 0.0)
+
+
+class _Seen:
+    """A scan of `rays` that arrived `at` on the clock of odometry, and the pose then."""
+
+    def __init__(self, at: float, pose: Pose, scan: Scan) -> None:
+        self.at, self.pose = at, pose
+        self.rays = len(scan.ranges)
+        self._least, self._farthest = scan.range_min, min(scan.range_max, _MAX_RANGE)
+        self._ranges = np.array(scan.ranges, np.float64)  # a driver may write to its own
+        self._spectrum: tuple[_Spectrum, float] | None = None
+
+    def spectrum(self) -> tuple[_Spectrum, float]:
+        """The spectrum of the ranges about their mean, no return as far away, and their norm."""
+        if self._spectrum is None:
+            ranges, farthest = self._ranges, self._farthest
+            is_return = (ranges >= self._least) & (ranges <= farthest)
+            relief = np.where(is_return, ranges, farthest)
+            relief -= relief.mean()
+            self._spectrum = np.fft.rfft(relief), float(np.linalg.norm(relief))
+        return self._spectrum
 
 
 class _Turns:
@@ -291,8 +315,8 @@ class _Turns:
         self._changed_at = -math.inf
         self._total = 0.0  # turned so far
         self._odometry = Odometry(0.0, Pose(), Twist())
-        self._last: tuple[float, Pose, Array] | None = None  # arrival, place and ranges of a scan
-        self._sums, self._pairs, self._skipped = _no_pairs(), 0, 0
+        self._last: _Seen | None = None
+        self._sums, self._pairs, self._scans = _no_pairs(), 0, 0
         self._bearings: Array | None = None
         self._ray = 0.0
         self._why = "it has not turned at a changing rate yet"
@@ -333,25 +357,27 @@ class _Turns:
         if at - self._changed_at > longest or not self._can_correlate(scan):
             self._last = None
             return
-        pose, ranges = self._odometry.pose, np.array(scan.ranges, np.float64)
-        last, self._last = self._last, (at, pose, ranges)
-        if last is None or self._end == self._first:
+        last, self._last = self._last, None
+        self._scans += 1
+        if self._pairs >= _ENOUGH_PAIRS and self._scans % 4 > 1:
+            return
+        seen = self._last = _Seen(at, self._odometry.pose, scan)
+        if last is None or (self._pairs >= _ENOUGH_PAIRS and self._scans % 4 == 0):
+            return
+        if at - last.at > 0.5 or self._end == self._first:
+            return
+        if math.hypot(seen.pose.x - last.pose.x, seen.pose.y - last.pose.y) > _MAX_SHIFT:
             return
         kept = slice(self._first, self._end)
         times, yaws = self._times[kept], self._yaws[kept]
-        if at - last[0] > 0.5 or last[0] - _CANDIDATES[-1] < times[0]:
-            return
-        if math.hypot(pose.x - last[1].x, pose.y - last[1].y) > _MAX_SHIFT:
+        if last.at - _CANDIDATES[-1] < times[0]:
             return
         turns = np.interp(at - _CANDIDATES, times, yaws)
-        turns -= np.interp(last[0] - _CANDIDATES, times, yaws)
+        turns -= np.interp(last.at - _CANDIDATES, times, yaws)
         low, high = float(turns.min()), float(turns.max())
         if high - low < _MIN_TURN_SPREAD or max(-low, high) + _SEARCHED > _MAX_SEARCHED:
             return
-        self._skipped += 1
-        if self._pairs >= _ENOUGH_PAIRS and self._skipped % 4:
-            return
-        turn = self._measured(last[2], ranges, scan, low - _SEARCHED, high + _SEARCHED)
+        turn = self._measured(last, seen, low - _SEARCHED, high + _SEARCHED)
         if turn is not None:
             self._add(turn, turns)
             self.at = now
@@ -383,16 +409,14 @@ class _Turns:
                 self._why = "its rays do not cover a full turn evenly"
         return self._ray != 0.0
 
-    def _measured(
-        self, before: Array, after: Array, scan: Scan, low: float, high: float
-    ) -> float | None:
-        """The turn in rad from one scan (n,) to the next, between `low` and `high`; None: unclear.
+    def _measured(self, before: _Seen, after: _Seen, low: float, high: float) -> float | None:
+        """The turn in rad from one scan to the next, between `low` and `high`; None: unclear.
 
         A turn by k rays to the left moves all that is seen k rays to the right.
         """
-        one, size_one = _spectrum(before, scan)
-        other, size_other = _spectrum(after, scan)
-        n, ray = len(after), abs(self._ray)
+        one, size_one = before.spectrum()
+        other, size_other = after.spectrum()
+        n, ray = after.rays, abs(self._ray)
         least = _MIN_RELIEF * math.sqrt(n)
         if min(size_one, size_other) < least:
             self._why = "it sees no features to tell a turn by"
@@ -438,14 +462,3 @@ class _Turns:
             return
         self.delay = max(float(_CANDIDATES[i]) + 0.5 * _STEP * (a - c) / bend, 0.0)
         self.spread = max(_ALIKE * _STEP * math.sqrt(2.0 * variance / bend), 0.005)
-
-
-def _spectrum(
-    ranges: Array, scan: Scan
-) -> tuple[np.ndarray[tuple[int], np.dtype[np.complex128]], float]:
-    """The spectrum of ranges (n,) about their mean, no return as far away, and their norm."""
-    farthest = min(scan.range_max, _MAX_RANGE)
-    is_return = (ranges >= scan.range_min) & (ranges <= farthest)
-    relief = np.where(is_return, ranges, farthest)
-    relief -= relief.mean()
-    return np.fft.rfft(relief), float(np.linalg.norm(relief))
