@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Scan, ScanSpec
+from swarmd.sensing.rays import unit_vectors
 
 
 class Separations(NamedTuple):
@@ -45,7 +46,7 @@ class ScanGeometry:
         """(n, 2) unit vectors of the rays; the same array for the same bearings."""
         if scan.bearings is not self._bearings:  # most sensors keep theirs
             self._bearings = scan.bearings
-            self._directions = np.stack((np.cos(scan.bearings), np.sin(scan.bearings)), axis=1)
+            self._directions = unit_vectors(scan.bearings)
         return self._directions
 
     def points_of_rays(self, scan: Scan, rays: NDArray[np.intp]) -> Array:

@@ -53,8 +53,8 @@ class BlindSectors:
         self._place = np.zeros((2, SECTORS))
         self._streak = np.zeros(SECTORS, np.intp)  # looks in a row in which it was seen
         self._seen_at = np.full(SECTORS, -math.inf)
-        self._pending = np.zeros((SECTORS, SECTORS), np.bool_)
-        self._missed = np.zeros((SECTORS, SECTORS), np.bool_)  # by sector and direction
+        self._pending: dict[int, set[int]] = {}
+        self._missed: dict[int, set[int]] = {}  # by sector: the directions in which it has missed
         self._looked_at = -math.inf
         self._yaw = math.nan
         self.text = ""
@@ -78,6 +78,8 @@ class BlindSectors:
             self._look(ranges, is_return, returned, odometry, now)
         if not np.array_equal(was_blind, self._is_blind):
             self.text = self._text(now)
+        if not self.text:
+            return ranges
         is_unknown = self._is_blind[self._sector] & ~is_return
         return np.where(is_unknown, np.nan, ranges) if is_unknown.any() else ranges
 
@@ -94,8 +96,9 @@ class BlindSectors:
     ) -> None:
         """Compare what each ray returns with what others returned in its direction."""
         pose = odometry.pose
-        self._missed[returned] = False
-        self._pending[:, returned] = False
+        silent = set(np.flatnonzero(~returned).tolist())
+        self._missed = {one: some for one, some in self._missed.items() if one in silent}
+        self._pending = {one: some & silent for one, some in self._pending.items()}
         direction = _sectors(self._bearings + pose.yaw)
         rays = np.bincount(direction, minlength=SECTORS)
         hits = np.bincount(direction[is_return], minlength=SECTORS)
@@ -109,16 +112,21 @@ class BlindSectors:
         is_like = is_seen & (np.abs(seen - self._range) <= _LIKE_M + _LIKE * self._range)
         self._streak = np.where(is_like, self._streak + 1, is_seen)
         is_static = is_known & (self._streak >= _STREAK)
-        self._missed[:, is_static] |= self._pending[is_static].T
-        self._pending[is_static | ~is_known | (is_seen & ~is_like)] = False
+        is_over = is_static | ~is_known | (is_seen & ~is_like)
+        for one in [one for one in self._pending if is_over[one]]:
+            sectors = self._pending.pop(one)
+            for sector in sectors if is_static[one] else ():
+                self._missed.setdefault(sector, set()).add(one)
         self._seen_at[self._streak >= _STREAK] = now
         renewed = is_seen & (~is_like | (self._streak >= _STREAK))
         self._range[renewed] = seen[renewed]
         self._place[:, renewed] = np.array(((pose.x,), (pose.y,)))
         self._seen_at[is_seen & ~is_like] = -math.inf
         missing = np.flatnonzero((is_known & (hits == 0))[direction] & ~returned[self._sector])
-        self._pending[direction[missing], self._sector[missing]] = True
-        self._is_blind = self._is_blind | (self._missed.sum(axis=1) >= MISSED)
+        missed = direction[missing].tolist(), self._sector[missing].tolist()
+        for one, sector in zip(*missed, strict=True):
+            self._pending.setdefault(one, set()).add(sector)
+        self._is_blind[[one for one, some in self._missed.items() if len(some) >= MISSED]] = True
 
     def _text(self, now: float) -> str:
         """The blind sectors in degrees, and since when."""

@@ -14,7 +14,17 @@ from swarmd.core.values import Array, Scan
 from swarmd.sensing import rays_numpy
 from swarmd.sensing.rays_numpy import Gap, Ray, RayClusters, gaps, sectors
 
-__all__ = ["Gap", "Ray", "RayClusters", "closest_points", "clusters", "gaps", "nearest", "sectors"]
+__all__ = [
+    "Gap",
+    "Ray",
+    "RayClusters",
+    "closest_points",
+    "clusters",
+    "gaps",
+    "nearest",
+    "sectors",
+    "unit_vectors",
+]
 
 _features = load_kernel("swarmd.sensing.scan_kernel") or rays_numpy
 
@@ -23,6 +33,12 @@ def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math
     """The nearest return within `half_width` rad of a bearing; None without one."""
     found: Ray | None = _features.nearest(scan, bearing=bearing, half_width=half_width)
     return found
+
+
+def unit_vectors(bearings: Array) -> Array:
+    """The directions (n, 2) at `bearings` (n,) rad."""
+    vectors: Array = _features.unit_vectors(bearings)
+    return vectors
 
 
 def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Array:

@@ -71,6 +71,11 @@ def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math
     return Ray(float(ranges[index]), float(bearings[index]))
 
 
+def unit_vectors(bearings: Array) -> Array:
+    """See `rays.unit_vectors`."""
+    return np.stack((np.cos(bearings), np.sin(bearings)), axis=1)
+
+
 def sectors(scan: Scan | None, count: int) -> Array:
     """The nearest range in each of `count` equal sectors (count,); +inf without a return.
 

@@ -62,6 +62,10 @@ def _mod(angle: cython.double) -> cython.double:
     """The angle modulo a full turn, with the bits of numpy's %."""
     if 0.0 <= angle < _TURN:
         return angle
+    if -_TURN < angle < 0.0:  # as fmod, which is exact and slow
+        return angle + _TURN
+    if _TURN <= angle < 2.0 * _TURN:
+        return angle - _TURN
     rest: cython.double = fmod(angle, _TURN)
     if rest < 0.0:
         rest += _TURN
@@ -270,6 +274,19 @@ def nearest(
                 continue
             lowest, index = distance, i
     return None if index < 0 else Ray(lowest, layout.wrapped[index])
+
+
+def unit_vectors(bearings):
+    """See `rays.unit_vectors`."""
+    given: cython.const[cython.double][::1] = np.ascontiguousarray(bearings, np.float64)
+    vectors = np.empty((given.shape[0], 2))
+    out: cython.double[:, ::1] = vectors
+    i: cython.Py_ssize_t
+    angle: cython.double
+    for i in range(given.shape[0]):
+        angle = given[i]
+        out[i, 0], out[i, 1] = cos(angle), sin(angle)
+    return vectors
 
 
 def closest_points(scan: Scan | None, *, within: cython.double, count: cython.Py_ssize_t = 24):
