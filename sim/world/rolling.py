@@ -72,26 +72,24 @@ class RollingScans:
         if np.count_nonzero(counts):
             first, robots = self._first.take(since), self._robots
             self._lidar.cast_sectors(self._ranges, self._rows, poses, robots, first, counts)
-        if not (len(since) and since[0] == self._steps):  # the oldest scan is the first one
+        if not (len(since) and since[0] == self._steps):  # scans are in the order of their begin
             return []
-        is_done = since == self._steps
+        done, begun = np.count_nonzero(since == self._steps), step - self._steps
         complete = [
             CompleteScan(robot, self._ranges[row].copy(), self._ages, begun)
-            for robot, row, begun in zip(
-                self._robots[is_done].tolist(),
-                self._rows[is_done].tolist(),
-                self._begun[is_done].tolist(),
-                strict=True,
+            for robot, row in zip(
+                self._robots[:done].tolist(), self._rows[:done].tolist(), strict=True
             )
         ]
-        self._robots, self._rows = self._robots[~is_done], self._rows[~is_done]
-        self._begun = self._begun[~is_done]
+        self._robots, self._rows = self._robots[done:], self._rows[done:]
+        self._begun = self._begun[done:]
         return complete
 
     def _start(self, step: int) -> None:
-        earliest = self._last_begun + self._steps
-        ready = np.array(sorted(r for r in self._waiting if earliest[r] <= step), dtype=np.intp)
-        self._waiting.difference_update(ready.tolist())
+        ready = sorted(r for r in self._waiting if self._last_begun[r] + self._steps <= step)
+        if not ready:
+            return
+        self._waiting.difference_update(ready)
         self._last_begun[ready] = step
         self._last_row[ready] = rows = (self._last_row[ready] + self._n) % len(self._ranges)
         self._robots = np.concatenate((self._robots, ready))

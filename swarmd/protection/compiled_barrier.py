@@ -15,6 +15,7 @@ from swarmd.protection.blind_zone import BlindZoneMemory
 from swarmd.protection.constraints import direction_and_speed, linear_limit, touch_directions
 from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
 from swarmd.protection.footprint import ScanGeometry
+from swarmd.sensing.rays import unit_vectors
 
 PASSES, LIMITS, REPEATS, STOPS = range(4)  # what the kernel's `decide` returns
 _NOTHING_HIDDEN = np.empty((0, 3))
@@ -160,4 +161,6 @@ class CompiledBarrier(Barrier):
 def _rays_and_ranges(memory: BlindZoneMemory) -> Array:
     """(n, 3) unit vectors to hidden obstacles, and the m that each may be from the lidar."""
     bearings = memory.bearings
-    return np.stack((np.cos(bearings), np.sin(bearings), memory.nearest), axis=1)
+    table = np.empty((len(bearings), 3))
+    table[:, :2], table[:, 2] = unit_vectors(bearings), memory.nearest
+    return table

@@ -118,10 +118,9 @@ class _Layout:
     given: cython.double[::1]
     angles: object
     wrapped: cython.double[::1]
-    is_ordered: cython.bint
     order: cython.longlong[::1]
+    is_ordered: cython.bint
     rising: cython.double[::1]
-    gaps: object
     steps: cython.double[::1]
     spacing: cython.double
     grazing: cython.double
@@ -147,10 +146,10 @@ class _Layout:
     def __init__(self, n):
         """For up to n bearings."""
         self.capacity = n
-        self.angles, self.gaps = np.empty(n), np.empty(n)
-        self.given, self.wrapped, self.steps = np.empty(n), self.angles, self.gaps
+        self.angles, self.steps = np.empty(n), np.empty(n)
+        self.given, self.wrapped = np.empty(n), self.angles
         self.rising, self.slopes, self.work = np.empty(n), np.empty(n), np.empty(n)
-        self.sector = np.empty(n, np.int64)
+        self.order, self.sector = np.empty(n, np.int64), np.empty(n, np.int64)
         self.is_apart, self.is_last = np.empty(n, np.uint8), np.empty(n, np.uint8)
         self.found, self.found_counts = np.empty((3, n)), np.empty(n, np.int64)
         self.found_free = np.empty(n, np.bool_)
@@ -180,13 +179,16 @@ class _Layout:
         n: cython.Py_ssize_t = self.n
         i: cython.Py_ssize_t
         if not self.is_ordered:
-            self.order = np.argsort(self.angles[:n], kind="stable")
+            if not self.has_sorted():
+                order: cython.longlong[::1] = np.argsort(self.angles[:n], kind="stable")
+                self.order[:n] = order
             for i in range(n):
                 self.rising[i] = self.wrapped[self.order[i]]
             for i in range(n - 1):
                 self.steps[i] = self.rising[i + 1] - self.rising[i]
             self.steps[n - 1] = self.rising[0] - self.rising[n - 1] + _TURN
-            self.spacing = np.sort(self.gaps[:n])[n // 2]
+            self.slopes[:n] = self.steps[:n]
+            self.spacing = _smallest(self.slopes, n, n // 2)
             self.is_ordered = True
         if grazing != self.grazing:
             slope: cython.double = tan(grazing)
@@ -195,6 +197,38 @@ class _Layout:
                 self.slopes[i] = self.steps[i] / slope
                 self.is_apart[i] = self.steps[i] >= least
             self.grazing = grazing
+
+    @cython.cfunc
+    def has_sorted(self) -> cython.bint:
+        """False if bearings neither rise nor fall almost everywhere, and `order` is not set.
+
+        Insertion from the smallest one on: a sensor measures its rays one after the other.
+        """
+        n: cython.Py_ssize_t = self.n
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        ray: cython.Py_ssize_t = 0
+        angle: cython.double
+        for i in range(n):
+            if self.wrapped[i] < self.wrapped[ray]:
+                ray = i
+        step: cython.Py_ssize_t = 1
+        if self.wrapped[(ray + n - 1) % n] < self.wrapped[(ray + 1) % n]:
+            step = n - 1  # they fall
+        moves: cython.Py_ssize_t = 16 * n
+        for i in range(n):
+            angle, k = self.wrapped[ray], i
+            while k > 0 and (
+                self.rising[k - 1] > angle
+                or (self.rising[k - 1] == angle and self.order[k - 1] > ray)
+            ):
+                self.rising[k], self.order[k] = self.rising[k - 1], self.order[k - 1]
+                k, moves = k - 1, moves - 1
+            self.rising[k], self.order[k] = angle, ray
+            if moves < 0 or not isfinite(angle):
+                return False
+            ray = (ray + step) % n
+        return True
 
     @cython.cfunc
     def set_sectors(self, count: cython.Py_ssize_t):
@@ -212,6 +246,33 @@ class _Layout:
             sector = cython.cast(cython.longlong, rint(self.wrapped[i] * share)) % count
             self.sector[i] = sector + count if sector < 0 else sector
         self.count = count
+
+
+@cython.cfunc
+def _smallest(
+    values: cython.double[::1], n: cython.Py_ssize_t, k: cython.Py_ssize_t
+) -> cython.double:
+    """The element of rank k of the first n, which get another order (Hoare's algorithm FIND)."""
+    low: cython.Py_ssize_t = 0
+    high: cython.Py_ssize_t = n - 1
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    middle: cython.double
+    while low < high:
+        middle, i, j = values[k], low, high
+        while i <= j:
+            while values[i] < middle:
+                i += 1
+            while middle < values[j]:
+                j -= 1
+            if i <= j:
+                values[i], values[j] = values[j], values[i]
+                i, j = i + 1, j - 1
+        if j < k:
+            low = i
+        if k < i:
+            high = j
+    return values[k]
 
 
 _layouts: list = []  # a cache of the latest ones: most sensors keep their bearings
