@@ -9,11 +9,14 @@ from __future__ import annotations
 
 import argparse
 import os
+import shlex
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.table import machine
 from studies.safety import hours, progress
+from studies.safety.columns import COLUMNS
 from studies.safety.driven import faults
 from studies.safety.judge import collisions
 from studies.safety.judgement import judge
@@ -29,7 +32,6 @@ from studies.safety.scenes import (
     scenario,
 )
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.experiments.provenance import git_state
 from swarmd.sim.lockstep.lockstep import simulate_run
 
 Options = argparse.Namespace
@@ -113,12 +115,7 @@ def _parser() -> argparse.ArgumentParser:
 def main(arguments: Sequence[str] | None = None) -> None:
     options = _parser().parse_args(arguments)
     if options.verb == "one":
-        words = (options.family, options.platform, options.visibility, options.mode)
-        made = scenario(Scene(*words, duration=options.duration))
-        trace = simulate_run(made, options.seed)
-        among, actuation = attackers(trace), made.realism.actuation
-        found = [*faults(trace, among, actuation), judge(trace, among, actuation)]
-        print(*collisions(trace, among), "at fault:", *found, sep="\n")
+        _run_one(options)
         return
     tasks = options.plan(options, DEV_SEEDS if options.dev else ACCEPTANCE_SEEDS)
     if not tasks:
@@ -126,9 +123,22 @@ def main(arguments: Sequence[str] | None = None) -> None:
             "no run: none of these families has a scene on these platforms, or --robot-hours is 0"
         )
     records = carry_out(tasks, options.out / f"{options.verb}.jsonl", options.jobs)
-    state = git_state(Path(__file__).parent)
-    commit = "unknown" if state is None else state.commit[:10] + " (changed)" * state.is_dirty
-    print(f"Commit {commit}, sources {records[0].code}, {machine()}\n\n{options.tables(records)}")
+    words = shlex.join(sys.argv[1:] if arguments is None else arguments)
+    print(f"`python -m studies.safety {words}`, {machine()}")
+    cpu = sum(one.cpu for one in records)
+    print(f"{sum(one.found.seconds for one in records) / cpu:.0f} robot-hours in a CPU-hour\n")
+    print(options.tables(records))
+
+
+def _run_one(options: Options) -> None:
+    words = (options.family, options.platform, options.visibility, options.mode)
+    made = scenario(Scene(*words, duration=options.duration))
+    trace = simulate_run(made, options.seed)
+    among, actuation = attackers(trace), made.realism.actuation
+    print("Touches:", *(one.text for one in collisions(trace, among)), sep="\n")
+    print("At fault:", *(one.text for one in faults(trace, among, actuation)), sep="\n")
+    found = judge(trace, among, actuation)
+    print("Sums:", *(f"  {name}: {cell(found)}" for name, cell in COLUMNS.items()), sep="\n")
 
 
 if __name__ == "__main__":

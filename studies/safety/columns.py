@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 from studies.safety.judgement import Judgement
 from studies.safety.runs import Record, total
@@ -35,6 +35,10 @@ def _faults(count: int, seconds: float, worst: float) -> str:
     return rate(count, seconds) + (f", {100.0 * worst:.1f} cm/s" if count else "")
 
 
+def _speed(hardest: float) -> str:
+    return f"{100.0 * hardest:.1f} cm/s" if hardest else "-"
+
+
 def _share(part: float, whole: float) -> str:
     return f"{part / whole:.3f}" if whole else "-"
 
@@ -43,7 +47,9 @@ def _number(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
 
 
-COLUMNS: Mapping[str, Callable[[Judgement], str]] = {
+Columns = Mapping[str, Callable[[Judgement], str]]
+"""The header of each column, and its cell."""
+COLUMNS: Columns = {
     "robot-h": lambda f: f"{f.seconds / HOUR:.1f}",
     "collisions (a robot-h)": lambda f: rate(f.collisions, f.seconds),
     "at fault": lambda f: _faults(f.faults, f.seconds, f.worst),
@@ -55,20 +61,25 @@ COLUMNS: Mapping[str, Callable[[Judgement], str]] = {
     "stuck": lambda f: _share(f.stuck, f.windows),
     "altered": lambda f: _share(f.altered, f.seconds),
 }
-SPEED = "robot-h a CPU-h"
+EVIDENCE: Columns = {
+    "robot-hours": lambda f: f"{f.seconds / HOUR:.2f}",
+    "touches": lambda f: str(f.collisions + f.touches),
+    "pushed": lambda f: str(f.pushed),
+    "at fault": lambda f: str(f.faults + f.touch_faults),
+    "a robot-hour, at most (95 %)": lambda f: (
+        f"{upper_bound(f.faults + f.touch_faults, f.seconds / HOUR):.2g}"
+    ),
+    "hardest": lambda f: _speed(max(f.worst, f.worst_touch)),
+}
+"""What the evidence of docs/safety.md shows of a cell: touches of robots, walls and poles."""
 
 
-def rows(
-    groups: Mapping[str, Iterable[Record]], more: Mapping[str, Callable[[Judgement], str]]
-) -> list[Sequence[str]]:
-    """Header and one row per group with records; `more` are further columns."""
-    columns = {**COLUMNS, **more}
-    found: list[Sequence[str]] = [("", *columns, SPEED, "date")]
-    for name, group in groups.items():
-        records = list(group)
-        if records:
-            whole = total(record.found for record in records)
-            speed = whole.seconds / sum(record.cpu for record in records)
-            cells = (cell(whole) for cell in columns.values())
-            found.append((name, *cells, f"{speed:.0f}", max(record.date for record in records)))
+def rows(what: str, groups: Mapping[str, Sequence[Record]], columns: Columns) -> list[list[str]]:
+    """Header and one row per group; `what` is the header of the groups' names."""
+    found = [[what, *columns, "date", "commit"]]
+    for name, records in groups.items():
+        whole = total(record.found for record in records)
+        commits = ", ".join(sorted({record.commit for record in records}))
+        cells = (cell(whole) for cell in columns.values())
+        found.append([name, *cells, max(record.date for record in records), commits])
     return found

@@ -51,6 +51,15 @@ class Collision(Struct, frozen=True):
     robot: str
 
     @property
+    def text(self) -> str:
+        """One line: time, the two, and the speeds of the robot's own surface in cm/s."""
+        return (
+            f"{self.time:8.2f} s  {self.a} and {self.b}: {self.robot} closes at"
+            f" {100.0 * self.own_speed:.1f} cm/s, {100.0 * self.first_speed:.1f} at the first step,"
+            f" pushed at {100.0 * self.pushed_speed:.1f}"
+        )
+
+    @property
     def is_fault(self) -> bool:
         """Whether a protected robot drove into the other."""
         return self.own_speed > FAULT

@@ -214,7 +214,7 @@ def _course(platform: str, options: argparse.Namespace) -> Iterator[Row]:
     if options.traces is not None:
         result.trace.save(options.traces / f"{platform}-{options.visibility}-{options.seed}.npz")
     for fault in result.faults():
-        print(fault)
+        print(fault.text)
     yield from rows(platform, result)
 
 

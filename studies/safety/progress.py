@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 
 from benchmarks.table import markdown
-from studies.safety.columns import goals_a_minute, rows
+from studies.safety.columns import COLUMNS, goals_a_minute, rows
 from studies.safety.judgement import Judgement
 from studies.safety.runs import Record, Task, total
 from studies.safety.scenes import Scene
@@ -53,4 +53,4 @@ def _table(modes: dict[str, list[Record]]) -> str:
         reached = goals_a_minute(found)
         return "-" if reached is None or not ghosts else f"{reached / ghosts:.0%}"
 
-    return markdown(rows(modes, {"of ghosts": share}))
+    return markdown(rows("mode", modes, {**COLUMNS, "of ghosts": share}))

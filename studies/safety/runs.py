@@ -21,7 +21,7 @@ import swarmd.config
 from studies.safety.judgement import Judgement, judge
 from studies.safety.scenes import ATTACKERS, Scene, scenario
 from swarmd.core.errors import ConfigError
-from swarmd.sim.experiments.provenance import digest_of_code
+from swarmd.sim.experiments.provenance import digest_of_code, git_state
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.trace import Trace
 
@@ -34,12 +34,16 @@ class Task(Struct, frozen=True, order=True):
 
 
 class Record(Struct, frozen=True, kw_only=True):
-    """A finished run: `code` is the digest of the sources, `cpu` the processor time in s."""
+    """A finished run: `code` is the digest of the sources, `cpu` the processor time in s.
+
+    `commit`: the checkout's, with `(changed)` if tracked files differ from it.
+    """
 
     task: Task
     code: str
     cpu: float
     date: str
+    commit: str
     found: Judgement
 
 
@@ -52,20 +56,27 @@ def fingerprint() -> str:
     return digest.hexdigest()[:12]
 
 
+def commit() -> str:
+    """The commit of the sources, such as `1a2b3c4 (changed)`; `unknown` without a checkout."""
+    state = git_state(Path(__file__).parent)
+    return "unknown" if state is None else state.commit[:7] + " (changed)" * state.is_dirty
+
+
 def attackers(trace: Trace) -> frozenset[str]:
     """The ids of the attacking robots."""
     groups = trace.meta["groups"].items()
     return frozenset(robot for name, ids in groups if name.startswith(ATTACKERS) for robot in ids)
 
 
-def perform(task: Task, code: str) -> Record:
-    """Simulate and evaluate, in this process."""
+def perform(task: Task, code: str, at: str) -> Record:
+    """Simulate and evaluate, in this process; `at` is the commit."""
     begin = time.process_time()
     made = scenario(task.scene)
     trace = simulate_run(made, task.seed)
     cpu = time.process_time() - begin
     found = judge(trace, attackers(trace), made.realism.actuation)
-    return Record(task=task, code=code, cpu=cpu, date=str(date.today()), found=found)
+    today = str(date.today())
+    return Record(task=task, code=code, cpu=cpu, date=today, commit=at, found=found)
 
 
 def carry_out(tasks: Sequence[Task], file: Path, jobs: int) -> list[Record]:
@@ -81,7 +92,7 @@ def carry_out(tasks: Sequence[Task], file: Path, jobs: int) -> list[Record]:
     missing = [task for task in tasks if task not in known]
     file.parent.mkdir(parents=True, exist_ok=True)
     with file.open("ab") as out:
-        for record in _done(missing, code, jobs):
+        for record in _done(missing, code, commit(), jobs):
             known[record.task] = record
             out.write(msgspec.json.encode(record) + b"\n")
             out.flush()
@@ -110,14 +121,14 @@ def total(found: Iterable[Judgement]) -> Judgement:
     return Judgement(**{name: merge(name)(one[name] for one in some) for name in some[0]})
 
 
-def _done(tasks: Sequence[Task], code: str, jobs: int) -> Iterator[Record]:
+def _done(tasks: Sequence[Task], code: str, at: str, jobs: int) -> Iterator[Record]:
     if jobs == 1:
-        yield from (perform(task, code) for task in tasks)
+        yield from (perform(task, code, at) for task in tasks)
         return
     os.environ["OPENBLAS_NUM_THREADS"] = "1"  # else two processes would want four processors
     with ProcessPoolExecutor(jobs, mp_context=get_context("spawn")) as pool:
         try:
-            for future in as_completed([pool.submit(perform, task, code) for task in tasks]):
+            for future in as_completed([pool.submit(perform, task, code, at) for task in tasks]):
                 yield future.result()
         finally:
             pool.shutdown(cancel_futures=True)

@@ -39,11 +39,12 @@ class Family(Struct, frozen=True, kw_only=True):
     """One kind of scene: what the protected robots do, who attacks them, and what is worse.
 
     pattern, parameters: of the protected robots; goals get the place of their arena.
-    attack: how a third of the robots attacks (`plugins/attack.py`); empty: nobody does.
+    attack: how a third of the robots attacks (`plugins/attack.py`); empty: no attackers.
     speed: that of the attackers' surfaces, as a multiple of `others_speed`.
     lidar, actuation: values over realism `realistic`. door: width of the opening of an inner wall
-    through the middle, in bodies. poles: their radii in m. is_own: a pattern of the project,
-    which avoids others. is_claimed: whether the claim of docs/safety.md covers it.
+    through the middle, in bodies. poles: their radii in m. tells: whether attackers tell Jackals
+    where they are. is_own: a pattern of the project, which avoids others. is_claimed: whether the
+    claim of docs/safety.md covers it.
     """
 
     pattern: str = "goals"
@@ -54,13 +55,21 @@ class Family(Struct, frozen=True, kw_only=True):
     actuation: Mapping[str, float] = {}
     door: float = 0.0
     poles: tuple[float, ...] = ()
+    tells: bool = True
     is_own: bool = False
     is_claimed: bool = True
     platforms: tuple[str, ...] = PLATFORMS
+    visibilities: tuple[str, ...] = VISIBILITIES
 
 
 _OPPOSITE = {"choice": "opposite"}
 _THIN = (0.01, 0.02, 0.03)
+_UNTOLD: Mapping[str, Any] = {
+    "tells": False,
+    "is_claimed": False,
+    "platforms": ("jackal",),
+    "visibilities": ("real",),
+}
 FAMILIES: Mapping[str, Family] = {
     "goals": Family(),
     "twists": Family(pattern="random_twists"),
@@ -88,6 +97,8 @@ FAMILIES: Mapping[str, Family] = {
     "jitter_100": Family(attack="lead", lidar={"jitter": 0.1}),
     "ram_fast": Family(attack="ram", speed=1.5, is_claimed=False),
     "lead_fast": Family(attack="lead", speed=1.5, is_claimed=False),
+    "behind_untold": Family(attack="behind", **_UNTOLD),
+    "flank_untold": Family(attack="flank", **_UNTOLD),
     "weak_brakes": Family(
         attack="lead",
         actuation={"linear_acceleration": 0.7, "angular_acceleration": 2.1},
@@ -152,8 +163,13 @@ class Scene(Struct, frozen=True, order=True):
 
     @property
     def is_told(self) -> bool:
-        """Whether robots tell where they are: lidars of mixed swarms look over each other."""
-        return self.platform == "mixed" and self.visibility == "real"
+        """Whether robots tell where they are by range and bearing.
+
+        Lidars of mixed swarms look over each other, and an attacker that follows a Jackal within
+        its blind zone gives no return.
+        """
+        is_followed = self.platform == "jackal" and bool(self.of.attack) and self.of.tells
+        return self.visibility == "real" and (self.platform == "mixed" or is_followed)
 
     @property
     def of(self) -> Family:
@@ -179,7 +195,7 @@ def scenario(scene: Scene) -> Scenario:
     family = scene.of
     for word, known in (
         ("platform", family.platforms),
-        ("visibility", VISIBILITIES),
+        ("visibility", family.visibilities),
         ("mode", MODES),
     ):
         if getattr(scene, word) not in known:

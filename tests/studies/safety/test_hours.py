@@ -5,6 +5,8 @@ The long form is `python -m studies.safety hours`; docs/safety.md has its result
 
 from __future__ import annotations
 
+import re
+
 import pytest
 
 from studies.safety.__main__ import main
@@ -55,6 +57,18 @@ def test_without_protection_the_same_swarms_collide() -> None:
     # Otherwise the tests above would pass without any effect of protection.
     trace = simulate_run(scenario(Scene("goals", "burger", mode="off", duration=30.0)), SEED)
     assert len(collisions(trace)) > 10
+
+
+def test_a_single_run_prints_each_touch_in_a_line(capsys: pytest.CaptureFixture[str]) -> None:
+    main(("one", "rush", "burger", "body", "off", str(SEED), "--duration", "10"))
+    touches, sums = capsys.readouterr().out.split("At fault:\n")
+    first = touches.splitlines()[1]
+    assert re.fullmatch(
+        r" +\d+\.\d\d s  burger-\d+ and \S+: burger-\d+ closes at \d+\.\d cm/s, \d+\.\d at the"
+        r" first step, pushed at \d+\.\d",
+        first,
+    )
+    assert "  min gap [m]: 0.000" in sums.splitlines()
 
 
 @pytest.mark.parametrize(

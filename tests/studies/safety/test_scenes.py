@@ -32,7 +32,7 @@ def run(scene: Scene, seed: int = 1) -> Trace:
     ("family", "platform"), [(f, p) for f, family in FAMILIES.items() for p in family.platforms]
 )
 def test_every_scene_can_start(family: str, platform: str) -> None:
-    scene = Scene(family, platform)
+    scene = Scene(family, platform, FAMILIES[family].visibilities[0])
     made = scenario(scene)
     assert made.visibility == scene.visibility
     assert len(made.robots) == scene.room.robots
@@ -97,6 +97,14 @@ def test_robots_of_a_mixed_swarm_tell_where_they_are_if_lidars_look_over_them() 
     whole, real = (scenario(Scene("ram", "mixed", visibility)) for visibility in VISIBILITIES)
     assert (whole.radio.range_and_bearing, real.radio.range_and_bearing) == (False, True)
     assert any("told by range and bearing" in note for note in real.notes)
+
+
+def test_jackals_with_a_blind_zone_are_told_of_attackers_unless_the_family_tests_that() -> None:
+    told = {
+        family: scenario(Scene(family, "jackal", "real")).radio.range_and_bearing
+        for family in ("behind", "behind_untold", "goals")
+    }
+    assert told == {"behind": True, "behind_untold": False, "goals": False}
 
 
 def test_a_family_changes_the_realism_of_its_scenes() -> None:
