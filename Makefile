@@ -50,9 +50,11 @@ test: kernels
 	@$(COMPILE) tests
 	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile --no-loadscope-reorder $(ARGS)
 
-# The tests marked `evidence`, then every study with its usual seeds.
+# The tests marked `evidence` and all examples of the property tests, then every study with its
+# usual seeds.
 evidence: $(VENV)/tools
-	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m evidence --timeout 3600 $(ARGS)
+	@$(BIN)/python -m pytest -n $(JOBS) --dist loadfile -m "evidence or hypothesis" \
+	  --hypothesis-profile evidence --timeout 3600 $(ARGS)
 	@$(MAKE) --no-print-directory ARGS= outcomes paper voting safety
 
 check: $(VENV)/tools

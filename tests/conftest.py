@@ -15,8 +15,12 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import Phase, settings
 
-# A machine may be busy: how long an example takes is no property.
-settings.register_profile("calm", deadline=None)
+from tests.support.examples import FULL
+
+# A machine may be busy: how long an example takes is no property. A property test draws a quarter
+# of its examples in `make test`, other ones each time, and all of them in `make evidence`.
+settings.register_profile("test", deadline=None, max_examples=FULL // 4)
+settings.register_profile("evidence", deadline=None, max_examples=FULL)
 # Whether a mechanism is missing shows soon; which example shows it best does not matter.
 settings.register_profile(
     "mutants",
@@ -25,7 +29,7 @@ settings.register_profile(
     max_examples=25,
     phases=(Phase.explicit, Phase.generate),
 )
-settings.load_profile("calm")
+settings.load_profile("test")
 
 
 def pytest_configure() -> None:

@@ -22,6 +22,7 @@ from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import platform_names
 from swarmd.testing.scans import scan_from
 from tests.support.decision_corpus import Stream, decided, platform_of, read
+from tests.support.examples import examples
 from tests.support.filter_sim import under_barrier
 
 KERNEL = load_kernel("swarmd.protection.barrier_kernel")
@@ -221,7 +222,7 @@ def numbers(decision: ModeDecision) -> list[float]:
     return found
 
 
-@settings(max_examples=600)
+@settings(max_examples=examples(600))
 @given(st.sampled_from(VARIANTS), SEEN, EVENTS)
 def test_both_paths_decide_alike(
     platform: Platform, seen: Seen, events: list[Seen | Moved | Asked]

@@ -15,6 +15,7 @@ from swarmd.core.values import Array, Pose, Scan, ScanSpec
 from swarmd.protection import blind_zone_numpy
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform, platform_names
+from tests.support.examples import examples
 
 kernel = load_kernel("swarmd.protection.blind_zone_kernel")
 if kernel is None:
@@ -72,7 +73,7 @@ class Surroundings:
 
 
 @given(st.data(), st.sampled_from(SPECS), SEEDS, st.sampled_from((0.02, 0.3, 1.1)))
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_hidden_obstacles_are_those_of_numpy(
     data: st.DataObject, spec: ScanSpec, seed: int, speed: float
 ) -> None:

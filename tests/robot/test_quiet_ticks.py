@@ -43,6 +43,7 @@ from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, empty_scan, scan_of
+from tests.support.examples import examples
 from tests.support.platforms import with_mode
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import started
@@ -256,7 +257,7 @@ WEIGHTS = {
 PAUSES = (0.0, 0.0, 0.01, 0.02, 0.03, TICK, 0.0999995, 0.1, 0.2999995, 0.3, 0.5, 1.0, 1.01, 2.5)
 
 
-@settings(max_examples=100, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=examples(100), suppress_health_check=[HealthCheck.too_slow])
 @given(st.randoms(use_true_random=False))
 def test_quiet_ticks_change_nothing(chance: Random) -> None:
     pair = Pair()

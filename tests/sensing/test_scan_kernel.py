@@ -15,6 +15,7 @@ from swarmd.core.values import Array, Scan, ScanSpec
 from swarmd.sensing import conditioning_numpy, rays_numpy
 from swarmd.sensing.rays import RayClusters
 from swarmd.settings.platforms import load_platform, platform_names
+from tests.support.examples import examples
 
 kernel = load_kernel("swarmd.sensing.scan_kernel")
 if kernel is None:
@@ -90,7 +91,7 @@ def assert_same(one: RayClusters, other: RayClusters) -> None:
     st.floats(-7.0, 7.0),
     st.sampled_from((0.1, 1.0, 3.0, math.pi)),
 )
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @example(SPECS[0].bearings, SPECS[0], 0, 1.0, math.inf, 24, 0.0, math.pi)
 def test_features_are_those_of_numpy(
     bearings: Array,
@@ -131,7 +132,7 @@ def test_features_are_those_of_numpy(
     ),
     st.lists(layouts(), max_size=2),
 )
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 def test_conditioning_is_that_of_numpy(
     spec: ScanSpec,
     zero: str,

@@ -16,6 +16,7 @@ from swarmd.core.errors import CodecError
 from swarmd.drivers.ros import cdr, messages
 from tests.drivers.ros2.robots import HASHES
 from tests.support import ros2_types as dds
+from tests.support.examples import examples
 
 doubles = st.floats(width=64)
 singles = st.floats(width=32)
@@ -61,7 +62,7 @@ def flat(message: Any) -> list[Any]:
 def test_bytes_are_those_of_the_second_library_both_ways(
     ours: type, theirs: Any, values: st.SearchStrategy[Any]
 ) -> None:
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=examples(150), deadline=None)
     @given(values)
     def check(value: Any) -> None:
         written = value.serialize()
@@ -96,7 +97,7 @@ def test_a_range_without_variance_is_that_of_older_distributions() -> None:
 def test_no_truncated_message_is_read(
     ours: type, theirs: Any, values: st.SearchStrategy[Any]
 ) -> None:
-    @settings(max_examples=100, deadline=None)
+    @settings(max_examples=examples(100), deadline=None)
     @given(values, st.floats(0.0, 1.0))
     def check(value: Any, share: float) -> None:
         written = value.serialize()
@@ -110,7 +111,7 @@ def test_no_truncated_message_is_read(
 def test_garbage_raises_codec_errors_only(
     ours: type, theirs: Any, values: st.SearchStrategy[Any]
 ) -> None:
-    @settings(max_examples=200, deadline=None)
+    @settings(max_examples=examples(200), deadline=None)
     @given(st.binary(max_size=600), st.booleans())
     def check(data: bytes, has_header: bool) -> None:
         with suppress(CodecError):

@@ -18,6 +18,7 @@ from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
 from tests.support import ros2_types as dds
+from tests.support.examples import examples
 
 OPTIONS = RosOptions(imu="imu", battery="battery", shared_pose="pose")
 COVARIANT = RosOptions(shared_pose="/mocap/pose", shared_pose_type="pose_with_covariance")
@@ -46,7 +47,7 @@ messages = [
 
 @pytest.mark.parametrize(("name", "values"), messages)
 def test_any_payload_gives_a_value_or_one_error(name: str, values: st.SearchStrategy[Any]) -> None:
-    @settings(max_examples=150, deadline=None)
+    @settings(max_examples=examples(150), deadline=None)
     @given(values)
     def check(value: Any) -> None:
         sink = CollectingSink()

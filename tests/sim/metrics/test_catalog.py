@@ -20,6 +20,7 @@ from swarmd.sim import metrics
 from swarmd.sim.metrics import catalog
 from swarmd.sim.metrics.catalog import METRICS, measure
 from swarmd.sim.trace import Trace
+from tests.support.examples import examples
 
 Run = Callable[..., Trace]
 ON_A_GRID = ("covered_area",)  # counted in squares, which do not turn with the robots
@@ -64,7 +65,7 @@ def assert_alike(one: dict[str, float | None], other: dict[str, float | None]) -
     shift=st.tuples(st.floats(-50.0, 50.0), st.floats(-50.0, 50.0)),
     turn=st.floats(-3.0, 3.0),
 )
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=examples(25))
 def test_numbers_do_not_depend_on_where_the_world_is(
     full_run: Run, seed: int, shift: tuple[float, float], turn: float
 ) -> None:
@@ -73,7 +74,7 @@ def test_numbers_do_not_depend_on_where_the_world_is(
 
 
 @given(seed=st.integers(0, 10_000), order=st.permutations(list(range(6))))
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=examples(25))
 def test_numbers_do_not_depend_on_the_order_of_robots(
     full_run: Run, seed: int, order: list[int]
 ) -> None:

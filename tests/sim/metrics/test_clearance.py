@@ -16,6 +16,7 @@ from swarmd.sim.metrics import clearance
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.geometry import gaps, transform
+from tests.support.examples import examples
 
 Run = Callable[..., Trace]
 HALF, SIDE = 0.254, 0.215  # of a Jackal
@@ -66,7 +67,7 @@ def test_a_movable_box_counts_where_it_is_and_while_it_is_there(run: Run) -> Non
 
 
 @given(seed=st.integers(0, 10_000))
-@settings(deadline=None, max_examples=25)
+@settings(deadline=None, max_examples=examples(25))
 def test_is_that_of_looking_at_every_robot_and_obstacle(run: Run, seed: int) -> None:
     rng = np.random.default_rng(seed)
     words = [

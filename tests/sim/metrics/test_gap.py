@@ -17,6 +17,7 @@ from swarmd.core.values import Array
 from swarmd.sim.metrics import gap, pairs
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import gaps, transform
+from tests.support.examples import examples
 
 Run = Callable[..., Trace]
 Line = Callable[..., Array]
@@ -64,7 +65,7 @@ LOPSIDED = {
     [(5, 80.0, {}), (7, 6.0, {}), (30, 200.0, {}), (5, 6.0, {"footprints": LOPSIDED})],
 )
 @given(seed=st.integers(0, 10_000))
-@settings(deadline=None, max_examples=10)
+@settings(deadline=None, max_examples=examples(10))
 def test_gaps_are_those_of_all_pairs(
     run: Run, n: int, side: float, shapes: dict[str, Any], seed: int
 ) -> None:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs
+from tests.support.examples import examples
 
 EVERY = 1e9
 
@@ -33,7 +34,7 @@ def by_hand(place: Array, is_in: NDArray[np.bool_], reach: float) -> set[tuple[i
 
 @pytest.mark.parametrize("n", [5, 41])
 @given(seed=st.integers(0, 1000), reach=st.sampled_from([0.25, 0.5, 0.7, 3.0, EVERY]))
-@settings(deadline=None, max_examples=15)
+@settings(deadline=None, max_examples=examples(15))
 def test_near_pairs_are_those_of_looking_at_all(n: int, seed: int, reach: float) -> None:
     place, is_in = crowd(seed, n)
     found = pairs.near(place, is_in, reach)

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from swarmd.core.errors import SwarmError
 from swarmd.sim.scenarios.scenariofile import scenario_of
+from tests.support.examples import examples
 
 if TYPE_CHECKING:
     from tests.sim.scenarios.conftest import Load
@@ -51,7 +52,9 @@ def whole(load: Load) -> dict[str, Any]:
 
 
 @settings(
-    max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=examples(60),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(data=st.data())
 def test_any_change_is_taken_or_refused_in_one_line(

@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 
 from swarmd.core.errors import ConfigError
 from swarmd.sim.world.geometry import gaps, transform
+from tests.support.examples import examples
 
 if TYPE_CHECKING:
     from tests.sim.scenarios.conftest import Load
@@ -63,7 +64,9 @@ def test_two_random_groups_do_not_throw_the_same_dice(load: Load) -> None:
 
 
 @settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=examples(25),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(seed=st.integers(0, 2**40), clearance=st.floats(0.0, 0.3))
 def test_random_robots_stand_apart_within_their_region(
@@ -84,7 +87,9 @@ def test_random_robots_stand_apart_within_their_region(
 
 
 @settings(
-    max_examples=25, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=examples(25),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 @given(seed=st.integers(0, 2**40))
 def test_each_robot_of_a_chain_has_a_neighbor_between_near_and_far(load: Load, seed: int) -> None:

@@ -15,6 +15,7 @@ from swarmd.sim.world.layouts import parse_layout
 from swarmd.sim.world.odometer import Odometers
 from swarmd.sim.world.realism import IDEAL, REALISTIC, Actuation, Realism
 from swarmd.sim.world.world import World
+from tests.support.examples import examples
 
 if load_kernel("swarmd.sim.world.base_kernel") is None:
     pytest.skip("the kernel is not compiled", allow_module_level=True)
@@ -47,7 +48,7 @@ def states(kinds: list[str], realism: Realism, commands: Array, *, is_compiled: 
     return b"".join(kept)
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(
     st.lists(st.sampled_from(platform_names()), min_size=1, max_size=6),
     st.sampled_from(REALISMS),
@@ -66,7 +67,7 @@ def test_worlds_have_the_bits_of_the_numpy_code(
     assert compiled == reference
 
 
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 @given(
     st.lists(st.sampled_from(platform_names()), min_size=1, max_size=6), st.integers(0, 2**32 - 1)
 )

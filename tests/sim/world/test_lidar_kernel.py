@@ -18,6 +18,7 @@ from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.lidar import RangeSensors, Visibility, sweep_order
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.realism import IDEAL, REALISTIC, LidarNoise
+from tests.support.examples import examples
 
 if load_kernel("swarmd.sim.world.lidar_kernel") is None:
     pytest.skip("the kernel is not compiled", allow_module_level=True)
@@ -77,7 +78,7 @@ def poses(draw: st.DrawFn, arena: Arena, n: int) -> Array:
     return drawn
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(st.data())
 def test_scans_have_the_bits_of_the_numpy_code(data: st.DataObject) -> None:
     kinds = st.sampled_from((*PLATFORMS, TRIANGLE, FAN))
@@ -95,7 +96,7 @@ def test_scans_have_the_bits_of_the_numpy_code(data: st.DataObject) -> None:
         same_bits(c.apply(robots, exact), d.apply(robots, reference))
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(st.data())
 def test_sectors_have_the_bits_of_the_numpy_code(data: st.DataObject) -> None:
     turn = data.draw(st.sampled_from((1.0, -1.0)))
