@@ -17,8 +17,11 @@ def scan_delay_finding(
 ) -> Finding:
     """The delay declared and measured, from arrivals and stamps; `scan` is one of the scans."""
     figure = delay_by_stamps(scans, odometries, scan, spec)
+    if figure.delay is None:
+        text = f"not measured: {figure.text}; declared {spec.latency:.3f} s"
+        return Finding("scan delay", True, text, is_measured=False)
     text = f"declared {spec.latency:.3f} s, {figure.line}; by turns: only while it drives"
-    late = 0.0 if figure.delay is None else figure.delay - spec.latency
+    late = figure.delay - spec.latency
     if late - figure.spread > spec.max_scan_delay:  # not by a single scan
         text += (
             f"; more than {spec.latency + spec.max_scan_delay:.3f} s holds the robot (late_scan)"

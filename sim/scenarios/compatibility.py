@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from itertools import product
 
-from swarmd.core.errors import unknown
+from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.messages import PeerFinding
 from swarmd.core.values import Platform
 from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings
@@ -19,6 +19,7 @@ _WAYS = {
     "unseen": "set radio.range_and_bearing: true, by which robots tell where they are",
     "faster": "set one protection.barrier.others_speed under platforms",
 }
+_MOST_NAMED = 8
 WHOLE_BODIES = "every lidar sees whole bodies here (lidar_visibility: body)"
 
 
@@ -27,7 +28,7 @@ def check_compatibility(
 ) -> tuple[Accepts, tuple[str, ...]]:
     """What robots accept, and a line for each pair that fits only by what the scenario says.
 
-    Raises ConfigError for the first pair that would be held.
+    Raises ConfigError for the pairs that would be held.
     """
     accepts = Accepts.of(file.accepts_unseen, file.accepts_faster)
     names = dict.fromkeys(platform.name for platform in groups.robots.values())
@@ -40,16 +41,29 @@ def check_compatibility(
     is_told = file.radio.range_and_bearing
     if file.lidar_visibility == "body":
         accepts = Accepts(dict.fromkeys(names, WHOLE_BODIES), accepts.faster)
-    notes = []
+    notes, held = [], []
     for own, found in _pairs(groups.robots.values(), accepts):
         if found.kind == "unseen" and found.holds and is_told:
             notes.append(f"{own}: {found.text.partition(';')[0]}; told by range and bearing")
         elif found.holds:
-            way = _WAYS[found.kind]
-            raise layers.error((f"accepts_{found.kind}",), f"{own}: {found.text}, or {way}")
+            held.append((own, found))
         elif file.lidar_visibility != "body" or found.kind == "faster":
             notes.append(f"{own}: {found.text}")
+    if held:
+        raise _refusal(layers, held)
     return accepts, tuple(notes)
+
+
+def _refusal(layers: Layered, held: Sequence[tuple[str, PeerFinding]]) -> ConfigError:
+    """Names the pairs that would be held, and what helps, in one line."""
+    pairs = [f"{own}: {found.text.partition(';')[0]}" for own, found in held[:_MOST_NAMED]]
+    if len(held) > _MOST_NAMED:
+        pairs.append(f"and {len(held) - _MOST_NAMED} more")
+    kinds = dict.fromkeys(found.kind for _, found in held)
+    ways = [f"accepts_{kind}, or {_WAYS[kind]}" for kind in kinds]
+    return layers.error(
+        (f"accepts_{held[0][1].kind}",), "; ".join((*pairs, "see " + ways[0], *ways[1:]))
+    )
 
 
 def has_findings(platforms: Iterable[Platform], accepts: Accepts) -> bool:

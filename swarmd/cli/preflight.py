@@ -49,10 +49,13 @@ def check_daemon(settings: DaemonSettings) -> int:
     ]
     width = max(len(finding.subject) for finding in findings)
     for finding in findings:
-        mark = "ok  " if finding.is_well else "FAIL"
+        mark = "FAIL" if not finding.is_well else "ok  " if finding.is_measured else "--  "
         click.echo(f"{mark}  {finding.subject.ljust(width)}  {finding.text}")
     bad = sum(not finding.is_well for finding in findings)
-    click.echo(f"{len(findings)} checked, {f'{bad} failed' if bad else 'all ok'}")
+    unknown_ones = sum(not finding.is_measured for finding in findings)
+    result = f"{bad} failed" if bad else "none failed" if unknown_ones else "all ok"
+    more = f", {unknown_ones} not measured" if unknown_ones else ""
+    click.echo(f"{len(findings)} checked, {result}{more}")
     return 1 if bad else 0
 
 

@@ -13,11 +13,15 @@ from swarmd.core.values import Neighbor, Odometry, Platform, Scan, SharedPose, T
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One line of `swarmd --check`: its subject, whether it is well, and the next step if not."""
+    """One line of `swarmd --check`: its subject, whether it is well, and the next step if not.
+
+    `is_measured` False: nothing could be measured, so it is not known to be well; no fault either.
+    """
 
     subject: str
     is_well: bool
     text: str
+    is_measured: bool = True
 
 
 class Sink(Protocol):

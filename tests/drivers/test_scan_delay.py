@@ -26,7 +26,7 @@ ODOMETRY = [(5.05, 10.04), (5.1, 10.1), (5.25, 10.2)]  # the fastest: 5 s behind
 def test_tells_what_is_declared_and_measured(late: float, is_well: bool, text: str) -> None:
     scans = [(5.0 + SPEC.latency + late + 0.1 * k, 10.0 + 0.1 * k) for k in range(5)]
     finding = scan_delay_finding(scans, ODOMETRY, SCAN, SPEC)
-    assert finding.is_well is is_well
+    assert (finding.is_well, finding.is_measured) == (is_well, True)
     assert text in finding.text
     assert f"declared {SPEC.latency:.3f} s" in finding.text
     delay = delay_by_stamps(scans, ODOMETRY, SCAN, SPEC).delay
@@ -36,11 +36,11 @@ def test_tells_what_is_declared_and_measured(late: float, is_well: bool, text: s
 @pytest.mark.parametrize("stamp", [0.0, 12.0, 1e6])
 def test_other_clock_is_named_and_no_fault(stamp: float) -> None:
     finding = scan_delay_finding([(5.2, stamp)], ODOMETRY, SCAN, SPEC)
-    assert finding.is_well
+    assert (finding.is_well, finding.is_measured) == (True, False)
     assert "different clocks" in finding.text
 
 
 def test_robot_without_odometry_has_no_figure() -> None:
     finding = scan_delay_finding([(5.2, 10.0)], [], SCAN, SPEC)
-    assert finding.is_well
-    assert "not known" in finding.text
+    assert (finding.is_well, finding.is_measured) == (True, False)
+    assert finding.text == (f"not measured: no scan, or no odometry; declared {SPEC.latency:.3f} s")

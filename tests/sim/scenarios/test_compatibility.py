@@ -34,6 +34,26 @@ def test_an_unseen_pair_is_refused_with_what_to_set() -> None:
         mixed("burger", "jackal")
 
 
+def test_all_pairs_that_would_be_held_are_refused_in_one_line() -> None:
+    with pytest.raises(ConfigError) as refused:
+        mixed("burger", "waffle_pi", "jackal", platforms={})
+    text = str(refused.value)
+    assert "\n" not in text
+    for pair in (
+        "burger: waffle_pi is not seen", "burger: waffle_pi is faster", "burger: jackal is faster",
+        "waffle_pi: jackal is faster", "jackal: burger is not seen",
+        "jackal: waffle_pi is not seen",
+    ):  # fmt: skip
+        assert text.count(pair) == 1
+    assert text.count("radio.range_and_bearing") == text.count("one protection.barrier") == 1
+
+
+def test_many_pairs_that_would_be_held_are_counted() -> None:
+    names = ("burger", "waffle_pi", "jackal", "thymio")
+    with pytest.raises(ConfigError, match=r"; and \d+ more; see accepts_"):
+        mixed(*names, platforms={})
+
+
 def test_a_pair_of_unlike_speeds_is_refused_with_what_to_set() -> None:
     with pytest.raises(ConfigError, match=r"burger: waffle_pi is faster.*0.40.*accepts_faster"):
         mixed("burger", "waffle_pi", platforms={}, lidar_visibility="body")
