@@ -60,10 +60,8 @@ def _refusal(layers: Layered, held: Sequence[tuple[str, PeerFinding]]) -> Config
     if len(held) > _MOST_NAMED:
         pairs.append(f"and {len(held) - _MOST_NAMED} more")
     kinds = dict.fromkeys(found.kind for _, found in held)
-    ways = [f"accepts_{kind}, or {_WAYS[kind]}" for kind in kinds]
-    return layers.error(
-        (f"accepts_{held[0][1].kind}",), "; ".join((*pairs, "see " + ways[0], *ways[1:]))
-    )
+    ways = [f"see accepts_{kind}, or {_WAYS[kind]}" for kind in kinds]
+    return layers.error((f"accepts_{held[0][1].kind}",), "; ".join((*pairs, *ways)))
 
 
 def has_findings(platforms: Iterable[Platform], accepts: Accepts) -> bool:

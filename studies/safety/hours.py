@@ -50,12 +50,12 @@ def plan(robot_hours: float, scenes: Sequence[Scene], seeds: Iterable[int]) -> l
 def tables(records: Sequence[Record]) -> str:
     """Markdown: a row for each cell, named by its options, and the runs at fault by their command.
 
-    This is the evidence in docs/safety_hours.md.
+    docs/safety.md explains the columns.
     """
     alone = [one for one in records if not one.task.scene.of.attack]
     among = [one for one in records if one.task.scene.of.attack]
     parts = [
-        f"## {title}\n\n{markdown(rows(_WHAT, _groups(some), EVIDENCE))}"
+        f"#### {title}\n\n{markdown(rows(_WHAT, _groups(some), EVIDENCE))}"
         for title, some in (
             ("All robots are protected", alone),
             (
@@ -75,7 +75,7 @@ def tables(records: Sequence[Record]) -> str:
             f"- `{again(one.task)}`: {100.0 * max(one.found.worst, one.found.worst_touch):.1f} cm/s"
             for one in at_fault
         )
-        parts.append(f"## Runs at fault\n\n{lines}")
+        parts.append(f"#### Runs at fault\n\n{lines}")
     return "\n\n".join(parts)
 
 

@@ -122,7 +122,7 @@ def test_tables_have_a_row_for_each_cell_by_its_options_and_separate_what_is_not
             record(Scene("ram_fast", "burger"), 8, changed(collisions=5, faults=1, worst=0.2)),
         ]
     )
-    alone, claimed, beyond, at_fault = text.split("## ")[1:]
+    alone, claimed, beyond, at_fault = text.split("#### ")[1:]
     assert cells(alone, "goals", "body") == "1.00 | 0 | 0 | 0 | 3 | - | 2026-11-22 | 1a2b3c4"
     assert cells(alone, "goals", "real") == "1.00 | 0 | 0 | 0 | 3 | - | 2026-11-22 | 1a2b3c4"
     assert cells(claimed, "ram", "body").startswith("1.00 | 5 | 0 | 1 | 4.7 | 3.1 cm/s |")
