@@ -7,7 +7,6 @@ from dataclasses import dataclass
 import numpy as np
 
 from swarmd.core.values import Array, Platform
-from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.lidar import Lidar, sweep_order
 
 _ROUNDING = 1e-9
@@ -56,9 +55,9 @@ class RollingScans:
         # The scans in progress: robots, first steps, and rows of `_ranges`.
         self._robots = self._begun = self._rows = np.empty(0, dtype=np.intp)
 
-    def begin(self, robots: Indices) -> None:
-        """Begin a scan of each of `robots` (m,) at the next `advance`, or after its last one."""
-        self._waiting.update(robots.tolist())
+    def begin(self, robot: int) -> None:
+        """Begin a scan of a robot at the next `advance`, or after its last one."""
+        self._waiting.add(robot)
 
     def advance(self, poses: Array, step: int) -> list[CompleteScan]:
         """Measure the rays of `step`, which is one after the last; returns the complete scans.

@@ -85,12 +85,14 @@ class World:
         self._touching: list[ContactPoints] = []
         self._sensors = RangeSensors(self.platforms, arena, visibility)
         self._rolling: list[RollingScans] = []
-        self._rolling_of = np.full(n, -1)  # by row: the place in `_rolling`
+        self._rolling_of: list[RollingScans | None] = [None] * n  # by row
         for lidar, rows in self._sensors.lidars if realism.lidar.rolling else ():
             platform = self.platforms[rows[0]]
             if platform.scan.sweep is not None:
-                self._rolling_of[rows] = len(self._rolling)
-                self._rolling.append(RollingScans(lidar, platform, n, dt, sectors))
+                rolling = RollingScans(lidar, platform, n, dt, sectors)
+                self._rolling.append(rolling)
+                for row in rows.tolist():
+                    self._rolling_of[row] = rolling
         self._is_rolled = False  # the rays of this step are measured
         self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
         self._fields = tuple(fields)
@@ -177,12 +179,16 @@ class World:
 
         Where the lidar rolls, its rays are measured one after the other; else all at once.
         """
-        of = self._rolling_of[robots]
-        for place, rolling in enumerate(self._rolling):
-            rolling.begin(robots[of == place])
-        at_once = robots[of < 0]
-        if len(at_once):
-            for row, scan in zip(at_once.tolist(), self.scans(at_once), strict=True):
+        at_once = []
+        for row in robots.tolist():
+            rolling = self._rolling_of[row]
+            if rolling is None:
+                at_once.append(row)
+            else:
+                rolling.begin(row)
+        if at_once:
+            scans = self.scans(np.array(at_once, dtype=np.intp))
+            for row, scan in zip(at_once, scans, strict=True):
                 self._transport.send(row, scan, self.time)
 
     def arrived_scans(self) -> list[tuple[int, Scan]]:

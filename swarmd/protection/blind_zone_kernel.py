@@ -42,6 +42,10 @@ def _mod(angle: cython.double) -> cython.double:
     """The angle modulo a full turn, with the bits of numpy's %."""
     if 0.0 <= angle < _TURN:
         return angle
+    if -_TURN < angle < 0.0:  # as fmod, which is exact and slow
+        return angle + _TURN
+    if _TURN <= angle < 2.0 * _TURN:
+        return angle - _TURN
     rest: cython.double = fmod(angle, _TURN)
     if rest < 0.0:
         rest += _TURN
