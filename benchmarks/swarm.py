@@ -26,6 +26,7 @@ HERE = Path(__file__).parent
 PLUGINS = HERE / "plugins"
 READY_TIMEOUT = 60.0  # s
 STOP_TIMEOUT = 5.0  # s between TERM and KILL
+WRITE_TIMEOUT = 60.0  # s the same for a world, which decodes and writes its stamps at its end
 POLL_PERIOD = 0.05
 
 Process = subprocess.Popen[bytes]
@@ -75,7 +76,7 @@ class Swarm:
         """End all processes; the stamps are written by then."""
         end(self.daemons.values())
         if self.world is not None:
-            end([self.world])
+            end([self.world], WRITE_TIMEOUT)
 
     def run(self, pattern: str, **params: Any) -> Outcome:
         """Run a pattern on all robots; SystemExit unless all of them have it."""
@@ -175,12 +176,12 @@ class Swarm:
         return "; ".join(f"{name}: {text.strip()[-200:]}" for name, text in sorted(texts.items()))
 
 
-def end(processes: Iterable[Process]) -> None:
+def end(processes: Iterable[Process], timeout: float = STOP_TIMEOUT) -> None:
     """TERM, and KILL for what is left after a while."""
     some = list(processes)
     for process in some:
         process.terminate()
-    deadline = time.monotonic() + STOP_TIMEOUT
+    deadline = time.monotonic() + timeout
     for process in some:
         try:
             process.wait(timeout=max(0.0, deadline - time.monotonic()))
