@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryFile
 from time import monotonic
@@ -47,6 +47,11 @@ def check_daemon(settings: DaemonSettings) -> int:
         *check_patterns(settings),
         *_check_driver(settings, deadline),
     ]
+    return print_findings(findings)
+
+
+def print_findings(findings: Sequence[Finding]) -> int:
+    """Print a line for each finding, then their numbers; 0 without a fault, else 1."""
     width = max(len(finding.subject) for finding in findings)
     for finding in findings:
         mark = "FAIL" if not finding.is_well else "ok  " if finding.is_measured else "--  "

@@ -14,6 +14,7 @@ from swarmd.cli.preflight import (
     check_state_dir,
     command_timeout_text,
     peers_text,
+    print_findings,
     protection_text,
 )
 from swarmd.core.values import Value
@@ -39,6 +40,21 @@ def settings_of(folder: Path, text: str = "", **values: Any) -> DaemonSettings:
 
 def faults(findings: Iterable[Finding]) -> list[str]:
     return [f"{one.subject}: {one.text}" for one in findings if not one.is_well]
+
+
+def test_what_was_not_measured_is_neither_well_nor_a_fault(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    well = Finding("scan", True, "10 Hz")
+    unknown = Finding("scan delay", True, "not measured: no scan", is_measured=False)
+    assert print_findings([well, unknown]) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "ok    scan        10 Hz",
+        "--    scan delay  not measured: no scan",
+        "2 checked, none failed, 1 not measured",
+    ]
+    assert print_findings([unknown, Finding("cmd_vel", False, "no subscriber")]) == 1
+    assert capsys.readouterr().out.splitlines()[-1] == "2 checked, 1 failed, 1 not measured"
 
 
 @pytest.mark.parametrize(
