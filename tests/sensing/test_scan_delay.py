@@ -229,6 +229,14 @@ def test_turns_tell_the_delay_where_clocks_differ(late: float, scale: float) -> 
     assert delays.added >= 0.9 * late
 
 
+def test_a_quarter_of_the_scans_measures_turns_once_enough_are_known() -> None:
+    rig = Rig(lambda number: 0.1, heading=swinging, scan_clock=100.0)
+    known = rig.run(10.0).summary(rig.time).figures[1].samples
+    later = rig.run(40.0).summary(rig.time).figures[1].samples
+    assert known > 20
+    assert 0.5 * 50 < later - known <= 50  # of 200 scans; slow turns tell nothing
+
+
 def test_figures_can_be_sent() -> None:
     """A numpy number in a status would end the daemon that answers `members`."""
     rig = Rig(lambda seq: SPEC.latency + 0.1, heading=swinging)
