@@ -28,10 +28,12 @@ from swarmd.core.messages import NarrowestPassage
 from swarmd.core.values import ZERO, Array, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.blind_zone import BlindZoneMemory, blind_zone_memory
 from swarmd.protection.constraints import (
+    CREEP_GAIN,
     CREEP_SPEED,
     LIMIT_BOX,
     MIN_BRAKING,
     SIDE_ANGLE,
+    SLOW_REQUEST,
     BindingRange,
     Constraints,
     concatenated,
@@ -116,7 +118,8 @@ class _Feasible(NamedTuple):
     """The feasible commands of a situation, with its obstacles and their constraints `rows`.
 
     The first `seen` obstacles were seen, the others told. `normals` (r, 2) and `caps` (r,): the
-    constraints and the envelope, in speeds over their limits.
+    constraints and the envelope, in speeds over their limits. `creeping`: both for a robot that
+    creeps instead; None where it must not.
     """
 
     situation: _Situation
@@ -125,6 +128,7 @@ class _Feasible(NamedTuple):
     seen: int
     normals: Array
     caps: Array
+    creeping: tuple[Array, Array] | None
 
 
 _NO_RAYS = np.empty((0, 2))
@@ -165,6 +169,7 @@ class Barrier:
         )
         can_hide = platform.scan.near != "reported" and settings.keep_out is None
         self._blind = platform.scan.range_min if can_hide else 0.0
+        self._may_creep = settings.responsibility == "passive" and settings.keep_out is None
         self._obstacles, self._taken_at, self._taken = _NO_OBSTACLES, Pose(), -math.inf
         self._lag, self._clock_resets = 0.0, 0
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
@@ -199,9 +204,10 @@ class Barrier:
     def narrowest_passage(self) -> NarrowestPassage:
         """The narrowest door, corridor and meeting that protection lets this robot through.
 
-        At a door, the corners pass posts that may approach while they are not seen. Along the sides
-        of a corridor the gap also leaves the side constraints `_CORRIDOR_SPEED`. Each gap is
-        `_PASSAGE_SLACK` wider: the nearest of noisy returns is nearer than the surface.
+        At a door, the corners pass posts that may approach while they are not seen, unless the
+        robot may creep. Along the sides of a corridor the gap also leaves the side constraints
+        `_CORRIDOR_SPEED`. Each gap is `_PASSAGE_SLACK` wider: the nearest of noisy returns is
+        nearer than the surface. A robot that is seen whole creeps past it even in contact.
         """
         settings = self._settings
         width = 2.0 * float(np.abs(self._outline.corners[:, 1]).max())
@@ -209,11 +215,15 @@ class Barrier:
         others = settings.others_speed if settings.responsibility == "passive" else 0.0
         post = settings.margin + settings.unseen_extent + others * (age + TICK) + _PASSAGE_SLACK
         mean_age = age + 0.5 / self._spec.rate
-        rest = _CORRIDOR_SPEED * math.sin(SIDE_ANGLE)
-        side = self._contact_gap_beside() + 2.0 * (mean_age + TICK) * rest + _PASSAGE_SLACK
+        contact, rest = self._contact_gap_beside(), _CORRIDOR_SPEED * math.sin(SIDE_ANGLE)
+        side = contact + 2.0 * (mean_age + TICK) * rest + _PASSAGE_SLACK
+        creeping = post
+        if self._may_creep:
+            slack = _PASSAGE_SLACK if settings.unseen_extent > 0.0 else 0.0
+            creeping = contact + 2.0 * (mean_age + TICK) * CREEP_SPEED + slack
         if settings.keep_out is not None:
             side = post = max(side, post, settings.keep_out + _PASSAGE_SLACK - 0.5 * width)
-        door = width + 2.0 * post
+        door = width + 2.0 * min(creeping, post)
         corridor = max(door, width + 2.0 * side)
         return NarrowestPassage(door, corridor, corridor + width + post)
 
@@ -223,7 +233,8 @@ class Barrier:
         places = np.linspace(corners.min(), corners.max(), _PLACES_BESIDE)
         x = np.concatenate((places, places))
         y = np.repeat((-2.0 * self._outer, 2.0 * self._outer), _PLACES_BESIDE)
-        return float(self._contact_gaps(self._outline.separations(x, y), x, y).max())
+        hidden = hidden_gaps(self._outline.separations(x, y), x, y, self._offset, self._blind)
+        return self._settings.margin + self._settings.unseen_extent + float(hidden.max())
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.
@@ -298,11 +309,18 @@ class Barrier:
         s, angular = self._with_clear_stop(s, angular, limits, feasible)
         if point == wanted and (s, angular) == (point[0] * limits[0], point[1] * limits[1]):
             return ModeDecision(requested, is_active=False)
+        rows = feasible.rows
+        if feasible.creeping is not None and 0.0 < abs(speed) <= SLOW_REQUEST:
+            slow, by = nearest_feasible(wanted, LIMIT_BOX, *feasible.creeping)
+            off = math.hypot(s / limits[0] - wanted[0], angular / limits[1] - wanted[1])
+            if math.hypot(slow[0] - wanted[0], slow[1] - wanted[1]) < off - CREEP_GAIN:
+                s, angular, tight = slow[0] * limits[0], slow[1] * limits[1], by
+                rows = rows._replace(caps=feasible.creeping[1][: len(rows.caps)])
         if not tight and len(feasible.placed.rows):  # limited by the stop: the nearest obstacle
             first = feasible.placed.rows
-            tight = [int(first[feasible.rows.gaps[first].argmin()])]
+            tight = [int(first[rows.gaps[first].argmin()])]
         twist = Twist(s * along[0], angular, s * along[1])
-        return ModeDecision(twist, is_active=True, rows=report(feasible.rows, tight, self._outline))
+        return ModeDecision(twist, is_active=True, rows=report(rows, tight, self._outline))
 
     def _feasible_commands(self, situation: _Situation, command: Twist, limits: Point) -> _Feasible:
         """The feasible commands, computed once for all requested commands of one situation."""
@@ -314,8 +332,18 @@ class Barrier:
                 rows, placed = self._with_told(rows, placed, one, context, command, along)
             is_touching = bool(((seen.gaps <= seen.contact) & (rows.caps[seen.rows] <= 0.0)).any())
             is_touching |= self._may_touch(placed.beyond(len(seen.rows)))
-            bounds = self._half_planes(rows, is_touching, bool(told), along, limits)
-            self._feasible = _Feasible(situation, rows, placed, len(seen.rows), *bounds)
+            speed = CREEP_SPEED if is_touching else self._surface_speed
+            normals = np.array((rows.linear * limits[0], rows.lever * limits[1])).T
+            bounds, creeping = (normals, rows.caps), None
+            is_near = self._obstacles.is_near
+            if is_near or told:
+                bounds = self._with_envelope(normals, rows.caps, along, limits, speed)
+            rest = 0.5 * (seen.gaps - seen.contact) / (seen.ages + TICK)
+            least = float(rest.min(initial=CREEP_SPEED))
+            if self._may_creep and least > 0.0 and touch is None and not told and is_near:
+                caps = np.maximum(rows.caps, least)
+                creeping = self._with_envelope(normals, caps, along, limits, CREEP_SPEED)
+            self._feasible = _Feasible(situation, rows, placed, len(seen.rows), *bounds, creeping)
         return self._feasible
 
     def _with_clear_stop(
@@ -364,22 +392,19 @@ class Barrier:
         left = told.gaps - (told.free - settings.margin)
         return bool((left <= settings.others_speed * (told.ages + TICK)).any())
 
-    def _half_planes(
-        self, rows: Constraints, is_touching: bool, is_told: bool, along: Point, limits: Point
+    def _with_envelope(
+        self, normals: Array, caps: Array, along: Point, limits: Point, speed: float
     ) -> tuple[Array, Array]:
-        """Normals and caps of the constraints and the envelope, in speeds over their limits."""
-        normals = np.array((rows.linear * limits[0], rows.lever * limits[1])).T
-        if not (self._obstacles.is_near or is_told):
-            return normals, rows.caps
-        key = along, CREEP_SPEED if is_touching else self._surface_speed
+        """Normals and caps, with those of the envelope for a speed in m/s."""
+        key = along, speed
         if key not in self._envelopes:
             if len(self._envelopes) > _MAX_ENVELOPES:
                 self._envelopes.clear()
             self._envelopes[key] = half_planes(
-                envelope(self._outline.corners, along, limits, key[1])
+                envelope(self._outline.corners, along, limits, speed)
             )
-        more, caps = self._envelopes[key]
-        return np.concatenate((normals, more)), np.concatenate((rows.caps, caps))
+        more, others = self._envelopes[key]
+        return np.concatenate((normals, more)), np.concatenate((caps, others))
 
     def _constraints(
         self,
@@ -398,7 +423,7 @@ class Barrier:
         x, y = placed(obstacles.x[:count], obstacles.y[:count], frame)
         separations = self._outline.separations(x, y)
         frees = np.full(count, self._free(context))
-        contact = self._contact_gaps(separations, x, y)
+        contact = frees + hidden_gaps(separations, x, y, self._offset, self._blind)
         seen = _Placed(np.arange(count), x, y, separations.gap, ages, frees, contact)
         rows = self._obstacle_constraints(separations, seen, along)
         if self._settings.unseen_extent > 0.0:
@@ -438,7 +463,7 @@ class Barrier:
         least = self._settings.margin + told.radius
         free = np.array([least + self._late(context) * self._surface_speed])
         ages, first = np.array([told.age + REACTION_TIME]), np.array([len(rows.caps)])
-        disc = _Placed(first, x, y, separations.gap, ages, free, np.array([least]))
+        disc = _Placed(first, x, y, separations.gap, ages, free, free)
         more = self._obstacle_constraints(separations, disc, along)
         more = concatenated(more, self._corner_constraints(disc, along))
         rim_x, rim_y = x - told.radius * separations.nx, y - told.radius * separations.ny
@@ -600,11 +625,6 @@ class Barrier:
         is_beyond = memory.nearest > outline
         points = self._offset + memory.nearest[is_beyond, None] * rays[is_beyond]
         return rays[~is_beyond], points
-
-    def _contact_gaps(self, separations: Separations, x: Array, y: Array) -> Array:
-        """(k,) m from the outline within which obstacles seen at `x`, `y` may touch it unseen."""
-        least = self._settings.margin + self._settings.unseen_extent
-        return least + hidden_gaps(separations, x, y, self._offset, self._blind)
 
     def _free(self, context: DecisionContext) -> float:
         """m that must stay free around each return, for unseen parts and unknown motion.

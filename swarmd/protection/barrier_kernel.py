@@ -21,11 +21,13 @@ from swarmd.protection.barrier import AGE_TOLERANCE
 from swarmd.protection.compiled_barrier import LIMITS, PASSES, REPEATS, STOPS
 from swarmd.protection.constraints import (
     AT_AXLE,
+    CREEP_GAIN,
     CREEP_SPEED,
     ENVELOPE_DIRECTIONS,
     MAX_REPORTED,
     MIN_BRAKING,
     SIDE_ANGLE,
+    SLOW_REQUEST,
 )
 from swarmd.protection.dead_reckoning import REACTION_TIME
 from swarmd.protection.projection import BINDING_TOLERANCE, TOLERANCE
@@ -34,6 +36,8 @@ from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
 
 _tick = cython.declare(cython.double, TICK)
 _creep = cython.declare(cython.double, CREEP_SPEED)
+_creep_gain = cython.declare(cython.double, CREEP_GAIN)
+_slow = cython.declare(cython.double, SLOW_REQUEST)
 _min_braking = cython.declare(cython.double, MIN_BRAKING)
 _side_cos = cython.declare(cython.double)
 _side_sin = cython.declare(cython.double)
@@ -131,6 +135,7 @@ class BarrierKernel:
     _fastest: cython.double
     _within: cython.double
     _stale: cython.double
+    _may_creep: cython.bint
     # The outline: corners, and for each edge its direction, normal and their origins.
     _edges: cython.Py_ssize_t
     _corner_x: cython.double[::1]
@@ -232,6 +237,10 @@ class BarrierKernel:
     _row_y: cython.double[::1]
     _row_cap: cython.double[::1]
     _row_gap: cython.double[::1]
+    _kept_cap: cython.double[::1]
+    # The cap of a robot that creeps in m/s; 0 where it must not.
+    _creep_cap: cython.double
+    _is_creeping: cython.bint
     _source: cython.longlong[::1]
     # Two envelopes: while creeping and else.
     _envelope_x: cython.double[:, ::1]
@@ -285,6 +294,7 @@ class BarrierKernel:
         self._inner, self._outer = outline.circles(derived.offset)
         self._fresh, self._fastest = derived.fresh, derived.fastest
         self._within, self._stale = derived.within, derived.stale
+        self._may_creep = derived.may_creep
         self._edges = len(outline.corners)
         self._corner_x = array("d", outline.corners[:, 0].tolist())
         self._corner_y = array("d", outline.corners[:, 1].tolist())
@@ -878,13 +888,51 @@ class BarrierKernel:
         """1 if a request must be limited, to `linear` and `angular`."""
         wanted_x: cython.double = speed / self._limit
         wanted_y: cython.double = angular / self._angular_limit
+        if self._is_creeping:
+            self._end_creeping()
         self._project(wanted_x, wanted_y)
         self.linear = self._point_x * self._limit
         self.angular = self._point_y * self._angular_limit
         is_reduced: cython.bint = self._limit_stop()
         if not is_reduced and self._point_x == wanted_x and self._point_y == wanted_y:
             return 0
+        if self._creep_cap > 0.0 and 0.0 < fabs(speed) <= _slow:
+            x: cython.double = self._point_x
+            y: cython.double = self._point_y
+            off: cython.double = hypot(
+                self.linear / self._limit - wanted_x, self.angular / self._angular_limit - wanted_y
+            )
+            self._begin_creeping()
+            self._project(wanted_x, wanted_y)
+            if hypot(self._point_x - wanted_x, self._point_y - wanted_y) < off - _creep_gain:
+                self.linear = self._point_x * self._limit
+                self.angular = self._point_y * self._angular_limit
+            else:
+                self._end_creeping()
+                self._point_x, self._point_y = x, y
         return 1
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _begin_creeping(self) -> cython.int:
+        """Use the caps and the envelope of a robot that creeps."""
+        i: cython.Py_ssize_t
+        for i in range(self._all):
+            self._kept_cap[i] = self._row_cap[i]
+        for i in range(self._rows):
+            self._row_cap[i] = _maximum(self._row_cap[i], self._creep_cap)
+        self._is_creeping = True
+        return self._set_envelope(0)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _end_creeping(self) -> cython.int:
+        """Use the caps and the envelope of a robot that does not creep."""
+        i: cython.Py_ssize_t
+        for i in range(self._rows):
+            self._row_cap[i] = self._kept_cap[i]
+        self._is_creeping = False
+        return self._set_envelope(1)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -928,7 +976,7 @@ class BarrierKernel:
                 frame_y + s * self._x[i] + c * self._y[i],
                 0.0,
             )
-            self._placed_contact[i] = self._margin + self._unseen_extent + self._hidden_gap(i)
+            self._placed_contact[i] = self._free + self._hidden_gap(i)
         self._add_sides(0, count)
         if self._unseen_extent > 0.0:
             self._add_corners(contacts, count)
@@ -945,8 +993,16 @@ class BarrierKernel:
         if self._discs:
             self._add_told(odometry_age, late)
         self._all = self._rows
+        self._is_creeping = False
         if self._is_near or self._discs:
-            self._add_envelope()
+            self._set_envelope(0 if self._is_touching() else 1)
+        self._creep_cap = 0.0
+        if self._may_creep and self._is_near and not (self._has_touch or self._discs):
+            self._creep_cap = _creep
+            for i in range(count):
+                rest: cython.double = 0.5 * (self._placed_gap[i] - self._placed_contact[i])
+                rest /= self._placed_age[i] + _tick
+                self._creep_cap = min(self._creep_cap, rest)
         return 0
 
     @cython.cfunc
@@ -1011,7 +1067,7 @@ class BarrierKernel:
             self._placed_free[i] = least + late * self._surface_speed
             self._placed_age[i] = told[n, 3] + _reaction
             self._add_point(i, c * dx + s * dy + x, c * dy - s * dx + y, radius)
-            self._placed_contact[i] = least
+            self._placed_contact[i] = self._placed_free[i]
             self._add_sides(i, i + 1)
             self._add_corners(i, i + 1)
         return 0
@@ -1194,19 +1250,24 @@ class BarrierKernel:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _add_envelope(self) -> cython.int:
-        """The rows of the envelope, which are not reported."""
+    def _is_touching(self) -> cython.int:
+        """1 if an obstacle may touch the robot."""
         i: cython.Py_ssize_t
-        which: cython.Py_ssize_t = 1
         for i in range(self._count):
             is_within: cython.bint = self._placed_gap[i] <= self._placed_contact[i]
             if is_within and self._row_cap[self._first_row[i]] <= 0.0:
-                which = 0
-                break
+                return 1
         for i in range(self._count, self._count + self._discs):  # see Barrier._may_touch
             left: cython.double = self._placed_gap[i] - (self._placed_free[i] - self._margin)
             if left <= self._others * (self._placed_age[i] + _tick):
-                which = 0
+                return 1
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _set_envelope(self, which: cython.Py_ssize_t) -> cython.int:
+        """The rows of an envelope, while creeping (0) or else (1), which are not reported."""
+        i: cython.Py_ssize_t
         if not (
             self._envelope_along_x[which] == self._along_x
             and self._envelope_along_y[which] == self._along_y
@@ -1214,6 +1275,7 @@ class BarrierKernel:
             self._find_envelope(which, _creep if which == 0 else self._surface_speed)
             self._envelope_along_x[which] = self._along_x
             self._envelope_along_y[which] = self._along_y
+        self._all = self._rows
         for i in range(self._way_x.shape[0]):
             self._row_x[self._all] = self._envelope_x[which, i]
             self._row_y[self._all] = self._envelope_y[which, i]
@@ -1259,6 +1321,7 @@ class BarrierKernel:
             return 0
         self._row_x, self._row_y = _doubles(count), _doubles(count)
         self._row_cap, self._row_gap = _doubles(count), _doubles(count)
+        self._kept_cap = _doubles(count)
         self._source = _indices(count)
         return 0
 

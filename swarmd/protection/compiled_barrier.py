@@ -34,6 +34,7 @@ class Derived(NamedTuple):
     fastest: float
     within: float
     stale: float
+    may_creep: bool
 
 
 def make_barrier(platform: Platform) -> Barrier:
@@ -58,6 +59,7 @@ class CompiledBarrier(Barrier):
             fastest=self._binding_range.fastest,
             within=self._within,
             stale=self._stale,
+            may_creep=self._may_creep,
         )
         self._kernel = kernel.BarrierKernel(self._settings, self._outline, derived)
         self._directions: Array | None = None

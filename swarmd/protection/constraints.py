@@ -29,7 +29,16 @@ LIMIT_BOX: tuple[Point, ...] = ((1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.
 """All twists within the limits, as a polygon of (linear, angular) over their limits."""
 
 CREEP_SPEED = 0.015
-"""m/s: the fastest corner in contact, where part of the obstacle may be unseen."""
+"""m/s: the fastest corner in contact, where part of the obstacle may be unseen.
+
+Also that of a robot that creeps towards an obstacle which stops any faster robot.
+"""
+
+SLOW_REQUEST = 3.0 * CREEP_SPEED
+"""m/s: a robot that is asked for more does not creep towards an obstacle."""
+
+CREEP_GAIN = 1e-6
+"""By which creeping must be nearer to the requested command, in speeds over their limits."""
 
 MIN_BRAKING = 0.02
 """m/s2, for constraints that hardly any motion closes."""

@@ -329,3 +329,22 @@ def test_obstacles_at_the_assumed_speed_are_not_closed_on(kind: str, seed: int) 
     """Not for a Jackal, which does not see obstacles within 0.8 m."""
     done = random_run(kind, seed, 1.0, 6.0)
     assert done.touch is None or done.touch.speed <= NO_FAULT
+
+
+@pytest.mark.parametrize(("speed", "gap"), [(0.04, 0.03 + 0.05), (0.05, 0.09)])
+def test_only_a_slow_request_creeps_up_to_the_contact_gap(speed: float, gap: float) -> None:
+    """5 cm of the blind zone of a Burger lie ahead of it; the margin is 3 cm."""
+    seen_whole = under_barrier(BURGER, unseen_extent=0.0)
+    run = FilterSim(seen_whole, [box(0.1, 4.0, Pose(0.5))]).run(Twist(speed), 30.0)
+    assert run.min_gap == pytest.approx(gap, abs=0.004)
+
+
+@pytest.mark.parametrize("begin", [2.0, 6.0, 9.97, 10.03])
+@pytest.mark.parametrize("aside", [0.0, 0.2])
+def test_a_creeping_robot_is_not_at_fault(aside: float, begin: float) -> None:
+    """A box starts to approach at the assumed speed, straight or past a front corner."""
+    speed = math.sqrt(0.3**2 - aside**2)
+    comes = box(0.1, 0.3, Pose(0.32, -aside), velocity=(-speed, aside), begin=begin)
+    run = FilterSim(under_barrier(BURGER, unseen_extent=0.0), [comes]).run(Twist(0.04, 0.5), 15.0)
+    assert run.touch is not None
+    assert run.touch.speed <= NO_FAULT
