@@ -239,8 +239,10 @@ class Lidar:
         if self._caster is not None:
             self._caster.cast(poses, observers, first, counts, rows, ranges)
             return
+        due = np.flatnonzero(counts)
+        seen_by_row = self.cast(poses, observers[due])
         for row, place, count, seen in zip(
-            rows, first, counts, self.cast(poses, observers), strict=True
+            rows[due], first[due], counts[due], seen_by_row, strict=True
         ):
             some = self._rays.number[place : place + count]
             ranges[row, some] = seen[some]
