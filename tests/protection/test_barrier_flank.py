@@ -10,6 +10,7 @@ import pytest
 from swarmd.core.values import Pose, Twist
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import FilterSim, Shape, pole, under_barrier
+from tests.support.homing import HomingSim
 
 NO_FAULT = 0.02  # m/s: a slower contact is not a fault of the robot
 STEP, BEGIN = 0.1, 0.8  # s
@@ -44,3 +45,10 @@ def test_pole_that_passes_a_turning_flank_is_not_met(phase: float, noise: float)
     sim = FilterSim(platform, [passing], phase=phase, noise=noise, seed=20007)
     touch = sim.run(lambda time: REQUESTS[min(int(time), 2)], 3.2).touch
     assert touch is None or touch.speed <= NO_FAULT
+
+
+@pytest.mark.parametrize("phase", np.arange(0.0, 0.2, 0.01).round(2).tolist())
+def test_pole_that_homes_in_on_a_turning_waffle_pi_is_not_met(phase: float) -> None:
+    """At exactly `others_speed`; its aim sweeps along the outline."""
+    fault = HomingSim("waffle_pi", 100, begin=0.8, phase=phase).fault(4.0)
+    assert fault is None or fault <= NO_FAULT

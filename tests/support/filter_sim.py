@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.values import (
     ZERO,
@@ -144,8 +145,9 @@ class FilterSim:
 
     `phase`: time of the first scan; `delay`: from command to base; both in s. `braking`: m/s2 and
     rad/s2 (None: as protection assumes). `noise`: the standard deviation of ranges in m. `late`: s
-    by which each scan comes later than declared, by its number. A test may set `has_lidar` and
-    `has_odometry` to false at any time.
+    by which each scan comes later than declared, by its number. `rolling`: each ray is measured at
+    its own time, by the platform's sweep. A test may set `has_lidar` and `has_odometry` to false at
+    any time.
     """
 
     def __init__(
@@ -159,8 +161,11 @@ class FilterSim:
         noise: float = 0.0,
         seed: int = 0,
         late: Callable[[int], float] = lambda seq: 0.0,
+        rolling: bool = False,
     ) -> None:
         self._late = late
+        self._due = _steps_of_rays(platform.scan) if rolling else np.zeros(1, np.intp)
+        self._begun, self._rolled = -1, np.empty(0)  # the sweep in progress
         self.platform, self.shapes = platform, tuple(shapes)
         self.pose, self.twist, self.time = HERE, ZERO, 0.0
         self.has_lidar = self.has_odometry = True
@@ -201,22 +206,29 @@ class FilterSim:
         return run
 
     def scan(self) -> Scan:
-        """The present scan, as a driver delivers it."""
-        spec = self.platform.scan
-        sensor = placed(np.array([spec.offset]), self.pose)[0]
+        """The present scan, as a driver delivers it; all rays are of this instant."""
+        bearings = self.platform.scan.bearings
+        return self._delivered(self._ranges(bearings), self.time, np.zeros(len(bearings)))
+
+    def _ranges(self, bearings: Array) -> Array:
+        """(n,) exact distances in m along rays, from where the sensor is now."""
+        sensor = placed(np.array([self.platform.scan.offset]), self.pose)[0]
         outlines = [
             placed(shape.corners if shape.seen is None else shape.seen, shape.at(self.time))
             for shape in self.shapes
         ]
-        ranges = cast(sensor, spec.bearings + self.pose.yaw, outlines)
+        return cast(sensor, bearings + self.pose.yaw, outlines)
+
+    def _delivered(self, ranges: Array, stamp: float, ages: Array) -> Scan:
+        """A scan of exact ranges as a driver delivers it."""
+        spec = self.platform.scan
         self._seq += 1
         if self._noise > 0.0:
             ranges = ranges + self._rng.normal(0.0, self._noise, len(ranges))
         else:
             ranges = trembling(ranges, self._seq)
         reported = driver_ranges(ranges, spec)
-        limits, at_once = (spec.range_min, spec.range_max), np.zeros(len(reported))
-        return Scan(self._seq, self.time, reported, spec.bearings, *limits, at_once)
+        return Scan(self._seq, stamp, reported, spec.bearings, spec.range_min, spec.range_max, ages)
 
     def odometry(self) -> Odometry:
         """The present odometry."""
@@ -224,13 +236,37 @@ class FilterSim:
 
     def _sense(self) -> None:
         period = round(1.0 / (self.platform.scan.rate * DT))
-        if (self._step - round(self._phase / DT)) % period == 0 and self.has_lidar:
+        begins = (self._step - round(self._phase / DT)) % period == 0 and self.has_lidar
+        if len(self._due) > 1:
+            self._roll(begins)
+        elif begins:
             at = self.time + self.platform.scan.latency + self._late(self._seq)
             self._coming.append((at - 1e-9, self.scan()))
         if self._step % round(TICK / DT) == 0 and self.has_odometry:
             odometry = self.odometry()
             self.sensors.on_odometry(odometry, self.time)
             self.protection.on_odometry(odometry)
+
+    def _roll(self, begins: bool) -> None:
+        """Measure the rays of this step: the last ones of a sweep, then the first of the next."""
+        self._measure()
+        if begins:
+            self._begun, self._rolled = self._step, np.empty(len(self._due))
+            self._measure()
+
+    def _measure(self) -> None:
+        if self._begun < 0:
+            return
+        since, spec = self._step - self._begun, self.platform.scan
+        is_due = self._due == since
+        self._rolled[is_due] = self._ranges(spec.bearings[is_due])
+        last = int(self._due.max())
+        if since == last:
+            ages = DT * (last - self._due).astype(np.float64)
+            waits = max(spec.latency - float(ages.mean()), 0.0) + self._late(self._seq)
+            scan = self._delivered(self._rolled, self._begun * DT, ages)
+            self._coming.append((self.time + waits - 1e-9, scan))
+            self._begun = -1
 
     def _arrive(self) -> bool:
         """Deliver the scans that have arrived; true if a valid one is among them."""
@@ -291,6 +327,13 @@ def ramped(now: float, wanted: float, accelerating: float, braking: float) -> fl
         target = 0.0 if now * wanted < 0.0 else wanted
         return now + min(max(target - now, -braking * DT), braking * DT)
     return now + min(max(wanted - now, -accelerating * DT), accelerating * DT)
+
+
+def _steps_of_rays(spec: ScanSpec) -> NDArray[np.intp]:
+    """(n,) steps of `DT` after the begin of a sweep at which each ray is measured."""
+    assert spec.sweep is not None
+    turned = (spec.sweep.direction * (spec.bearings - spec.sweep.start) + 1e-9) % (2.0 * math.pi)
+    return np.rint(turned / (2.0 * math.pi) * spec.sweep.duration / DT).astype(np.intp)
 
 
 def driver_ranges(ranges: Array, spec: ScanSpec) -> Array:
