@@ -279,6 +279,25 @@ def test_contact_stays_one_after_the_robot_has_moved_away() -> None:
     assert all(decision.is_active for decision in pair.decisions)
 
 
+def test_both_paths_report_a_told_obstacle_that_limits_by_the_stop_alone() -> None:
+    """Two returns are farther from the robot, which turns and drives the other way."""
+    rng, reported = np.random.default_rng(0), 0
+    for _ in range(60):
+        pair = Pair(BURGER)
+        twist = Twist(float(rng.uniform(-0.22, 0.22)), float(rng.uniform(-2.0, 2.0)))
+        pair.readings, pair.command = [Odometry(pair.now, Pose(), twist)], twist
+        places, beyond = rng.uniform(0.0, 1.0, 2), rng.uniform(0.2, 0.5, 2)
+        faces = [Face(*one, 0.0) for one in zip(places, (0.0, 0.0), beyond, strict=True)]
+        pair.take(Seen(faces, 0.0))
+        bearing, away = rng.uniform(-3.0, 3.0), rng.uniform(0.25, 0.4)
+        told = ToldObstacle(away * math.cos(bearing), away * math.sin(bearing), 0.1, 0.1)
+        requests = [tuple(rng.uniform(-1.0, 1.0, 3).tolist()) for _ in range(3)]
+        pair.take(Asked(0.0, requests, None, 0.0, -1, (told,)))
+        rows = [decision.rows for decision in pair.decisions if len(decision.rows) == 1]
+        reported += sum(abs(row.bearing - bearing) < 0.3 for (row,) in rows)
+    assert reported > 10
+
+
 @pytest.mark.parametrize("x", [0.0, -0.0, 1e-17, -1e-17])
 @pytest.mark.parametrize("yaw", [0.0, 0.7, 2.0, -3.0])
 def test_an_obstacle_told_at_the_axle_is_reported_ahead(x: float, yaw: float) -> None:
