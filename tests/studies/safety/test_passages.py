@@ -54,3 +54,7 @@ def test_a_robot_passes_the_narrowest_corridor_and_none_much_narrower(
 
 def test_of_two_that_meet_in_a_corridor_one_yields() -> None:
     assert crossings(Passage(0.445, 1.0, 1, 1, duration=100.0), 1) > 0
+
+
+def test_a_robot_passes_a_door_of_two_bodies() -> None:
+    assert crossings(Passage(2.0 * 0.178, duration=60.0), 1) > 0
