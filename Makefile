@@ -9,7 +9,7 @@ ARGS ?=
 # nothing. 0: one after the other, in this process.
 JOBS ?= 5
 
-.PHONY: help demo kernels wheels test evidence check format bench budget network network-scale paper safety outcomes voting mutants kernel-mutants lock clean
+.PHONY: help demo kernels wheels test evidence check static wheel format bench budget network network-scale paper safety outcomes voting mutants kernel-mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -39,7 +39,7 @@ demo: $(VENV)/installed
 
 # After an edit of a *_kernel.py.
 kernels: $(VENV)/tools
-	@$(BIN)/python setup.py --quiet build_ext --inplace --parallel $$(nproc)
+	@$(BIN)/python setup.py --quiet build_ext --inplace
 
 wheels: $(VENV)/made
 	@.ci/build-wheels $(BIN)/python
@@ -57,10 +57,15 @@ evidence: $(VENV)/tools
 	  --hypothesis-profile evidence --timeout 3600 $(ARGS)
 	@$(MAKE) --no-print-directory ARGS= outcomes paper voting safety
 
-check: $(VENV)/tools
+check: static wheel
+
+static: $(VENV)/tools
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+# Without isolation: the installation of the tools has built swarmd with what pyproject.toml names.
+wheel: $(VENV)/tools
 	.ci/try-wheel $(BIN)/python
 
 format: $(VENV)/tools

@@ -64,5 +64,5 @@ for module in modules:
     module.optional = True  # cythonize drops it from the extensions that it is given
 setup(
     ext_modules=modules,
-    options={"bdist_wheel": {"py_limited_api": "cp311"}},
+    options={"bdist_wheel": {"py_limited_api": "cp311"}, "build_ext": {"parallel": True}},
 )

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.integration
 
-PER_KIND = 160
+PER_KIND = 40
 PER_KEY = 20
 MESH = ("control/", "state/")
 WRONG_HW = tuple(
@@ -177,7 +177,7 @@ def test_malformed_messages_are_counted_and_disturb_no_robot(swarm: Swarm, vanda
     after = swarm.status("r1")
     print(f"{vandal.sent} bad messages; {after.health.dropped}")
     print(f"loop p99 {after.health.loop_p99 * 1e3:.1f} ms")
-    assert vandal.sent >= 8_000
+    assert vandal.sent >= 2_000
     assert (after.state, after.epoch) == (State.RUNNING, before.epoch)
     assert after.health.loop_stalls == 0
     body.wait_moving(boottime())
