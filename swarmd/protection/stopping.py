@@ -25,8 +25,7 @@ FAULT_SPEED = 0.02
 """m/s: a contact at a closing speed up to this is not a fault of the robot."""
 
 _STEPS = 4  # poses of a simulated stop; the kernel has four, too
-# Eighths, and a sixteenth: beside an obstacle only slow turns pass, by which a robot gets away.
-_GRID = (1.0, 0.875, 0.75, 0.625, 0.5, 0.375, 0.25, 0.125, 0.0625, 0.0)
+_GRID = (1.0, 0.75, 0.5, 0.25, 0.0)
 SPEED_SHARES = np.array(
     sorted(
         ((a, b) for a in _GRID for b in _GRID if (a, b) != (1.0, 1.0)),

@@ -53,7 +53,7 @@ def test_straight_stop_keeps_the_free_gap() -> None:
     free, point = 0.05, 0.30
     enough = FRONT + free + way(0.2)
     assert cleared((0.2, 0.0), (enough + 0.002, 0.0), free=(free, 0.0)) == (0.2, 0.0)
-    assert cleared((0.2, 0.0), (enough - 0.002, 0.0), free=(free, 0.0)) == (0.875 * 0.2, 0.0)
+    assert cleared((0.2, 0.0), (enough - 0.002, 0.0), free=(free, 0.0)) == (0.75 * 0.2, 0.0)
     assert cleared((-0.2, 0.0), (enough - 0.002, 0.0), free=(free, 0.0)) == (-0.2, 0.0)
     assert cleared((0.2, 0.0), (-point, 0.0), free=(free, 0.0)) == (0.2, 0.0)
 
@@ -108,10 +108,8 @@ def test_lateral_motion_is_checked() -> None:
 
 
 def test_gives_zero_between_walls() -> None:
-    """A sixteenth of 2.84 rad/s closes at 1.8 cm/s, an eighth of 1 rad/s at 1.3 cm/s."""
     walls = [(x, y) for x in np.arange(-0.15, 0.1, 0.01) for y in (-HALF - 0.002, HALF + 0.002)]
-    assert cleared((0.0, 2.84), *walls) == (0.0, 0.0)
-    assert cleared((0.0, 1.0), *walls) == (0.0, 0.125)
+    assert cleared((0.0, 1.0), *walls) == (0.0, 0.0)
 
 
 POINTS = st.lists(st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)), min_size=1, max_size=4)
@@ -129,8 +127,7 @@ def test_no_nearer_share_of_the_grid_is_clear(
     speeds = v * platform.limits.linear, w * platform.limits.angular
     left = cleared(speeds, *seen, free=(free, 0.0), platform=platform)
     assert cleared(left, *seen, free=(free, 0.0), platform=platform) == left
-    grid = (*np.linspace(0.0, 1.0, 9), 0.0625)
-    shares = [(a, b) for a in grid for b in grid]
+    shares = [(a, b) for a in np.linspace(0, 1, 5) for b in np.linspace(0, 1, 5)]
     chosen = [s for s in shares if np.allclose((s[0] * speeds[0], s[1] * speeds[1]), left)]
     assert chosen
     cost = min((1.0 - a) ** 2 + (1.0 - b) ** 2 for a, b in chosen)
