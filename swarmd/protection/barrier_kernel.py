@@ -1609,14 +1609,26 @@ class BarrierKernel:
             nx: cython.double = self._axis_x[edges + k]
             ny: cython.double = self._axis_y[edges + k]
             above: cython.double = nx * x + ny * y - self._origin[edges + k]
-            if not (0.0 < above < within):
+            if not above < within:
                 continue
+            length: cython.double = self._length[k]
             along: cython.double = self._axis_x[k] * x + self._axis_y[k] * y - self._origin[k]
-            half: cython.double = sqrt(within * within - above * above)
-            first: cython.double = along - half if along > half else 0.0
-            last: cython.double = (
-                along + half if along + half < self._length[k] else self._length[k]
-            )
+            first: cython.double
+            last: cython.double
+            if above > 0.0:
+                half: cython.double = sqrt(within * within - above * above)
+                first, last = along - half, along + half
+            else:  # from behind the edge's line the way leads around the nearer corner
+                past: cython.double = -along if along < 0.0 else along - length
+                if not past > 0.0:
+                    continue
+                left: cython.double = within - hypot(past, above)
+                if not left > 0.0:
+                    continue
+                first = 0.0 if along < 0.0 else length - left
+                last = left if along < 0.0 else length
+            first = first if first > 0.0 else 0.0
+            last = last if last < length else length
             if first > last:
                 continue
             turned: cython.double = w * (

@@ -129,11 +129,18 @@ class StopCheck:
             above = points[..., 0] * nx + points[..., 1] * ny - outline.origins[count + k]
             place = points[..., 0] * ax + points[..., 1] * ay - outline.origins[k]
             half = np.sqrt(np.maximum(within * within - above * above, 0.0))
-            first = np.maximum(place - half, 0.0)
-            last = np.minimum(place + half, outline.lengths[k])
+            length = outline.lengths[k]
+            # From behind the edge's line the way leads around the nearer corner.
+            past = np.maximum(-place, place - length)
+            left = within - np.hypot(past, above)
+            is_behind, is_first = above <= 0.0, place < 0.0
+            first = np.where(is_behind, np.where(is_first, 0.0, length - left), place - half)
+            last = np.where(is_behind, np.where(is_first, left, length), place + half)
+            first, last = np.maximum(first, 0.0), np.minimum(last, length)
             turned = w * (x * ny - y * nx - np.where(w > 0.0, first, last))
             outwards = np.minimum(turned, turned + v * (along[0] * nx + along[1] * ny))
-            found |= (above > 0.0) & (above < within) & (first <= last) & (outwards > FAULT_SPEED)
+            reaches = np.where(is_behind, (past > 0.0) & (left > 0.0), above < within)
+            found |= reaches & (first <= last) & (outwards > FAULT_SPEED)
         return found
 
     def _stops(self, speeds: Array, along: Array) -> tuple[Array, Array, Array, Array, Array]:
