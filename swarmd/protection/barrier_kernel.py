@@ -1544,7 +1544,11 @@ class BarrierKernel:
             x += move * (c * self._along_x - d * self._along_y)
             y += move * (d * self._along_x + c * self._along_y)
             self._stop_x[j], self._stop_y[j] = x, y
-            self._stop_v[j], self._stop_w[j] = move / step, turn / step
+            until: cython.double = _maximum(step * j - _tick, 0.0)
+            shed = linear * until if until > 0.0 else 0.0
+            self._stop_v[j] = _maximum(v - shed, 0.0) * _sign(s)
+            shed = angular * until if until > 0.0 else 0.0
+            self._stop_w[j] = _maximum(turning - shed, 0.0) * _sign(w)
             self._stop_cos[j], self._stop_sin[j] = cos(yaw), sin(yaw)
             moved: cython.double = fabs(move) + fabs(turn) * self._radius
             if not (moved + 1e-12 <= _negligible * step):

@@ -154,6 +154,7 @@ class StopCheck:
         last = self._tick + np.maximum(v / b_v, w / b_w)
         step = last / _STEPS
         braked = np.maximum(step * (np.arange(_STEPS) + 0.5) - self._tick, 0.0)
+        until = np.maximum(step * np.arange(_STEPS) - self._tick, 0.0)
         moves = np.maximum(v - _shed(b_v, braked), 0.0) * step * np.sign(speeds[:, None, None, 0])
         turns = np.maximum(w - _shed(b_w, braked), 0.0) * step * np.sign(speeds[:, None, None, 1])
         yaw = turns.cumsum(axis=2)
@@ -165,7 +166,9 @@ class StopCheck:
         flat = len(speeds), -1
         poses = np.stack((x.reshape(flat), y.reshape(flat), yaw.reshape(flat)), axis=2)
         way = (np.abs(moves) + self._radius * np.abs(turns)).sum(axis=2).max()
-        then = np.stack(np.broadcast_arrays(moves / step, turns / step), axis=-1)
+        v_then = np.maximum(v - _shed(b_v, until), 0.0) * np.sign(speeds[:, None, None, 0])
+        w_then = np.maximum(w - _shed(b_w, until), 0.0) * np.sign(speeds[:, None, None, 1])
+        then = np.stack(np.broadcast_arrays(v_then, w_then), axis=-1)
         return poses, np.broadcast_to(times, x.shape).reshape(flat), then, step, way
 
 
