@@ -33,6 +33,7 @@ from swarmd.protection.constraints import (
     LIMIT_BOX,
     MIN_BRAKING,
     SIDE_ANGLE,
+    SIDE_RESERVE,
     SLOW_REQUEST,
     BindingRange,
     Constraints,
@@ -169,6 +170,9 @@ class Barrier:
         )
         can_hide = platform.scan.near != "reported" and settings.keep_out is None
         self._blind = platform.scan.range_min if can_hide else 0.0
+        reserve = settings.side_reserve
+        reserve = SIDE_RESERVE * settings.others_speed if reserve is None else reserve
+        self._side_reserve = reserve if settings.responsibility == "passive" else 0.0
         self._may_creep = settings.responsibility == "passive" and settings.keep_out is None
         self._obstacles, self._taken_at, self._taken = _NO_OBSTACLES, Pose(), -math.inf
         self._lag, self._clock_resets = 0.0, 0
@@ -215,7 +219,8 @@ class Barrier:
         others = settings.others_speed if settings.responsibility == "passive" else 0.0
         post = settings.margin + settings.unseen_extent + others * (age + TICK) + _PASSAGE_SLACK
         mean_age = age + 0.5 / self._spec.rate
-        contact, rest = self._contact_gap_beside(), _CORRIDOR_SPEED * math.sin(SIDE_ANGLE)
+        contact = self._contact_gap_beside()
+        rest = _CORRIDOR_SPEED * math.sin(SIDE_ANGLE) + self._side_reserve
         side = contact + 2.0 * (mean_age + TICK) * rest + _PASSAGE_SLACK
         creeping = post
         if self._may_creep:
@@ -482,6 +487,7 @@ class Barrier:
             separations, separations.gap - placed.free, x, y, along, ages
         )
         rest = 0.5 * (separations.gap - placed.contact) / (ages + TICK)
+        rest -= self._side_reserve
         corners = self._outline.corners
         return concatenated(
             rows, side_constraints(rows, separations, corners, along, rest, CREEP_SPEED)

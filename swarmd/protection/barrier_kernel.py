@@ -135,6 +135,7 @@ class BarrierKernel:
     _fastest: cython.double
     _within: cython.double
     _stale: cython.double
+    _side_reserve: cython.double
     _may_creep: cython.bint
     # The outline: corners, and for each edge its direction, normal and their origins.
     _edges: cython.Py_ssize_t
@@ -294,7 +295,7 @@ class BarrierKernel:
         self._inner, self._outer = outline.circles(derived.offset)
         self._fresh, self._fastest = derived.fresh, derived.fastest
         self._within, self._stale = derived.within, derived.stale
-        self._may_creep = derived.may_creep
+        self._side_reserve, self._may_creep = derived.side_reserve, derived.may_creep
         self._edges = len(outline.corners)
         self._corner_x = array("d", outline.corners[:, 0].tolist())
         self._corner_y = array("d", outline.corners[:, 1].tolist())
@@ -1159,6 +1160,7 @@ class BarrierKernel:
                 gap: cython.double = self._placed_gap[i]
                 rest: cython.double = 0.5 * (gap - self._placed_contact[i])
                 rest /= self._placed_age[i] + _tick
+                rest -= self._side_reserve
                 linear: cython.double = ax * self._along_x + ay * self._along_y
                 self._add(linear, lever, _maximum(rest, _creep), gap - self._radius_of[i], i)
         return 0
@@ -1550,10 +1552,10 @@ class BarrierKernel:
             shed = angular * until if until > 0.0 else 0.0
             self._stop_w[j] = _maximum(turning - shed, 0.0) * _sign(w)
             self._stop_cos[j], self._stop_sin[j] = cos(yaw), sin(yaw)
-            moved: cython.double = fabs(move) + fabs(turn) * self._radius
-            if not (moved + 1e-12 <= _negligible * step):
+            fastest: cython.double = fabs(self._stop_v[j]) + fabs(self._stop_w[j]) * self._radius
+            if not (fastest + 1e-12 <= _negligible):
                 self._poses = j + 1  # those after it close on nothing
-            way += moved
+            way += fabs(move) + fabs(turn) * self._radius
             self._stop_way[j] = -way
         return way
 

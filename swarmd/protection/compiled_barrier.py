@@ -34,6 +34,7 @@ class Derived(NamedTuple):
     fastest: float
     within: float
     stale: float
+    side_reserve: float
     may_creep: bool
 
 
@@ -59,6 +60,7 @@ class CompiledBarrier(Barrier):
             fastest=self._binding_range.fastest,
             within=self._within,
             stale=self._stale,
+            side_reserve=self._side_reserve,
             may_creep=self._may_creep,
         )
         self._kernel = kernel.BarrierKernel(self._settings, self._outline, derived)

@@ -45,6 +45,12 @@ MIN_BRAKING = 0.02
 
 SIDE_ANGLE = math.radians(60.0)
 """rad between a return and its two side constraints."""
+SIDE_RESERVE = 0.25
+"""Share of `others_speed` by which a corner passes an obstacle more slowly, if none is given.
+
+With 0 attackers met a Waffle Pi at up to 5.2 cm/s at a corner that slid past them, with 0.1 at 3.4,
+with 0.25 at 1.5.
+"""
 
 AT_AXLE = 1e-9
 """m from the axle: rounding decides the direction of a nearer place."""

@@ -8,6 +8,7 @@ from msgspec import Meta, Struct
 
 Length = Annotated[float, Meta(ge=0.0, le=10.0)]
 Speed = Annotated[float, Meta(gt=0.0, le=20.0)]
+Reserve = Annotated[float, Meta(ge=0.0, le=20.0)]
 Braking = Annotated[float, Meta(gt=0.0, le=100.0)]
 Mode = Literal["barrier", "potential_field", "stop_zone", "off"]
 
@@ -43,6 +44,10 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     # m/s, fastest corner of this robot near an obstacle; None: `others_speed`. Higher than the
     # `others_speed` of another robot: breaks that robot's assumption. Lower: slower turns.
     surface_speed: Speed | None = None
+    # m/s by which a corner passes an obstacle more slowly, which may move to where the corner goes;
+    # None: a quarter of `others_speed`. Higher: passes corridors more slowly. Lower: a thing that
+    # homes in on the corner can be met. Only for `passive`.
+    side_reserve: Reserve | None = None
     # m from the outline within which `surface_speed` applies; None: as far as a constraint can
     # bind. Higher: slows down earlier. Lower: others meet a faster surface than they assume.
     envelope_within: Length | None = None

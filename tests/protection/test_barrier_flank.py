@@ -47,8 +47,13 @@ def test_pole_that_passes_a_turning_flank_is_not_met(phase: float, noise: float)
     assert touch is None or touch.speed <= NO_FAULT
 
 
-@pytest.mark.parametrize("phase", np.arange(0.0, 0.2, 0.01).round(2).tolist())
-def test_pole_that_homes_in_on_a_turning_waffle_pi_is_not_met(phase: float) -> None:
-    """At exactly `others_speed`; its aim sweeps along the outline."""
-    fault = HomingSim("waffle_pi", 100, begin=0.8, phase=phase).fault(4.0)
-    assert fault is None or fault <= NO_FAULT
+@pytest.mark.parametrize("seed", [58, 64, 100, 133])
+def test_pole_that_homes_in_on_a_turning_waffle_pi_is_not_met(seed: int) -> None:
+    """At exactly `others_speed`; its aim sweeps along the outline. 20 phases of each ride.
+
+    In 64 it goes around a corner to the edge that swings outwards, in 133 the turn ends late within
+    a step of the simulated stop, in 58 it comes beside a corner that slides past it.
+    """
+    sims = [HomingSim("waffle_pi", seed, begin=0.8, phase=0.01 * phase) for phase in range(20)]
+    faults = [sim.fault(4.0) or 0.0 for sim in sims]
+    assert max(faults) <= NO_FAULT, faults

@@ -35,9 +35,6 @@ def test_the_rays_must_be_de_skewed_for_that() -> None:
 
 @pytest.mark.evidence
 @pytest.mark.parametrize("name", ["waffle_pi", "burger"])
-def test_poles_are_hardly_met_while_robot_and_lidar_turn(name: str) -> None:
-    """Of 100 each: the Waffle Pi 0 at fault, the Burger one (seed 99) at 2.08 cm/s."""
+def test_no_pole_of_a_hundred_is_met_while_robot_and_lidar_turn(name: str) -> None:
     found = {seed: fault(name, seed) for seed in range(100)}
-    at_fault = {seed: speed for seed, speed in found.items() if speed > NO_FAULT}
-    assert len(at_fault) <= 1
-    assert max(at_fault.values(), default=0.0) < 0.025
+    assert {seed: speed for seed, speed in found.items() if speed > NO_FAULT} == {}

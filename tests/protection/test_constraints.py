@@ -164,16 +164,20 @@ def return_beside(gap: float, side: float) -> Scan:
 @pytest.mark.parametrize("side", [1.0, -1.0], ids=["left", "right"])
 @pytest.mark.parametrize("way", [1.0, -1.0], ids=["ahead", "reversing"])
 def test_nearer_obstacle_is_passed_more_slowly(side: float, way: float) -> None:
-    """Half of the gap each until the next scan of both, in directions 60 degrees aside."""
-    for gap in (0.02, 0.05, 0.07, 0.09):
+    """Half of the gap each until the next scan of both, less a quarter of `others_speed`.
+
+    In directions 60 degrees aside.
+    """
+    reserve = 0.25 * WAFFLE.protection["barrier"]["others_speed"]
+    for gap in (0.02, 0.05, 0.09, 0.1):
         seconds = WAFFLE.scan.latency + REACTION_TIME + TICK
-        closing = max(0.5 * (gap - MARGIN) / seconds, CREEP_SPEED)
+        closing = max(0.5 * (gap - MARGIN) / seconds - reserve, CREEP_SPEED)
         safe = decided(WAFFLE, return_beside(gap, side), Twist(way * TOP)).safe
         corner = np.array((FRONT if way > 0.0 else REAR, side * HALF_WIDTH))
         aside = np.array((way * math.sin(SIDE_ANGLE), side * math.cos(SIDE_ANGLE)))
         speed = safe.linear - safe.angular * corner[1], safe.angular * corner[0]
         assert 0.0 < aside @ speed <= closing + 1e-9
-        if gap > MARGIN:  # else the envelope holds it too
+        if closing > CREEP_SPEED:  # else the envelope or the stop check holds it, too
             assert aside @ speed == pytest.approx(min(closing, TOP * math.sin(SIDE_ANGLE)))
 
 
