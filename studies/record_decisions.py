@@ -26,6 +26,8 @@ SCENES = (
     Scene("ram", "jackal"),
     Scene("ram", "jackal", "real"),
     Scene("ram", "mixed"),
+    Scene("behind", "mixed", "real"),
+    Scene("lead", "jackal", "real"),
     Scene("rush", "burger"),
     Scene("rush", "waffle_pi", "real"),
     Scene("rush", "jackal", "real"),
@@ -55,8 +57,7 @@ class Recording:
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Note the scan."""
-        ranges = corpus.in_millimetres(scan, FURTHEST)
-        self.events.append(corpus.Event(corpus.rounded(context), ranges))
+        self.events.append(corpus.scan_event(scan, FURTHEST, context))
         self._arbiter.observe(scan, geometry, context)
 
     def decide(

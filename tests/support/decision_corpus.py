@@ -5,6 +5,7 @@ from __future__ import annotations
 import lzma
 import math
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from msgspec import Struct
 
 from swarmd.core.values import Odometry, Platform, Scan, Twist
 from swarmd.protection.barrier import Barrier
-from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
@@ -27,7 +28,9 @@ _NOTHING, _TOO_CLOSE = -1, -2  # a range in mm
 class Event(Struct, array_like=True):
     """A decision on `requested`, or a scan: `ranges` in mm.
 
-    `twist` and `is_active`: what the numpy code decided when the file was written.
+    `twist` and `is_active`: what the numpy code decided when the file was written. `bearings` in
+    tenths of mrad and `ages` in ms are those of a scan that was moved to the time of its newest
+    ray; empty: the platform's, all of one instant.
     """
 
     context: DecisionContext
@@ -36,6 +39,9 @@ class Event(Struct, array_like=True):
     command: Twist | None = None
     twist: Twist | None = None
     is_active: bool = False
+    bearings: list[int] = []
+    ages: list[int] = []
+    newest_age: float | None = None
 
 
 class Stream(Struct, array_like=True):
@@ -58,18 +64,23 @@ def decided(stream: Stream, barrier: Barrier) -> Iterator[tuple[Event, ModeDecis
     geometry = ScanGeometry(platform.scan)
     for seq, event in enumerate(stream.events):
         if event.requested is None:
-            barrier.observe(_scan(platform, event.ranges, seq), geometry, event.context)
+            barrier.observe(_scan(platform, event, seq), geometry, event.context)
         else:
             command = event.command or Twist()
             yield event, barrier.decide(event.requested, event.context, command=command, touch=None)
 
 
-def in_millimetres(scan: Scan, furthest: float) -> list[int]:
-    """The ranges of a scan; those beyond `furthest` m are left out."""
-    return [
+def scan_event(scan: Scan, furthest: float, context: DecisionContext) -> Event:
+    """The event of a scan; ranges beyond `furthest` m are left out."""
+    ranges = [
         _TOO_CLOSE if one == -math.inf else _NOTHING if one > furthest else round(1000.0 * one)
         for one in scan.ranges.tolist()
     ]
+    event = Event(rounded(context), ranges, newest_age=scan.newest_age)
+    if scan.ages is not None:
+        event.bearings = np.rint(10_000.0 * scan.bearings).astype(int).tolist()
+        event.ages = np.rint(1000.0 * scan.ages).astype(int).tolist()
+    return event
 
 
 def rounded(context: DecisionContext) -> DecisionContext:
@@ -81,7 +92,12 @@ def rounded(context: DecisionContext) -> DecisionContext:
         pose, twist = msgspec.to_builtins((odometry.pose, odometry.twist))
         numbers = (round(odometry.stamp, 6), [_six(n) for n in pose], [_six(n) for n in twist])
         odometry = msgspec.convert(numbers, Odometry)
-    return DecisionContext(now or 0.0, scan_age, odometry, odometry_age)
+    told = tuple(
+        ToldObstacle(*(_six(n) for n in (one.x, one.y, one.radius, one.age)))
+        for one in context.told
+    )
+    delay = _six(context.scan_delay)
+    return DecisionContext(now or 0.0, scan_age, odometry, odometry_age, delay, told)
 
 
 def short(twist: Twist) -> Twist:
@@ -103,8 +119,12 @@ def _six(number: float) -> float:
     return round(number, 6)
 
 
-def _scan(platform: Platform, ranges: Sequence[int], seq: int) -> Scan:
-    there = np.array(ranges, np.float64) / 1000.0
+def _scan(platform: Platform, event: Event, seq: int) -> Scan:
+    there = np.array(event.ranges, np.float64) / 1000.0
     there[there == _NOTHING / 1000.0] = np.inf
     there[there == _TOO_CLOSE / 1000.0] = -np.inf
-    return scan_from(platform, there, platform.scan.bearings, seq=seq)
+    if not event.bearings:
+        return scan_from(platform, there, platform.scan.bearings, seq=seq)
+    scan = scan_from(platform, there, np.array(event.bearings, np.float64) / 10_000.0, seq=seq)
+    ages = np.array(event.ages, np.float64) / 1000.0
+    return replace(scan, ages=ages, newest_age=event.newest_age)
