@@ -142,7 +142,7 @@ class AssumptionMonitor:
         before, self._command = self._command, command
         measured, stamp = self._odometry.twist, self._odometry.stamp
         linear, angular = self._linear, self._angular
-        # Only a stop under way, or one that begins, concerns a brake: most commands are neither.
+        # Most commands neither begin nor continue a stop, so the brakes need no look.
         if linear.stop or abs(command.linear - measured.linear) >= linear.min_drop:
             linear.on_command(before.linear, command.linear, measured.linear, stamp)
         if angular.stop or abs(command.angular - measured.angular) >= angular.min_drop:

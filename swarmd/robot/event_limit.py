@@ -1,4 +1,4 @@
-"""A limit on events that repeat: one that flaps leaves room for others in `describe`. Pure."""
+"""A rate limit for repeated events, so that `describe` keeps room for other events. Pure."""
 
 from __future__ import annotations
 

@@ -45,11 +45,7 @@ def test_a_kernel_that_was_cut_off_is_not_loaded_and_named(
     share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    name = "swarmd.protection.barrier_kernel"
-    spec = find_spec(name)
-    if spec is None or not str(spec.origin).endswith(".so"):
-        pytest.skip("the kernels are not compiled")
-    whole = Path(str(spec.origin)).read_bytes()
+    whole = _library("swarmd.protection.barrier_kernel").read_bytes()
     (tmp_path / "cut_kernel.abi3.so").write_bytes(whole[: int(share * len(whole))])
     assert _said_of_cut_kernel(tmp_path) == "None numpy (not compiled)"
 
@@ -58,10 +54,7 @@ def test_a_kernel_of_another_processor_is_not_loaded_and_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    spec = find_spec("swarmd.protection.barrier_kernel")
-    if spec is None or not str(spec.origin).endswith(".so"):
-        pytest.skip("the kernels are not compiled")
-    foreign = bytearray(Path(str(spec.origin)).read_bytes())
+    foreign = bytearray(_library("swarmd.protection.barrier_kernel").read_bytes())
     foreign[18:20] = b"\xff\x7f"  # e_machine
     (tmp_path / "cut_kernel.abi3.so").write_bytes(foreign)
     assert _said_of_cut_kernel(tmp_path) == "None numpy (not compiled)"
@@ -71,10 +64,7 @@ def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    spec = find_spec("swarmd.sim.world.base_kernel")
-    if spec is None or not str(spec.origin).endswith(".so"):
-        pytest.skip("the kernels are not compiled")
-    library = Path(str(spec.origin))
+    library = _library("swarmd.sim.world.base_kernel")
     source = library.with_name("base_kernel.py")
     shutil.copy(library, tmp_path)
     script = (
@@ -96,6 +86,14 @@ def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
     (tmp_path / source.name).write_bytes(source.read_bytes() + b"\n")
     text = "older than its source (run make kernels)"
     assert answer() == (f"[False, False] numpy ({text})", f"kernel base is {text}")
+
+
+def _library(name: str) -> Path:
+    """The compiled library of a kernel; the test is skipped without one."""
+    spec = find_spec(name)
+    if spec is None or not str(spec.origin).endswith(".so"):
+        pytest.skip("the kernels are not compiled")
+    return Path(str(spec.origin))
 
 
 def _said_of_cut_kernel(folder: Path) -> str:
