@@ -1,0 +1,223 @@
+"""Hands what happens to the recorder process; never blocks the loop.
+
+Entries are gathered and sent at each tick. A batch for which the socket has no room is dropped and
+counted: the disk is slower than the robot. A recorder process that ends is reported, and the robot
+drives on.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import socket
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+
+from swarmd.core.clock import boottime
+from swarmd.core.errors import CodecError
+from swarmd.core.processes import how_it_ended
+from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose
+from swarmd.recording import frames
+
+MAX_BATCH = 60_000
+"""Bytes of entries that are sent before the next tick."""
+DROPS_PERIOD = 10.0
+"""Seconds between two events that count dropped entries."""
+BUFFER = 1 << 20
+"""Bytes that the socket is asked to hold while the disk is slow."""
+
+
+class _Process:
+    """One recorder process and the daemon's end of its socket."""
+
+    def __init__(self) -> None:
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        ours.setblocking(False)
+        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, BUFFER)
+        command = [sys.executable, "-P", "-m", "swarmd.recording.process", str(theirs.fileno())]
+        try:
+            with theirs:
+                self.process = subprocess.Popen(
+                    command,
+                    pass_fds=(theirs.fileno(),),
+                    start_new_session=True,
+                    stdin=subprocess.DEVNULL,
+                    env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+                )
+        except OSError:
+            ours.close()
+            raise
+        self.socket = ours
+        self.pidfd = os.pidfd_open(self.process.pid)
+
+
+class Recorder:
+    """Records one robot while it is started. `on_event` takes a line for the robot's log."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, on_event: Callable[[str], None]) -> None:
+        self._loop = loop
+        self._on_event = on_event
+        self._open: _Process | None = None
+        self._ending: list[_Process] = []
+        self._entries: list[bytes] = []
+        self._size = 0
+        self._scan: Scan | None = None
+        self._reported_at = -DROPS_PERIOD
+        self._unreported = 0
+        self.dropped = 0
+        self.report = frames.RecorderReport("", 0)
+
+    @property
+    def is_on(self) -> bool:
+        """True while entries are taken."""
+        return self._open is not None
+
+    def start(
+        self,
+        folder: Path,
+        name: str,
+        about: Mapping[str, str],
+        *,
+        max_bytes: int = 64 * 2**20,
+        max_seconds: float = 600.0,
+        keep_bytes: int = 2**30,
+    ) -> None:
+        """Start a process that records; OSError if that fails. Call it only while `is_on` is false.
+
+        `about`: texts on the robot. `max_bytes`, `max_seconds` of one file, `keep_bytes` of all.
+        """
+        one = self._open = _Process()
+        self._loop.add_reader(one.socket, self._on_report, one)
+        self._loop.add_reader(one.pidfd, self._on_end, one)
+        self._scan, self._entries, self._size = None, [], 0
+        self.dropped = self._unreported = 0
+        self.report = frames.RecorderReport("", 0)
+        at = boottime()
+        self.add(
+            frames.Begin(
+                at=at,
+                folder=str(folder),
+                name=name,
+                about=dict(about),
+                wall=time.time() - (boottime() - at),
+                max_bytes=max_bytes,
+                max_seconds=max_seconds,
+                keep_bytes=keep_bytes,
+            )
+        )
+
+    def stop(self) -> None:
+        """Send what is left; the process finishes its file and ends."""
+        self.flush()
+        self._disconnect()
+
+    def close(self, timeout: float = 2.0) -> None:
+        """Stop, and wait for the processes; kill one that takes longer than `timeout` s."""
+        self.stop()
+        for one in list(self._ending):
+            try:
+                one.process.wait(timeout)
+            except subprocess.TimeoutExpired:
+                one.process.kill()
+            self._on_end(one)
+
+    def scan(self, scan: Scan) -> None:
+        """A scan as the driver gave it."""
+        if self._open is not None:
+            entry = frames.scan_entry(scan, boottime(), self._scan)
+            self._scan = scan
+            self.add(entry)
+
+    def odometry(self, odometry: Odometry) -> None:
+        """A pose and twist."""
+        if self._open is not None:
+            self.add(frames.OdometryEntry(boottime(), odometry))
+
+    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
+        """The robots within radio range, as the driver measures them."""
+        if self._open is not None:
+            self.add(frames.NeighborsEntry(boottime(), neighbors))
+
+    def pose(self, pose: SharedPose) -> None:
+        """A pose in a shared frame."""
+        if self._open is not None:
+            self.add(frames.PoseEntry(boottime(), pose))
+
+    def readings(self, values: Mapping[str, float]) -> None:
+        """Scalar sensors."""
+        if self._open is not None:
+            self.add(frames.ReadingsEntry(boottime(), dict(values)))
+
+    def add(self, entry: frames.Entry) -> None:
+        """Take one entry; nothing happens while nothing is recorded."""
+        if self._open is None:
+            return
+        encoded = frames.encode_entry(entry)
+        if self._size + len(encoded) > MAX_BATCH:
+            self.flush()
+        if len(encoded) > frames.MAX_ENTRY:
+            self._drop(1)
+            return
+        self._entries.append(encoded)
+        self._size += len(encoded)
+
+    def flush(self) -> None:
+        """Send the entries since the last call; drop them if the socket has no room."""
+        if self._open is None or not self._entries:
+            return
+        entries, self._entries, self._size = self._entries, [], 0
+        try:
+            self._open.socket.send(frames.batch(entries))
+        except OSError:  # full, or just ended: the pidfd is watched
+            self._drop(len(entries))
+
+    def _drop(self, count: int) -> None:
+        self._scan = None  # the directions of rays may have been among them
+        self.dropped += count
+        self._unreported += count
+        now = boottime()
+        if now - self._reported_at >= DROPS_PERIOD:
+            self._reported_at = now
+            count, self._unreported = self._unreported, 0
+            self._on_event(f"recording: {count} entries dropped: the disk is slow")
+
+    def _on_report(self, one: _Process) -> None:
+        try:
+            frame = one.socket.recv(1 << 16)
+            report = frames.decode_report(frame) if frame else None
+        except (BlockingIOError, CodecError):
+            return
+        except OSError:
+            report = None
+        if report is None:  # closed: the pidfd tells how it ended
+            self._loop.remove_reader(one.socket)
+            return
+        self.report = report
+        if report.fault:
+            self._disconnect()
+            self._on_event(f"recording ends: {report.path or 'no file'}: {report.fault}")
+
+    def _on_end(self, one: _Process) -> None:
+        if one.pidfd < 0:
+            return
+        self._loop.remove_reader(one.pidfd)
+        os.close(one.pidfd)
+        one.pidfd = -1
+        code = one.process.wait()
+        if one is self._open:
+            self._on_report(one)
+        if one is self._open:
+            self._disconnect()
+            self._on_event(f"recording ends: its process {how_it_ended(code)}")
+        self._ending.remove(one)
+
+    def _disconnect(self) -> None:
+        one, self._open = self._open, None
+        if one is not None:
+            self._loop.remove_reader(one.socket)
+            one.socket.close()
+            self._ending.append(one)
+        self._entries, self._size = [], 0

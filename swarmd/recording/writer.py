@@ -1,0 +1,195 @@
+"""Writes the recording of one robot: MCAP files that survive a kill and a power cut.
+
+A file has chunks of CHUNK bytes. The writer writes a chunk to the disk (fsync) as soon as it is
+full or CHUNK_TIME old, so that a power cut loses at most that. It begins a new file after a size
+or an age, and keeps an index beside each finished file. Each file can be read without the others.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import zlib
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import IO, Any
+
+from mcap.writer import CompressionType, Writer
+
+from swarmd.recording.messages import definition, serialize
+
+CHUNK = 32 * 1024
+"""Bytes of a chunk before compression."""
+CHUNK_TIME = 2.0
+"""Seconds after which a chunk is written although it is not full."""
+PROFILE = "ros2"
+METADATA = "swarmd"
+
+
+class RecordingWriter:
+    """Writes `<folder>/<name>-<number>.mcap`; not for several threads.
+
+    `about` holds texts on the robot, which each file repeats. `latched` topics have their last
+    message repeated at the start of each file. `max_bytes`, `max_seconds`: of one file;
+    `keep_bytes`: of all files of this name in the folder, of which the oldest are removed when a
+    new one begins. OSError if the disk fails; call `abandon` then.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        name: str,
+        about: Mapping[str, str],
+        *,
+        max_bytes: int = 64 * 2**20,
+        max_seconds: float = 600.0,
+        keep_bytes: int = 2**30,
+        latched: frozenset[str] = frozenset(),
+    ) -> None:
+        self._folder, self._name, self._about = folder, name, dict(about)
+        self._max_bytes, self._max_age = max_bytes, round(max_seconds * 1e9)
+        self._keep_bytes = keep_bytes
+        self._latched_topics = latched
+        self._latched: dict[str, tuple[str, bytes]] = {}
+        self._number = 0
+        self._file: IO[bytes] | None = None
+        self.path: Path | None = None
+        self.total = 0
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def add(self, topic: str, message: Any, at: int, sequence: int = 0) -> None:
+        """Add a ROS message at `at` ns since 1970."""
+        kind = message.__msgtype__
+        self.add_bytes(topic, kind, serialize(message), at, sequence)
+
+    def add_bytes(self, topic: str, kind: str, payload: bytes, at: int, sequence: int = 0) -> None:
+        """Add the bytes of a message of type `kind`."""
+        if self._file is not None and self._is_full(at):
+            self.close()
+        if self._file is None:
+            self._open(at)
+        if topic in self._latched_topics:
+            self._latched[topic] = kind, payload
+        self._write(topic, kind, payload, at, sequence)
+        self.flush_if_due(at)
+
+    def flush_if_due(self, at: int) -> None:
+        """Write what was added if the chunk is full or CHUNK_TIME old."""
+        if self._file is None or not self._pending:
+            return
+        if at - self._written_at >= CHUNK_TIME * 1e9 or self._pending >= CHUNK:
+            self.flush(at)
+
+    def flush(self, at: int) -> None:
+        """Write what was added to the disk, as a chunk of its own."""
+        if self._file is None:
+            return
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        os.fsync(self._file.fileno())
+        self._written_at, self._pending = at, 0
+
+    def close(self) -> None:
+        """Finish the file, and write its index; the next message begins another file."""
+        if self._file is None or self.path is None:
+            return
+        file, self._file = self._file, None
+        try:
+            self._writer.finish()  # type: ignore[no-untyped-call]
+            file.flush()
+            os.fsync(file.fileno())
+            size = file.tell()
+        finally:
+            file.close()
+        self.total += size
+        index = {
+            "file": self.path.name,
+            "bytes": size,
+            "crc32": _crc(self.path),
+            "begin_ns": self._begin,
+            "end_ns": self._end,
+            "messages": self._counts,
+            "about": self._about,
+        }
+        partial = self.path.with_suffix(".index.partial")
+        partial.write_text(json.dumps(index, indent=1) + "\n")
+        partial.replace(self.path.with_suffix(".index.json"))
+
+    def abandon(self) -> None:
+        """Close the file as it is."""
+        if self._file is not None:
+            file, self._file = self._file, None
+            with suppress(OSError):
+                file.close()
+
+    @property
+    def written(self) -> int:
+        """The bytes of all files so far."""
+        return self.total + (0 if self._file is None else self._file.tell())
+
+    def _is_full(self, at: int) -> bool:
+        assert self._file is not None
+        size = self._file.tell() + self._pending
+        return size >= self._max_bytes or at - self._begin >= self._max_age
+
+    def _open(self, at: int) -> None:
+        self._remove_oldest()
+        self.path = self._unused()
+        self._file = self.path.open("xb")
+        self._writer = Writer(self._file, chunk_size=2**31, compression=CompressionType.ZSTD)
+        self._writer.start(PROFILE, "swarmd")
+        self._channels: dict[str, int] = {}
+        self._schemas: dict[str, int] = {}
+        self._counts: dict[str, int] = {}
+        self._begin = self._end = self._written_at = at
+        self._pending = 0
+        self._writer.add_metadata(METADATA, {**self._about, "file": str(self._number)})
+        _sync_folder(self._folder)
+        for topic, (kind, payload) in self._latched.items():
+            self._write(topic, kind, payload, at, 0)
+
+    def _write(self, topic: str, kind: str, payload: bytes, at: int, sequence: int) -> None:
+        channel = self._channels.get(topic)
+        if channel is None:
+            schema = self._schemas.get(kind)
+            if schema is None:
+                schema = self._writer.register_schema(kind, "ros2msg", definition(kind))
+                self._schemas[kind] = schema
+            channel = self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
+        self._writer.add_message(channel, at, payload, at, sequence & 0xFFFFFFFF)
+        self._counts[topic] = self._counts.get(topic, 0) + 1
+        self._end = max(self._end, at)
+        self._pending += len(payload) + 31
+
+    def _remove_oldest(self) -> None:
+        files = sorted(self._folder.glob(f"{self._name}-*.mcap"))
+        sizes = [path.stat().st_size for path in files]
+        while files and sum(sizes) + self._max_bytes > self._keep_bytes:
+            oldest = files.pop(0)
+            sizes.pop(0)
+            oldest.unlink()
+            oldest.with_suffix(".index.json").unlink(missing_ok=True)
+
+    def _unused(self) -> Path:
+        """The name of the next file; its number is above those of all others."""
+        taken = [path.stem.rpartition("-")[2] for path in self._folder.glob(f"{self._name}-*.mcap")]
+        last = max((int(number) for number in taken if number.isdigit()), default=0)
+        self._number = max(self._number, last) + 1
+        return self._folder / f"{self._name}-{self._number:05d}.mcap"
+
+
+def _crc(path: Path) -> int:
+    crc = 0
+    with path.open("rb") as file:
+        while part := file.read(2**20):
+            crc = zlib.crc32(part, crc)
+    return crc
+
+
+def _sync_folder(folder: Path) -> None:
+    """Write the folder's entry to the disk, so that a new file outlives a power cut."""
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

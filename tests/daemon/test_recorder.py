@@ -1,0 +1,218 @@
+"""The recorder: a process of its own that writes what a daemon hands it, and never delays it."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarmd.core.messages import LimitingObstacle
+from swarmd.core.values import Odometry, Pose, Scan, Twist
+from swarmd.daemon.recorder import Recorder
+from swarmd.protection.decision import Decision
+from swarmd.recording import frames, messages
+from swarmd.recording.reader import RecordedFile, read_file
+
+pytestmark = pytest.mark.integration
+
+WAIT = 60.0
+BEARINGS = np.linspace(-3.0, 3.0, 180)
+
+
+def scan(seq: int) -> Scan:
+    ranges = np.full(180, math.inf)
+    ranges[seq % 180] = np.float32(0.5)
+    return Scan(seq, 0.1 * seq, ranges, BEARINGS, 0.12, 3.5)
+
+
+async def until(condition: Callable[[], object]) -> None:
+    async with asyncio.timeout(WAIT):
+        while not condition():
+            await asyncio.sleep(0.01)
+
+
+def files_in(folder: Path) -> list[RecordedFile]:
+    return [read_file(path) for path in sorted(folder.glob("*.mcap"))]
+
+
+def test_each_entry_is_in_the_file_with_its_time_and_order(tmp_path: Path) -> None:
+    events: list[str] = []
+
+    async def run() -> None:
+        recorder = Recorder(asyncio.get_running_loop(), events.append)
+        recorder.start(tmp_path, "tb3-01", {"robot": "tb3-01"})
+        for seq in range(50):
+            recorder.scan(scan(seq))
+            recorder.odometry(Odometry(0.1 * seq, Pose(seq, 0.0, 0.0), Twist(0.1)))
+            row = LimitingObstacle(0.1, 0.2, 0.3)
+            decision = Decision(
+                "barrier", Twist(0.2), Twist(0.1), None, True, (row,), 0.2, 0.01, seq
+            )
+            recorder.add(frames.DecisionEntry(0.1 * seq, "scan", "running", "", decision))
+            recorder.flush()
+        recorder.add(frames.EventEntry(5.0, "a line"))
+        recorder.add(frames.MessageEntry(5.0, "tb3-02", "vote/opinion", {"value": [1, None]}))
+        recorder.close(WAIT)
+
+    asyncio.run(run())
+    assert events == []
+    (found,) = files_in(tmp_path)
+    assert found.fault == ""
+    assert found.about["robot"] == "tb3-01"
+    by_topic: dict[str, list[object]] = {}
+    for one in found.messages:
+        by_topic.setdefault(one.topic, []).append(messages.deserialize(one.kind, one.payload))
+    assert {topic: len(each) for topic, each in by_topic.items()} == {
+        "/scan/geometry": 1,
+        "/scan": 50,
+        "/odometry": 50,
+        "/decision": 50,
+        "/event": 1,
+        "/message/received": 1,
+    }
+    (geometry,) = by_topic["/scan/geometry"]
+    for seq, message in enumerate(by_topic["/scan"]):
+        back = messages.scan_of(message, seq, geometry)
+        assert back.ranges.tobytes() == scan(seq).ranges.tobytes()
+        assert back.bearings.tobytes() == BEARINGS.tobytes()
+    decision = by_topic["/decision"][7]
+    assert (decision.scan_seq, decision.cause, list(decision.gaps)) == (7, "scan", [0.2])  # type: ignore[attr-defined]
+    assert by_topic["/message/received"][0].json == (  # type: ignore[attr-defined]
+        '{"sender":"tb3-02","channel":"vote/opinion","value":{"value":[1,null]}}'
+    )
+
+
+def test_a_frozen_recorder_process_drops_entries_and_delays_nothing(tmp_path: Path) -> None:
+    events: list[str] = []
+
+    async def run() -> tuple[int, float]:
+        recorder = Recorder(asyncio.get_running_loop(), events.append)
+        recorder.start(tmp_path, "a", {})
+        recorder.odometry(Odometry(0.0, Pose(), Twist()))
+        recorder.flush()
+        await until(lambda: recorder.report.path)
+        assert recorder._open is not None
+        process = recorder._open.process
+        process.send_signal(signal.SIGSTOP)
+        longest = 0.0
+        seq = 0
+        while recorder.dropped == 0:
+            begin = time.thread_time()
+            recorder.scan(replace(scan(seq), bearings=BEARINGS + 1e-9 * seq))
+            recorder.flush()
+            longest = max(longest, time.thread_time() - begin)
+            seq += 1
+        dropped = recorder.dropped
+        process.send_signal(signal.SIGCONT)
+        await until(lambda: recorder.report.bytes > 10_000)
+        recorder.scan(scan(seq))
+        recorder.close(WAIT)
+        return dropped, longest
+
+    dropped, _ = asyncio.run(run())
+    assert dropped >= 1
+    assert events[0] == f"recording: {dropped} entries dropped: the disk is slow"
+    (found,) = files_in(tmp_path)
+    scans = [one for one in found.messages if one.topic == "/scan"]
+    last = [one for one in found.messages if one.topic == "/scan/geometry"][-1]
+    geometry = messages.deserialize(last.kind, last.payload)
+    assert geometry.bearings.tobytes() == BEARINGS.tobytes()
+    assert found.messages.index(scans[-1]) == found.messages.index(last) + 1
+
+
+def test_a_recorder_process_that_is_killed_is_reported_once(tmp_path: Path) -> None:
+    events: list[str] = []
+
+    async def run() -> None:
+        recorder = Recorder(asyncio.get_running_loop(), events.append)
+        recorder.start(tmp_path, "a", {})
+        assert recorder._open is not None
+        recorder._open.process.kill()
+        await until(lambda: events)
+        assert not recorder.is_on
+        recorder.scan(scan(1))
+        recorder.flush()
+        recorder.start(tmp_path, "a", {})
+        recorder.scan(scan(2))
+        recorder.close(WAIT)
+
+    asyncio.run(run())
+    assert events == ["recording ends: its process was killed by SIGKILL"]
+    found = [one for one in files_in(tmp_path) if one.messages]
+    assert [m.topic for m in found[-1].messages] == ["/scan/geometry", "/scan"]
+
+
+def test_a_folder_that_cannot_be_written_is_one_event(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    events: list[str] = []
+
+    async def run() -> None:
+        recorder = Recorder(asyncio.get_running_loop(), events.append)
+        recorder.start(tmp_path / "file" / "folder", "a", {})
+        recorder.scan(scan(1))
+        recorder.flush()
+        await until(lambda: events)
+        recorder.close(WAIT)
+
+    asyncio.run(run())
+    assert events == ["recording ends: no file: Not a directory"]
+
+
+FULL = """
+import asyncio, sys
+from pathlib import Path
+from tests.daemon.test_recorder import *
+async def run():
+    events = []
+    recorder = Recorder(asyncio.get_running_loop(), events.append)
+    recorder.start(Path(sys.argv[1]), "a", {}, max_bytes=100_000, keep_bytes=10**9)
+    rng = np.random.default_rng(1)
+    for seq in range(100_000):
+        recorder.scan(replace(scan(seq), ranges=rng.uniform(0.2, 3.0, 180)))
+        recorder.flush()
+        await asyncio.sleep(0)
+        if events and not recorder.is_on:
+            break
+    recorder.close(WAIT)
+    print(*events, sep="\\n")
+    files = files_in(Path(sys.argv[1]))
+    print(sum(len(one.messages) for one in files) > 500)
+asyncio.run(run())
+"""
+
+
+@pytest.mark.skipif(os.getuid() != 0 or not shutil.which("unshare"), reason="needs root, unshare")
+def test_a_full_disk_ends_the_recording_and_keeps_what_was_written(tmp_path: Path) -> None:
+    script = tmp_path / "full.py"
+    script.write_text(FULL)
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    mount = (
+        f"mount -t tmpfs -o size=600k swarmd-test {disk} && exec {sys.executable} {script} {disk}"
+    )
+    done = subprocess.run(
+        ["unshare", "-m", "sh", "-c", mount],
+        capture_output=True,
+        text=True,
+        timeout=WAIT,
+        cwd=Path(__file__).parents[2],
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+    )
+    *events, has_kept = done.stdout.splitlines()
+    assert done.returncode == 0, done.stderr
+    assert events[-1].startswith("recording ends: ")
+    assert events[-1].endswith(": No space left on device")
+    assert has_kept == "True"
+
+

@@ -1,0 +1,211 @@
+"""Recordings as files: what is written is read again, also from cut and damaged files."""
+
+from __future__ import annotations
+
+import errno
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist
+from swarmd.recording import frames, messages
+from swarmd.recording.reader import RecordedMessage, read_file
+from swarmd.recording.writer import CHUNK_TIME, RecordingWriter
+
+BEGIN = 1_700_000_000_000_000_000
+STAMP = "geometry_msgs/msg/TwistStamped"
+
+
+def command(speed: float) -> object:
+    return messages.new(STAMP, twist=messages.twist_message(Twist(speed)))
+
+
+def recorded(folder: Path, seconds: int = 20) -> Path:
+    """A file of ten commands a second, with a chunk every CHUNK_TIME."""
+    writer = RecordingWriter(folder, "tb3-01", {"robot": "tb3-01"})
+    for k in range(10 * seconds):
+        writer.add("/command/safe", command(k), BEGIN + k * 10**8, k)
+    writer.close()
+    assert writer.path is not None
+    return writer.path
+
+
+def speeds(found: list[RecordedMessage]) -> list[float]:
+    return [messages.deserialize(one.kind, one.payload).twist.linear.x for one in found]
+
+
+def test_the_library_and_a_ros_decoder_read_what_is_written(tmp_path: Path) -> None:
+    path = recorded(tmp_path)
+    with path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = [
+            (c.topic, m.log_time, d.twist.linear.x) for _, c, m, d in reader.iter_decoded_messages()
+        ]
+    assert found == [("/command/safe", BEGIN + k * 10**8, k) for k in range(200)]
+    whole = read_file(path)
+    assert whole.fault == ""
+    assert whole.about["robot"] == "tb3-01"
+    assert speeds(whole.messages) == list(range(200))
+    index = json.loads(path.with_suffix(".index.json").read_text())
+    assert index["messages"] == {"/command/safe": 200}
+    assert (index["begin_ns"], index["end_ns"]) == (BEGIN, BEGIN + 199 * 10**8)
+    assert index["bytes"] == path.stat().st_size
+
+
+def test_a_file_that_is_cut_anywhere_keeps_each_chunk_before_the_cut(tmp_path: Path) -> None:
+    path = recorded(tmp_path, seconds=8)
+    data, cut = path.read_bytes(), tmp_path / "cut.mcap"
+    whole = read_file(path).messages
+    before = 0
+    for size in range(len(data)):
+        cut.write_bytes(data[:size])
+        found = read_file(cut)
+        assert found.fault
+        kept = found.messages
+        assert kept == whole[: len(kept)]
+        assert len(kept) >= before, "a longer file holds no less"
+        before = len(kept)
+    assert before == len(whole) == 80
+
+
+def test_a_wrong_byte_loses_at_most_its_chunk_and_gives_no_false_message(tmp_path: Path) -> None:
+    path = recorded(tmp_path, seconds=8)
+    data, damaged = path.read_bytes(), tmp_path / "damaged.mcap"
+    whole = read_file(path).messages
+    known = set(whole)
+    per_chunk = round(CHUNK_TIME * 10) + 1
+    for place in range(len(messages_magic()), len(data)):
+        wrong = bytearray(data)
+        wrong[place] ^= 0x55
+        damaged.write_bytes(wrong)
+        found = read_file(damaged)
+        assert known.issuperset(found.messages)
+        assert len(found.messages) >= len(whole) - per_chunk or found.fault
+
+
+def messages_magic() -> bytes:
+    return b"\x89MCAP0\r\n"
+
+
+def test_a_new_file_begins_after_a_size_and_after_an_age(tmp_path: Path) -> None:
+    writer = RecordingWriter(
+        tmp_path, "a", {}, max_seconds=5.0, latched=frozenset({"/scan/geometry"})
+    )
+    writer.add("/scan/geometry", command(-1.0), BEGIN)
+    for k in range(120):
+        writer.add("/command/safe", command(k), BEGIN + k * 10**8)
+    writer.close()
+    files = [read_file(path) for path in sorted(tmp_path.glob("*.mcap"))]
+    assert [speeds(one.messages) for one in files] == [
+        [-1.0, *range(50)],
+        [-1.0, *range(50, 100)],
+        [-1.0, *range(100, 120)],
+    ]
+    small = RecordingWriter(tmp_path / "b", "b", {}, max_bytes=20_000)
+    for k in range(2000):
+        small.add("/command/safe", command(k), BEGIN + k)
+    small.close()
+    sizes = [path.stat().st_size for path in sorted((tmp_path / "b").glob("*.mcap"))]
+    assert len(sizes) > 2
+
+
+def test_an_existing_file_is_kept(tmp_path: Path) -> None:
+    first, second = recorded(tmp_path, 1), recorded(tmp_path, 1)
+    assert (first.name, second.name) == ("tb3-01-00001.mcap", "tb3-01-00002.mcap")
+    assert len(read_file(first).messages) == 10
+
+
+def test_what_was_added_two_seconds_before_a_kill_is_kept(tmp_path: Path) -> None:
+    code = (
+        "import sys; from pathlib import Path; from tests.recording.test_files import *\n"
+        f"writer = RecordingWriter(Path({str(tmp_path)!r}), 'a', {{}})\n"
+        "for k in range(95): writer.add('/command/safe', command(k), BEGIN + k * 10**8)\n"
+        "print('written', flush=True); sys.stdin.read()"
+    )
+    child = subprocess.Popen(
+        [sys.executable, "-c", code], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+    )
+    assert child.stdout is not None
+    assert child.stdout.readline() == b"written\n"
+    child.send_signal(signal.SIGKILL)
+    child.communicate()
+    found = read_file(tmp_path / "a-00001.mcap")
+    assert speeds(found.messages) == list(range(81))
+    assert found.fault
+
+
+def test_a_full_disk_is_an_oserror_and_leaves_what_was_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    writer = RecordingWriter(tmp_path, "a", {})
+    for k in range(50):
+        writer.add("/command/safe", command(k), BEGIN + k * 10**8)
+
+    def full(handle: int) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    monkeypatch.setattr(os, "fsync", full)
+    with pytest.raises(OSError, match="No space left"):
+        writer.flush(BEGIN + 50 * 10**8)
+    writer.abandon()
+    assert len(read_file(tmp_path / "a-00001.mcap").messages) >= 40
+
+
+@pytest.mark.parametrize("content", [b"", b"\x89MC", b"PK\x03\x04"])
+def test_a_file_that_is_none_is_named(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "x.mcap"
+    path.write_bytes(content)
+    if content.startswith(b"PK"):
+        with pytest.raises(ConfigError, match="not a recording"):
+            read_file(path)
+    else:
+        assert read_file(path).fault.startswith("cut off at byte")
+    with pytest.raises(ConfigError, match="cannot be read"):
+        read_file(tmp_path / "missing.mcap")
+
+
+def through(message: object) -> object:
+    kind = message.__msgtype__  # type: ignore[attr-defined]
+    return messages.deserialize(kind, messages.serialize(message))
+
+
+def test_scans_are_exact_with_their_geometry() -> None:
+    bearings = np.array([-0.1, 0.3, 0.35])
+    ranges = np.array([np.float32(0.7), math.inf, -math.inf], np.float64)
+    for ages in (None, np.array([0.2, 0.1, 0.0])):
+        scan = Scan(7, 1_700_000_000.25, ranges, bearings, 0.12, 3.5, ages)
+        geometry = through(messages.geometry_message(scan))
+        back = messages.scan_of(through(messages.scan_message(scan)), 7, geometry)
+        assert (back.seq, back.stamp, back.range_min, back.range_max) == (7, scan.stamp, 0.12, 3.5)
+        assert back.ranges.tobytes() == ranges.tobytes()
+        assert frames.has_geometry_of(back, scan)
+    assert not frames.has_geometry_of(scan, replace(scan, range_max=8.0))
+    rough = messages.scan_of(through(messages.scan_message(scan)), 7, None)
+    assert rough.bearings[:2] == pytest.approx(bearings[:2], abs=1e-7)
+
+
+def test_other_inputs_are_the_same_after_writing_and_reading() -> None:
+    odometry = Odometry(12.5, Pose(1.0, -2.0, 3.0), Twist(0.1, 0.2, 0.3))
+    back = messages.odometry_of(through(messages.odometry_message(odometry)))
+    assert back.twist == odometry.twist
+    assert (back.stamp, back.pose.x, back.pose.y) == (12.5, 1.0, -2.0)
+    assert back.pose.yaw == pytest.approx(3.0, abs=1e-15)
+    neighbors = (Neighbor("a", 0.0, 1.0, None, 0.5), Neighbor("b", 0.0))
+    assert messages.neighbors_of(through(messages.neighbors_message(neighbors, 1.0))) == neighbors
+    shared = SharedPose(3.0, Pose(1.0, 2.0, 0.5), 0.1, 0.02, "hall")
+    told = messages.pose_of(through(messages.pose_message(shared)))
+    assert told.pose.yaw == pytest.approx(0.5, abs=1e-15)
+    assert (told.stamp, told.error, told.yaw_error, told.frame) == (3.0, 0.1, 0.02, "hall")
+    values = {"battery": 0.5, "light": -1.0}
+    assert messages.readings_of(through(messages.readings_message(values, 1.0))) == values
