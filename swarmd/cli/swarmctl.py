@@ -36,6 +36,7 @@ VERBS = {
         "swarmd.cli.calibrate:calibrate",
         "Measure brakes, delays and scales of a robot by a few short drives.",
     ),
+    "record": ("swarmd.cli.record:record", "Record robots, and fetch their recordings."),
     "plugin": ("swarmd.cli.plugin:plugin", "Write, check and reload patterns of your own."),
 }
 _EXIT_CODES = """\b

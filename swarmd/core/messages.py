@@ -166,6 +166,12 @@ class ForgetRequest(_EpochRequest, frozen=True, kw_only=True, tag="forget"):
     name: Name
 
 
+class RecordRequest(_EpochRequest, frozen=True, kw_only=True, tag="record"):
+    """Start or stop the recording of a robot; it moves nothing, so the epoch is not compared."""
+
+    action: Literal["start", "stop"]
+
+
 class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
     """Stop. `targets` None: every robot; the epochs are not compared.
 
@@ -189,7 +195,7 @@ class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
 
 
 Request = RunRequest | StopRequest | EstopRequest | ResetRequest | ParamRequest | ReloadRequest
-AnyRequest = Request | ForgetRequest
+AnyRequest = Request | ForgetRequest | RecordRequest
 REQUEST_TYPES: Mapping[str, type[AnyRequest]] = {
     str(kind.__struct_config__.tag): kind for kind in get_args(AnyRequest)
 }
@@ -218,6 +224,44 @@ class MembersQuery(Struct, frozen=True, kw_only=True):
     """Asks every daemon for its `PeerView`, except those in `answered`."""
 
     answered: tuple[Name, ...] = ()
+
+
+class RecordingFile(Struct, frozen=True, kw_only=True):
+    """A file of a recording. Times in s on the robot's clock, None if they are not known yet."""
+
+    name: Line
+    size: Count
+    is_open: bool
+    begin: Seconds | None = None
+    end: Seconds | None = None
+
+
+class RecordingsReply(Struct, frozen=True, kw_only=True):
+    """The recordings of a robot; `now` is its clock when it answered."""
+
+    robot: Name
+    now: Seconds
+    files: tuple[RecordingFile, ...]
+
+
+class FetchQuery(Struct, frozen=True, kw_only=True):
+    """Asks for `length` bytes of a recording from `offset` on."""
+
+    file: Line
+    offset: Count
+    length: Annotated[int, Meta(gt=0, le=32768)]
+
+
+class FetchReply(Struct, frozen=True, kw_only=True):
+    """Bytes of a recording and their CRC-32; `size` of the file, `text` why there are none."""
+
+    robot: Name
+    file: Line
+    offset: Count
+    size: Count
+    data: bytes
+    crc: Count
+    text: Line = ""
 
 
 class Reply(Struct, frozen=True, kw_only=True):
@@ -264,6 +308,14 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
     duty: Annotated[float, Meta(ge=0.0, le=1.0)] = 0.0
     decisions: Count = 0
     speed_share: Annotated[float, Meta(ge=0.0, le=1.0)] = 1.0
+
+
+class RecordingSummary(Struct, frozen=True, kw_only=True):
+    """The recording that a robot writes: the file, bytes of this recording, entries it dropped."""
+
+    file: Line
+    size: Count
+    dropped: Count
 
 
 class DelayFigure(Struct, frozen=True, kw_only=True):
@@ -419,6 +471,7 @@ class Status(Struct, frozen=True, kw_only=True):
     body: Body | None = None
     peers: tuple[PeerFinding, ...] = ()
     passage: NarrowestPassage | None = None
+    recording: RecordingSummary | None = None
 
 
 class StatusHeader(Struct, frozen=True, kw_only=True):

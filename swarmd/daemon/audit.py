@@ -10,6 +10,7 @@ from swarmd.core.messages import (
     EstopRequest,
     ForgetRequest,
     ParamRequest,
+    RecordRequest,
     ReloadRequest,
     Reply,
     ResetRequest,
@@ -55,6 +56,8 @@ def describe_request(request: AnyRequest) -> str:
     words = [request.verb]
     if isinstance(request, RunRequest | ReloadRequest):
         words.append(request.pattern)
+    if isinstance(request, RecordRequest):
+        words.append(request.action)
     if isinstance(request, ForgetRequest):
         words.append(request.name)
     if isinstance(request, RunRequest | ParamRequest):

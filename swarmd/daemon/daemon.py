@@ -29,6 +29,7 @@ from swarmd.daemon.driver_factory import make_driver
 from swarmd.daemon.driver_sink import DriverSink
 from swarmd.daemon.latchfile import LatchFile
 from swarmd.daemon.network import Network, NetworkHandlers
+from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.request_server import RequestServer
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
@@ -77,6 +78,7 @@ class Daemon:
         self._crash: BaseException | None = None
         self._crashed = asyncio.Event()
         self._instance = secrets.token_hex(6)
+        self._seed = secrets.randbits(48)
         self._notify = Notifier()
         self._latches = LatchFile(settings.state_dir / settings.network.swarm / settings.id)
         self._runner = ProcessRunner(self._loop, settings.plugin_dir, self._on_host_events)
@@ -101,8 +103,19 @@ class Daemon:
             body=body_of(settings.platform),
         )
         self._has_joined = False
+        self._recording = RecordingService(
+            settings.id,
+            settings.state_dir / settings.network.swarm / settings.id / "recordings",
+            _about(settings, self._instance, self._seed),
+            lambda text: self._on_network_event(text),
+            self._network.drop,
+        )
         self._requests = RequestServer(
-            settings.id, self._on_request, self._on_audit, forget=self._network.forget
+            settings.id,
+            self._on_request,
+            self._on_audit,
+            forget=self._network.forget,
+            record=self._recording.answer,
         )
         self._ticks = 0
         self._robot = Robot(
@@ -119,12 +132,12 @@ class Daemon:
                 touch=settings.touch_zones,
                 accepts=settings.accepts,
             ),
-            seed=secrets.randbits(48),
+            seed=self._seed,
             instance=self._instance,
             now=boottime(),
             latches=self._latches.read(),
         )
-        self.sink = DriverSink(self._robot, self._carry_out)
+        self.sink = DriverSink(self._robot, self._recording.recorder, self._carry_out)
         self._timer = TickTimer(self._loop, self._on_tick)
 
     async def run(self, stop: asyncio.Event) -> None:
@@ -201,7 +214,8 @@ class Daemon:
 
     def _serve(self, bus: ZenohBus) -> None:
         """Answer requests on a bus that was opened, the first one or a later one."""
-        self._requests.serve(bus, ("reset", "param", "forget", "run", "reload"))
+        self._requests.serve(bus, ("reset", "param", "forget", "record", "run", "reload"))
+        self._recording.serve(bus)
         bus.serve_view(
             self._status,
             lambda: tuple(self._network.members.values()),
@@ -217,16 +231,18 @@ class Daemon:
         self._send(ZERO, -1, -1)
         try:
             if self._crash is None:
-                self._carry_out(self._robot.on_leave(boottime()))
+                self._carry_out("leave", self._robot.on_leave(boottime()))
                 self._timer.stop()
         finally:
+            self._recording.close()
             self._runner.close()
             self._network.close(is_leaving=self._crash is None)
 
     # Inputs from the network
 
     def _on_request(self, request: Request) -> None:
-        self._carry_out(self._robot.on_request(request, boottime()))
+        self._recording.on_request(request)
+        self._carry_out("request", self._robot.on_request(request, boottime()))
 
     def _on_audit(self, line: str) -> None:
         log.info("%s", line)
@@ -237,7 +253,7 @@ class Daemon:
 
     def _on_latches(self, latches: Mapping[str, Latch]) -> None:
         before = self._robot.state
-        self._carry_out(self._robot.on_latches(latches, boottime()))
+        self._carry_out("latch", self._robot.on_latches(latches, boottime()))
         if self._robot.state is not before:
             text = self._robot.status(boottime()).detail
             log.info("estopped by the latch of a peer: %s", text)
@@ -245,6 +261,7 @@ class Daemon:
     def _on_message(self, message: Message) -> None:
         try:
             value = decode_value(message.payload)
+            self._recording.on_message(message.robot, message.channel, value)
             is_accepted = self._robot.on_message(message.robot, message.channel, value, boottime())
         except CodecError:
             self._network.drop("msg:malformed")
@@ -258,14 +275,15 @@ class Daemon:
     def _on_duplicate(self, holder: str | None) -> None:
         if holder is not None:
             log.error("id %s is also held by %s", self._robot.id, holder)
-        self._carry_out(self._robot.on_duplicate(holder, boottime()))
+        self._carry_out("duplicate", self._robot.on_duplicate(holder, boottime()))
 
     def _on_interface(self, change: InterfaceChange) -> None:
         """Tell of a change of the interface; with another address the robot stands."""
         log.warning("%s", change.line)
         self._notify.status(change.line)
         if change.must_reopen:
-            self._carry_out(self._robot.on_network_changed(change.line, boottime()))
+            actions = self._robot.on_network_changed(change.line, boottime())
+            self._carry_out("network", actions)
         else:
             self._robot.log(change.line, boottime())
 
@@ -289,7 +307,8 @@ class Daemon:
 
     def _on_tick(self) -> None:
         self._ticks += 1
-        self._carry_out(self._robot.tick(boottime()))
+        self._carry_out("tick", self._robot.tick(boottime()))
+        self._recording.recorder.flush()
         self._network.advance()
         if told := self._robot.pose_to_tell(boottime()):
             self._network.publish_pose(*told)
@@ -300,9 +319,10 @@ class Daemon:
 
     def _on_host_events(self) -> None:
         for event in self._runner.events():
-            self._carry_out(self._robot.on_host(event, boottime()))
+            self._recording.on_host(event)
+            self._carry_out("host", self._robot.on_host(event, boottime()))
 
-    def _carry_out(self, actions: Actions) -> None:
+    def _carry_out(self, cause: str, actions: Actions) -> None:
         if self._idle.allows(actions.twist, actions.is_idle, boottime()):
             self._send(
                 actions.twist,
@@ -310,6 +330,9 @@ class Daemon:
                 actions.requested_scan_seq,
                 is_stopped=actions.is_stopped,
             )
+        if self._recording.recorder.is_on:
+            state = self._robot.state
+            self._recording.on_actions(cause, actions, state, actions.decision.reason or "")
         if actions.is_quiet:
             return
         is_stored = actions.latches is None or self._latches.write(actions.latches)
@@ -324,6 +347,8 @@ class Daemon:
                 self._network.drop(f"msg/{name}:unsendable")
         if actions.status is not None:
             self._network.publish_status(self._status)
+            if self._recording.recorder.is_on:
+                self._recording.on_status(self._status())
         for reply in actions.replies:
             self._requests.reply(reply, is_stored=is_stored)
         wake_at = self._robot.wake_at(boottime())
@@ -345,7 +370,21 @@ class Daemon:
             dropped=dropped,
             network=self._network.interface_text,
         )
-        return replace(status, health=health)
+        return replace(status, health=health, recording=self._recording.summary)
+
+
+def _about(settings: DaemonSettings, instance: str, seed: int) -> dict[str, str]:
+    """What a recording tells of the robot."""
+    return {
+        "robot": settings.id,
+        "swarm": settings.network.swarm,
+        "platform": settings.platform.name,
+        "driver": settings.driver,
+        "instance": instance,
+        "seed": str(seed),
+        "version": version("swarmd"),
+        "kernels": describe_kernels(),
+    }
 
 
 async def _end(task: asyncio.Task[Any]) -> None:

@@ -18,6 +18,7 @@ from pathlib import Path
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
+from swarmd.core.messages import Reason
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose
 from swarmd.recording import frames
@@ -150,6 +151,11 @@ class Recorder:
         """Scalar sensors."""
         if self._open is not None:
             self.add(frames.ReadingsEntry(boottime(), dict(values)))
+
+    def driver(self, is_up: bool, text: str, *, hold: Reason | None, gets_zero: bool) -> None:
+        """The base is connected or lost."""
+        if self._open is not None:
+            self.add(frames.DriverEntry(boottime(), is_up, text, str(hold or ""), gets_zero))
 
     def add(self, entry: frames.Entry) -> None:
         """Take one entry; nothing happens while nothing is recorded."""

@@ -22,6 +22,7 @@ from swarmd.core.messages import (
     Code,
     EstopRequest,
     ForgetRequest,
+    RecordRequest,
     Refusal,
     Reply,
     Request,
@@ -58,7 +59,8 @@ class RequestServer:
     the reply of its id, now or once there is one. Only a stop or estop is carried out each time.
     Beyond MAX_PENDING requests without a reply further ones are dropped, never a stop or estop.
     `on_audit` takes one line for each request that was answered: who, from where, what, result.
-    `forget` removes a member, and returns False if that is alive.
+    `forget` removes a member, and returns False if that is alive; `record` starts or stops a
+    recording.
     """
 
     def __init__(
@@ -68,9 +70,11 @@ class RequestServer:
         on_audit: Callable[[str], None] = lambda line: None,
         *,
         forget: Callable[[str], bool],
+        record: Callable[[RecordRequest], Reply],
     ) -> None:
         self._robot = robot
         self._forget_member = forget
+        self._record = record
         self._on_request = on_request
         self._audit = Audit(on_audit)
         self._bus: ZenohBus | None = None
@@ -148,6 +152,8 @@ class RequestServer:
             )
             if isinstance(request, ForgetRequest):
                 self._forget(request)
+            elif isinstance(request, RecordRequest):
+                self.reply(self._record(request))
             elif not is_pending:
                 self._on_request(request)
 

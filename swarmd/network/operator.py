@@ -295,6 +295,21 @@ class Operator:
                 acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
             return acks.outcome(targets, seconds=now - started, reached=len(asked))
 
+    def ask(self, robot: str, name: str, payload: bytes = b"", *, timeout: float) -> bytes | None:
+        """The answer of one robot to a query of `control/<name>`, which moves nothing.
+
+        Repeated while there is none, for `timeout` s; None without an answer. Call `members` first.
+        """
+        answers: list[bytes] = []
+        until = boottime() + timeout
+        while not answers and (left := until - boottime()) > 0:
+            self._get(
+                robot, "control", name, payload, left, lambda _, answer: answers.append(answer)
+            )
+            with self._news:
+                self._news.wait_for(lambda: bool(answers), min(left, REPEAT_PERIOD))
+        return answers[0] if answers else None
+
     def send_stop(
         self,
         verb: StopVerb,

@@ -30,13 +30,14 @@ class Converter:
 
     def __init__(self, begin: frames.Begin) -> None:
         self._begin = begin
-        self._offset = round(begin.wall * 1e9) - round(begin.at * 1e9)
+        wall, boot = round(begin.wall * 1e9), round(begin.at * 1e9)
+        self._offset = wall - boot
         self._geometry: frames.ScanGeometry | None = None
         self._robot = begin.about.get("robot", "")
         self.writer = RecordingWriter(
             Path(begin.folder),
             begin.name,
-            begin.about,
+            {**begin.about, "wall_ns": str(wall), "boot_ns": str(boot)},
             max_bytes=begin.max_bytes,
             max_seconds=begin.max_seconds,
             keep_bytes=begin.keep_bytes,

@@ -186,3 +186,8 @@ def messages_of(files: list[RecordedFile]) -> Iterator[RecordedMessage]:
     """The messages of several files of one robot, in their order of time."""
     found = [message for file in files for message in file.messages]
     return iter(sorted(found, key=lambda message: message.at))
+
+
+def clock_of(about: Mapping[str, str], at: int) -> float:
+    """The time on the robot's clock in s of a time `at` in ns of its recording."""
+    return (at - int(about["wall_ns"])) * 1e-9 + int(about["boot_ns"]) * 1e-9

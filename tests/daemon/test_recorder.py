@@ -214,5 +214,3 @@ def test_a_full_disk_ends_the_recording_and_keeps_what_was_written(tmp_path: Pat
     assert events[-1].startswith("recording ends: ")
     assert events[-1].endswith(": No space left on device")
     assert has_kept == "True"
-
-

@@ -15,6 +15,7 @@ from swarmd.core.messages import (
     Code,
     Epoch,
     EstopRequest,
+    RecordRequest,
     Refusal,
     Reply,
     Request,
@@ -52,7 +53,10 @@ def server_of(
     on_request: Callable[[Request], None],
     on_audit: Callable[[str], None] = lambda line: None,
 ) -> RequestServer:
-    return RequestServer(robot, on_request, on_audit, forget=lambda name: True)
+    def record(request: RecordRequest) -> Reply:
+        return Reply(id=request.id, robot=robot, code=Code.APPLIED, text=request.action)
+
+    return RequestServer(robot, on_request, on_audit, forget=lambda name: True, record=record)
 
 
 def run_request(id: str = "r1") -> RunRequest:

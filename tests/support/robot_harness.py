@@ -20,7 +20,16 @@ import numpy as np
 from swarmd.core.clock import TICK
 from swarmd.core.errors import UnknownPatternError, unknown
 from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
-from swarmd.core.messages import REQUEST_TYPES, Code, Epoch, ForgetRequest, Reply, Request, Status
+from swarmd.core.messages import (
+    REQUEST_TYPES,
+    Code,
+    Epoch,
+    ForgetRequest,
+    RecordRequest,
+    Reply,
+    Request,
+    Status,
+)
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
 from swarmd.kit.behavior import Pattern
 from swarmd.pattern_host.executor import PatternExecutor
@@ -126,7 +135,7 @@ class RobotHarness:
             targets={self.robot.id: epoch or self.epoch},
             **args,
         )
-        assert not isinstance(request, ForgetRequest)
+        assert not isinstance(request, ForgetRequest | RecordRequest)
         return request
 
     def send(self, request: Request) -> Reply | None:

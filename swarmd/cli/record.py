@@ -1,0 +1,172 @@
+"""`swarmctl record`: starts, stops, lists and fetches the recordings of robots."""
+
+from __future__ import annotations
+
+import sys
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from swarmd.cli.arguments import Targets, takes_targets
+from swarmd.cli.options import CommonOptions, VerbGroup, common_options
+from swarmd.cli.output import NOTHING, print_json, print_table, seconds, warn
+from swarmd.cli.send import known_members, send_to, targets_of
+from swarmd.core.errors import NetworkError
+from swarmd.core.messages import RecordRequest
+from swarmd.network.outcome import PARTIAL, TIMEOUT
+
+if TYPE_CHECKING:
+    from swarmd.core.messages import RecordingFile, RecordingsReply
+    from swarmd.network.operator import Operator
+
+_ASK_TIME = 5.0  # s for one answer, without --timeout
+
+
+@click.group(cls=VerbGroup)
+def record() -> None:
+    """Record robots, each to its own disk, and fetch the recordings.
+
+    A recording is a folder of MCAP files with ROS 2 messages, which Foxglove and PlotJuggler read.
+    """
+
+
+@record.command()
+@takes_targets(is_required=True)
+@common_options
+def start(options: CommonOptions, targets: Targets) -> None:
+    """Start to record TARGETS: names, globs such as 'tb3-*', or --all.
+
+    The robot writes to its own disk until `record stop`, also without swarmctl.
+    """
+    send_to(options, RecordRequest, targets, action="start")
+
+
+@record.command()
+@takes_targets(is_required=True)
+@common_options
+def stop(options: CommonOptions, targets: Targets) -> None:
+    """Stop the recording of TARGETS and finish its file."""
+    send_to(options, RecordRequest, targets, action="stop")
+
+
+@record.command("list")
+@takes_targets(is_required=True)
+@common_options
+def list_(options: CommonOptions, targets: Targets) -> None:
+    """List the recordings of TARGETS, with their sizes and times."""
+    with options.operator() as operator:
+        replies, failed = _recordings(options, operator, targets)
+        if options.is_json:
+            robots = {
+                robot: [
+                    {
+                        "file": one.name,
+                        "bytes": one.size,
+                        "is_open": one.is_open,
+                        "begin": one.begin,
+                        "end": one.end,
+                        "now": reply.now,
+                    }
+                    for one in reply.files
+                ]
+                for robot, reply in replies.items()
+            }
+            print_json("Recordings", {"robots": robots, "missing": failed})
+        else:
+            rows = [
+                (robot, one.name, _megabytes(one.size), *_times(one, reply.now))
+                for robot, reply in replies.items()
+                for one in reply.files
+            ]
+            print_table(("NAME", "FILE", "SIZE", "LENGTH", "ENDED"), rows)
+            click.echo(f"{len(rows)} files of {len(replies)} robots")
+        _end(replies.keys(), failed)
+
+
+@record.command()
+@takes_targets(is_required=True)
+@click.option(
+    "-d",
+    "--folder",
+    type=click.Path(file_okay=False, path_type=Path),
+    default=Path("recordings"),
+    help="Where to copy to; a folder for each robot is made in it [recordings].",
+)
+@common_options
+def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
+    """Copy the recordings of TARGETS to this machine.
+
+    A fetch that was interrupted goes on where it ended. Robots record on while their files are
+    copied; the copy of a file that is being written ends in `.partial`.
+    """
+    from swarmd.recording.fetch import fetch as copy_file
+
+    with options.operator() as operator:
+        replies, failed = _recordings(options, operator, targets)
+        ask = partial(_ask, options, operator)
+        rows = []
+        for robot, reply in replies.items():
+            try:
+                for one in reply.files:
+                    done = copy_file(ask, robot, one, folder, partial(_tell, robot, one.name))
+                    state = "whole" if done.is_whole else "so far"
+                    rows.append((robot, str(done.path), _megabytes(done.size), state))
+            except NetworkError as error:
+                warn(str(error))
+                failed.append(robot)
+        if sys.stderr.isatty():
+            click.echo("\r\x1b[K", err=True, nl=False)
+        if options.is_json:
+            files = [{"robot": r, "path": p, "state": s} for r, p, _, s in rows]
+            print_json("Fetched", {"files": files, "missing": failed})
+        else:
+            print_table(("NAME", "FILE", "SIZE", "COPY"), rows)
+        _end(replies.keys(), failed)
+
+
+def _recordings(
+    options: CommonOptions, operator: Operator, targets: Targets
+) -> tuple[dict[str, RecordingsReply], list[str]]:
+    """The recordings of each target, and the targets that did not tell theirs."""
+    from swarmd.recording.fetch import recordings_of
+
+    view = known_members(options, operator)
+    found, failed = {}, []
+    for robot in targets_of(view, targets):
+        try:
+            found[robot] = recordings_of(partial(_ask, options, operator), robot)
+        except NetworkError as error:
+            warn(str(error))
+            failed.append(robot)
+    return found, failed
+
+
+def _ask(
+    options: CommonOptions, operator: Operator, robot: str, name: str, payload: bytes
+) -> bytes | None:
+    return operator.ask(robot, name, payload, timeout=options.timeout or _ASK_TIME)
+
+
+def _end(answered: object, failed: list[str]) -> None:
+    if failed:
+        click.get_current_context().exit(PARTIAL if answered else TIMEOUT)
+
+
+def _tell(robot: str, name: str, received: int, size: int) -> None:
+    if sys.stderr.isatty():
+        text = f"{robot} {name}: {_megabytes(received)} of {_megabytes(size)}"
+        click.echo(f"\r\x1b[K{text}", err=True, nl=False)
+
+
+def _times(one: RecordingFile, now: float) -> tuple[str, str]:
+    if one.is_open:
+        return NOTHING, "records"
+    if one.begin is None or one.end is None:
+        return NOTHING, "cut off"
+    return seconds(one.end - one.begin), f"{seconds(max(now - one.end, 0.0))} ago"
+
+
+def _megabytes(size: int) -> str:
+    return f"{size / 1e6:.2f} MB"

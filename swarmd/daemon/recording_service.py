@@ -1,0 +1,214 @@
+"""Records the robot on request, and hands its recordings to operators piece by piece."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import logging
+import zlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import CodecError
+from swarmd.core.host_messages import HostEvent, Stepped
+from swarmd.core.messages import (
+    Code,
+    FetchQuery,
+    FetchReply,
+    RecordingFile,
+    RecordingsReply,
+    RecordingSummary,
+    RecordRequest,
+    Refusal,
+    Reply,
+    Request,
+    Status,
+)
+from swarmd.core.values import ZERO, Value
+from swarmd.daemon.recorder import Recorder
+from swarmd.network.bus import Query, ZenohBus
+from swarmd.recording import frames
+from swarmd.recording.reader import clock_of
+from swarmd.robot.actions import Actions
+
+log = logging.getLogger(__name__)
+
+MAX_FILES = 500
+
+_fetch = Decoder(FetchQuery)
+
+
+class RecordingService:
+    """The recordings of one robot, in `folder`. `on_event` takes lines for its log."""
+
+    def __init__(
+        self,
+        robot: str,
+        folder: Path,
+        about: Mapping[str, str],
+        on_event: Callable[[str], None],
+        drop: Callable[[str], None],
+    ) -> None:
+        self._robot, self._folder, self._about = robot, folder, dict(about)
+        self._loop = asyncio.get_running_loop()
+        self._drop = drop
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._logged_to = -1.0
+        self.recorder = Recorder(self._loop, on_event)
+
+    @property
+    def summary(self) -> RecordingSummary | None:
+        """What is being recorded; None: nothing."""
+        recorder = self.recorder
+        if not recorder.is_on:
+            return None
+        report = recorder.report
+        return RecordingSummary(
+            file=report.path[-1000:], size=report.bytes, dropped=recorder.dropped
+        )
+
+    def answer(self, request: RecordRequest) -> Reply:
+        """Start or stop, and say so."""
+        recorder, is_on = self.recorder, self.recorder.is_on
+        code, refusal = Code.APPLIED, None
+        if request.action == "start" and is_on:
+            text = "records already"
+        elif request.action == "start":
+            try:
+                recorder.start(self._folder, self._robot, self._about)
+                text = f"records to {self._folder}"
+            except OSError as error:
+                code, refusal = Code.FAILED, Refusal.INVALID_REQUEST
+                text = f"cannot record: {error.strerror}"
+        elif is_on:
+            recorder.stop()
+            text = f"recorded {recorder.report.path or 'nothing yet'}"
+            if recorder.dropped:
+                text += f"; {recorder.dropped} entries were dropped: the disk is slow"
+        else:
+            text = "did not record"
+        return Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text[:300])
+
+    # What happens
+
+    def on_actions(self, cause: str, actions: Actions, state: str, reason: str) -> None:
+        """The robot has decided after `cause`."""
+        recorder = self.recorder
+        if not recorder.is_on:
+            return
+        now = boottime()
+        recorder.add(frames.DecisionEntry(now, cause, state, reason, actions.decision))
+        for channel, value in actions.messages.items():
+            recorder.add(frames.MessageEntry(now, self._robot, channel, value))
+
+    def on_host(self, event: HostEvent) -> None:
+        """The pattern has stepped."""
+        if self.recorder.is_on and isinstance(event, Stepped):
+            twist = event.outputs.twist
+            entry = frames.RequestedEntry(
+                boottime(), ZERO if twist is None else twist, event.scan_seq
+            )
+            self.recorder.add(entry)
+
+    def on_message(self, sender: str, channel: str, value: Value) -> None:
+        """A message of another robot's pattern."""
+        if self.recorder.is_on:
+            self.recorder.add(frames.MessageEntry(boottime(), sender, channel, value))
+
+    def on_request(self, request: Request) -> None:
+        """A request of an operator, before it is carried out."""
+        if self.recorder.is_on:
+            self.recorder.add(frames.TextEntry(boottime(), "/request", frames.as_json(request)))
+
+    def on_status(self, status: Status) -> None:
+        """A status that the daemon publishes, with the events that it has not had before."""
+        if not self.recorder.is_on:
+            return
+        now = boottime()
+        self.recorder.add(frames.TextEntry(now, "/status", frames.as_json(status)))
+        for event in status.events:
+            if event.at > self._logged_to:
+                at = now - status.uptime + event.at
+                self.recorder.add(frames.EventEntry(at, event.text))
+                self._logged_to = event.at
+
+    # Recordings for operators
+
+    def serve(self, bus: ZenohBus) -> None:
+        """Answer which recordings there are, and hand out their bytes."""
+        bus.serve("control", "recordings", lambda query: self._later(query, self._list))
+        bus.serve("control", "fetch", lambda query: self._later(query, self._fetch))
+
+    def close(self) -> None:
+        """Finish the recording."""
+        self.recorder.close()
+
+    def _later(self, query: Query, answer: Callable[[bytes], bytes]) -> None:
+        """Answer from a thread, since a disk may be slow."""
+
+        async def run() -> None:
+            try:
+                query.reply(await asyncio.to_thread(answer, query.payload))
+            except CodecError:
+                self._drop("control/fetch:malformed")
+                query.drop()
+
+        if len(self._tasks) >= 8:  # the asker repeats
+            query.drop()
+            return
+        task = self._loop.create_task(run())
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    def _list(self, _: bytes) -> bytes:
+        try:
+            paths = sorted(self._folder.glob("*.mcap"))[-MAX_FILES:]
+        except OSError:
+            paths = []
+        open_now = Path(self.recorder.report.path).name if self.recorder.is_on else ""
+        files = [_described(path, is_open=path.name == open_now) for path in paths]
+        found = tuple(one for one in files if one is not None)
+        return encode(RecordingsReply(robot=self._robot, now=boottime(), files=found))
+
+    def _fetch(self, payload: bytes) -> bytes:
+        query = _fetch(payload)
+        data, size, text = b"", 0, ""
+        try:
+            if Path(query.file).name != query.file or not query.file.endswith(".mcap"):
+                raise FileNotFoundError
+            with (self._folder / query.file).open("rb") as file:
+                size = file.seek(0, 2)
+                file.seek(query.offset)
+                data = file.read(query.length)
+        except FileNotFoundError:
+            text = "there is no such recording"
+        except OSError as error:
+            text = error.strerror or "cannot be read"
+        return encode(
+            FetchReply(
+                robot=self._robot,
+                file=query.file,
+                offset=query.offset,
+                size=size,
+                data=data,
+                crc=zlib.crc32(data),
+                text=text,
+            )
+        )
+
+
+def _described(path: Path, *, is_open: bool) -> RecordingFile | None:
+    try:
+        size = path.stat().st_size
+    except OSError:  # it was removed meanwhile
+        return None
+    begin = end = None
+    try:
+        index: dict[str, Any] = json.loads(path.with_suffix(".index.json").read_text())
+        begin, end = (clock_of(index["about"], int(index[key])) for key in ("begin_ns", "end_ns"))
+    except (OSError, ValueError, KeyError):
+        pass  # it is being written, or was cut off
+    return RecordingFile(name=path.name, size=size, is_open=is_open, begin=begin, end=end)

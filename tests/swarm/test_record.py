@@ -1,0 +1,97 @@
+"""Recordings of a swarm: started, stopped, listed and fetched by swarmctl from living daemons."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from swarmd.recording import messages
+from swarmd.recording.reader import RecordedFile, read_file
+from tests.support.processes import wait_until
+
+if TYPE_CHECKING:
+    from tests.swarm.conftest import Swarm
+
+pytestmark = pytest.mark.integration
+
+
+def topics(found: RecordedFile) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    for one in found.messages:
+        counts[one.topic] = counts.get(one.topic, 0) + 1
+    return counts
+
+
+def test_a_run_is_recorded_listed_and_fetched(swarm: Swarm, tmp_path: Path) -> None:
+    body = swarm.body("tb3-01")
+    swarm.start("tb3-01", body)
+    started = swarm.ctl("record", "start", "--all")
+    assert started.outcome == (0, "1 targeted, 1 applied"), started.err
+    assert "records to" in started.out
+    assert "records already" in swarm.ctl("record", "start", "--all").out
+
+    swarm.run_drive("tb3-01")
+    body.wait_moving()
+    folder = swarm.folder / "state" / swarm.name / "tb3-01" / "recordings"
+    wait_until(
+        lambda: any(one.stat().st_size > 20_000 for one in folder.glob("*.mcap")), "on the disk"
+    )
+    listed = swarm.ctl("record", "list", "--all", "-o", "json").json["robots"]["tb3-01"]
+    assert [one["is_open"] for one in listed] == [True]
+
+    here = tmp_path / "here"
+    first = swarm.ctl("record", "fetch", "--all", "-d", str(here))
+    assert first.code == 0
+    assert "so far" in first.out
+    partial = here / "tb3-01" / "tb3-01-00001.mcap.partial"
+    assert topics(read_file(partial))["/scan"] > 0
+
+    swarm.ctl("stop", "--all")
+    assert swarm.ctl("record", "stop", "--all").code == 0
+    wait_until(lambda: bool(list(folder.glob("*.index.json"))), "finished")
+    second = swarm.ctl("record", "fetch", "--all", "-d", str(here))
+    assert "whole" in second.out
+    assert not partial.exists()
+    copy = here / "tb3-01" / "tb3-01-00001.mcap"
+    assert copy.read_bytes() == (folder / copy.name).read_bytes()
+
+    found = read_file(copy)
+    assert found.fault == ""
+    assert found.about["robot"] == "tb3-01"
+    counts = topics(found)
+    assert {
+        "/scan",
+        "/odometry",
+        "/decision",
+        "/command/requested",
+        "/request",
+        "/status",
+    } <= counts.keys()
+    decisions = [
+        messages.deserialize(one.kind, one.payload)
+        for one in found.messages
+        if one.topic == "/decision"
+    ]
+    assert {one.state for one in decisions} >= {"idle", "running", "stopped"}
+    assert max(one.safe.linear.x for one in decisions) > 0.0
+    texts = [one for one in found.messages if one.topic == "/request"]
+    requests = [json.loads(messages.deserialize(one.kind, one.payload).json) for one in texts]
+    assert list({one["id"]: one["verb"] for one in requests}.values()) == ["run", "stop"]
+    listed = swarm.ctl("record", "list", "--all", "-o", "json").json["robots"]["tb3-01"]
+    assert [one["is_open"] for one in listed] == [False]
+    assert listed[0]["end"] > listed[0]["begin"]
+
+
+def test_robots_without_an_answer_are_named(swarm: Swarm, tmp_path: Path) -> None:
+    swarm.start("tb3-01")
+    lost = swarm.start("tb3-02")
+    lost.freeze()
+    fetched = swarm.ctl(
+        "record", "fetch", "tb3-01", "tb3-02", "--timeout", "2s", "-d", str(tmp_path)
+    )
+    assert fetched.code == 3
+    assert "tb3-02 does not answer" in fetched.err
+    lost.thaw()
