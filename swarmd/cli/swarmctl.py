@@ -37,6 +37,10 @@ VERBS = {
         "Measure brakes, delays and scales of a robot by a few short drives.",
     ),
     "record": ("swarmd.cli.record:record", "Record robots, and fetch their recordings."),
+    "replay": (
+        "swarmd.cli.replay:replay",
+        "Repeat a recorded run without a robot, and compare its commands.",
+    ),
     "plugin": ("swarmd.cli.plugin:plugin", "Write, check and reload patterns of your own."),
 }
 _EXIT_CODES = """\b

@@ -14,6 +14,7 @@ import secrets
 import signal
 import socket
 from collections.abc import Callable, Mapping
+from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -29,6 +30,7 @@ from swarmd.daemon.driver_factory import make_driver
 from swarmd.daemon.driver_sink import DriverSink
 from swarmd.daemon.latchfile import LatchFile
 from swarmd.daemon.network import Network, NetworkHandlers
+from swarmd.daemon.recorded_robot import RecordedRobot
 from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.request_server import RequestServer
 from swarmd.daemon.systemd import Notifier
@@ -39,10 +41,11 @@ from swarmd.network.datagram import Address, Message, Stop
 from swarmd.network.interface_watch import InterfaceChange
 from swarmd.network.peer import Summary
 from swarmd.pattern_host.runner import ProcessRunner
+from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import body_of
+from swarmd.recording.head import RecordingHead
 from swarmd.robot.actions import Actions
 from swarmd.robot.lifecycle import RobotSettings
-from swarmd.robot.robot import Robot
 from swarmd.settings.driver_options import IdleOutputFilter, base_options
 from swarmd.settings.settings import DaemonSettings
 
@@ -106,8 +109,8 @@ class Daemon:
         self._recording = RecordingService(
             settings.id,
             settings.state_dir / settings.network.swarm / settings.id / "recordings",
-            _about(settings, self._instance, self._seed),
-            lambda text: self._on_network_event(text),
+            partial(_head, settings, self._instance, self._seed, boottime()),
+            self._on_network_event,
             self._network.drop,
         )
         self._requests = RequestServer(
@@ -118,7 +121,7 @@ class Daemon:
             record=self._recording.answer,
         )
         self._ticks = 0
-        self._robot = Robot(
+        self._robot = RecordedRobot(
             settings.id,
             settings.platform,
             RobotSettings(
@@ -136,8 +139,9 @@ class Daemon:
             instance=self._instance,
             now=boottime(),
             latches=self._latches.read(),
+            recorder=self._recording.recorder,
         )
-        self.sink = DriverSink(self._robot, self._recording.recorder, self._carry_out)
+        self.sink = DriverSink(self._robot, self._carry_out)
         self._timer = TickTimer(self._loop, self._on_tick)
 
     async def run(self, stop: asyncio.Event) -> None:
@@ -231,7 +235,7 @@ class Daemon:
         self._send(ZERO, -1, -1)
         try:
             if self._crash is None:
-                self._carry_out("leave", self._robot.on_leave(boottime()))
+                self._carry_out(self._robot.on_leave(boottime()))
                 self._timer.stop()
         finally:
             self._recording.close()
@@ -241,8 +245,7 @@ class Daemon:
     # Inputs from the network
 
     def _on_request(self, request: Request) -> None:
-        self._recording.on_request(request)
-        self._carry_out("request", self._robot.on_request(request, boottime()))
+        self._carry_out(self._robot.on_request(request, boottime()))
 
     def _on_audit(self, line: str) -> None:
         log.info("%s", line)
@@ -253,7 +256,7 @@ class Daemon:
 
     def _on_latches(self, latches: Mapping[str, Latch]) -> None:
         before = self._robot.state
-        self._carry_out("latch", self._robot.on_latches(latches, boottime()))
+        self._carry_out(self._robot.on_latches(latches, boottime()))
         if self._robot.state is not before:
             text = self._robot.status(boottime()).detail
             log.info("estopped by the latch of a peer: %s", text)
@@ -261,7 +264,6 @@ class Daemon:
     def _on_message(self, message: Message) -> None:
         try:
             value = decode_value(message.payload)
-            self._recording.on_message(message.robot, message.channel, value)
             is_accepted = self._robot.on_message(message.robot, message.channel, value, boottime())
         except CodecError:
             self._network.drop("msg:malformed")
@@ -275,15 +277,14 @@ class Daemon:
     def _on_duplicate(self, holder: str | None) -> None:
         if holder is not None:
             log.error("id %s is also held by %s", self._robot.id, holder)
-        self._carry_out("duplicate", self._robot.on_duplicate(holder, boottime()))
+        self._carry_out(self._robot.on_duplicate(holder, boottime()))
 
     def _on_interface(self, change: InterfaceChange) -> None:
         """Tell of a change of the interface; with another address the robot stands."""
         log.warning("%s", change.line)
         self._notify.status(change.line)
         if change.must_reopen:
-            actions = self._robot.on_network_changed(change.line, boottime())
-            self._carry_out("network", actions)
+            self._carry_out(self._robot.on_network_changed(change.line, boottime()))
         else:
             self._robot.log(change.line, boottime())
 
@@ -307,8 +308,7 @@ class Daemon:
 
     def _on_tick(self) -> None:
         self._ticks += 1
-        self._carry_out("tick", self._robot.tick(boottime()))
-        self._recording.recorder.flush()
+        self._carry_out(self._robot.tick(boottime()))
         self._network.advance()
         if told := self._robot.pose_to_tell(boottime()):
             self._network.publish_pose(*told)
@@ -319,10 +319,9 @@ class Daemon:
 
     def _on_host_events(self) -> None:
         for event in self._runner.events():
-            self._recording.on_host(event)
-            self._carry_out("host", self._robot.on_host(event, boottime()))
+            self._carry_out(self._robot.on_host(event, boottime()))
 
-    def _carry_out(self, cause: str, actions: Actions) -> None:
+    def _carry_out(self, actions: Actions) -> None:
         if self._idle.allows(actions.twist, actions.is_idle, boottime()):
             self._send(
                 actions.twist,
@@ -330,9 +329,6 @@ class Daemon:
                 actions.requested_scan_seq,
                 is_stopped=actions.is_stopped,
             )
-        if self._recording.recorder.is_on:
-            state = self._robot.state
-            self._recording.on_actions(cause, actions, state, actions.decision.reason or "")
         if actions.is_quiet:
             return
         is_stored = actions.latches is None or self._latches.write(actions.latches)
@@ -347,8 +343,6 @@ class Daemon:
                 self._network.drop(f"msg/{name}:unsendable")
         if actions.status is not None:
             self._network.publish_status(self._status)
-            if self._recording.recorder.is_on:
-                self._recording.on_status(self._status())
         for reply in actions.replies:
             self._requests.reply(reply, is_stored=is_stored)
         wake_at = self._robot.wake_at(boottime())
@@ -373,18 +367,24 @@ class Daemon:
         return replace(status, health=health, recording=self._recording.summary)
 
 
-def _about(settings: DaemonSettings, instance: str, seed: int) -> dict[str, str]:
-    """What a recording tells of the robot."""
-    return {
-        "robot": settings.id,
-        "swarm": settings.network.swarm,
-        "platform": settings.platform.name,
-        "driver": settings.driver,
-        "instance": instance,
-        "seed": str(seed),
-        "version": version("swarmd"),
-        "kernels": describe_kernels(),
-    }
+def _head(settings: DaemonSettings, instance: str, seed: int, now: float) -> RecordingHead:
+    """What recordings tell of this robot."""
+    layers = {name: settings.pattern_layers(name) for name in pattern_names(settings.plugin_dir)}
+    return RecordingHead(
+        robot=settings.id,
+        swarm=settings.network.swarm,
+        driver=settings.driver,
+        instance=instance,
+        seed=seed,
+        version=version("swarmd"),
+        kernels=describe_kernels(),
+        born=now,
+        platform=settings.platform,
+        labels=settings.labels,
+        layers={name: values for name, values in layers.items() if values},
+        touch=settings.touch_zones,
+        accepts=settings.accepts,
+    )
 
 
 async def _end(task: asyncio.Task[Any]) -> None:

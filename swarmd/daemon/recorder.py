@@ -16,11 +16,12 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
+from msgspec import structs
+
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Reason
 from swarmd.core.processes import how_it_ended
-from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose
+from swarmd.core.values import Scan
 from swarmd.recording import frames
 
 MAX_BATCH = 60_000
@@ -65,6 +66,7 @@ class Recorder:
         self._ending: list[_Process] = []
         self._entries: list[bytes] = []
         self._size = 0
+        self._latest: dict[str, frames.Entry] = {}
         self._scan: Scan | None = None
         self._reported_at = -DROPS_PERIOD
         self._unreported = 0
@@ -109,6 +111,8 @@ class Recorder:
                 keep_bytes=keep_bytes,
             )
         )
+        for entry in self._latest.values():
+            self.add(structs.replace(entry, at=at))
 
     def stop(self) -> None:
         """Send what is left; the process finishes its file and ends."""
@@ -125,37 +129,22 @@ class Recorder:
                 one.process.kill()
             self._on_end(one)
 
-    def scan(self, scan: Scan) -> None:
+    def scan(self, scan: Scan, now: float) -> None:
         """A scan as the driver gave it."""
         if self._open is not None:
-            entry = frames.scan_entry(scan, boottime(), self._scan)
+            entry = frames.scan_entry(scan, now, self._scan)
             self._scan = scan
             self.add(entry)
 
-    def odometry(self, odometry: Odometry) -> None:
-        """A pose and twist."""
-        if self._open is not None:
-            self.add(frames.OdometryEntry(boottime(), odometry))
+    def latest(self, what: str, entry: frames.Entry) -> None:
+        """An entry that holds until the next one on `what`: a recording that begins has it, too."""
+        self._latest[what] = entry
+        self.add(entry)
 
-    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """The robots within radio range, as the driver measures them."""
+    def text(self, topic: str, value: object, now: float) -> None:
+        """A value as JSON on a topic."""
         if self._open is not None:
-            self.add(frames.NeighborsEntry(boottime(), neighbors))
-
-    def pose(self, pose: SharedPose) -> None:
-        """A pose in a shared frame."""
-        if self._open is not None:
-            self.add(frames.PoseEntry(boottime(), pose))
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        """Scalar sensors."""
-        if self._open is not None:
-            self.add(frames.ReadingsEntry(boottime(), dict(values)))
-
-    def driver(self, is_up: bool, text: str, *, hold: Reason | None, gets_zero: bool) -> None:
-        """The base is connected or lost."""
-        if self._open is not None:
-            self.add(frames.DriverEntry(boottime(), is_up, text, str(hold or ""), gets_zero))
+            self.add(frames.TextEntry(now, topic, frames.as_json(value)))
 
     def add(self, entry: frames.Entry) -> None:
         """Take one entry; nothing happens while nothing is recorded."""

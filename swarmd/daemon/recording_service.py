@@ -6,14 +6,13 @@ import asyncio
 import json
 import logging
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.errors import CodecError
-from swarmd.core.host_messages import HostEvent, Stepped
+from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.messages import (
     Code,
     FetchQuery,
@@ -24,15 +23,11 @@ from swarmd.core.messages import (
     RecordRequest,
     Refusal,
     Reply,
-    Request,
-    Status,
 )
-from swarmd.core.values import ZERO, Value
 from swarmd.daemon.recorder import Recorder
 from swarmd.network.bus import Query, ZenohBus
-from swarmd.recording import frames
+from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import clock_of
-from swarmd.robot.actions import Actions
 
 log = logging.getLogger(__name__)
 
@@ -48,15 +43,14 @@ class RecordingService:
         self,
         robot: str,
         folder: Path,
-        about: Mapping[str, str],
+        head: Callable[[], RecordingHead],
         on_event: Callable[[str], None],
         drop: Callable[[str], None],
     ) -> None:
-        self._robot, self._folder, self._about = robot, folder, dict(about)
+        self._robot, self._folder, self._head = robot, folder, head
         self._loop = asyncio.get_running_loop()
         self._drop = drop
         self._tasks: set[asyncio.Task[None]] = set()
-        self._logged_to = -1.0
         self.recorder = Recorder(self._loop, on_event)
 
     @property
@@ -78,11 +72,11 @@ class RecordingService:
             text = "records already"
         elif request.action == "start":
             try:
-                recorder.start(self._folder, self._robot, self._about)
+                recorder.start(self._folder, self._robot, self._head().texts())
                 text = f"records to {self._folder}"
-            except OSError as error:
+            except (OSError, PluginError) as error:
                 code, refusal = Code.FAILED, Refusal.INVALID_REQUEST
-                text = f"cannot record: {error.strerror}"
+                text = f"cannot record: {error}"
         elif is_on:
             recorder.stop()
             text = f"recorded {recorder.report.path or 'nothing yet'}"
@@ -91,49 +85,6 @@ class RecordingService:
         else:
             text = "did not record"
         return Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text[:300])
-
-    # What happens
-
-    def on_actions(self, cause: str, actions: Actions, state: str, reason: str) -> None:
-        """The robot has decided after `cause`."""
-        recorder = self.recorder
-        if not recorder.is_on:
-            return
-        now = boottime()
-        recorder.add(frames.DecisionEntry(now, cause, state, reason, actions.decision))
-        for channel, value in actions.messages.items():
-            recorder.add(frames.MessageEntry(now, self._robot, channel, value))
-
-    def on_host(self, event: HostEvent) -> None:
-        """The pattern has stepped."""
-        if self.recorder.is_on and isinstance(event, Stepped):
-            twist = event.outputs.twist
-            entry = frames.RequestedEntry(
-                boottime(), ZERO if twist is None else twist, event.scan_seq
-            )
-            self.recorder.add(entry)
-
-    def on_message(self, sender: str, channel: str, value: Value) -> None:
-        """A message of another robot's pattern."""
-        if self.recorder.is_on:
-            self.recorder.add(frames.MessageEntry(boottime(), sender, channel, value))
-
-    def on_request(self, request: Request) -> None:
-        """A request of an operator, before it is carried out."""
-        if self.recorder.is_on:
-            self.recorder.add(frames.TextEntry(boottime(), "/request", frames.as_json(request)))
-
-    def on_status(self, status: Status) -> None:
-        """A status that the daemon publishes, with the events that it has not had before."""
-        if not self.recorder.is_on:
-            return
-        now = boottime()
-        self.recorder.add(frames.TextEntry(now, "/status", frames.as_json(status)))
-        for event in status.events:
-            if event.at > self._logged_to:
-                at = now - status.uptime + event.at
-                self.recorder.add(frames.EventEntry(at, event.text))
-                self._logged_to = event.at
 
     # Recordings for operators
 

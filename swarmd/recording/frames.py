@@ -6,13 +6,24 @@ it. Numpy arrays travel as bytes.
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
+from collections.abc import Mapping
+from typing import Any, TypeAlias, cast
 
 import msgspec
 import numpy as np
 from msgspec import Struct
 
 from swarmd.core.errors import CodecError
+from swarmd.core.host_messages import (
+    HostDied,
+    HostEvent,
+    Loaded,
+    LoadRefused,
+    ParamsSet,
+    PatternFailed,
+    Stepped,
+    TrialDone,
+)
 from swarmd.core.values import Array, Neighbor, Odometry, Scan, SharedPose, Twist, Value
 from swarmd.protection.decision import Decision
 
@@ -64,7 +75,7 @@ class OdometryEntry(Struct, frozen=True, array_like=True, tag="odometry"):
 
 
 class NeighborsEntry(Struct, frozen=True, array_like=True, tag="neighbors"):
-    """The robots within radio range, as the driver measures them."""
+    """The robots within radio range, from the driver or all members."""
 
     at: float
     value: tuple[Neighbor, ...]
@@ -92,6 +103,13 @@ class DriverEntry(Struct, frozen=True, array_like=True, tag="driver"):
     text: str
     hold: str
     gets_zero: bool
+
+
+class HostEntry(Struct, frozen=True, array_like=True, tag="host"):
+    """An event of the pattern host, as `encode_host` gives it: a replay hands it to the robot."""
+
+    at: float
+    data: bytes
 
 
 class RequestedEntry(Struct, frozen=True, array_like=True, tag="requested"):
@@ -122,7 +140,7 @@ class MessageEntry(Struct, frozen=True, array_like=True, tag="message"):
 
 
 class TextEntry(Struct, frozen=True, array_like=True, tag="text"):
-    """JSON on `topic`: a status, or a request that was accepted."""
+    """A value as JSON on `topic`, such as a status or a request."""
 
     at: float
     topic: str
@@ -144,6 +162,7 @@ Entry: TypeAlias = (
     | PoseEntry
     | ReadingsEntry
     | DriverEntry
+    | HostEntry
     | RequestedEntry
     | DecisionEntry
     | MessageEntry
@@ -191,6 +210,26 @@ def decode_report(frame: bytes) -> RecorderReport:
         return _reports.decode(frame)
     except msgspec.MsgspecError as error:
         raise CodecError(str(error)) from error
+
+
+_HOST_EVENTS: Mapping[str, type[Struct]] = {
+    kind.__name__: kind
+    for kind in (Loaded, LoadRefused, Stepped, ParamsSet, PatternFailed, HostDied, TrialDone)
+}
+
+
+def encode_host(event: HostEvent) -> bytes:
+    """The bytes of an event of the pattern host."""
+    return _encoder.encode([type(event).__name__, event])
+
+
+def decode_host(data: bytes) -> HostEvent:
+    """The event of a pattern host; CodecError if it is malformed."""
+    try:
+        name, raw = msgspec.msgpack.decode(data, type=tuple[str, msgspec.Raw])
+        return cast(HostEvent, msgspec.msgpack.decode(raw, type=_HOST_EVENTS[name]))
+    except (msgspec.MsgspecError, KeyError) as error:
+        raise CodecError(f"not an event of a pattern host: {error}") from error
 
 
 def scan_entry(scan: Scan, at: float, last: Scan | None) -> ScanEntry:

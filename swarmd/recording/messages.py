@@ -47,8 +47,10 @@ OWN = {
         "float64[] bearings\nfloat64[] gaps\nfloat64[] caps"
     ),
     "Text": "std_msgs/Header header\nstring json",
+    "Bytes": "std_msgs/Header header\nuint8[] data",
 }
-"""The definitions of `swarmd_msgs`. NaN: not measured. `Text`: a value as JSON."""
+"""The definitions of `swarmd_msgs`. NaN: not measured. `Text`: a value as JSON.
+`Bytes`: MessagePack that only a replay reads."""
 
 
 @lru_cache(maxsize=1)

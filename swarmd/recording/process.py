@@ -17,6 +17,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from swarmd.core.clock import boottime
 from swarmd.recording import frames, messages
 from swarmd.recording.writer import CHUNK_TIME, RecordingWriter
@@ -41,7 +43,7 @@ class Converter:
             max_bytes=begin.max_bytes,
             max_seconds=begin.max_seconds,
             keep_bytes=begin.keep_bytes,
-            latched=frozenset({GEOMETRY, "/request", "/driver"}),
+            latched=frozenset({GEOMETRY}),
         )
 
     def ns(self, at: float) -> int:
@@ -90,6 +92,8 @@ class Converter:
                     hold=entry.hold,
                     gets_zero=entry.gets_zero,
                 )
+            case frames.HostEntry():
+                return "/host", new("Bytes", stamp, data=np.frombuffer(entry.data, np.uint8))
             case frames.RequestedEntry():
                 return "/command/requested", messages.requested_message(
                     entry.twist, entry.scan_seq, stamp

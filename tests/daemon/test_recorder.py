@@ -53,8 +53,10 @@ def test_each_entry_is_in_the_file_with_its_time_and_order(tmp_path: Path) -> No
         recorder = Recorder(asyncio.get_running_loop(), events.append)
         recorder.start(tmp_path, "tb3-01", {"robot": "tb3-01"})
         for seq in range(50):
-            recorder.scan(scan(seq))
-            recorder.odometry(Odometry(0.1 * seq, Pose(seq, 0.0, 0.0), Twist(0.1)))
+            recorder.scan(scan(seq), 0.0)
+            recorder.add(
+                frames.OdometryEntry(0.0, Odometry(0.1 * seq, Pose(seq, 0.0, 0.0), Twist(0.1)))
+            )
             row = LimitingObstacle(0.1, 0.2, 0.3)
             decision = Decision(
                 "barrier", Twist(0.2), Twist(0.1), None, True, (row,), 0.2, 0.01, seq
@@ -99,7 +101,7 @@ def test_a_frozen_recorder_process_drops_entries_and_delays_nothing(tmp_path: Pa
     async def run() -> tuple[int, float]:
         recorder = Recorder(asyncio.get_running_loop(), events.append)
         recorder.start(tmp_path, "a", {})
-        recorder.odometry(Odometry(0.0, Pose(), Twist()))
+        recorder.add(frames.OdometryEntry(0.0, Odometry(0.0, Pose(), Twist())))
         recorder.flush()
         await until(lambda: recorder.report.path)
         assert recorder._open is not None
@@ -109,14 +111,14 @@ def test_a_frozen_recorder_process_drops_entries_and_delays_nothing(tmp_path: Pa
         seq = 0
         while recorder.dropped == 0:
             begin = time.thread_time()
-            recorder.scan(replace(scan(seq), bearings=BEARINGS + 1e-9 * seq))
+            recorder.scan(replace(scan(seq), bearings=BEARINGS + 1e-9 * seq), 0.0)
             recorder.flush()
             longest = max(longest, time.thread_time() - begin)
             seq += 1
         dropped = recorder.dropped
         process.send_signal(signal.SIGCONT)
         await until(lambda: recorder.report.bytes > 10_000)
-        recorder.scan(scan(seq))
+        recorder.scan(scan(seq), 0.0)
         recorder.close(WAIT)
         return dropped, longest
 
@@ -141,10 +143,10 @@ def test_a_recorder_process_that_is_killed_is_reported_once(tmp_path: Path) -> N
         recorder._open.process.kill()
         await until(lambda: events)
         assert not recorder.is_on
-        recorder.scan(scan(1))
+        recorder.scan(scan(1), 0.0)
         recorder.flush()
         recorder.start(tmp_path, "a", {})
-        recorder.scan(scan(2))
+        recorder.scan(scan(2), 0.0)
         recorder.close(WAIT)
 
     asyncio.run(run())
@@ -160,7 +162,7 @@ def test_a_folder_that_cannot_be_written_is_one_event(tmp_path: Path) -> None:
     async def run() -> None:
         recorder = Recorder(asyncio.get_running_loop(), events.append)
         recorder.start(tmp_path / "file" / "folder", "a", {})
-        recorder.scan(scan(1))
+        recorder.scan(scan(1), 0.0)
         recorder.flush()
         await until(lambda: events)
         recorder.close(WAIT)
@@ -179,7 +181,7 @@ async def run():
     recorder.start(Path(sys.argv[1]), "a", {}, max_bytes=100_000, keep_bytes=10**9)
     rng = np.random.default_rng(1)
     for seq in range(100_000):
-        recorder.scan(replace(scan(seq), ranges=rng.uniform(0.2, 3.0, 180)))
+        recorder.scan(replace(scan(seq), ranges=rng.uniform(0.2, 3.0, 180)), 0.0)
         recorder.flush()
         await asyncio.sleep(0)
         if events and not recorder.is_on:

@@ -95,3 +95,30 @@ def test_robots_without_an_answer_are_named(swarm: Swarm, tmp_path: Path) -> Non
     assert fetched.code == 3
     assert "tb3-02 does not answer" in fetched.err
     lost.thaw()
+
+
+def test_a_replay_repeats_the_commands_of_pattern_and_protection(swarm: Swarm) -> None:
+    body = swarm.body("tb3-01")
+    swarm.start("tb3-01", body)
+    assert swarm.ctl("record", "start", "--all").code == 0
+    swarm.run_drive("tb3-01")
+    body.wait_moving()
+    swarm.ctl("stop", "--all")
+    assert swarm.ctl("run", "random_walk", "--all").code == 0
+    body.wait_stepped()
+    swarm.ctl("stop", "--all")
+    assert swarm.ctl("record", "stop", "--all").code == 0
+    folder = swarm.folder / "state" / swarm.name / "tb3-01" / "recordings"
+    wait_until(lambda: bool(list(folder.glob("*.index.json"))), "finished")
+
+    same = swarm.ctl("replay", str(folder), "-o", "json")
+    assert same.code == 0, same.out + same.err
+    assert same.json["safe"]["count"] > 20
+    assert same.json["safe"]["largest"] <= 1e-6
+    assert same.json["requested"]["count"] > 2
+    assert same.json["requested"]["largest"] <= 1e-6
+    assert same.json["notes"] == []
+
+    other = swarm.ctl("replay", str(folder), "--platform", "burger", "-o", "json")
+    assert other.code == 1
+    assert other.json["safe"]["first"] is not None

@@ -1,0 +1,104 @@
+"""`swarmctl replay`: repeats a recorded run without a robot, and compares its commands."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from swarmd.cli.options import CommonOptions, local_options
+from swarmd.cli.output import print_json, print_table, warn
+from swarmd.network.outcome import FAILED
+
+_LEAST_SHARE = 0.999
+"""Of equal commands, below which a replay does not match: rounding may move a deadline."""
+
+
+@click.command()
+@click.argument(
+    "files",
+    nargs=-1,
+    required=True,
+    metavar="FILE...",
+    type=click.Path(exists=True, path_type=Path),
+)
+@click.option(
+    "--platform",
+    metavar="NAME|FILE",
+    help="Another platform for the replay: what would its settings have commanded?",
+)
+@click.option(
+    "--plugin-dir",
+    type=click.Path(file_okay=False, path_type=Path),
+    help="The folder of patterns of your own.",
+)
+@local_options
+def replay(
+    options: CommonOptions, files: tuple[Path, ...], platform: str | None, plugin_dir: Path | None
+) -> None:
+    """Repeat a recorded run without a robot, and compare its commands with the recorded ones.
+
+    FILE: a recording (.mcap), its parts in their order, or the folder of one robot. `safe` compares
+    what protection commanded, `requested` what the pattern asked for. The exit code is 1 if fewer
+    than 99.9 % of them are equal.
+    """
+    from swarmd.plugins import check_single, pattern_names
+    from swarmd.recording.head import head_of
+    from swarmd.recording.reader import read_file
+    from swarmd.replay.replay import TOLERANCE, Replay, check_begins_idle
+    from swarmd.settings.platforms import load_platform
+
+    paths = [
+        part for one in files for part in (sorted(one.glob("*.mcap")) if one.is_dir() else [one])
+    ]
+    if not paths:
+        raise click.UsageError(f"{files[0]}: no recording (.mcap) in this folder")
+    found = [read_file(path) for path in paths]
+    for one in found:
+        if one.fault:
+            warn(f"{one.path}: {one.fault}; what is whole is repeated")
+    recorded = [message for one in found for message in one.messages]
+    where = str(paths[0])
+    head = head_of(found[0].about, where)
+    if any(one.about.get("head") != found[0].about.get("head") for one in found):
+        raise click.UsageError(f"{where}: the files are of several robots, or lives of a daemon")
+    check_begins_idle(recorded, where)
+    origins = {}
+    for name, origin in pattern_names(plugin_dir).items():
+        check_single(name, origin)
+        origins[name] = (origin.value, origin.is_file)
+    other = None if platform is None else load_platform(platform)
+    parity = Replay(head, found[0].about, origins, other).run(recorded)
+    rows = (("safe", parity.safe), ("requested", parity.requested))
+    is_equal = all(one.share >= _LEAST_SHARE for _, one in rows)
+    if options.is_json:
+        content = {
+            name: {
+                "count": one.count,
+                "equal": one.equal,
+                "largest": one.largest,
+                "first": one.first,
+            }
+            for name, one in rows
+        }
+        more = {"robot": head.robot, "seconds": parity.seconds, "notes": list(parity.notes)}
+        print_json("Replay", {**more, **content, "tolerance": TOLERANCE, "is_equal": is_equal})
+    else:
+        click.echo(f"{head.robot} ({head.platform.name}), {parity.seconds:.1f} s")
+        print_table(
+            ("COMMANDS", "COMPARED", "EQUAL", "LARGEST DIFFERENCE", "FIRST"),
+            [
+                (
+                    name,
+                    str(one.count),
+                    f"{one.share:.2%}",
+                    f"{one.largest:.3g}",
+                    "-" if one.first is None else f"{one.first:.2f} s",
+                )
+                for name, one in rows
+            ],
+        )
+    for note in parity.notes:
+        warn(note)
+    if not is_equal:
+        click.get_current_context().exit(FAILED)

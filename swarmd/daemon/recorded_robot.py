@@ -1,0 +1,142 @@
+"""A robot whose inputs and decisions are recorded, so that a replay can repeat them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from swarmd.core.host_messages import HostEvent, Stepped
+from swarmd.core.messages import Body, Latch, Reason, Request, Status
+from swarmd.core.values import (
+    ZERO,
+    Neighbor,
+    Odometry,
+    PeerPlace,
+    Scan,
+    SharedPose,
+    Value,
+)
+from swarmd.daemon.recorder import Recorder
+from swarmd.recording import frames
+from swarmd.robot.actions import Actions
+from swarmd.robot.robot import Robot
+
+
+class RecordedRobot(Robot):
+    """A `Robot` that hands each input with its time, and each decision, to a recorder."""
+
+    def __init__(self, *args: Any, recorder: Recorder, **kwargs: Any) -> None:
+        self._recorder = recorder
+        self._logged_to = -1.0
+        super().__init__(*args, **kwargs)
+
+    def on_scan(self, scan: Scan, now: float) -> Actions:
+        """A raw scan arrived."""
+        self._recorder.scan(scan, now)
+        return self._decided("scan", now, super().on_scan(scan, now))
+
+    def on_odometry(self, odometry: Odometry, now: float) -> None:
+        """A measured pose and twist arrived."""
+        self._recorder.add(frames.OdometryEntry(now, odometry))
+        super().on_odometry(odometry, now)
+
+    def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
+        """The present neighbours."""
+        self._recorder.latest("neighbors", frames.NeighborsEntry(now, neighbors))
+        super().on_neighbors(neighbors, now)
+
+    def on_peers(self, bodies: Mapping[str, Body | None], now: float) -> None:
+        """What the other robots tell of their bodies."""
+        entry = frames.TextEntry(now, "/peers", frames.as_json(bodies))
+        self._recorder.latest("peers", entry)
+        super().on_peers(bodies, now)
+
+    def on_pose(self, pose: SharedPose, now: float) -> None:
+        """The robot's own pose in a frame that robots share."""
+        self._recorder.add(frames.PoseEntry(now, pose))
+        super().on_pose(pose, now)
+
+    def on_peer_place(self, place: PeerPlace, now: float) -> None:
+        """Where a peer says that it is in a shared frame."""
+        self._recorder.text("/peer_place", place, now)
+        super().on_peer_place(place, now)
+
+    def on_readings(self, readings: Mapping[str, float]) -> None:
+        """Scalar sensor readings by name."""
+        self._recorder.latest("readings", frames.ReadingsEntry(self._last_tick, dict(readings)))
+        super().on_readings(readings)
+
+    def on_message(self, sender: str, name: str, value: Value, now: float) -> bool:
+        """A message of another robot's pattern."""
+        self._recorder.add(frames.MessageEntry(now, sender, name, value))
+        return super().on_message(sender, name, value, now)
+
+    def on_driver(
+        self,
+        is_up: bool,
+        text: str,
+        now: float,
+        *,
+        hold: Reason | None = None,
+        gets_zero: bool = False,
+    ) -> Actions:
+        """The driver is connected or lost."""
+        entry = frames.DriverEntry(now, is_up, text, str(hold or ""), gets_zero)
+        self._recorder.latest("driver", entry)
+        actions = super().on_driver(is_up, text, now, hold=hold, gets_zero=gets_zero)
+        return self._decided("driver", now, actions)
+
+    def on_host(self, event: HostEvent, now: float) -> Actions:
+        """An event of the pattern host arrived."""
+        if self._recorder.is_on:
+            self._recorder.add(frames.HostEntry(now, frames.encode_host(event)))
+            if isinstance(event, Stepped):
+                twist = ZERO if event.outputs.twist is None else event.outputs.twist
+                self._recorder.add(frames.RequestedEntry(now, twist, event.scan_seq))
+        return self._decided("host", now, super().on_host(event, now))
+
+    def on_request(self, request: Request, now: float) -> Actions:
+        """A request arrived."""
+        self._recorder.text("/request", request, now)
+        return self._decided("request", now, super().on_request(request, now))
+
+    def on_latches(self, latches: Mapping[str, Latch], now: float) -> Actions:
+        """A peer holds latches."""
+        self._recorder.text("/latches", latches, now)
+        return self._decided("latches", now, super().on_latches(latches, now))
+
+    def on_duplicate(self, holder: str | None, now: float) -> Actions:
+        """Another instance has this id."""
+        self._recorder.text("/duplicate", holder, now)
+        return self._decided("duplicate", now, super().on_duplicate(holder, now))
+
+    def on_network_changed(self, text: str, now: float) -> Actions:
+        """The daemon speaks on another network."""
+        self._recorder.text("/network", text, now)
+        return self._decided("network", now, super().on_network_changed(text, now))
+
+    def tick(self, now: float) -> Actions:
+        """Check all deadlines."""
+        actions = self._decided("tick", now, super().tick(now))
+        self._recorder.flush()
+        return actions
+
+    def _decided(self, cause: str, now: float, actions: Actions) -> Actions:
+        recorder = self._recorder
+        if not recorder.is_on:
+            return actions
+        reason = actions.decision.reason or ""
+        recorder.add(frames.DecisionEntry(now, cause, self.state, reason, actions.decision))
+        for channel, value in actions.messages.items():
+            recorder.add(frames.MessageEntry(now, self.id, channel, value))
+        if actions.status is not None:
+            self._record_status(actions.status, now)
+        return actions
+
+    def _record_status(self, status: Status, now: float) -> None:
+        self._recorder.text("/status", status, now)
+        for event in status.events:
+            if event.at > self._logged_to:
+                at = now - status.uptime + event.at
+                self._recorder.add(frames.EventEntry(at, event.text))
+                self._logged_to = event.at

@@ -1,0 +1,73 @@
+"""What a recording tells of its robot, so that a replay can build the same robot."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from typing import Any
+
+import msgspec
+import numpy as np
+from msgspec import Struct
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.host_messages import Layers
+from swarmd.core.values import Array, Platform, TouchZone
+from swarmd.protection.compatibility import Accepts
+
+
+class RecordingHead(Struct, frozen=True, kw_only=True):
+    """The robot, and the settings that decide what it does. `born` in s on its clock.
+
+    `born`: when its daemon started. `layers`: parameters by pattern and source, weakest first.
+    """
+
+    robot: str
+    swarm: str
+    driver: str
+    instance: str
+    seed: int
+    version: str
+    kernels: str
+    born: float
+    platform: Platform
+    labels: tuple[str, ...]
+    layers: Mapping[str, Layers]
+    touch: Mapping[str, TouchZone]
+    accepts: Accepts
+
+    def texts(self) -> dict[str, str]:
+        """The head as texts for a file: the main ones readable, all of them in `head`."""
+        payload = msgspec.msgpack.encode(self, enc_hook=_encoded)
+        return {
+            "robot": self.robot,
+            "swarm": self.swarm,
+            "platform": self.platform.name,
+            "driver": self.driver,
+            "version": self.version,
+            "head": base64.b64encode(payload).decode(),
+        }
+
+
+def head_of(about: Mapping[str, str], where: str) -> RecordingHead:
+    """The head in the texts of a file; ConfigError if it has none, or that of another version."""
+    try:
+        payload = base64.b64decode(about["head"])
+        return msgspec.msgpack.decode(payload, type=RecordingHead, dec_hook=_decoded)
+    except (KeyError, ValueError, msgspec.MsgspecError) as error:
+        raise ConfigError(
+            f"{where}: it does not tell its robot's settings ({error!r}); expected a recording of"
+            " this version of swarmd"
+        ) from error
+
+
+def _encoded(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} is no type of MessagePack")
+
+
+def _decoded(kind: Any, value: Any) -> Array:
+    return np.array(value, dtype=np.float64)

@@ -1,0 +1,1 @@
+"""Repeats a recorded run without a robot and compares its commands."""

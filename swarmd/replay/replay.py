@@ -1,0 +1,264 @@
+"""Repeats a recorded run: the same inputs at the same times, through the same `Robot`.
+
+Protection is fed with the events of the recorded pattern host, and the pattern with the inputs
+that the robot hands to it, so that a difference of one does not become one of the other. The
+recording must begin before the run that is repeated: what a robot remembered before is unknown.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import msgspec
+
+from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.host_messages import (
+    HostEvent,
+    KillHost,
+    Load,
+    SentEvent,
+    StartTrial,
+    Stepped,
+)
+from swarmd.core.messages import Body, Latch, Reason, Request, State
+from swarmd.core.values import ZERO, PeerPlace, Platform, Scan, Twist
+from swarmd.pattern_host.executor import PatternExecutor
+from swarmd.pattern_host.loader import PatternLoader
+from swarmd.recording import messages
+from swarmd.recording.frames import decode_host
+from swarmd.recording.head import RecordingHead
+from swarmd.recording.reader import RecordedMessage, clock_of
+from swarmd.robot.actions import Actions
+from swarmd.robot.lifecycle import RobotSettings
+from swarmd.robot.robot import Robot
+
+TOLERANCE = 1e-6
+"""m/s and rad/s: two commands that differ by less are equal."""
+
+_SKIPPED = frozenset({"/scan/geometry", "/command/requested", "/status", "/event"})
+
+
+@dataclass(slots=True)
+class Compared:
+    """Commands of the replay beside recorded ones.
+
+    `largest`: the largest difference in m/s or rad/s, and `first`: the time of the first difference
+    beyond TOLERANCE, in s after the first message.
+    """
+
+    count: int = 0
+    equal: int = 0
+    largest: float = 0.0
+    first: float | None = None
+
+    def add(self, one: Twist, other: Twist, at: float) -> None:
+        """Compare two commands at `at` s."""
+        differences = (
+            one.linear - other.linear,
+            one.angular - other.angular,
+            one.lateral - other.lateral,
+        )
+        largest = max(map(abs, differences))
+        self.count += 1
+        self.largest = max(self.largest, largest)
+        if largest <= TOLERANCE:
+            self.equal += 1
+        elif self.first is None:
+            self.first = at
+
+    @property
+    def share(self) -> float:
+        """The share of equal commands; 1 without any."""
+        return self.equal / self.count if self.count else 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Parity:
+    """How a replay compares with its recording: `safe` commands, and those that were `requested`.
+
+    `seconds` of the recording, `notes` on what was left out.
+    """
+
+    safe: Compared
+    requested: Compared
+    seconds: float
+    notes: tuple[str, ...]
+
+
+class Replay:
+    """One robot, built from the head of its recording; `platform` in place of the recorded one.
+
+    `origins`: where each pattern is found, as in `Load`.
+    """
+
+    def __init__(
+        self,
+        head: RecordingHead,
+        about: Mapping[str, str],
+        origins: Mapping[str, tuple[str, bool]],
+        platform: Platform | None = None,
+    ) -> None:
+        self._about = about
+        layers = head.layers
+        settings = RobotSettings(
+            driver=head.driver,
+            layers=lambda pattern: layers.get(pattern, ()),
+            version=head.version,
+            kernels=head.kernels,
+            labels=head.labels,
+            touch=head.touch,
+            accepts=head.accepts,
+        )
+        self._robot = Robot(
+            head.robot,
+            platform or head.platform,
+            settings,
+            seed=head.seed,
+            instance=head.instance,
+            now=head.born,
+        )
+        self._loader = PatternLoader({})
+        self._origins = origins
+        self._executor = PatternExecutor(self._loader)
+        self._steps: deque[SentEvent] = deque()
+        self._geometry: Any = None
+        self._begin: float | None = None
+        self._actions: Actions | None = None
+        self._notes: dict[str, None] = {}
+        self.safe, self.requested = Compared(), Compared()
+
+    def run(self, recorded: Iterable[RecordedMessage]) -> Parity:
+        """Repeat all messages, in the order in which they were recorded."""
+        last = 0.0
+        for one in recorded:
+            now = clock_of(self._about, one.at)
+            if self._begin is None:
+                self._begin = now
+            last = max(last, now - self._begin)
+            try:
+                self._take(one, now)
+            except (CodecError, msgspec.MsgspecError) as error:
+                self._note(f"{one.topic} could not be read: {error}")
+        return Parity(self.safe, self.requested, last, tuple(self._notes))
+
+    def _take(self, one: RecordedMessage, now: float) -> None:
+        if one.topic == "/scan/geometry":
+            self._geometry = messages.deserialize(one.kind, one.payload)
+        if one.topic in _SKIPPED:
+            return
+        message = messages.deserialize(one.kind, one.payload)
+        if one.topic == "/decision":
+            self._compare(message, now)
+        elif one.topic == "/host":
+            self._host(decode_host(bytes(message.data)), now)
+        else:
+            self._input(one, message, now)
+
+    def _input(self, one: RecordedMessage, message: Any, now: float) -> None:
+        robot, topic = self._robot, one.topic
+        if topic == "/scan":
+            scan: Scan = messages.scan_of(message, one.sequence, self._geometry)
+            self._carry_out(robot.on_scan(scan, now))
+        elif topic == "/odometry":
+            robot.on_odometry(messages.odometry_of(message), now)
+        elif topic == "/neighbors":
+            robot.on_neighbors(messages.neighbors_of(message), now)
+        elif topic == "/pose":
+            robot.on_pose(messages.pose_of(message), now)
+        elif topic == "/readings":
+            robot.on_readings(messages.readings_of(message))
+        elif topic == "/driver":
+            hold = Reason(message.hold) if message.hold else None
+            self._carry_out(
+                robot.on_driver(
+                    message.is_up, message.text, now, hold=hold, gets_zero=message.gets_zero
+                )
+            )
+        elif topic == "/message/received":
+            value = msgspec.json.decode(message.json)
+            robot.on_message(value["sender"], value["channel"], value["value"], now)
+        elif topic == "/message/sent":
+            return
+        else:
+            self._text(topic, message.json.encode(), now)
+
+    def _text(self, topic: str, text: bytes, now: float) -> None:
+        robot, decode = self._robot, msgspec.json.decode
+        if topic == "/peers":
+            robot.on_peers(decode(text, type=dict[str, Body | None]), now)
+        elif topic == "/peer_place":
+            robot.on_peer_place(decode(text, type=PeerPlace), now)
+        elif topic == "/request":
+            self._carry_out(robot.on_request(decode(text, type=Request), now))
+        elif topic == "/latches":
+            self._carry_out(robot.on_latches(decode(text, type=dict[str, Latch]), now))
+        elif topic == "/duplicate":
+            self._carry_out(robot.on_duplicate(decode(text, type=str | None), now))
+        elif topic == "/network":
+            self._carry_out(robot.on_network_changed(decode(text, type=str), now))
+        else:
+            self._note(f"{topic} is not known to this version")
+
+    def _host(self, event: HostEvent, now: float) -> None:
+        """Compare the pattern's answer with the recorded one, which the robot gets."""
+        if isinstance(event, Stepped):
+            own = self._steps.popleft() if self._steps else None
+            if isinstance(own, Stepped):
+                one, other = own.outputs.twist or ZERO, event.outputs.twist or ZERO
+                self.requested.add(one, other, now - (self._begin or now))
+            else:
+                self._note("the pattern of the replay did not step where the recorded one did")
+        self._carry_out(self._robot.on_host(event, now))
+
+    def _carry_out(self, actions: Actions) -> None:
+        """Hand the robot's command for the pattern host to the pattern here."""
+        self._actions = actions
+        command = actions.host
+        if command is None or isinstance(command, KillHost | StartTrial):
+            return
+        if isinstance(command, Load):
+            self._loader.begin(self._origins)
+            self._steps.clear()
+        event = self._executor.handle(command)  # type: ignore[arg-type]
+        if isinstance(command, Load) and event is not None and not _is_loaded(event):
+            self._note(f"the pattern {command.pattern} does not load here: {event}")
+        if isinstance(event, Stepped):
+            self._steps.append(event)
+
+    def _compare(self, message: Any, now: float) -> None:
+        if message.cause == "tick":
+            self._carry_out(self._robot.tick(now))
+        if self._actions is None:
+            return
+        at = now - (self._begin or now)
+        if self._robot.state != State(message.state):
+            self._note(
+                f"at {at:.3f} s the recorded robot is {message.state}, the replayed one"
+                f" {self._robot.state}: the recording begins in a run, or settings differ"
+            )
+        self.safe.add(self._actions.twist, messages.twist_of(message.safe), at)
+
+    def _note(self, text: str) -> None:
+        if len(self._notes) < 20:
+            self._notes.setdefault(text)
+
+
+def _is_loaded(event: SentEvent) -> bool:
+    return type(event).__name__ == "Loaded"
+
+
+def check_begins_idle(recorded: list[RecordedMessage], where: str) -> None:
+    """ConfigError if the first decision of the recording is of a running robot."""
+    for one in recorded:
+        if one.topic == "/decision":
+            state = messages.deserialize(one.kind, one.payload).state
+            if state == State.RUNNING:
+                raise ConfigError(
+                    f"{where}: the recording begins in a run, so the robot's memory is not in it;"
+                    " expected one that was started before `run`"
+                )
+            return
+    raise ConfigError(f"{where}: no decision was recorded; nothing can be compared")
