@@ -1,0 +1,1 @@
+"""The web page of a swarm: a server for one page, and what it shows."""

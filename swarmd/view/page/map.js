@@ -1,0 +1,342 @@
+// The map: robots, trails, scans of the selected ones, walls and boxes, seen from above.
+
+import { Colouring } from './colours.js';
+
+const NAME_SCALE = 30; // pixels a metre from which on names are drawn
+const EDGE = 0.6; // m around what is shown by Fit
+
+export class SwarmMap {
+  constructor(canvas, model) {
+    this.canvas = canvas;
+    this.model = model;
+    this.ctx = canvas.getContext('2d');
+    this.centre = [0, 0];
+    this.scale = 60; // pixels a metre
+    this.colouring = new Colouring('state');
+    this.shows = { trails: true, links: false, names: true };
+    this.mode = ''; // '', measure, align
+    this.isFollowing = false;
+    this.hasFitted = false;
+    this.ruler = null;
+    this.pointers = new Map();
+    this.isDue = true;
+    new ResizeObserver(() => { this.resize(); this.draw(); }).observe(canvas);
+    canvas.addEventListener('pointerdown', (event) => this.down(event));
+    canvas.addEventListener('pointermove', (event) => this.move(event));
+    for (const end of ['pointerup', 'pointercancel']) canvas.addEventListener(end, (event) => this.up(event));
+    canvas.addEventListener('wheel', (event) => this.wheel(event), { passive: false });
+    canvas.addEventListener('keydown', (event) => this.key(event));
+    for (const news of ['frame', 'rows', 'selection', 'hello']) model.addEventListener(news, () => this.wake());
+    model.addEventListener('hello', () => { this.hasFitted = false; });
+  }
+
+  // Draw with the next picture of the screen, however much has changed until then.
+  wake() {
+    if (this.isWaiting) return;
+    this.isWaiting = true;
+    requestAnimationFrame(() => { this.isWaiting = false; this.draw(); });
+  }
+
+  resize() {
+    const { clientWidth: w, clientHeight: h } = this.canvas;
+    const ratio = Math.min(window.devicePixelRatio || 1, 2);
+    this.canvas.width = Math.max(1, Math.round(w * ratio));
+    this.canvas.height = Math.max(1, Math.round(h * ratio));
+    this.ratio = ratio;
+  }
+
+  toScreen(x, y) {
+    return [this.canvas.width / 2 + (x - this.centre[0]) * this.scale * this.ratio,
+      this.canvas.height / 2 - (y - this.centre[1]) * this.scale * this.ratio];
+  }
+
+  toWorld(event) {
+    const box = this.canvas.getBoundingClientRect();
+    return [this.centre[0] + (event.clientX - box.left - box.width / 2) / this.scale,
+      this.centre[1] - (event.clientY - box.top - box.height / 2) / this.scale];
+  }
+
+  fit() {
+    let [left, bottom, right, top] = [Infinity, Infinity, -Infinity, -Infinity];
+    const take = (x, y) => {
+      left = Math.min(left, x); right = Math.max(right, x);
+      bottom = Math.min(bottom, y); top = Math.max(top, y);
+    };
+    for (const robot of this.model.robots.values()) if (robot.x === robot.x) take(robot.x, robot.y);
+    const arena = this.model.arena;
+    if (arena) { take(-arena.size[0] / 2, -arena.size[1] / 2); take(arena.size[0] / 2, arena.size[1] / 2); }
+    if (left > right) return;
+    this.centre = [(left + right) / 2, (bottom + top) / 2];
+    const { clientWidth: w, clientHeight: h } = this.canvas;
+    this.scale = Math.min(w / (right - left + 2 * EDGE), h / (top - bottom + 2 * EDGE), 400);
+    this.hasFitted = true;
+    this.wake();
+  }
+
+  follow() {
+    const chosen = [...this.model.selected].map((name) => this.model.robots.get(name));
+    const known = chosen.filter((robot) => robot && robot.x === robot.x);
+    if (!known.length) return;
+    this.centre = [known.reduce((sum, one) => sum + one.x, 0) / known.length,
+      known.reduce((sum, one) => sum + one.y, 0) / known.length];
+  }
+
+  draw() {
+    const { ctx, model } = this;
+    if (!this.ratio) this.resize();
+    if (!this.hasFitted && [...model.robots.values()].some((one) => one.x === one.x)) this.fit();
+    if (this.isFollowing) this.follow();
+    const style = getComputedStyle(document.documentElement);
+    const [line, text, dim, back] = ['--line', '--text', '--dim', '--pane'].map((name) => style.getPropertyValue(name));
+    const zoom = this.scale * this.ratio;
+    ctx.setTransform(1, 0, 0, 1, 0, 0);
+    ctx.fillStyle = back;
+    ctx.fillRect(0, 0, this.canvas.width, this.canvas.height);
+    const world = () => ctx.setTransform(zoom, 0, 0, -zoom,
+      this.canvas.width / 2 - this.centre[0] * zoom, this.canvas.height / 2 + this.centre[1] * zoom);
+    world();
+    this.grid(line, zoom);
+    this.walls(text, dim, zoom);
+    const now = performance.now();
+    const robots = [...model.robots.values()].filter((one) => one.x === one.x);
+    if (this.shows.links) this.drawLinks(dim, zoom);
+    if (this.shows.trails) this.drawTrails(robots, zoom);
+    for (const robot of robots) if (model.selected.has(robot.name) && robot.scan) this.drawScan(robot, zoom);
+    for (const robot of robots) this.drawRobot(robot, model.isHeard(robot, now), zoom, text, world);
+    ctx.setTransform(1, 0, 0, 1, 0, 0);
+    if (this.shows.names && (this.scale >= NAME_SCALE || robots.length < 40)) this.drawNames(robots, text, dim);
+    if (this.ruler) this.drawRuler(text);
+  }
+
+  grid(line, zoom) {
+    const { ctx } = this;
+    const step = [0.1, 0.5, 1, 5, 10, 50, 100].find((one) => one * this.scale >= 45) || 500;
+    const [w, h] = [this.canvas.width / zoom / 2, this.canvas.height / zoom / 2];
+    ctx.lineWidth = 1 / zoom;
+    ctx.strokeStyle = line;
+    ctx.beginPath();
+    for (let x = Math.ceil((this.centre[0] - w) / step) * step; x < this.centre[0] + w; x += step) {
+      ctx.moveTo(x, this.centre[1] - h); ctx.lineTo(x, this.centre[1] + h);
+    }
+    for (let y = Math.ceil((this.centre[1] - h) / step) * step; y < this.centre[1] + h; y += step) {
+      ctx.moveTo(this.centre[0] - w, y); ctx.lineTo(this.centre[0] + w, y);
+    }
+    ctx.stroke();
+    this.step = step;
+  }
+
+  walls(text, dim, zoom) {
+    const { ctx } = this, { arena, boxes } = this.model;
+    if (!arena) return;
+    ctx.lineWidth = 2 * this.ratio / zoom;
+    ctx.strokeStyle = text;
+    ctx.strokeRect(-arena.size[0] / 2, -arena.size[1] / 2, arena.size[0], arena.size[1]);
+    ctx.fillStyle = dim;
+    const shape = (points) => {
+      ctx.beginPath();
+      points.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
+      ctx.closePath();
+      ctx.fill();
+    };
+    for (const points of arena.shapes || []) shape(points);
+    for (const box of boxes) {
+      const [x, y, yaw] = box.pose, c = Math.cos(yaw), s = Math.sin(yaw);
+      shape(box.shape.map(([u, v]) => [x + c * u - s * v, y + s * u + c * v]));
+    }
+    for (const [x, y, radius] of arena.poles || []) {
+      ctx.beginPath();
+      ctx.arc(x, y, radius, 0, 2 * Math.PI);
+      ctx.fill();
+    }
+  }
+
+  drawLinks(dim, zoom) {
+    const { ctx, model } = this;
+    ctx.strokeStyle = dim;
+    ctx.globalAlpha = 0.5;
+    ctx.lineWidth = this.ratio / zoom;
+    ctx.beginPath();
+    for (const [a, b] of model.links) {
+      const one = model.byIndex[a], other = model.byIndex[b];
+      if (!one || !other || one.x !== one.x || other.x !== other.x) continue;
+      ctx.moveTo(one.x, one.y);
+      ctx.lineTo(other.x, other.y);
+    }
+    ctx.stroke();
+    ctx.globalAlpha = 1;
+  }
+
+  drawTrails(robots, zoom) {
+    const { ctx, model } = this;
+    const few = robots.length > 60 && model.selected.size ? robots.filter((one) => model.selected.has(one.name)) : robots;
+    const length = robots.length > 60 && !model.selected.size ? 40 : 600;
+    ctx.lineWidth = 1.5 * this.ratio / zoom;
+    ctx.globalAlpha = 0.6;
+    for (const robot of few) {
+      const { trail } = robot;
+      if (trail.length < 4) continue;
+      ctx.strokeStyle = this.colouring.of(robot);
+      ctx.beginPath();
+      const first = Math.max(0, trail.length - length);
+      ctx.moveTo(trail[first], trail[first + 1]);
+      for (let i = first + 2; i < trail.length; i += 2) ctx.lineTo(trail[i], trail[i + 1]);
+      ctx.lineTo(robot.x, robot.y);
+      ctx.stroke();
+    }
+    ctx.globalAlpha = 1;
+  }
+
+  drawScan(robot, zoom) {
+    const { ctx } = this, c = Math.cos(robot.yaw), s = Math.sin(robot.yaw), size = 3 * this.ratio / zoom;
+    ctx.fillStyle = this.colouring.of(robot);
+    for (let i = 0; i < robot.scan.length; i += 2) {
+      const u = robot.scan[i], v = robot.scan[i + 1];
+      ctx.fillRect(robot.x + c * u - s * v - size / 2, robot.y + s * u + c * v - size / 2, size, size);
+    }
+  }
+
+  drawRobot(robot, isHeard, zoom, text, world) {
+    const { ctx } = this;
+    ctx.translate(robot.x, robot.y);
+    ctx.rotate(robot.yaw);
+    ctx.beginPath();
+    robot.footprint.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
+    ctx.closePath();
+    ctx.globalAlpha = isHeard ? 1 : 0.3;
+    ctx.fillStyle = this.colouring.of(robot);
+    ctx.fill();
+    ctx.lineWidth = this.ratio / zoom;
+    ctx.strokeStyle = text;
+    ctx.stroke();
+    ctx.beginPath(); // the heading
+    ctx.moveTo(0, 0);
+    ctx.lineTo(1.6 * robot.radius, 0);
+    ctx.lineWidth = 2 * this.ratio / zoom;
+    ctx.stroke();
+    if (this.model.selected.has(robot.name)) {
+      ctx.beginPath();
+      ctx.arc(0, 0, 1.5 * robot.radius, 0, 2 * Math.PI);
+      ctx.lineWidth = 3 * this.ratio / zoom;
+      ctx.stroke();
+    }
+    ctx.globalAlpha = 1;
+    world();
+  }
+
+  drawNames(robots, text, dim) {
+    const { ctx } = this;
+    ctx.font = `${12 * this.ratio}px system-ui, sans-serif`;
+    ctx.textAlign = 'center';
+    for (const robot of robots) {
+      const [x, y] = this.toScreen(robot.x, robot.y);
+      ctx.fillStyle = this.model.selected.has(robot.name) ? text : dim;
+      ctx.fillText(robot.name, x, y + robot.radius * this.scale * this.ratio + 14 * this.ratio);
+    }
+  }
+
+  drawRuler(text) {
+    const { ctx } = this, [from, to] = this.ruler;
+    const [a, b] = [this.toScreen(...from), this.toScreen(...to)];
+    ctx.strokeStyle = ctx.fillStyle = text;
+    ctx.lineWidth = 2 * this.ratio;
+    ctx.beginPath();
+    ctx.moveTo(...a);
+    ctx.lineTo(...b);
+    ctx.stroke();
+    ctx.font = `${14 * this.ratio}px system-ui, sans-serif`;
+    ctx.textAlign = 'left';
+    ctx.fillText(`${Math.hypot(to[0] - from[0], to[1] - from[1]).toFixed(2)} m`, b[0] + 8, b[1] - 8);
+  }
+
+  // Input
+
+  robotAt(event) {
+    const [x, y] = this.toWorld(event), reach = Math.max(14 / this.scale, 0);
+    let best = null, least = Infinity;
+    for (const robot of this.model.robots.values()) {
+      const far = Math.hypot(robot.x - x, robot.y - y);
+      if (far < Math.max(robot.radius, reach) && far < least) { best = robot; least = far; }
+    }
+    return best;
+  }
+
+  down(event) {
+    this.canvas.setPointerCapture(event.pointerId);
+    this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    this.hasMoved = false;
+    this.grabbed = this.mode === 'align' ? this.robotAt(event) : null;
+    if (this.mode === 'measure') this.ruler = [this.toWorld(event), this.toWorld(event)];
+    this.canvas.focus({ preventScroll: true });
+  }
+
+  move(event) {
+    const last = this.pointers.get(event.pointerId);
+    if (!last) return;
+    const [dx, dy] = [event.clientX - last[0], event.clientY - last[1]];
+    if (Math.hypot(dx, dy) < 3 && !this.hasMoved) return;
+    this.hasMoved = true;
+    this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
+    if (this.pointers.size === 2) this.pinch(event, last);
+    else if (this.mode === 'measure') this.ruler[1] = this.toWorld(event);
+    else if (this.grabbed) this.drag(dx / this.scale, -dy / this.scale, event.shiftKey);
+    else this.centre = [this.centre[0] - dx / this.scale, this.centre[1] + dy / this.scale];
+    this.wake();
+  }
+
+  // Move or, with shift, turn the frame of the selected robots' odometry.
+  drag(dx, dy, turns) {
+    const chosen = this.model.selected.has(this.grabbed.name) ? this.model.selected : new Set([this.grabbed.name]);
+    for (const name of chosen) {
+      const robot = this.model.robots.get(name), frame = robot.offset;
+      if (!turns) {
+        robot.x += dx; robot.y += dy; frame[0] += dx; frame[1] += dy;
+      } else { // about the robot
+        const angle = 2 * dx, c = Math.cos(angle), s = Math.sin(angle);
+        const [u, v] = [frame[0] - robot.x, frame[1] - robot.y];
+        frame[0] = robot.x + c * u - s * v;
+        frame[1] = robot.y + s * u + c * v;
+        frame[2] += angle;
+        robot.yaw += angle;
+      }
+      robot.trail.length = 0;
+    }
+  }
+
+  pinch(event, last) {
+    const other = [...this.pointers].find(([id]) => id !== event.pointerId)[1];
+    const before = Math.hypot(last[0] - other[0], last[1] - other[1]);
+    const after = Math.hypot(event.clientX - other[0], event.clientY - other[1]);
+    if (before > 0) this.scale = Math.min(Math.max(this.scale * after / before, 1), 2000);
+  }
+
+  up(event) {
+    if (this.pointers.has(event.pointerId) && !this.hasMoved && this.mode !== 'measure') {
+      const robot = this.robotAt(event);
+      const adds = event.shiftKey || event.ctrlKey || event.metaKey;
+      if (robot) this.model.select([robot.name], adds);
+      else if (!adds) this.model.select([]);
+    }
+    this.pointers.delete(event.pointerId);
+    this.grabbed = null;
+  }
+
+  wheel(event) {
+    event.preventDefault();
+    const before = this.toWorld(event);
+    this.scale = Math.min(Math.max(this.scale * Math.exp(-event.deltaY / 500), 1), 2000);
+    const after = this.toWorld(event);
+    this.centre = [this.centre[0] + before[0] - after[0], this.centre[1] + before[1] - after[1]];
+    this.wake();
+  }
+
+  key(event) {
+    const step = 60 / this.scale;
+    const moves = { ArrowLeft: [-step, 0], ArrowRight: [step, 0], ArrowUp: [0, step], ArrowDown: [0, -step] };
+    if (moves[event.key]) this.centre = [this.centre[0] + moves[event.key][0], this.centre[1] + moves[event.key][1]];
+    else if (event.key === '+' || event.key === '=') this.scale *= 1.25;
+    else if (event.key === '-') this.scale /= 1.25;
+    else return;
+    event.preventDefault();
+    this.wake();
+  }
+}

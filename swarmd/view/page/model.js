@@ -1,0 +1,113 @@
+// The robots as the server tells of them, and the selection that map and list share.
+
+export const STALE = 3000; // ms without news after which a robot is shown as not heard
+const TRAIL = 300; // places kept for each robot
+const TRAIL_STEP = 0.02; // m between two of them
+
+export class Model extends EventTarget {
+  constructor() {
+    super();
+    this.robots = new Map(); // by name
+    this.byIndex = []; // as in frames
+    this.selected = new Set();
+    this.arena = null;
+    this.source = '';
+    this.role = '';
+    this.swarm = '';
+    this.patterns = [];
+    this.time = 0;
+    this.links = [];
+    this.isConnected = false;
+    this.boxes = [];
+  }
+
+  tell(name) { this.dispatchEvent(new Event(name)); }
+
+  hello(message) {
+    const before = this.robots;
+    this.robots = new Map();
+    this.byIndex = [];
+    for (const one of message.robots) this.add(one, before.get(one.name));
+    this.arena = message.arena;
+    this.source = message.source;
+    this.role = message.role;
+    this.swarm = message.swarm;
+    this.patterns = message.patterns || [];
+    this.duration = message.duration || 0;
+    for (const name of this.selected) if (!this.robots.has(name)) this.selected.delete(name);
+    this.tell('hello');
+    this.tell('selection');
+  }
+
+  add(one, before) {
+    const robot = before || { trail: [], row: {}, detail: null, scan: null, heard: 0, offset: [0, 0, 0] };
+    robot.name = one.name;
+    robot.platform = one.platform;
+    robot.footprint = one.footprint;
+    robot.radius = Math.max(0.05, ...one.footprint.map(([x, y]) => Math.hypot(x, y)));
+    robot.x = robot.x ?? NaN;
+    robot.index = one.index;
+    this.robots.set(one.name, robot);
+    this.byIndex[one.index] = robot;
+  }
+
+  rows(message, now) {
+    for (const [name, row] of Object.entries(message.rows)) {
+      const robot = this.robots.get(name);
+      if (!robot) continue;
+      Object.assign(robot.row, row);
+      robot.heard = now;
+    }
+    if (message.links) this.links = message.links;
+    this.tell('rows');
+  }
+
+  // A frame: kind 1, sequence, time, then index, x, y, yaw of each robot that was heard.
+  frame(view, now) {
+    this.time = view.getFloat64(8, true);
+    const count = view.getUint32(16, true);
+    for (let i = 0, at = 20; i < count; i++, at += 16) {
+      const robot = this.byIndex[view.getUint32(at, true)];
+      if (!robot) continue;
+      const [dx, dy, turn] = robot.offset;
+      const x = view.getFloat32(at + 4, true), y = view.getFloat32(at + 8, true);
+      const c = Math.cos(turn), s = Math.sin(turn);
+      robot.x = dx + c * x - s * y;
+      robot.y = dy + s * x + c * y;
+      robot.yaw = view.getFloat32(at + 12, true) + turn;
+      robot.moved = now;
+      const last = robot.trail.length - 2;
+      if (last < 0 || Math.hypot(robot.trail[last] - robot.x, robot.trail[last + 1] - robot.y) > TRAIL_STEP) {
+        robot.trail.push(robot.x, robot.y);
+        if (robot.trail.length > 2 * TRAIL) robot.trail.splice(0, robot.trail.length - 2 * TRAIL);
+      }
+    }
+    this.tell('frame');
+  }
+
+  scan(view) {
+    const robot = this.byIndex[view.getUint32(4, true)];
+    if (!robot) return;
+    const count = view.getUint32(8, true);
+    const points = new Float32Array(count * 2);
+    for (let i = 0; i < 2 * count; i++) points[i] = view.getFloat32(12 + 4 * i, true);
+    robot.scan = points; // in the base frame
+    this.tell('frame');
+  }
+
+  forgetTrails() { for (const robot of this.robots.values()) robot.trail.length = 0; }
+
+  isHeard(robot, now) {
+    if (this.source === 'run') return true;
+    return this.isConnected && robot.row.presence === 'alive' && now - robot.heard < STALE;
+  }
+
+  select(names, adds = false) {
+    if (!adds) this.selected.clear();
+    for (const name of names) {
+      if (adds && this.selected.has(name)) this.selected.delete(name);
+      else this.selected.add(name);
+    }
+    this.tell('selection');
+  }
+}

@@ -1,0 +1,68 @@
+// The link to the server: reconnects by itself, and acknowledges frames so that the server paces them.
+
+const RETRY = [500, 1000, 2000, 5000]; // ms
+const SILENCE = 4000; // ms without any message after which the link counts as lost
+
+export class Link {
+  constructor(model, on) {
+    this.model = model;
+    this.on = on;
+    this.tries = 0;
+    this.heard = 0;
+    this.open();
+    setInterval(() => this.watch(), 500);
+  }
+
+  open() {
+    const token = new URLSearchParams(location.search).get('token') || '';
+    const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
+    const socket = new WebSocket(`${scheme}://${location.host}/socket?token=${encodeURIComponent(token)}`);
+    socket.binaryType = 'arraybuffer';
+    this.socket = socket;
+    socket.onopen = () => { this.heard = performance.now(); };
+    socket.onmessage = (event) => { if (socket === this.socket) this.take(event.data); };
+    socket.onclose = (event) => { if (socket === this.socket) this.lost(event.code === 4401 ? event.reason : ''); };
+  }
+
+  take(data) {
+    const now = this.heard = performance.now();
+    if (!this.model.isConnected) {
+      this.model.isConnected = true;
+      this.tries = 0;
+      this.on.connected();
+    }
+    if (typeof data === 'string') {
+      const message = JSON.parse(data);
+      this.on.message(message, now);
+      return;
+    }
+    const view = new DataView(data);
+    const kind = view.getUint32(0, true);
+    if (kind === 1) {
+      this.model.frame(view, now);
+      this.send({ kind: 'ack', sequence: view.getUint32(4, true) });
+    } else if (kind === 2) this.model.scan(view);
+  }
+
+  watch() {
+    if (this.model.isConnected && performance.now() - this.heard > SILENCE) {
+      this.socket.close();
+      this.lost('');
+    }
+  }
+
+  lost(why) {
+    this.socket.onclose = null;
+    this.model.isConnected = false;
+    this.on.lost(why);
+    this.model.tell('rows');
+    if (why) return; // a wrong token stays wrong
+    const wait = RETRY[Math.min(this.tries, RETRY.length - 1)];
+    this.tries += 1;
+    setTimeout(() => this.open(), wait);
+  }
+
+  send(message) {
+    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+  }
+}

@@ -1,0 +1,146 @@
+"""What a page shows: robots, their places, and a row of values for each."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+from swarmd.core.messages import Status
+from swarmd.core.values import Array
+
+FRAME, SCAN = 1, 2
+"""Kinds of binary messages to the page."""
+
+
+@dataclass(frozen=True, slots=True)
+class ShownRobot:
+    """A robot on the page: its `index` in frames, and its footprint (k, 2) in m."""
+
+    name: str
+    index: int
+    platform: str
+    footprint: Array
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "name": self.name,
+            "index": self.index,
+            "platform": self.platform,
+            "footprint": self.footprint.tolist(),
+        }
+
+
+@dataclass(frozen=True, slots=True)
+class ShownArena:
+    """Walls: `size` in m, `shapes` of fixed boxes (k, 2) in m, and `poles` as x, y, radius."""
+
+    size: tuple[float, float]
+    shapes: Sequence[Array] = ()
+    poles: Sequence[tuple[float, float, float]] = ()
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "size": self.size,
+            "shapes": [shape.tolist() for shape in self.shapes],
+            "poles": [list(pole) for pole in self.poles],
+        }
+
+
+@dataclass(slots=True)
+class Answer:
+    """What came of a command so far: each robot's reply, and who has not answered."""
+
+    line: str
+    replies: list[tuple[str, str, str]] = field(default_factory=list)
+    missing: list[str] = field(default_factory=list)
+    is_good: bool = False
+    is_final: bool = False
+
+
+class Source(Protocol):
+    """A fleet, a simulated world or a recorded run. All methods run on the server's loop."""
+
+    kind: str
+    """`live`, `world` or `run`."""
+    swarm: str
+    robots: Sequence[ShownRobot]
+    """Grows; an index never changes its robot."""
+    arena: ShownArena | None
+    patterns: Sequence[str]
+    duration: float
+    """Seconds of a recorded run, else 0."""
+
+    def frame(self) -> tuple[float, Array]:
+        """The time in s, and rows (k, 4) of index, x, y in m and yaw in rad of known robots."""
+
+    def rows(self) -> Mapping[str, Mapping[str, Any]]:
+        """The values of each robot in the list."""
+
+    def scan(self, name: str) -> Array | None:
+        """Points (k, 2) of a robot's latest scan in its base frame in m; None: not known."""
+
+    def boxes(self) -> Sequence[tuple[Array, Sequence[float]]]:
+        """Shapes (k, 2) of movable boxes in their own frames, and their poses."""
+
+    def links(self) -> Sequence[tuple[int, int]]:
+        """Pairs of indices of robots that hear each other."""
+
+    def detail(self, name: str) -> Mapping[str, Any] | None:
+        """`values`: pairs of name and text, `events`: pairs of age and text."""
+
+    def select(self, names: Sequence[str]) -> None:
+        """The robots that any page has selected: whose scans and details are wanted."""
+
+    def play(self, *, is_playing: bool, speed: float) -> None:
+        """Play or pause a recorded run."""
+
+    def seek(self, time: float) -> None:
+        """Go to a time of a recorded run, in s."""
+
+
+def pack_frame(sequence: int, time: float, places: Array) -> bytes:
+    """A frame as the page reads it."""
+    head = struct.pack("<IIdI", FRAME, sequence & 0xFFFFFFFF, time, len(places))
+    body = bytearray(16 * len(places))
+    for at, (index, x, y, yaw) in enumerate(places.tolist()):
+        struct.pack_into("<Ifff", body, 16 * at, int(index), x, y, yaw)
+    return head + bytes(body)
+
+
+def pack_scan(index: int, points: Array) -> bytes:
+    """A scan as the page reads it."""
+    return struct.pack("<III", SCAN, index, len(points)) + points.astype("<f4").tobytes()
+
+
+def row_of(status: Status) -> dict[str, Any]:
+    """The row of a status."""
+    decision = status.decision
+    protection = "limits" if decision.is_active else "passes"
+    if decision.is_recovering:
+        protection = "recovers"
+    row: dict[str, Any] = {
+        "presence": "alive",
+        "state": status.state.value,
+        "why": why(status),
+        "pattern": status.pattern or "",
+        "protection": protection if status.state == "running" else "",
+        "report": dict(status.report),
+        "requested": [decision.requested_linear, decision.requested_angular, 0.0],
+        "safe": [decision.safe_linear, decision.safe_angular, 0.0],
+        "rows": [[row.bearing, row.gap, row.cap] for row in decision.rows],
+    }
+    if decision.min_gap is not None:
+        row["near"] = decision.min_gap
+    if (battery := status.readings.get("battery")) is not None:
+        row["battery"] = battery
+    return row
+
+
+def why(status: Status) -> str:
+    """Why a robot does not move, in words; empty while it moves."""
+    reason = "" if status.reason is None else status.reason.value.replace("_", " ")
+    return f"{reason}: {status.detail}" if reason and status.detail else reason or status.detail
