@@ -36,6 +36,7 @@ VERBS = {
         "swarmd.cli.calibrate:calibrate",
         "Measure brakes, delays and scales of a robot by a few short drives.",
     ),
+    "view": ("swarmd.cli.view:view", "Show a living swarm: map, list, details and commands."),
     "record": ("swarmd.cli.record:record", "Record robots, and fetch their recordings."),
     "replay": (
         "swarmd.cli.replay:replay",

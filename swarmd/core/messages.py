@@ -474,6 +474,26 @@ class Status(Struct, frozen=True, kw_only=True):
     recording: RecordingSummary | None = None
 
 
+class Motion(Struct, frozen=True, array_like=True):
+    """How a robot moves, for viewers: ten times a second, only while one of them looks.
+
+    `x`, `y` in m and `yaw` in rad by odometry, in a frame of the robot's own; `at` in s on its
+    clock. Twists are linear, angular, lateral in m/s and rad/s. `gap` in m, None without a return.
+    `rows`: the obstacles that limit it.
+    """
+
+    robot: Name
+    at: Seconds
+    x: Annotated[float, Meta(ge=-1e9, le=1e9)]
+    y: Annotated[float, Meta(ge=-1e9, le=1e9)]
+    yaw: Metres
+    requested: tuple[Speed, Speed, Speed]
+    safe: tuple[Speed, Speed, Speed]
+    is_active: bool
+    gap: Metres | None = None
+    rows: tuple[LimitingObstacle, ...] = ()
+
+
 class StatusHeader(Struct, frozen=True, kw_only=True):
     """The fields of a `Status` that are read from every version."""
 

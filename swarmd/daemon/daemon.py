@@ -21,7 +21,7 @@ from typing import Any
 from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
-from swarmd.core.codec import decode_value, encode_value
+from swarmd.core.codec import decode_value, encode, encode_value
 from swarmd.core.errors import CodecError, SwarmError
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.messages import Latch, Reply, Request, Status
@@ -36,6 +36,7 @@ from swarmd.daemon.request_server import RequestServer
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.driver_api.driver import Driver, check_protected
+from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import Address, Message, Stop
 from swarmd.network.interface_watch import InterfaceChange
@@ -53,6 +54,7 @@ log = logging.getLogger(__name__)
 
 DRIVER_RETRY_PERIOD = 1.0
 NEIGHBORS_PERIOD = 10  # ticks
+MOTION_PERIOD = 2  # ticks
 
 
 async def serve(settings: DaemonSettings) -> int:
@@ -121,6 +123,7 @@ class Daemon:
             record=self._recording.answer,
         )
         self._ticks = 0
+        self._shown_scan = -1  # sequence of the last scan for viewers
         self._robot = RecordedRobot(
             settings.id,
             settings.platform,
@@ -312,10 +315,20 @@ class Daemon:
         self._network.advance()
         if told := self._robot.pose_to_tell(boottime()):
             self._network.publish_pose(*told)
+        if self._ticks % MOTION_PERIOD == 0:
+            self._publish_motion()
         if self._ticks % NEIGHBORS_PERIOD == 0:
             self._update_neighbors()
             if self._notify.pings:
                 self._notify("WATCHDOG=1")
+
+    def _publish_motion(self) -> None:
+        motion, scan = self._robot.motion(boottime()), self._robot.scan
+        if motion is not None:
+            self._network.publish("motion", lambda: encode(motion))
+        if scan is not None and scan.seq != self._shown_scan:
+            self._shown_scan = scan.seq
+            self._network.publish("scan", lambda: encode_scan(scan))
 
     def _on_host_events(self) -> None:
         for event in self._runner.events():
@@ -342,7 +355,7 @@ class Daemon:
                 log.debug("message on %s not sent: %s", name, error)
                 self._network.drop(f"msg/{name}:unsendable")
         if actions.status is not None:
-            self._network.publish_status(self._status)
+            self._network.publish("status", lambda: encode(self._status()))
         for reply in actions.replies:
             self._requests.reply(reply, is_stored=is_stored)
         wake_at = self._robot.wake_at(boottime())

@@ -20,7 +20,7 @@ from msgspec.structs import replace
 from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError, IdHeldError, NetworkError
-from swarmd.core.messages import Body, Latch, Member, Presence, Reply, Status
+from swarmd.core.messages import Body, Latch, Member, Presence, Reply
 from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import (
@@ -216,10 +216,10 @@ class Network:
         if place is not None:
             self._send(place, None)
 
-    def publish_status(self, status: Callable[[], Status]) -> None:
-        """Publish the status to the viewers that subscribe to it."""
+    def publish(self, name: str, payload: Callable[[], bytes]) -> None:
+        """Publish status, motion or scan to the viewers that subscribe to it."""
         if self.bus is not None and self.owns_id:
-            self.bus.publish_status(status)
+            self.bus.publish(name, payload)
 
     def drop(self, kind: str) -> None:
         """Count what could not be read or sent."""

@@ -4,7 +4,7 @@ Order of use in a daemon::
 
     bus = ZenohBus(session, swarm="lab", robot="tb3-01")
     bus.serve("control", "run", on_run)  # on_run(query): query.payload, query.reply(bytes)
-    bus.publish_status(lambda: encode(status))
+    bus.publish("status", lambda: encode(status))
     bus.close(); session.close()
 
 Zenoh calls from its own threads. Each callback checks key, kind and size, and puts the bytes into
@@ -106,25 +106,32 @@ class ZenohBus:
         self._drops = drops
         self._entities: list[zenoh.Queryable[None]] = []
         self._queues: list[InboundQueue] = []
-        self._status = session.declare_publisher(
-            build(swarm, robot, "state", "status"),
-            congestion_control=zenoh.CongestionControl.DROP,
-            express=True,
-        )
+        self._publishers = {
+            name: session.declare_publisher(
+                build(swarm, robot, "state", name),
+                congestion_control=zenoh.CongestionControl.DROP,
+                express=True,
+            )
+            for name in ("status", "motion", "scan")
+        }
         self._is_closed = False
 
     def drop(self, kind: str) -> None:
         """Count what could not be read, such as `control/run:malformed`."""
         self._drops.add(kind)
 
-    def publish_status(self, status: Callable[[], Status]) -> None:
-        """Publish the status to the viewers that subscribe to it; without any it is not made."""
-        if self._is_closed or not has_subscriber(self._status):
+    def publish(self, name: str, payload: Callable[[], bytes]) -> None:
+        """Publish `state/<name>` to the viewers that subscribe to it; without any it is not made.
+
+        `name`: status, motion or scan.
+        """
+        publisher = self._publishers[name]
+        if self._is_closed or not has_subscriber(publisher):
             return
         try:
-            self._status.put(encode(status()))
+            publisher.put(payload())
         except zenoh.ZError:
-            self._drops.add("state/status:unsent")
+            self._drops.add(f"state/{name}:unsent")
 
     def serve(self, plane: str, name: str, handler: Callable[[Query], None]) -> None:
         """Answer queries to this robot or to all."""
@@ -172,7 +179,7 @@ class ZenohBus:
         self._is_closed = True
         for queue in self._queues:
             queue.close()
-        undeclare(*self._entities, self._status)
+        undeclare(*self._entities, *self._publishers.values())
 
     def _is_excused(self, payload: bytes) -> bool:
         """True if the asker has this robot's answer already, or the query is malformed."""

@@ -167,6 +167,8 @@ class Operator:
         self._dial_at = 0.0
         self._wanted_at: float | None = None
         self._dialled: dict[tuple[str, str], tuple[Address, float]] = {}
+        self._watched: dict[tuple[str, str], Callable[[str, bytes], object]] = {}
+        self._subscribers: dict[tuple[str, str], list[zenoh.Subscriber[None]]] = {}
         self._carrier = carrier or self._open_carrier()
         self._carrier.start_thread(self._on_datagram)
 
@@ -235,6 +237,22 @@ class Operator:
             time.sleep(pace.pause(now))
         with self._news:
             return tuple(sorted(self._swarms))
+
+    def watch(self, name: str, handler: Callable[[str, bytes], object], robot: str = ANY) -> None:
+        """Hand what robots publish on `state/<name>` to `handler`, with the robot's name.
+
+        On Zenoh's threads, for robots that are found now and by later looks. `unwatch` ends it.
+        """
+        self._watched[name, robot] = handler
+        for session in self._sessions:
+            self._subscribe(session, name, robot)
+
+    def unwatch(self, name: str, robot: str = ANY) -> None:
+        """End what `watch` began."""
+        from swarmd.network.session import undeclare
+
+        self._watched.pop((name, robot), None)
+        undeclare(*self._subscribers.pop((name, robot), ()))
 
     # Requests
 
@@ -471,7 +489,11 @@ class Operator:
             self._close_sessions()
             wanted = dict(found)
         endpoints = sorted({_endpoint(self._reachable(one)) for one in wanted.values()})
-        self._sessions += self._open_sessions(endpoints)
+        opened = self._open_sessions(endpoints)
+        self._sessions += opened
+        for session in opened:
+            for name, robot in self._watched:
+                self._subscribe(session, name, robot)
         self._dialled.update({who: (address, now) for who, address in wanted.items()})
         self._dial_at = now + DIAL_PERIOD * 2 ** len(self._sessions)
         return float("inf")
@@ -586,6 +608,25 @@ class Operator:
                     payload=payload,
                     source_info=zenoh.SourceInfo(session.id, 0),  # for the robot's log
                 )
+
+    def _subscribe(self, session: zenoh.Session, name: str, robot: str) -> None:
+        import zenoh
+
+        from swarmd.network.session import MAX_WIRE
+
+        handler, swarm = self._watched[name, robot], self.settings.swarm
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            key = parse(str(sample.key_expr))
+            if key is None or (key.swarm, key.plane, key.name) != (swarm, "state", name):
+                return
+            if len(sample.payload) <= MAX_WIRE:
+                with contextlib.suppress(CodecError):
+                    handler(key.robot, sample.payload.to_bytes())
+
+        with contextlib.suppress(zenoh.ZError):
+            one = session.declare_subscriber(build(swarm, robot, "state", name), on_sample)
+            self._subscribers.setdefault((name, robot), []).append(one)
 
     def _on_datagram(self, payload: bytes, source: Address, by_group: bool) -> None:
         """A datagram came, on the carrier's thread."""

@@ -9,8 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 
+from msgspec.structs import astuple
+
 from swarmd.core.host_messages import HostEvent, Step, TrialDone
-from swarmd.core.messages import Body, Epoch, Latch, Reason, Request, State, Status
+from swarmd.core.messages import Body, Epoch, Latch, Motion, Reason, Request, State, Status
 from swarmd.core.values import (
     Neighbor,
     Odometry,
@@ -285,6 +287,30 @@ class Robot:
     def status(self, now: float) -> Status:
         """The status at `now`."""
         return make_status(self._lifecycle, self._sensors, self.decision, self._duty, now)
+
+    def motion(self, now: float) -> Motion | None:
+        """How it moves, for viewers; None before the first odometry."""
+        odometry = self._sensors.odometry
+        if odometry is None:
+            return None
+        pose, decision = odometry.pose, self.decision
+        return Motion(
+            robot=self.id,
+            at=now,
+            x=pose.x,
+            y=pose.y,
+            yaw=math.remainder(pose.yaw, 2.0 * math.pi),
+            requested=astuple(decision.requested),
+            safe=astuple(decision.safe),
+            is_active=decision.is_active,
+            gap=decision.min_gap,
+            rows=decision.rows[:3],
+        )
+
+    @property
+    def scan(self) -> Scan | None:
+        """The latest conditioned scan."""
+        return self._sensors.scan
 
     def _begin(self, now: float) -> Effects:
         """Begin the effects of an event. After a stall of the loop the run ends first."""

@@ -67,12 +67,14 @@ class Source(Protocol):
     kind: str
     """`live`, `world` or `run`."""
     swarm: str
-    robots: Sequence[ShownRobot]
-    """Grows; an index never changes its robot."""
     arena: ShownArena | None
     patterns: Sequence[str]
     duration: float
     """Seconds of a recorded run, else 0."""
+
+    @property
+    def robots(self) -> Sequence[ShownRobot]:
+        """All robots by index. They become more; an index never changes its robot."""
 
     def frame(self) -> tuple[float, Array]:
         """The time in s, and rows (k, 4) of index, x, y in m and yaw in rad of known robots."""

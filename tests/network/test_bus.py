@@ -179,7 +179,7 @@ async def test_the_status_is_published_to_viewers_and_made_for_nobody_else(
         made.append(light_status("me", "a"))
         return made[-1]
 
-    rig.bus.publish_status(status)
+    rig.bus.publish("status", lambda: encode(status()))
     assert not made
     seen: list[bytes] = []
     viewer = rig.foreign.declare_subscriber(
@@ -187,7 +187,7 @@ async def test_the_status_is_published_to_viewers_and_made_for_nobody_else(
     )
 
     def is_seen() -> bool:
-        rig.bus.publish_status(status)
+        rig.bus.publish("status", lambda: encode(status()))
         return bool(seen)
 
     await until(is_seen)
@@ -196,7 +196,7 @@ async def test_the_status_is_published_to_viewers_and_made_for_nobody_else(
 
     def is_over() -> bool:
         before = len(made)
-        rig.bus.publish_status(status)
+        rig.bus.publish("status", lambda: encode(status()))
         return len(made) == before
 
     await until(is_over)
@@ -206,5 +206,5 @@ async def test_after_close_nothing_is_called_and_nothing_raises(rig: BusRig) -> 
     await rig.serve(echo)
     rig.bus.close()
     rig.bus.close()
-    rig.bus.publish_status(lambda: light_status("me", "a"))
+    rig.bus.publish("status", lambda: encode(light_status("me", "a")))
     assert await rig.get("me/control/run") == []

@@ -1,0 +1,349 @@
+"""A living swarm on the page: statuses and motions of its robots, and commands to them."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import math
+import threading
+import time
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import numpy as np
+from msgspec.structs import astuple
+
+from swarmd.core.codec import Decoder
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.messages import (
+    Motion,
+    ParamRequest,
+    Presence,
+    ResetRequest,
+    RunRequest,
+    Status,
+)
+from swarmd.core.values import Array, Platform, Scan
+from swarmd.driver_api.hw_codec import decode_scan
+from swarmd.network.discovery import Contact, MembersView, SeenMember
+from swarmd.network.operator import Operator
+from swarmd.network.outcome import Outcome
+from swarmd.settings.platforms import load_platform
+from swarmd.view.source import Answer, ShownArena, ShownRobot, row_of
+
+LOOK_PERIOD = 1.0
+LOOK_TIME = 1.0
+PLAIN = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
+"""The footprint of a robot whose platform is not known here, in m."""
+
+_motion = Decoder(Motion)
+_status = Decoder(Status)
+
+
+class LiveSource:
+    """See `swarmd.view.source.Source`. Positions are those of each robot's own odometry."""
+
+    kind = "live"
+    arena: ShownArena | None = None
+    duration = 0.0
+
+    def __init__(self, operator: Operator, patterns: Sequence[str]) -> None:
+        self.swarm = operator.settings.swarm
+        self.patterns = patterns
+        self._robots: list[ShownRobot] = []
+        self._operator = operator
+        self._index: dict[str, int] = {}
+        self._lock = threading.Lock()
+        self._motions: dict[str, Motion] = {}
+        self._statuses: dict[str, tuple[Status, float]] = {}
+        self._scans: dict[str, Scan] = {}
+        self._platforms: dict[str, Platform | None] = {}
+        self._watched: frozenset[str] = frozenset()
+        self._view = MembersView({})
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._look, name="view looks", daemon=True)
+
+    def start(self) -> None:
+        """Begin to look."""
+        self._operator.watch("motion", self._on_motion)
+        self._operator.watch("status", self._on_status)
+        self._thread.start()
+
+    def close(self) -> None:
+        """End; the operator is closed by its owner."""
+        self._ending.set()
+        self._thread.join(2.0 * LOOK_TIME)
+
+    @property
+    def view(self) -> MembersView:
+        """The members as last seen."""
+        return self._view
+
+    # What the page shows
+
+    @property
+    def robots(self) -> Sequence[ShownRobot]:
+        """The robots that were heard, in the order of their indices."""
+        return self._robots
+
+    def frame(self) -> tuple[float, Array]:
+        """The last pose of each robot."""
+        with self._lock:
+            motions = list(self._motions.values())
+        self._add(one.robot for one in motions)
+        rows = [(self._index[one.robot], one.x, one.y, one.yaw) for one in motions]
+        return time.monotonic(), np.array(rows, dtype=np.float64).reshape(-1, 4)
+
+    def rows(self) -> Mapping[str, Mapping[str, Any]]:
+        """The last status of each robot, and what is known of one that does not answer."""
+        now = time.monotonic()
+        with self._lock:
+            statuses, motions = dict(self._statuses), dict(self._motions)
+        members = self._view.members
+        self._add(sorted(members.keys() | statuses.keys()))
+        rows: dict[str, dict[str, Any]] = {}
+        for robot in self._robots:
+            name = robot.name
+            member, known = members.get(name), statuses.get(name)
+            if known is None:
+                rows[name] = _unanswered(member)
+                continue
+            status, at = known
+            row = rows[name] = row_of(status)
+            motion = motions.get(name)
+            if motion is not None:
+                row |= {
+                    "requested": list(motion.requested),
+                    "safe": list(motion.safe),
+                    "rows": [list(astuple(one)) for one in motion.rows],
+                }
+            platform = self._platform(status.platform)
+            if platform is not None:
+                limits = platform.limits
+                row["limits"] = [limits.linear, limits.angular, limits.lateral]
+            row["age"] = round(max(now - at, 0.0), 1)
+            if member is not None and member.presence is not Presence.ALIVE:
+                row |= {"presence": member.presence.value, "why": f"{member.presence.value}"}
+        return rows
+
+    def scan(self, name: str) -> Array | None:
+        """The returns of a watched robot's scan in its base frame."""
+        scan, robot = self._scans.get(name), self._index.get(name)
+        if scan is None or robot is None:
+            return None
+        platform = self._platform(self._robots[robot].platform)
+        offset = (0.0, 0.0) if platform is None else platform.scan.offset
+        is_return = np.isfinite(scan.ranges)
+        ranges, bearings = scan.ranges[is_return], scan.bearings[is_return]
+        return np.stack(
+            (offset[0] + ranges * np.cos(bearings), offset[1] + ranges * np.sin(bearings)), axis=1
+        )
+
+    def boxes(self) -> Sequence[tuple[Array, Sequence[float]]]:
+        """Not known of a real room."""
+        return ()
+
+    def links(self) -> Sequence[tuple[int, int]]:
+        """Not known."""
+        return ()
+
+    def detail(self, name: str) -> Mapping[str, Any] | None:
+        """What `describe` tells."""
+        known = self._statuses.get(name)
+        if known is None:
+            return None
+        status, at = known
+        age = time.monotonic() - at
+        health, decision = status.health, status.decision
+        values = [
+            ["Platform", f"{status.platform}, driver {status.driver}"],
+            ["Pattern", status.pattern or "-"],
+            ["Parameters", _assignments({k: v.value for k, v in status.params.items()}) or "-"],
+            ["Report", _assignments(status.report) or "-"],
+            ["Protection", f"{decision.mode}, limits {decision.duty:.0%} of decisions"],
+            ["Labels", ", ".join(status.labels) or "-"],
+            ["Changed by", status.changed_by],
+            ["Scans", f"{health.scan_rate:.1f} Hz"],
+            ["Driver", health.driver],
+            ["Network", health.network],
+            [
+                "Latches",
+                "; ".join(f"{x.issuer}: {x.reason}" for x in status.latches.values()) or "-",
+            ],
+            ["Peers", "; ".join(f"{x.robot}: {x.text}" for x in status.peers) or "-"],
+            ["Version", f"{status.version}, kernels {status.kernels}"],
+        ]
+        if decision.speed_share < 1.0:
+            values.insert(5, ["Speed", f"{decision.speed_share:.0%}: an assumption was violated"])
+        events = [
+            [f"{max(status.uptime - one.at, 0.0) + age:.0f} s ago", one.text]
+            for one in reversed(status.events)
+        ]
+        return {"values": values, "events": events}
+
+    def select(self, names: Sequence[str]) -> None:
+        """Watch the scans of these robots and of no others."""
+        wanted = frozenset(names)
+        for name in self._watched - wanted:
+            self._operator.unwatch("scan", name)
+            self._scans.pop(name, None)
+        for name in wanted - self._watched:
+            self._operator.watch("scan", self._on_scan, name)
+        self._watched = wanted
+
+    def play(self, *, is_playing: bool, speed: float) -> None:
+        """A living swarm is not played."""
+
+    def seek(self, time: float) -> None:
+        """A living swarm has no other time."""
+
+    # What robots tell
+
+    def _look(self) -> None:
+        while not self._ending.is_set():
+            began = time.monotonic()
+            with contextlib.suppress(SwarmError):
+                view = self._operator.members(timeout=LOOK_TIME)
+                self._view = view
+                now = time.monotonic()
+                with self._lock:
+                    for name, member in view.members.items():
+                        if member.contact is Contact.ANSWERED and member.status is not None:
+                            self._statuses[name] = member.status, now
+            self._ending.wait(max(LOOK_PERIOD - (time.monotonic() - began), 0.05))
+
+    def _on_motion(self, robot: str, payload: bytes) -> None:
+        motion = _motion(payload)
+        if motion.robot == robot and math.isfinite(motion.x + motion.y + motion.yaw):
+            with self._lock:
+                self._motions[robot] = motion
+
+    def _on_status(self, robot: str, payload: bytes) -> None:
+        status = _status(payload)
+        if status.robot == robot:
+            with self._lock:
+                self._statuses[robot] = status, time.monotonic()
+
+    def _on_scan(self, robot: str, payload: bytes) -> None:
+        index = self._index.get(robot)
+        if index is None:
+            return
+        platform = self._platform(self._robots[index].platform)
+        if platform is not None:
+            self._scans[robot] = decode_scan(payload, platform.scan)
+
+    def _add(self, names: Any) -> None:
+        for name in names:
+            if name in self._index:
+                continue
+            known = self._statuses.get(name)
+            if known is None and name not in self._view.members:
+                continue
+            platform = "" if known is None else known[0].platform
+            if not platform:
+                continue  # until its status comes
+            self._index[name] = len(self._robots)
+            found = self._platform(platform)
+            shape = PLAIN if found is None else found.footprint
+            self._robots.append(ShownRobot(name, self._index[name], platform, shape))
+
+    def _platform(self, name: str) -> Platform | None:
+        """The platform of that name; None if it is not known on this machine."""
+        if name not in self._platforms:
+            self._platforms[name] = None
+            with contextlib.suppress(ConfigError):
+                self._platforms[name] = load_platform(name)
+        return self._platforms[name]
+
+
+class LiveCommander:
+    """Carries commands of pages out as swarmctl does; each runs in a thread of its own."""
+
+    def __init__(self, make: Callable[[], Operator]) -> None:
+        self._make = make
+        self._pool = ThreadPoolExecutor(8, thread_name_prefix="view commands")
+
+    def close(self) -> None:
+        """Wait for nothing."""
+        self._pool.shutdown(wait=False, cancel_futures=True)
+
+    async def act(
+        self, verb: str, fields: Mapping[str, Any], tell: Callable[[Answer], None]
+    ) -> None:
+        """Carry a command out; what came of it is told as it comes."""
+        loop = asyncio.get_running_loop()
+
+        def tell_later(answer: Answer) -> None:
+            loop.call_soon_threadsafe(tell, answer)
+
+        try:
+            await loop.run_in_executor(self._pool, self._act, verb, dict(fields), tell_later)
+        except (SwarmError, ValueError, TypeError) as error:
+            tell(Answer(f"{verb}: {error}", is_final=True))
+
+    def _act(self, verb: str, fields: dict[str, Any], tell: Callable[[Answer], None]) -> None:
+        targets = fields.get("targets")
+        names = None if targets is None else tuple(str(name) for name in targets)
+        with self._make() as operator:
+            if verb in ("stop", "estop"):
+                outcome = _stop(operator, verb, names, tell)
+            elif verb in ("run", "param", "reset"):
+                outcome = _request(operator, verb, names or (), fields)
+            else:
+                raise ValueError(f"there is no command {verb!r}")
+        tell(_answer(verb, outcome, is_final=True))
+
+
+def _stop(
+    operator: Operator, verb: Any, names: tuple[str, ...] | None, tell: Callable[[Answer], None]
+) -> Outcome:
+    def on_progress(missing: tuple[str, ...]) -> None:
+        tell(Answer(f"{verb}: waits for {len(missing)}", missing=list(missing)))
+
+    return operator.send_stop(
+        verb,
+        select=None if names is None else lambda found: tuple(set(found) & set(names)),
+        names=names or (),
+        reason="from the page" if verb == "estop" else "",
+        until_all=verb == "estop",
+        on_progress=on_progress,
+    )
+
+
+def _request(
+    operator: Operator, verb: str, names: tuple[str, ...], fields: Mapping[str, Any]
+) -> Outcome:
+    from swarmd.cli.arguments import read_assignments
+
+    view = operator.members(timeout=3.0, needs_status=verb == "reset")
+    epochs = view.epochs(names)
+    if verb == "reset":
+        statuses = [view.members[name].status for name in names if name in view.members]
+        ids = tuple(sorted({key for one in statuses if one for key in one.latches}))
+        return operator.request(ResetRequest, epochs, ids=ids, reason="from the page")
+    params = read_assignments(tuple(str(fields.get("params") or "").split()))
+    if verb == "param":
+        return operator.request(ParamRequest, epochs, params=params)
+    return operator.request(RunRequest, epochs, pattern=str(fields.get("pattern")), params=params)
+
+
+def _answer(verb: str, outcome: Outcome, *, is_final: bool) -> Answer:
+    replies = [(name, one.code.value, one.text) for name, one in sorted(outcome.replies.items())]
+    return Answer(
+        f"{verb}: {outcome.line}",
+        replies,
+        list(outcome.missing),
+        is_good=outcome.exit_code == 0,
+        is_final=is_final,
+    )
+
+
+def _unanswered(member: SeenMember | None) -> dict[str, Any]:
+    presence = "?" if member is None else member.presence.value
+    return {"presence": presence, "state": "", "why": "does not answer", "report": {}}
+
+
+def _assignments(values: Mapping[str, object]) -> str:
+    shown = (f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in values.items())
+    return ", ".join(shown)
