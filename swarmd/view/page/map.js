@@ -3,6 +3,7 @@
 import { Colouring } from './colours.js';
 
 const NAME_SCALE = 30; // pixels a metre from which on names are drawn
+const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at least
 const EDGE = 0.6; // m around what is shown by Fit
 
 export class SwarmMap {
@@ -199,6 +200,9 @@ export class SwarmMap {
     const { ctx } = this;
     ctx.translate(robot.x, robot.y);
     ctx.rotate(robot.yaw);
+    const grown = Math.max(1, LEAST * this.ratio / (robot.radius * zoom)); // far away: larger than it is
+    if (grown > 1) ctx.scale(grown, grown);
+    zoom *= grown;
     ctx.beginPath();
     robot.footprint.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
     ctx.closePath();

@@ -1,0 +1,200 @@
+"""A headless Chromium, driven over its own DevTools socket."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import json
+import os
+import shutil
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from websockets.sync.client import ClientConnection, connect
+
+from tests.support.processes import CAP
+
+FOUND = shutil.which("chromium") or shutil.which("chromium-browser")
+
+_LONG_TASKS = """
+window.longTasks = [];
+new PerformanceObserver((list) => {
+  for (const one of list.getEntries()) window.longTasks.push([one.startTime, one.duration]);
+}).observe({ type: 'longtask', buffered: true });
+window.errors = [];
+addEventListener('error', (event) => window.errors.push(String(event.message)));
+addEventListener('unhandledrejection', (event) => window.errors.push(String(event.reason)));
+"""
+
+
+class Page:
+    """One page of a browser."""
+
+    def __init__(self, socket: ClientConnection) -> None:
+        self._socket = socket
+        self._last = 0
+
+    def call(self, method: str, **params: Any) -> Any:
+        """The result of a DevTools method."""
+        self._last += 1
+        self._socket.send(json.dumps({"id": self._last, "method": method, "params": params}))
+        until = time.monotonic() + CAP
+        while time.monotonic() < until:
+            message = json.loads(self._socket.recv(timeout=CAP))
+            if message.get("id") == self._last:
+                assert "error" not in message, (method, message["error"])
+                return message["result"]
+        raise AssertionError(f"{method} gave no answer")
+
+    def open(self, address: str) -> None:
+        """Load a page."""
+        self.call("Page.enable")
+        self.call("Runtime.enable")
+        self.call("Page.addScriptToEvaluateOnNewDocument", source=_LONG_TASKS)
+        self.call("Page.navigate", url=address)
+        self.until("document.readyState === 'complete' && !!window.swarm", "loaded")
+
+    def evaluate(self, expression: str) -> Any:
+        """The value of an expression; a promise is awaited."""
+        result = self.call(
+            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+        )
+        assert "exceptionDetails" not in result, result["exceptionDetails"]
+        return result["result"].get("value")
+
+    def until(self, condition: str, what: str, cap: float = CAP) -> Any:
+        """Wait until an expression is true."""
+        ends = time.monotonic() + cap
+        while True:
+            value = self.evaluate(condition)
+            if value:
+                return value
+            assert time.monotonic() < ends, f"never: {what}"
+            time.sleep(0.05)
+
+    def click(self, selector: str) -> None:
+        """Click with the mouse in the middle of an element."""
+        where = f"document.querySelector({json.dumps(selector)})"
+        box = self.evaluate(
+            f"(() => {{ const e = {where}; e.scrollIntoView({{block: 'center'}});"
+            " const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2];"
+            " })()"
+        )
+        self.mouse(box[0], box[1])
+
+    def mouse(self, x: float, y: float, modifiers: int = 0) -> None:
+        """Click at a place."""
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call(
+                "Input.dispatchMouseEvent",
+                type=kind,
+                x=x,
+                y=y,
+                button="left",
+                clickCount=1,
+                modifiers=modifiers,
+            )
+
+    def drag(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press, move and release."""
+        self.call(
+            "Input.dispatchMouseEvent",
+            type="mousePressed",
+            x=start[0],
+            y=start[1],
+            button="left",
+            clickCount=1,
+        )
+        for share in (0.3, 0.7, 1.0):
+            x = start[0] + share * (end[0] - start[0])
+            y = start[1] + share * (end[1] - start[1])
+            self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y, button="left")
+        self.call(
+            "Input.dispatchMouseEvent",
+            type="mouseReleased",
+            x=end[0],
+            y=end[1],
+            button="left",
+            clickCount=1,
+        )
+
+    def type(self, selector: str, text: str) -> None:
+        """Type a text into a field."""
+        self.evaluate(f"document.querySelector({json.dumps(selector)}).focus()")
+        self.call("Input.insertText", text=text)
+
+    def key(self, key: str) -> None:
+        """Press and release a key."""
+        for kind in ("keyDown", "keyUp"):
+            text = {"text": key} if kind == "keyDown" and len(key) == 1 else {}
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, **text)
+
+    def resize(self, width: int, height: int, *, is_phone: bool = False) -> None:
+        """Another size of the window."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=width,
+            height=height,
+            deviceScaleFactor=2 if is_phone else 1,
+            mobile=is_phone,
+        )
+
+    def picture(self, path: Path) -> Path:
+        """Write a screenshot."""
+        data = self.call("Page.captureScreenshot", format="png")["data"]
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(base64.b64decode(data))
+        return path
+
+    @property
+    def errors(self) -> list[str]:
+        """Errors of scripts."""
+        return list(self.evaluate("window.errors"))
+
+
+@contextlib.contextmanager
+def browser(folder: Path, width: int = 1400, height: int = 850) -> Iterator[Page]:
+    """A browser with one page; it has ended when this returns."""
+    assert FOUND is not None
+    folder.mkdir(parents=True, exist_ok=True)
+    port = folder / "DevToolsActivePort"
+    process = subprocess.Popen(
+        [
+            FOUND,
+            "--headless=new",
+            "--no-sandbox",
+            "--disable-gpu",
+            "--disable-dev-shm-usage",
+            "--disable-background-networking",
+            "--no-first-run",
+            "--remote-debugging-port=0",
+            f"--user-data-dir={folder}",
+            f"--window-size={width},{height}",
+            "about:blank",
+        ],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+        start_new_session=True,
+        env={**os.environ, "DBUS_SESSION_BUS_ADDRESS": "disabled:"},
+    )
+    try:
+        ends = time.monotonic() + CAP
+        while not (port.exists() and len(port.read_text().splitlines()) == 2):
+            assert time.monotonic() < ends, "the browser does not start"
+            assert process.poll() is None, "the browser has ended"
+            time.sleep(0.05)
+        number, path = port.read_text().splitlines()
+        with connect(f"ws://127.0.0.1:{number}{path}", max_size=2**26) as root:
+            control = Page(root)
+            target = control.call("Target.createTarget", url="about:blank")["targetId"]
+            with connect(f"ws://127.0.0.1:{number}/devtools/page/{target}", max_size=2**26) as one:
+                page = Page(one)
+                page.resize(width, height)
+                yield page
+    finally:
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(process.pid, 9)
+        process.wait()

@@ -1,0 +1,3 @@
+from tests.swarm.conftest import swarm
+
+__all__ = ["swarm"]

@@ -1,0 +1,153 @@
+"""The page in a real browser shows and commands a living swarm, from click to acknowledgement."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pytest
+
+from swarmd.core.messages import State
+from tests.support.chromium import FOUND, Page, browser
+
+if TYPE_CHECKING:
+    from tests.swarm.conftest import Swarm
+
+pytestmark = [
+    pytest.mark.integration,
+    pytest.mark.skipif(FOUND is None, reason="no Chromium here"),
+]
+
+LAST = "document.querySelector('.answer[data-final=\"true\"]')"
+
+
+@contextlib.contextmanager
+def served(swarm: Swarm, *options: str) -> Iterator[list[str]]:
+    """`swarmctl view --web` for the swarm; the addresses that it prints."""
+    process = swarm.begin("view", "--web", "--port", "0", *options)
+    try:
+        assert process.stdout is not None
+        count = 1 + ("--viewer-token" in options)
+        lines = [process.stdout.readline() for _ in range(count)]
+        yield [line.partition(": ")[2].strip() for line in lines]
+    finally:
+        process.terminate()
+        process.communicate(timeout=60)
+
+
+def shown(page: Page, name: str, state: str) -> None:
+    """Wait until the list shows a robot in a state."""
+    page.until(
+        f"(window.swarm.model.robots.get('{name}') || {{row: {{}}}}).row.state === '{state}'",
+        f"{name} {state}",
+    )
+
+
+def answered(page: Page, verb: str) -> str:
+    """The final answer to a command."""
+    page.until(f"{LAST} && {LAST}.querySelector('.what').textContent.startsWith('{verb}:')", verb)
+    return str(page.evaluate(f"{LAST}.textContent"))
+
+
+def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, tmp_path: Path) -> None:
+    names = ["tb3-01", "tb3-02"]
+    bodies = {name: swarm.body(name) for name in names}
+    for name, body in bodies.items():
+        swarm.start(name, body)
+    with served(swarm) as (address,), browser(tmp_path / "chromium") as page:
+        page.open(address)
+        for name in names:
+            shown(page, name, "idle")
+        page.type("#pattern", "drive")
+        page.type("#params", "speed=0.05")
+        page.click("#run")
+        assert "2 targeted, 2 applied" in answered(page, "run")
+        for name in names:
+            shown(page, name, "running")
+            bodies[name].wait_moving()
+        page.until(
+            "Number.isFinite(window.swarm.model.robots.get('tb3-01').x)",
+            "a place",
+        )
+
+        page.evaluate("window.swarm.model.select(['tb3-01'])")
+        page.until("document.getElementById('detail-values').children.length > 4", "details")
+        page.click("#stop")
+        assert "1 targeted, 1 applied" in answered(page, "stop")
+        shown(page, "tb3-01", "stopped")
+        assert swarm.status("tb3-02").state is State.RUNNING
+
+        page.click("#estop")
+        assert "2 applied" in answered(page, "estop")
+        for name in names:
+            shown(page, name, "estopped")
+        page.click("#reset")
+        assert "1 targeted, 1 applied" in answered(page, "reset")
+        shown(page, "tb3-01", "idle")
+        assert page.errors == []
+
+
+def test_a_lost_server_is_told_and_found_again(swarm: Swarm, tmp_path: Path) -> None:
+    swarm.start("tb3-01", swarm.body("tb3-01"))
+    with browser(tmp_path / "chromium") as page:
+        with served(swarm) as (address,):
+            page.open(address)
+            shown(page, "tb3-01", "idle")
+        page.until("!document.getElementById('banner').hidden", "the banner")
+        page.until(
+            "document.querySelector('tr[data-name=\"tb3-01\"]').className === 'stale'",
+            "a stale row",
+        )
+        port = re.search(r":(\d+)/", address)
+        assert port is not None
+        process = swarm.begin("view", "--web", "--port", port[1])
+        try:
+            page.until("document.getElementById('banner').hidden", "no banner")
+            shown(page, "tb3-01", "idle")
+        finally:
+            process.terminate()
+            process.communicate(timeout=60)
+
+
+def test_a_robot_that_is_killed_is_not_shown_as_alive(swarm: Swarm, tmp_path: Path) -> None:
+    daemon = swarm.start("tb3-01", swarm.body("tb3-01"))
+    swarm.start("tb3-02")
+    with served(swarm) as (address,), browser(tmp_path / "chromium") as page:
+        page.open(address)
+        shown(page, "tb3-01", "idle")
+        daemon.kill()
+        page.until(
+            "document.querySelector('tr[data-name=\"tb3-01\"]').className === 'stale'",
+            "a stale row",
+        )
+
+
+def test_tokens_decide_who_may_command(swarm: Swarm, tmp_path: Path) -> None:
+    body = swarm.body("tb3-01")
+    swarm.start("tb3-01", body)
+    tokens = ("--token", "secret-a", "--viewer-token", "secret-b")
+    with served(swarm, *tokens) as (whole, read_only), browser(tmp_path / "chromium") as page:
+        page.open(read_only)
+        shown(page, "tb3-01", "idle")
+        assert (
+            page.evaluate("getComputedStyle(document.getElementById('actions')).display") == "none"
+        )
+        page.evaluate(
+            "window.swarm.actions.act('run', {targets: ['tb3-01'], pattern: 'drive', params: ''})"
+        )
+        assert "this page may only look" in answered(page, "run")
+        assert swarm.status("tb3-01").state is State.IDLE
+
+        page.open(whole.partition("?")[0])
+        page.until("document.getElementById('banner').textContent.includes('token')", "refused")
+        page.open(whole)
+        shown(page, "tb3-01", "idle")
+
+
+def test_another_interface_needs_a_token(swarm: Swarm) -> None:
+    done = swarm.ctl("view", "--web", "--bind", "0.0.0.0", "--port", "0")
+    assert done.code == 2
+    assert "expected a token" in done.err
