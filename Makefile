@@ -149,7 +149,7 @@ $(VENV)/tools: $(VENV)/installed
 lock:
 	rm -rf build/lock && $(PYTHON) -m venv build/lock
 	build/lock/bin/pip install --quiet --disable-pip-version-check --upgrade 'pip>=25.1'
-	build/lock/bin/pip install --quiet --disable-pip-version-check '.[sim,plot]' --group dev --group mutants
+	build/lock/bin/pip install --quiet --disable-pip-version-check '.[sim,plot]' --group dev --group docs --group mutants
 	sed -n '/^#/p' constraints.txt > build/constraints.txt
 	build/lock/bin/pip freeze | grep -v '^swarmd' >> build/constraints.txt
 	mv build/constraints.txt constraints.txt

@@ -49,14 +49,15 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("plugins",),
     ("kit", "protection"),
     ("api",),
-    ("settings", "robot"),
+    ("settings", "robot", "recording"),
     ("mission", "calibration"),
     ("pattern_host",),
-    ("daemon",),
+    ("daemon", "replay", "view"),
     ("cli",),
     ("testing",),
 )
 LAYER_EXCEPTIONS: dict[tuple[str, str], str] = {
+    ("view", "cli"): "the page reads parameters as the options of swarmctl do",
     ("pattern_host", "testing"): "the inspecting child runs the contract that authors import",
 }
 _MEASURES, _TESTS = ("benchmarks", "studies"), ("tests",)
