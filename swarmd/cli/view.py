@@ -55,13 +55,14 @@ def view(
     if not web:
         raise click.UsageError("give --web")
     from swarmd.plugins import pattern_names
-    from swarmd.view.live import LiveCommander, LiveSource
+    from swarmd.view.commander import LiveCommander
+    from swarmd.view.live import LiveSource
     from swarmd.view.server import Access
 
     access = Access(_token(token), _token(viewer_token))
     with options.operator() as operator:
         source = LiveSource(operator, sorted(pattern_names(None)))
-        commander = LiveCommander(options.operator)
+        commander = LiveCommander(options.operator, source.expected)
         source.start()
         try:
             asyncio.run(serve(source, commander, access, bind, port, tls))

@@ -187,6 +187,10 @@ class Operator:
         for thread in closing:
             thread.join(max(0.0, deadline - boottime()))
 
+    def expect(self, names: Iterable[str]) -> None:
+        """Expect these robots as well, as if they were on the roster."""
+        self._roster |= frozenset(names)
+
     # Looks
 
     def members(self, *, timeout: float | None = None, needs_status: bool = True) -> MembersView:
@@ -338,14 +342,16 @@ class Operator:
         timeout: float | None = None,
         until_all: bool = False,
         on_progress: Callable[[tuple[str, ...]], None] = lambda missing: None,
+        is_ended: Callable[[], bool] = lambda: False,
     ) -> Outcome:
         """Stop or estop by datagrams: sent at once, repeated until each expected robot has acked.
 
         `select` picks robots from the names known so far and is called again as more appear, beside
         `names`; None: all. An estop of all is swarm-wide: robots that join take it over. `reason`
         is kept with an estop. It ends after `timeout` s, or after a time that follows from the
-        round trip; with `until_all` only when all have acked, or at a KeyboardInterrupt, which is
-        an end like any other. `on_progress` takes the robots without an ack, when they change.
+        round trip; with `until_all` only when all have acked, when `is_ended` returns True, or at a
+        KeyboardInterrupt, which is an end like any other. `on_progress` takes the robots without an
+        ack, when they change.
         """
         now = boottime()
         discovery = self._new_discovery(now)
@@ -362,7 +368,12 @@ class Operator:
         until = None if timeout is None or until_all else now + timeout
         try:
             self._send_until_acked(
-                pending, discovery, until, until_all=until_all, on_progress=on_progress
+                pending,
+                discovery,
+                until,
+                until_all=until_all,
+                on_progress=on_progress,
+                is_ended=is_ended,
             )
         except KeyboardInterrupt:
             if not until_all:
@@ -379,6 +390,7 @@ class Operator:
         *,
         until_all: bool,
         on_progress: Callable[[tuple[str, ...]], None],
+        is_ended: Callable[[], bool],
     ) -> None:
         """Send until it is done or over."""
         now = boottime()
@@ -392,7 +404,7 @@ class Operator:
                 is_over = until is not None and now >= until
                 if until is None and not until_all:
                     is_over = pending.is_over(now)
-                if is_over or pending.is_done(now):
+                if is_over or is_ended() or pending.is_done(now):
                     return
                 before, selected = selected, pending.selected()
                 lacking = pending.lacking(now)

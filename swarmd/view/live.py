@@ -1,14 +1,12 @@
-"""A living swarm on the page: statuses and motions of its robots, and commands to them."""
+"""A living swarm on the page: statuses and motions of its robots."""
 
 from __future__ import annotations
 
-import asyncio
 import contextlib
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -16,21 +14,13 @@ from msgspec.structs import astuple
 
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.core.messages import (
-    Motion,
-    ParamRequest,
-    Presence,
-    ResetRequest,
-    RunRequest,
-    Status,
-)
+from swarmd.core.messages import Motion, Presence, Status
 from swarmd.core.values import Array, Platform, Scan
 from swarmd.driver_api.hw_codec import decode_scan
 from swarmd.network.discovery import Contact, MembersView, SeenMember
 from swarmd.network.operator import Operator
-from swarmd.network.outcome import Outcome
 from swarmd.settings.platforms import load_platform
-from swarmd.view.source import Answer, ShownArena, ShownRobot, row_of
+from swarmd.view.source import ShownArena, ShownRobot, row_of
 
 LOOK_PERIOD = 1.0
 LOOK_TIME = 1.0
@@ -79,6 +69,12 @@ class LiveSource:
     def view(self) -> MembersView:
         """The members as last seen."""
         return self._view
+
+    def expected(self) -> list[str]:
+        """The robots that a stop of all must reach: all that are shown and did not leave."""
+        members = self._view.members
+        left = {name for name, one in members.items() if one.presence is Presence.LEFT}
+        return [robot.name for robot in self._robots if robot.name not in left]
 
     # What the page shows
 
@@ -255,88 +251,6 @@ class LiveSource:
             with contextlib.suppress(ConfigError):
                 self._platforms[name] = load_platform(name)
         return self._platforms[name]
-
-
-class LiveCommander:
-    """Carries commands of pages out as swarmctl does; each runs in a thread of its own."""
-
-    def __init__(self, make: Callable[[], Operator]) -> None:
-        self._make = make
-        self._pool = ThreadPoolExecutor(8, thread_name_prefix="view commands")
-
-    def close(self) -> None:
-        """Wait for nothing."""
-        self._pool.shutdown(wait=False, cancel_futures=True)
-
-    async def act(
-        self, verb: str, fields: Mapping[str, Any], tell: Callable[[Answer], None]
-    ) -> None:
-        """Carry a command out; what came of it is told as it comes."""
-        loop = asyncio.get_running_loop()
-
-        def tell_later(answer: Answer) -> None:
-            loop.call_soon_threadsafe(tell, answer)
-
-        try:
-            await loop.run_in_executor(self._pool, self._act, verb, dict(fields), tell_later)
-        except (SwarmError, ValueError, TypeError) as error:
-            tell(Answer(f"{verb}: {error}", is_final=True))
-
-    def _act(self, verb: str, fields: dict[str, Any], tell: Callable[[Answer], None]) -> None:
-        targets = fields.get("targets")
-        names = None if targets is None else tuple(str(name) for name in targets)
-        with self._make() as operator:
-            if verb in ("stop", "estop"):
-                outcome = _stop(operator, verb, names, tell)
-            elif verb in ("run", "param", "reset"):
-                outcome = _request(operator, verb, names or (), fields)
-            else:
-                raise ValueError(f"there is no command {verb!r}")
-        tell(_answer(verb, outcome, is_final=True))
-
-
-def _stop(
-    operator: Operator, verb: Any, names: tuple[str, ...] | None, tell: Callable[[Answer], None]
-) -> Outcome:
-    def on_progress(missing: tuple[str, ...]) -> None:
-        tell(Answer(f"{verb}: waits for {len(missing)}", missing=list(missing)))
-
-    return operator.send_stop(
-        verb,
-        select=None if names is None else lambda found: tuple(set(found) & set(names)),
-        names=names or (),
-        reason="from the page" if verb == "estop" else "",
-        until_all=verb == "estop",
-        on_progress=on_progress,
-    )
-
-
-def _request(
-    operator: Operator, verb: str, names: tuple[str, ...], fields: Mapping[str, Any]
-) -> Outcome:
-    from swarmd.cli.arguments import read_assignments
-
-    view = operator.members(timeout=3.0, needs_status=verb == "reset")
-    epochs = view.epochs(names)
-    if verb == "reset":
-        statuses = [view.members[name].status for name in names if name in view.members]
-        ids = tuple(sorted({key for one in statuses if one for key in one.latches}))
-        return operator.request(ResetRequest, epochs, ids=ids, reason="from the page")
-    params = read_assignments(tuple(str(fields.get("params") or "").split()))
-    if verb == "param":
-        return operator.request(ParamRequest, epochs, params=params)
-    return operator.request(RunRequest, epochs, pattern=str(fields.get("pattern")), params=params)
-
-
-def _answer(verb: str, outcome: Outcome, *, is_final: bool) -> Answer:
-    replies = [(name, one.code.value, one.text) for name, one in sorted(outcome.replies.items())]
-    return Answer(
-        f"{verb}: {outcome.line}",
-        replies,
-        list(outcome.missing),
-        is_good=outcome.exit_code == 0,
-        is_final=is_final,
-    )
 
 
 def _unanswered(member: SeenMember | None) -> dict[str, Any]:

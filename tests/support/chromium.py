@@ -7,6 +7,7 @@ import contextlib
 import json
 import os
 import shutil
+import signal
 import subprocess
 import time
 from collections.abc import Iterator
@@ -37,13 +38,13 @@ class Page:
         self._socket = socket
         self._last = 0
 
-    def call(self, method: str, **params: Any) -> Any:
+    def call(self, method: str, cap: float = CAP, **params: Any) -> Any:
         """The result of a DevTools method."""
         self._last += 1
         self._socket.send(json.dumps({"id": self._last, "method": method, "params": params}))
-        until = time.monotonic() + CAP
+        until = time.monotonic() + cap
         while time.monotonic() < until:
-            message = json.loads(self._socket.recv(timeout=CAP))
+            message = json.loads(self._socket.recv(timeout=cap))
             if message.get("id") == self._last:
                 assert "error" not in message, (method, message["error"])
                 return message["result"]
@@ -57,23 +58,36 @@ class Page:
         self.call("Page.navigate", url=address)
         self.until("document.readyState === 'complete' && !!window.swarm", "loaded")
 
-    def evaluate(self, expression: str) -> Any:
+    def evaluate(self, expression: str, cap: float = CAP) -> Any:
         """The value of an expression; a promise is awaited."""
         result = self.call(
-            "Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True
+            "Runtime.evaluate", cap, expression=expression, returnByValue=True, awaitPromise=True
         )
-        assert "exceptionDetails" not in result, result["exceptionDetails"]
+        if "exceptionDetails" in result:
+            raised = result["exceptionDetails"].get("exception", {})
+            raise AssertionError(raised.get("description") or result["exceptionDetails"])
         return result["result"].get("value")
 
     def until(self, condition: str, what: str, cap: float = CAP) -> Any:
-        """Wait until an expression is true."""
-        ends = time.monotonic() + cap
-        while True:
-            value = self.evaluate(condition)
-            if value:
-                return value
-            assert time.monotonic() < ends, f"never: {what}"
-            time.sleep(0.05)
+        """Wait until an expression is true; one that raises, as what is not drawn yet does, is not.
+
+        The page looks itself, ten times a second, and answers once.
+        """
+        never = json.dumps(f"never: {what}")
+        return self.evaluate(
+            f"""new Promise((resolve, reject) => {{
+              const ends = performance.now() + {1000 * cap};
+              let error = '';
+              const look = () => {{
+                try {{ const value = {condition}; if (value) return resolve(value); error = ''; }}
+                catch (raised) {{ error = ` (${{raised}})`; }}
+                if (performance.now() > ends) return reject(new Error({never} + error));
+                setTimeout(look, 100);
+              }};
+              look();
+            }})""",
+            cap=2.0 * cap,
+        )
 
     def click(self, selector: str) -> None:
         """Click with the mouse in the middle of an element."""
@@ -129,7 +143,7 @@ class Page:
     def key(self, key: str) -> None:
         """Press and release a key."""
         for kind in ("keyDown", "keyUp"):
-            text = {"text": key} if kind == "keyDown" and len(key) == 1 else {}
+            text: dict[str, Any] = {"text": key} if kind == "keyDown" and len(key) == 1 else {}
             self.call("Input.dispatchKeyEvent", type=kind, key=key, **text)
 
     def resize(self, width: int, height: int, *, is_phone: bool = False) -> None:
@@ -155,12 +169,34 @@ class Page:
         return list(self.evaluate("window.errors"))
 
 
+class Browser:
+    """A running browser; each of its pages has cookies and storage of its own."""
+
+    def __init__(self, port: str, root: Page) -> None:
+        self._port, self._root = port, root
+
+    @contextlib.contextmanager
+    def page(self, width: int = 1400, height: int = 850) -> Iterator[Page]:
+        """A page that is closed when this returns."""
+        context = self._root.call("Target.createBrowserContext")["browserContextId"]
+        target = self._root.call(
+            "Target.createTarget", url="about:blank", browserContextId=context
+        )["targetId"]
+        address = f"ws://127.0.0.1:{self._port}/devtools/page/{target}"
+        try:
+            with connect(address, max_size=2**26, open_timeout=CAP) as socket:
+                page = Page(socket)
+                page.resize(width, height)
+                yield page
+        finally:
+            self._root.call("Target.disposeBrowserContext", browserContextId=context)
+
+
 @contextlib.contextmanager
-def browser(folder: Path, width: int = 1400, height: int = 850) -> Iterator[Page]:
-    """A browser with one page; it has ended when this returns."""
+def chromium(folder: Path) -> Iterator[Browser]:
+    """A browser that has ended when this returns."""
     assert FOUND is not None
     folder.mkdir(parents=True, exist_ok=True)
-    port = folder / "DevToolsActivePort"
     process = subprocess.Popen(
         [
             FOUND,
@@ -169,10 +205,10 @@ def browser(folder: Path, width: int = 1400, height: int = 850) -> Iterator[Page
             "--disable-gpu",
             "--disable-dev-shm-usage",
             "--disable-background-networking",
+            "--disable-extensions",
             "--no-first-run",
             "--remote-debugging-port=0",
             f"--user-data-dir={folder}",
-            f"--window-size={width},{height}",
             "about:blank",
         ],
         stdout=subprocess.DEVNULL,
@@ -181,20 +217,30 @@ def browser(folder: Path, width: int = 1400, height: int = 850) -> Iterator[Page
         env={**os.environ, "DBUS_SESSION_BUS_ADDRESS": "disabled:"},
     )
     try:
-        ends = time.monotonic() + CAP
-        while not (port.exists() and len(port.read_text().splitlines()) == 2):
-            assert time.monotonic() < ends, "the browser does not start"
-            assert process.poll() is None, "the browser has ended"
-            time.sleep(0.05)
-        number, path = port.read_text().splitlines()
-        with connect(f"ws://127.0.0.1:{number}{path}", max_size=2**26) as root:
-            control = Page(root)
-            target = control.call("Target.createTarget", url="about:blank")["targetId"]
-            with connect(f"ws://127.0.0.1:{number}/devtools/page/{target}", max_size=2**26) as one:
-                page = Page(one)
-                page.resize(width, height)
-                yield page
+        number, path = _devtools(folder / "DevToolsActivePort", process)
+        address = f"ws://127.0.0.1:{number}{path}"
+        with connect(address, max_size=2**26, open_timeout=CAP) as root:
+            yield Browser(number, Page(root))
     finally:
         with contextlib.suppress(ProcessLookupError):
-            os.killpg(process.pid, 9)
+            os.killpg(process.pid, signal.SIGKILL)
         process.wait()
+
+
+@contextlib.contextmanager
+def browser(folder: Path, width: int = 1400, height: int = 850) -> Iterator[Page]:
+    """A browser with one page; it has ended when this returns."""
+    with chromium(folder) as one, one.page(width, height) as page:
+        yield page
+
+
+def _devtools(file: Path, process: subprocess.Popen[bytes]) -> list[str]:
+    """Port and path of the DevTools socket, which the browser writes once it listens."""
+    ends = time.monotonic() + 2.0 * CAP
+    while True:
+        lines = file.read_text().splitlines() if file.exists() else []
+        if len(lines) == 2:
+            return lines
+        assert process.poll() is None, "the browser has ended"
+        assert time.monotonic() < ends, "the browser does not start"
+        time.sleep(0.05)

@@ -5,13 +5,12 @@ from __future__ import annotations
 import contextlib
 import re
 from collections.abc import Iterator
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
 from swarmd.core.messages import State
-from tests.support.chromium import FOUND, Page, browser
+from tests.support.chromium import FOUND, Page
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
@@ -21,6 +20,7 @@ pytestmark = [
     pytest.mark.skipif(FOUND is None, reason="no Chromium here"),
 ]
 
+STALE = "document.querySelector('tr[data-name=\"tb3-01\"]').className === 'stale'"
 LAST = "document.querySelector('.answer[data-final=\"true\"]')"
 
 
@@ -52,12 +52,12 @@ def answered(page: Page, verb: str) -> str:
     return str(page.evaluate(f"{LAST}.textContent"))
 
 
-def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, tmp_path: Path) -> None:
+def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, page: Page) -> None:
     names = ["tb3-01", "tb3-02"]
     bodies = {name: swarm.body(name) for name in names}
     for name, body in bodies.items():
         swarm.start(name, body)
-    with served(swarm) as (address,), browser(tmp_path / "chromium") as page:
+    with served(swarm) as (address,):
         page.open(address)
         for name in names:
             shown(page, name, "idle")
@@ -90,46 +90,39 @@ def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, tmp_path:
         assert page.errors == []
 
 
-def test_a_lost_server_is_told_and_found_again(swarm: Swarm, tmp_path: Path) -> None:
+def test_a_lost_server_is_told_and_found_again(swarm: Swarm, page: Page) -> None:
     swarm.start("tb3-01", swarm.body("tb3-01"))
-    with browser(tmp_path / "chromium") as page:
-        with served(swarm) as (address,):
-            page.open(address)
-            shown(page, "tb3-01", "idle")
-        page.until("!document.getElementById('banner').hidden", "the banner")
-        page.until(
-            "document.querySelector('tr[data-name=\"tb3-01\"]').className === 'stale'",
-            "a stale row",
-        )
-        port = re.search(r":(\d+)/", address)
-        assert port is not None
-        process = swarm.begin("view", "--web", "--port", port[1])
-        try:
-            page.until("document.getElementById('banner').hidden", "no banner")
-            shown(page, "tb3-01", "idle")
-        finally:
-            process.terminate()
-            process.communicate(timeout=60)
+    with served(swarm) as (address,):
+        page.open(address)
+        shown(page, "tb3-01", "idle")
+    page.until("!document.getElementById('banner').hidden", "the banner")
+    page.until(STALE, "a stale row")
+    port = re.search(r":(\d+)/", address)
+    assert port is not None
+    process = swarm.begin("view", "--web", "--port", port[1])
+    try:
+        page.until("document.getElementById('banner').hidden", "no banner")
+        shown(page, "tb3-01", "idle")
+    finally:
+        process.terminate()
+        process.communicate(timeout=60)
 
 
-def test_a_robot_that_is_killed_is_not_shown_as_alive(swarm: Swarm, tmp_path: Path) -> None:
+def test_a_robot_that_is_killed_is_not_shown_as_alive(swarm: Swarm, page: Page) -> None:
     daemon = swarm.start("tb3-01", swarm.body("tb3-01"))
     swarm.start("tb3-02")
-    with served(swarm) as (address,), browser(tmp_path / "chromium") as page:
+    with served(swarm) as (address,):
         page.open(address)
         shown(page, "tb3-01", "idle")
         daemon.kill()
-        page.until(
-            "document.querySelector('tr[data-name=\"tb3-01\"]').className === 'stale'",
-            "a stale row",
-        )
+        page.until(STALE, "a stale row")
 
 
-def test_tokens_decide_who_may_command(swarm: Swarm, tmp_path: Path) -> None:
+def test_tokens_decide_who_may_command(swarm: Swarm, page: Page) -> None:
     body = swarm.body("tb3-01")
     swarm.start("tb3-01", body)
     tokens = ("--token", "secret-a", "--viewer-token", "secret-b")
-    with served(swarm, *tokens) as (whole, read_only), browser(tmp_path / "chromium") as page:
+    with served(swarm, *tokens) as (whole, read_only):
         page.open(read_only)
         shown(page, "tb3-01", "idle")
         assert (

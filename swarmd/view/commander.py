@@ -1,0 +1,139 @@
+"""Commands of pages to a living swarm, carried out by the operator code of swarmctl."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Iterable, Mapping
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any, Literal
+
+import click
+
+from swarmd.cli.arguments import read_assignments
+from swarmd.core.errors import SwarmError
+from swarmd.core.keys import is_id
+from swarmd.core.messages import ParamRequest, ResetRequest, RunRequest
+from swarmd.network.operator import Operator
+from swarmd.network.outcome import Outcome
+from swarmd.view.source import Answer
+
+Tell = Callable[[Answer], None]
+
+MAX_COMMANDS = 8
+"""Commands under way at a time, beside one emergency stop."""
+REASON = "from the page"
+
+
+class LiveCommander:
+    """Carries commands of pages out; each with an operator of its own, in a thread.
+
+    `known` names the robots that pages show: a stop of all expects each of them. An emergency stop
+    is repeated until all robots have acknowledged it, another one begins, or
+    `end_estop`. It has its own thread: requests that wait for answers never delay it.
+    """
+
+    def __init__(
+        self, make: Callable[[], Operator], known: Callable[[], Iterable[str]] = tuple
+    ) -> None:
+        self._make, self._known = make, known
+        self._requests = ThreadPoolExecutor(MAX_COMMANDS, thread_name_prefix="view commands")
+        # Two: one that ends while the next begins.
+        self._estops = ThreadPoolExecutor(2, thread_name_prefix="view estop")
+        self._ending = threading.Event()
+
+    def close(self) -> None:
+        """End the emergency stop under way; requests end by themselves."""
+        self.end_estop()
+        for pool in (self._requests, self._estops):
+            pool.shutdown(wait=False, cancel_futures=True)
+
+    def end_estop(self) -> None:
+        """Repeat the emergency stop no longer, whoever lacks an acknowledgement."""
+        self._ending.set()
+
+    async def act(self, verb: str, fields: Mapping[str, Any], tell: Tell) -> None:
+        """Carry a command out; its answers are told as they come, the last one final."""
+        loop = asyncio.get_running_loop()
+
+        def tell_later(answer: Answer) -> None:
+            loop.call_soon_threadsafe(tell, answer)
+
+        pool, ending = self._requests, threading.Event()
+        if verb == "estop":
+            self.end_estop()
+            pool, self._ending = self._estops, ending
+        try:
+            work = self._carry_out(verb, dict(fields), tell_later, ending)
+            tell(await loop.run_in_executor(pool, work))
+        except (SwarmError, ValueError, TypeError) as error:
+            tell(Answer(f"{verb}: {error}", is_final=True))
+        except click.ClickException as error:
+            tell(Answer(f"{verb}: {error.format_message()}", is_final=True))
+
+    def _carry_out(
+        self, verb: str, fields: dict[str, Any], tell: Tell, ending: threading.Event
+    ) -> Callable[[], Answer]:
+        """The work of a command, for a thread. Raises ValueError or TypeError for a wrong one."""
+        targets = fields.get("targets")
+        names = None if targets is None else tuple(str(name) for name in targets)
+        if verb == "estop" or verb == "stop":
+            return lambda: self._stop("estop" if verb == "estop" else "stop", names, tell, ending)
+        if verb not in ("run", "param", "reset"):
+            raise ValueError(f"there is no command {verb!r}")
+        if not names:
+            raise ValueError("no robot was targeted")
+        chosen = names
+        return lambda: self._request(verb, chosen, fields)
+
+    def _stop(
+        self,
+        verb: Literal["stop", "estop"],
+        names: tuple[str, ...] | None,
+        tell: Tell,
+        ending: threading.Event,
+    ) -> Answer:
+        def on_progress(missing: tuple[str, ...]) -> None:
+            tell(Answer(f"{verb}: {len(missing)} not acknowledged", missing=list(missing)))
+
+        with self._make() as operator:
+            operator.expect(self._known())
+            outcome = operator.send_stop(
+                verb,
+                select=None if names is None else lambda found: tuple(set(found) & set(names)),
+                names=names or (),
+                reason=REASON if verb == "estop" else "",
+                until_all=verb == "estop",
+                on_progress=on_progress,
+                is_ended=ending.is_set,
+            )
+        return _answer(verb, outcome)
+
+    def _request(self, verb: str, names: tuple[str, ...], fields: Mapping[str, Any]) -> Answer:
+        params = read_assignments(str(fields.get("params") or "").split(), "parameters:")
+        pattern = str(fields.get("pattern"))
+        if verb == "run" and not is_id(pattern):
+            raise ValueError(f"{pattern!r} is no pattern name")
+        with self._make() as operator:
+            view = operator.members(timeout=3.0, needs_status=verb == "reset")
+            epochs = view.epochs(names)
+            if verb == "reset":
+                statuses = [view.members[one].status for one in names if one in view.members]
+                ids = tuple(sorted({key for one in statuses if one for key in one.latches}))
+                outcome = operator.request(ResetRequest, epochs, ids=ids, reason=REASON)
+            elif verb == "param":
+                outcome = operator.request(ParamRequest, epochs, params=params)
+            else:
+                outcome = operator.request(RunRequest, epochs, pattern=pattern, params=params)
+        return _answer(verb, outcome)
+
+
+def _answer(verb: str, outcome: Outcome) -> Answer:
+    replies = [(name, one.code.value, one.text) for name, one in sorted(outcome.replies.items())]
+    return Answer(
+        f"{verb}: {outcome.line}",
+        replies,
+        list(outcome.missing),
+        is_good=outcome.exit_code == 0,
+        is_final=True,
+    )
