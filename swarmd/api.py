@@ -39,7 +39,9 @@ from swarmd.kit.params import (
     of_threshold,
     threshold,
 )
+from swarmd.kit.robot_detection import robots_near
 from swarmd.kit.steering import NearPoints, from_base, keep_clear, polar_from_base, steer
+from swarmd.kit.timed_pattern import TimedPattern
 from swarmd.kit.vote_windows import Ties, VoteWindow, majority, tally
 from swarmd.kit.voting_pattern import (
     Initial,
@@ -100,6 +102,7 @@ __all__ = [
     "Scan",
     "TieRule",
     "Ties",
+    "TimedPattern",
     "TopSpeed",
     "TopTurn",
     "TouchZone",
@@ -127,6 +130,7 @@ __all__ = [
     "polar_from_base",
     "potential_field",
     "radius_of",
+    "robots_near",
     "sectors",
     "steer",
     "tally",

@@ -106,10 +106,18 @@ class MovementPattern(Pattern[P]):
         return {}
 
     def step(self, inputs: Inputs) -> Outputs:
-        """The command of `drive`; no command while a scan that it needs is missing."""
-        if inputs.scan is None and "scan" in self.needs:
+        """The command of `drive`; no command while a scan or reading that it needs is missing."""
+        if any(_is_missing(word, inputs) for word in self.needs):
             return Outputs(report=self.report())
         twist = self.drive(inputs)
         if twist is None:  # valid outputs, but the author forgot something; any other type is not
             raise PluginError("drive gave None; is a return missing? expected a Twist")
         return Outputs(twist=twist, report=self.report())
+
+
+def _is_missing(word: str, inputs: Inputs) -> bool:
+    """True if the scan or reading that `word` of `needs` names is not among the inputs."""
+    if word == "scan":
+        return inputs.scan is None
+    kind, _, name = word.partition(":")
+    return kind == "reading" and name not in inputs.readings

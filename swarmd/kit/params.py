@@ -82,6 +82,11 @@ def clear_distance(platform: Platform) -> float:
     return 1.06 * threshold(platform) + 1.3 * math.hypot(*platform.scan.offset)
 
 
+def object_width(platform: Platform) -> float:
+    """The width in m above which an object is not a robot: twice the footprint's diagonal."""
+    return 2.0 * float(np.hypot(*np.ptp(platform.footprint, axis=0)))
+
+
 TopSpeed = Annotated[
     float,
     about(
@@ -112,7 +117,7 @@ ObjectWidth = Annotated[
         le=10.0,
         unit="m",
         source="ours: twice the footprint's diagonal",
-        derived=lambda p: 2.0 * float(np.hypot(*np.ptp(p.footprint, axis=0))),
+        derived=object_width,
     ),
 ]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +17,7 @@ from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import find_pattern
 from swarmd.settings.settings import load_platform
 from swarmd.sim.lockstep.lockstep import simulate_run
-from swarmd.sim.scenarios.scenariofile import scenario_of
+from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 from swarmd.testing.pattern_contract import PatternContract, Subject
 from swarmd.testing.scans import Disc, scan_of
 
@@ -27,6 +28,10 @@ BURGER = load_platform("burger")
 def load(name: str) -> type[Pattern[Any]]:
     origin = find_pattern(name, EXAMPLES)
     return PatternLoader({name: (origin.value, origin.is_file)})(name)
+
+
+class TestBeeclust(PatternContract):
+    pattern = load("beeclust")
 
 
 class TestPush(PatternContract):
@@ -65,3 +70,26 @@ def test_five_shy_robots_never_get_stuck() -> None:
     trace = simulate_run(scenario_of({**data, "plugin_dir": str(EXAMPLES)}), 0)
     steps = np.hypot(*np.diff(trace.pose[..., :2], axis=0).T).T
     assert steps.reshape(6, -1, 5).sum(axis=1).min() > 0.2  # m within ten seconds
+
+
+def test_beeclust_gathers_in_the_warm_spot() -> None:
+    overrides = {"duration": 80.0}
+    trace = simulate_run(load_scenario(str(EXAMPLES / "beeclust.yaml"), overrides), 1)
+    late = trace.pose[trace.t > 20.0, :, :2]
+    warm, cold = ((np.hypot(*(late - (x, 0.0)).T) < 1.0).mean() for x in (1.5, -1.5))
+    assert warm > 2.0 * cold
+
+
+def test_beeclust_waits_for_robots_alone_and_for_as_long_as_it_is_warm() -> None:
+    def state_after(seconds: float, disc: Disc, temperature: float) -> object:
+        platform = replace(BURGER, provides=BURGER.provides | {"reading:temperature"})
+        pattern = Subject(TestBeeclust.pattern, platform, {}).make()
+        scan, readings = scan_of(BURGER, [disc]), {"temperature": temperature}
+        pattern.step(Inputs(now=0.0, dt=0.0, scan=scan, readings=readings))
+        after = Inputs(now=seconds, dt=seconds, scan=scan_of(BURGER), readings=readings)
+        return pattern.step(after).report["state"]
+
+    robot, wall = Disc(0.4, 0.1), Disc(1.4, 0.0, 1.0)
+    assert [state_after(10.0, robot, degrees) for degrees in (36.0, 20.0)] == ["wait", "drive"]
+    assert state_after(119.0, robot, 36.0) == "drive"  # 109 s and a turn of at most 4.7 s
+    assert [state_after(1.4, wall, degrees) for degrees in (36.0, 20.0)] == ["turn", "turn"]

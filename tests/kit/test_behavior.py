@@ -47,6 +47,19 @@ def test_without_the_scan_it_needs_there_is_no_command() -> None:
     assert outputs == Outputs(twist=None, report={"state": "straight"})
 
 
+class Warm(Blind):
+    """Needs a reading."""
+
+    needs = frozenset({"reading:temperature"})
+
+
+def test_without_the_reading_it_needs_there_is_no_command() -> None:
+    cold = Inputs(now=0.0, dt=0.0, readings={"light": 1.0})
+    warm = Inputs(now=0.0, dt=0.0, readings={"temperature": 20.0})
+    outputs = [Warm(Params(), context()).step(inputs) for inputs in (cold, warm)]
+    assert [one.twist for one in outputs] == [None, Twist(0.1)]
+
+
 def test_without_a_scan_that_it_does_not_need_it_drives() -> None:
     assert Blind(Params(), context()).step(Inputs(now=0.0, dt=0.0)).twist == Twist(0.1)
 

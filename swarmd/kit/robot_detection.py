@@ -1,0 +1,36 @@
+"""Robots among the objects of a scan."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from swarmd.core.angles import difference
+from swarmd.core.values import Platform, Scan
+from swarmd.kit.params import object_width
+from swarmd.sensing.rays import Ray, clusters
+
+
+def robots_near(
+    scan: Scan | None,
+    platform: Platform,
+    *,
+    within: float,
+    bearing: float = 0.0,
+    half_width: float = math.pi,
+) -> list[Ray]:
+    """The objects up to `within` m that may be robots, nearest first; see `Ray`.
+
+    An object may be a robot if it is at most twice as wide as the diagonal of the platform's
+    footprint, and nothing nearer hides a side of it. So a pillar counts as a robot, and a robot
+    that stands at a wall does not. `bearing` and `half_width` in rad: only the objects whose middle
+    is in this sector.
+    """
+    width = object_width(platform)
+    # Of a wall, less than that would seem narrow if the scan were cut off at `within`.
+    found = clusters(scan, within=within + width)
+    kept = (found.ranges <= within) & (found.widths <= width) & found.is_free
+    order = np.argsort(found.ranges, kind="stable")
+    rays = (Ray(float(found.ranges[i]), float(found.bearings[i])) for i in order if kept[i])
+    return [ray for ray in rays if abs(difference(ray.bearing, bearing)) <= half_width]
