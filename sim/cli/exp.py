@@ -18,6 +18,7 @@ import click
 from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.cli.exp_check import check
 from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_option
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 
@@ -437,3 +438,6 @@ def _warn_of_few(counts: Iterable[int]) -> None:
         warn("only 1 run: run more seeds, such as 20, before you draw conclusions")
     elif fewest < FEW:
         warn(f"only {fewest} runs: intervals of so few are too narrow; 20 seeds are a good number")
+
+
+exp.add_command(check)

@@ -74,7 +74,7 @@ def sides(a: str, b: str) -> list[tuple[Side, Side]]:
     Two folders with the same variants are compared variant by variant. ConfigError if the names
     are ambiguous.
     """
-    left, right = _sides_of(a), _sides_of(b)
+    left, right = sides_of(a), sides_of(b)
     if len(left) == 1 or len(right) == 1:
         if len(left) == len(right):
             return [(left[0], right[0])]
@@ -87,6 +87,20 @@ def sides(a: str, b: str) -> list[tuple[Side, Side]]:
             f" such as {left[0].label} and {right[0].label}"
         )
     return list(zip(left, right, strict=True))
+
+
+def sides_of(text: str) -> list[Side]:
+    """The variants that `FOLDER` or `FOLDER:VARIANT` names; ConfigError if there is none."""
+    folder, variant = text, None
+    if not Path(text).is_dir() and ":" in text:
+        folder, _, variant = text.partition(":")
+    results = load_results(folder)
+    if not results.rows:
+        raise ConfigError(f"{folder}: no run of it has finished; run it first")
+    if variant is not None and variant not in results.variants:
+        raise ConfigError(f"{folder}: {unknown('variant', variant, results.variants)}")
+    wanted = results.variants if variant is None else (variant,)
+    return [Side(f"{folder}:{name}" if name else folder, results, name) for name in wanted]
 
 
 def compare(a: Side, b: Side, names: Sequence[str] | None = None) -> list[Difference]:
@@ -148,17 +162,3 @@ def _difference(a: Side, b: Side, name: str) -> Difference:
         is_paired=is_paired,
         better=better,
     )
-
-
-def _sides_of(text: str) -> list[Side]:
-    """The variants that one argument of the command line names."""
-    folder, variant = text, None
-    if not Path(text).is_dir() and ":" in text:
-        folder, _, variant = text.partition(":")
-    results = load_results(folder)
-    if not results.rows:
-        raise ConfigError(f"{folder}: no run of it has finished; run it first")
-    if variant is not None and variant not in results.variants:
-        raise ConfigError(f"{folder}: {unknown('variant', variant, results.variants)}")
-    wanted = results.variants if variant is None else (variant,)
-    return [Side(f"{folder}:{name}" if name else folder, results, name) for name in wanted]

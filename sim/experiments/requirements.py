@@ -1,0 +1,127 @@
+"""Requirements on the statistics of an experiment, such as `median(gather_time) <= 60`."""
+
+from __future__ import annotations
+
+import operator
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.sim.experiments.compare import Side
+from swarmd.sim.experiments.statistics import Interval, Summary
+
+RUNS = "runs"
+"""The number of finished runs, in place of a metric."""
+
+_STATISTICS = ("mean", "median", "min", "max")
+_COMPARISONS: dict[str, Callable[[float, float], bool]] = {
+    ">=": operator.ge,
+    "<=": operator.le,
+    "==": operator.eq,
+    ">": operator.gt,
+    "<": operator.lt,
+}
+_GRAMMAR = re.compile(r"\s*(?:(\w+)\(\s*(\S+?)\s*\)|([^\s()<>=]+?))\s*([<>=]+)\s*(\S+)\s*")
+
+
+@dataclass(frozen=True, slots=True)
+class Requirement:
+    """`statistic` of `metric`, compared with `value`; `text` is what the user wrote."""
+
+    text: str
+    statistic: str
+    metric: str
+    comparison: str
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """What an experiment has for a requirement.
+
+    `value` is None if the statistic does not exist, and `remark` then has the reason. `interval`:
+    the 95 % interval of a mean or median, where it is known.
+    """
+
+    requirement: Requirement
+    variant: str
+    value: float | None
+    interval: Interval | None
+    remark: str
+    is_met: bool
+
+    def document(self) -> dict[str, Any]:
+        """The finding as plain values."""
+        return {
+            "requirement": self.requirement.text,
+            "variant": self.variant,
+            "value": self.value,
+            "interval": self.interval,
+            "met": self.is_met,
+            "remark": self.remark,
+        }
+
+
+def parse_requirement(text: str) -> Requirement:
+    """`METRIC >= VALUE` or `STATISTIC(METRIC) >= VALUE`; without a statistic the mean is meant.
+
+    ConfigError names the text and what is wrong with it.
+    """
+    found = _GRAMMAR.fullmatch(text)
+    wanted = "expected such as 'median(gather_time) <= 60'"
+    if found is None:
+        raise ConfigError(f"requirement {text!r}: {wanted}, in quotes")
+    statistic, inner, bare, comparison, number = found.groups()
+    if statistic is not None and statistic not in _STATISTICS:
+        raise ConfigError(f"requirement {text!r}: {unknown('statistic', statistic, _STATISTICS)}")
+    if comparison not in _COMPARISONS:
+        known = " ".join(_COMPARISONS)
+        raise ConfigError(f"requirement {text!r}: no comparison {comparison!r}; there are: {known}")
+    try:
+        value = float(number)
+    except ValueError:
+        raise ConfigError(f"requirement {text!r}: {number!r} is no number; {wanted}") from None
+    if value != value:
+        raise ConfigError(f"requirement {text!r}: nothing compares with nan; {wanted}")
+    return Requirement(text, statistic or "mean", inner or bare, comparison, value)
+
+
+def check(requirement: Requirement, side: Side) -> Finding:
+    """The finding of one variant; ConfigError with the nearest name for an unknown metric."""
+    results, name = side.results, requirement.metric
+    interval, remark = None, ""
+    value: float | None
+    if name == RUNS:
+        value = float(len(results.seeds(side.variant)))
+    elif name not in results.metrics:
+        raise ConfigError(unknown("metric", name, (RUNS, *results.metrics)))
+    else:
+        summary = results.summary(side.variant, [name])[name]
+        value = getattr(summary, requirement.statistic)
+        remark = _remark(summary, requirement.statistic, value)
+        if requirement.statistic == "mean":
+            interval = summary.share_interval or summary.mean_interval
+        elif requirement.statistic == "median":
+            interval = summary.median_interval
+    is_met = value is not None and _COMPARISONS[requirement.comparison](value, requirement.value)
+    return Finding(requirement, side.variant, value, interval, remark, is_met)
+
+
+def missing_runs(sides: Sequence[Side]) -> str:
+    """Why the experiment is not complete; empty if every planned run is there."""
+    results = sides[0].results
+    planned, finished = len(results.plan.runs), len(results.runs)
+    if planned == finished:
+        return ""
+    failed = f", {len(results.failures)} failed" if results.failures else ""
+    return f"{finished} of {planned} runs are there{failed}"
+
+
+def _remark(summary: Summary, statistic: str, value: float | None) -> str:
+    if summary.never:
+        return f"{summary.never} of {summary.n + summary.never} runs never had it"
+    if value is None:
+        return f"no run has a {statistic} of it"
+    return ""
