@@ -118,7 +118,7 @@ class RecordedRobot(Robot):
     def tick(self, now: float) -> Actions:
         """Check all deadlines."""
         actions = self._decided("tick", now, super().tick(now))
-        self._recorder.flush()
+        self._recorder.flush_if_due(now)
         return actions
 
     def _decided(self, cause: str, now: float, actions: Actions) -> Actions:

@@ -1,6 +1,7 @@
 """Hands what happens to the recorder process; never blocks the loop.
 
-Entries are gathered and sent at each tick. A batch for which the socket has no room is dropped and
+Entries are gathered and sent twice a second: a process that wakes at each tick finds its code out
+of the caches, and costs twice as much. A batch for which the socket has no room is dropped and
 counted: the disk is slower than the robot. A recorder process that ends is reported, and the robot
 drives on.
 """
@@ -25,7 +26,9 @@ from swarmd.core.values import Scan
 from swarmd.recording import frames
 
 MAX_BATCH = 60_000
-"""Bytes of entries that are sent before the next tick."""
+"""Bytes of entries that are sent before the period is over."""
+BATCH_PERIOD = 0.5
+"""Seconds between two batches: a daemon that is killed loses the entries of that time."""
 DROPS_PERIOD = 10.0
 """Seconds between two events that count dropped entries."""
 BUFFER = 1 << 20
@@ -68,8 +71,9 @@ class Recorder:
         self._size = 0
         self._latest: dict[str, frames.Entry] = {}
         self._scan: Scan | None = None
+        self._flush_at = 0.0
         self._reported_at = -DROPS_PERIOD
-        self._unreported = 0
+        self._unreported = self._unrecorded = 0
         self.dropped = 0
         self.report = frames.RecorderReport("", 0)
 
@@ -96,7 +100,7 @@ class Recorder:
         self._loop.add_reader(one.socket, self._on_report, one)
         self._loop.add_reader(one.pidfd, self._on_end, one)
         self._scan, self._entries, self._size = None, [], 0
-        self.dropped = self._unreported = 0
+        self.dropped = self._unreported = self._unrecorded = 0
         self.report = frames.RecorderReport("", 0)
         at = boottime()
         self.add(
@@ -159,20 +163,32 @@ class Recorder:
         self._entries.append(encoded)
         self._size += len(encoded)
 
+    def flush_if_due(self, now: float) -> None:
+        """Send the entries if the last batch is BATCH_PERIOD old."""
+        if self._entries and now >= self._flush_at:
+            self._flush_at = now + BATCH_PERIOD
+            self.flush()
+
     def flush(self) -> None:
         """Send the entries since the last call; drop them if the socket has no room."""
         if self._open is None or not self._entries:
             return
         entries, self._entries, self._size = self._entries, [], 0
+        lost = [self._gap()] if self._unrecorded else []
         try:
-            self._open.socket.send(frames.batch(entries))
+            self._open.socket.send(frames.batch([*lost, *entries]))
+            self._unrecorded = 0
         except OSError:  # full, or just ended: the pidfd is watched
             self._drop(len(entries))
+
+    def _gap(self) -> bytes:
+        return frames.encode_entry(frames.DroppedEntry(boottime(), self._unrecorded))
 
     def _drop(self, count: int) -> None:
         self._scan = None  # the directions of rays may have been among them
         self.dropped += count
         self._unreported += count
+        self._unrecorded += count
         now = boottime()
         if now - self._reported_at >= DROPS_PERIOD:
             self._reported_at = now

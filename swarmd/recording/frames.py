@@ -154,6 +154,27 @@ class EventEntry(Struct, frozen=True, array_like=True, tag="event"):
     text: str
 
 
+class ClockEntry(Struct, frozen=True, array_like=True, tag="clock"):
+    """An exchange with a peer, in s: `sent` and `returned` on the robot's clock, the others on the
+    peer's, which `clock` identifies (see `core/clock.py`).
+    """
+
+    at: float
+    peer: str
+    clock: str
+    sent: float
+    received: float
+    answered: float
+    returned: float
+
+
+class DroppedEntry(Struct, frozen=True, array_like=True, tag="dropped"):
+    """So many entries before this one were dropped: the disk was slow."""
+
+    at: float
+    count: int
+
+
 Entry: TypeAlias = (
     Begin
     | ScanEntry
@@ -168,6 +189,8 @@ Entry: TypeAlias = (
     | MessageEntry
     | TextEntry
     | EventEntry
+    | ClockEntry
+    | DroppedEntry
 )
 
 

@@ -19,10 +19,15 @@ from rosbags.typesys.store import Typestore
 
 from swarmd.core.errors import CodecError
 from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, SharedPose, Twist
-from swarmd.recording.frames import DecisionEntry
+from swarmd.recording.cdr import CdrWriter, Message
+from swarmd.recording.frames import ClockEntry, DecisionEntry, DriverEntry
 
 _EMPTY = np.zeros(0)
+_NO_INTENSITIES = np.zeros(0, np.float32)
+_UNKNOWN = (0.0,) * 36
 LASER_SCAN = "sensor_msgs/msg/LaserScan"
+ODOMETRY = "nav_msgs/msg/Odometry"
+CLOCK_PAIR = "swarmd_msgs/msg/ClockPair"
 
 OWN = {
     "ScanGeometry": (
@@ -46,6 +51,10 @@ OWN = {
         "float64 gap\nfloat64 scan_age\n"
         "float64[] bearings\nfloat64[] gaps\nfloat64[] caps"
     ),
+    "ClockPair": (
+        "std_msgs/Header header\nstring peer\nstring peer_clock\n"
+        "float64 sent\nfloat64 received\nfloat64 answered\nfloat64 returned"
+    ),
     "Text": "std_msgs/Header header\nstring json",
     "Bytes": "std_msgs/Header header\nuint8[] data",
 }
@@ -67,11 +76,6 @@ def definition(kind: str) -> bytes:
     return store().generate_msgdef(kind, ros_version=2)[0].encode()
 
 
-def serialize(message: Any) -> bytes:
-    """The bytes of a message."""
-    return bytes(store().serialize_cdr(message, message.__msgtype__))
-
-
 def deserialize(kind: str, payload: bytes) -> Any:
     """The message of a type; CodecError if the bytes are malformed."""
     try:
@@ -80,28 +84,9 @@ def deserialize(kind: str, payload: bytes) -> Any:
         raise CodecError(f"not a {kind}: {error}") from error
 
 
-def new(kind: str, stamp: float = 0.0, frame: str = "", **fields: Any) -> Any:
-    """A message with a header of a stamp in s; `swarmd_msgs` need no package in `kind`."""
-    types = store().types
-    seconds = math.floor(stamp)
-    time = types["builtin_interfaces/msg/Time"](int(seconds), round((stamp - seconds) * 1e9))
-    header = types["std_msgs/msg/Header"](time, frame)
-    name = kind if "/" in kind else f"swarmd_msgs/msg/{kind}"
-    return types[name](header=header, **fields)
-
-
 def stamp_of(message: Any) -> float:
     """The stamp of a message's header in s."""
     return float(message.header.stamp.sec + 1e-9 * message.header.stamp.nanosec)
-
-
-def twist_message(twist: Twist) -> Any:
-    """A geometry_msgs/Twist."""
-    types = store().types
-    vector = types["geometry_msgs/msg/Vector3"]
-    return types["geometry_msgs/msg/Twist"](
-        linear=vector(twist.linear, twist.lateral, 0.0), angular=vector(0.0, 0.0, twist.angular)
-    )
 
 
 def twist_of(message: Any) -> Twist:
@@ -109,39 +94,25 @@ def twist_of(message: Any) -> Twist:
     return Twist(message.linear.x, message.angular.z, message.linear.y)
 
 
-def scan_message(scan: Scan) -> Any:
+def scan_message(scan: Scan) -> Message:
     """A sensor_msgs/LaserScan. Its angles are rounded; `geometry_message` has the exact ones."""
     count = len(scan.ranges)
     ages = scan.ages if count > 1 else None
     first, last = (float(scan.bearings[0]), float(scan.bearings[-1])) if count else (0.0, 0.0)
-    return new(
-        LASER_SCAN,
-        scan.stamp,
-        "scan",
-        angle_min=first,
-        angle_max=last,
-        angle_increment=float(scan.bearings[1]) - first if count > 1 else 0.0,
-        time_increment=0.0 if ages is None else float(ages[0] - ages[1]),
-        scan_time=0.0 if ages is None else float(ages.max()),
-        range_min=scan.range_min,
-        range_max=scan.range_max,
-        ranges=scan.ranges.astype(np.float32),
-        intensities=np.zeros(0, np.float32),
-    )
+    step = float(scan.bearings[1]) - first if count > 1 else 0.0
+    time_step = 0.0 if ages is None else float(ages[0] - ages[1])
+    duration = 0.0 if ages is None else float(ages.max())
+    cdr = CdrWriter().header(scan.stamp, "scan")
+    cdr.floats(first, last, step, time_step, duration, scan.range_min, scan.range_max)
+    cdr.array(scan.ranges.astype("<f4")).array(_NO_INTENSITIES)
+    return cdr.as_message(LASER_SCAN)
 
 
-def geometry_message(scan: Scan) -> Any:
+def geometry_message(scan: Scan) -> Message:
     """The exact directions and ages of a scan's rays; no ages where the sensor gives none."""
-    ages = np.zeros(0) if scan.ages is None else scan.ages
-    return new(
-        "ScanGeometry",
-        scan.stamp,
-        "scan",
-        bearings=scan.bearings,
-        ages=ages,
-        range_min=scan.range_min,
-        range_max=scan.range_max,
-    )
+    ages = _EMPTY if scan.ages is None else scan.ages
+    cdr = CdrWriter().header(scan.stamp, "scan").array(scan.bearings).array(ages)
+    return cdr.doubles(scan.range_min, scan.range_max).as_message("ScanGeometry")
 
 
 def scan_of(message: Any, seq: int, geometry: Any | None) -> Scan:
@@ -155,21 +126,11 @@ def scan_of(message: Any, seq: int, geometry: Any | None) -> Scan:
     return Scan(seq, stamp, ranges, bearings, message.range_min, message.range_max)
 
 
-def odometry_message(odometry: Odometry) -> Any:
+def odometry_message(odometry: Odometry) -> Message:
     """A nav_msgs/Odometry, with covariances of zero: unknown."""
-    types, pose = store().types, odometry.pose
-    placed = types["geometry_msgs/msg/PoseWithCovariance"](_pose_message(pose), np.zeros(36))
-    moving = types["geometry_msgs/msg/TwistWithCovariance"](
-        twist_message(odometry.twist), np.zeros(36)
-    )
-    return new(
-        "nav_msgs/msg/Odometry",
-        odometry.stamp,
-        "odom",
-        child_frame_id="base_link",
-        pose=placed,
-        twist=moving,
-    )
+    cdr = CdrWriter().header(odometry.stamp, "odom").text("base_link")
+    cdr.doubles(*_pose(odometry.pose), *_UNKNOWN, *_twist(odometry.twist), *_UNKNOWN)
+    return cdr.as_message(ODOMETRY)
 
 
 def odometry_of(message: Any) -> Odometry:
@@ -177,16 +138,12 @@ def odometry_of(message: Any) -> Odometry:
     return Odometry(stamp_of(message), _pose_of(message.pose.pose), twist_of(message.twist.twist))
 
 
-def neighbors_message(neighbors: tuple[Neighbor, ...], stamp: float) -> Any:
+def neighbors_message(neighbors: tuple[Neighbor, ...], stamp: float) -> Message:
     """The robots within radio range."""
-    return new(
-        "Neighbors",
-        stamp,
-        robots=[one.id for one in neighbors],
-        distances=_optional(one.distance for one in neighbors),
-        bearings=_optional(one.bearing for one in neighbors),
-        headings=_optional(one.heading for one in neighbors),
-    )
+    cdr = CdrWriter().header(stamp, "").texts([one.id for one in neighbors])
+    cdr.array(_optional(one.distance for one in neighbors))
+    cdr.array(_optional(one.bearing for one in neighbors))
+    return cdr.array(_optional(one.heading for one in neighbors)).as_message("Neighbors")
 
 
 def neighbors_of(message: Any) -> tuple[Neighbor, ...]:
@@ -199,16 +156,11 @@ def neighbors_of(message: Any) -> tuple[Neighbor, ...]:
     )
 
 
-def pose_message(shared: SharedPose) -> Any:
+def pose_message(shared: SharedPose) -> Message:
     """A pose in a shared frame."""
-    return new(
-        "SharedPose",
-        shared.stamp,
-        shared.frame,
-        pose=_pose_message(shared.pose),
-        error=shared.error,
-        yaw_error=shared.yaw_error,
-    )
+    cdr = CdrWriter().header(shared.stamp, shared.frame)
+    cdr.doubles(*_pose(shared.pose), shared.error, shared.yaw_error)
+    return cdr.as_message("SharedPose")
 
 
 def pose_of(message: Any) -> SharedPose:
@@ -222,11 +174,10 @@ def pose_of(message: Any) -> SharedPose:
     )
 
 
-def readings_message(values: Mapping[str, float], stamp: float) -> Any:
+def readings_message(values: Mapping[str, float], stamp: float) -> Message:
     """Scalar sensors by name."""
-    return new(
-        "Readings", stamp, names=list(values), values=np.array(list(values.values()), np.float64)
-    )
+    cdr = CdrWriter().header(stamp, "").texts(list(values))
+    return cdr.array(np.array(list(values.values()), np.float64)).as_message("Readings")
 
 
 def readings_of(message: Any) -> dict[str, float]:
@@ -234,54 +185,64 @@ def readings_of(message: Any) -> dict[str, float]:
     return dict(zip(message.names, message.values.tolist(), strict=True))
 
 
-def requested_message(twist: Twist, scan_seq: int, stamp: float) -> Any:
+def requested_message(twist: Twist, scan_seq: int, stamp: float) -> Message:
     """The command that a pattern requested."""
-    return new("Requested", stamp, "base_link", twist=twist_message(twist), scan_seq=scan_seq)
+    cdr = CdrWriter().header(stamp, "base_link").doubles(*_twist(twist)).int64(scan_seq)
+    return cdr.as_message("Requested")
 
 
-def decision_message(entry: DecisionEntry, stamp: float) -> Any:
+def driver_message(entry: DriverEntry, stamp: float) -> Message:
+    """The state of the base."""
+    cdr = CdrWriter().header(stamp, "").uint8(entry.is_up).text(entry.text).text(entry.hold)
+    return cdr.uint8(entry.gets_zero).as_message("DriverState")
+
+
+def clock_message(entry: ClockEntry, stamp: float) -> Message:
+    """One exchange with a peer, by which the offset of its clock is estimated."""
+    cdr = CdrWriter().header(stamp, "").text(entry.peer).text(entry.clock)
+    cdr.doubles(entry.sent, entry.received, entry.answered, entry.returned)
+    return cdr.as_message(CLOCK_PAIR)
+
+
+def decision_message(entry: DecisionEntry, stamp: float) -> Message:
     """A decision of protection with the obstacles that limit it."""
     one = entry.decision
+    cdr = CdrWriter().header(stamp, "base_link").text(entry.cause).text(entry.state)
+    cdr.text(entry.reason).text(one.mode).doubles(*_twist(one.requested), *_twist(one.safe))
+    cdr.int64(one.scan_seq).uint8(one.is_active, one.is_recovering)
+    gap = math.nan if one.min_gap is None else one.min_gap
+    cdr.doubles(one.speed_share, gap, math.nan if one.scan_age is None else one.scan_age)
     columns = zip(*((row.bearing, row.gap, row.cap) for row in one.rows), strict=True)
-    bearings, gaps, caps = (np.array(column) for column in columns) if one.rows else [_EMPTY] * 3
-    return new(
-        "Decision",
-        stamp,
-        "base_link",
-        cause=entry.cause,
-        state=entry.state,
-        reason=entry.reason,
-        mode=one.mode,
-        requested=twist_message(one.requested),
-        safe=twist_message(one.safe),
-        scan_seq=one.scan_seq,
-        is_active=one.is_active,
-        is_recovering=one.is_recovering,
-        speed_share=one.speed_share,
-        gap=math.nan if one.min_gap is None else one.min_gap,
-        scan_age=math.nan if one.scan_age is None else one.scan_age,
-        bearings=bearings,
-        gaps=gaps,
-        caps=caps,
-    )
+    for column in columns if one.rows else ((), (), ()):
+        cdr.array(np.array(column, np.float64))
+    return cdr.as_message("Decision")
 
 
-def log_message(text: str, robot: str, stamp: float) -> Any:
+def text_message(json: str, stamp: float) -> Message:
+    """A value as JSON."""
+    return CdrWriter().header(stamp, "").text(json).as_message("Text")
+
+
+def bytes_message(data: bytes, stamp: float) -> Message:
+    """MessagePack that only a replay reads."""
+    return CdrWriter().header(stamp, "").array(data).as_message("Bytes")
+
+
+def log_message(text: str, robot: str, stamp: float) -> Message:
     """A line of the robot's log, as an rcl_interfaces/Log of level info."""
-    seconds = math.floor(stamp)
-    types = store().types
-    time = types["builtin_interfaces/msg/Time"](int(seconds), round((stamp - seconds) * 1e9))
-    return types["rcl_interfaces/msg/Log"](time, 20, robot, text, "", "", 0)
+    cdr = CdrWriter().time(stamp).uint8(20).text(robot).text(text).text("").text("").uint32(0)
+    return cdr.as_message("rcl_interfaces/msg/Log")
 
 
-def _pose_message(pose: Pose) -> Any:
-    types = store().types
-    return types["geometry_msgs/msg/Pose"](
-        types["geometry_msgs/msg/Point"](pose.x, pose.y, 0.0),
-        types["geometry_msgs/msg/Quaternion"](
-            0.0, 0.0, math.sin(0.5 * pose.yaw), math.cos(0.5 * pose.yaw)
-        ),
-    )
+def _pose(pose: Pose) -> tuple[float, ...]:
+    """The fields of a geometry_msgs/Pose."""
+    half = 0.5 * pose.yaw
+    return pose.x, pose.y, 0.0, 0.0, 0.0, math.sin(half), math.cos(half)
+
+
+def _twist(twist: Twist) -> tuple[float, ...]:
+    """The fields of a geometry_msgs/Twist."""
+    return twist.linear, twist.lateral, 0.0, 0.0, 0.0, twist.angular
 
 
 def _pose_of(message: Any) -> Pose:

@@ -15,16 +15,15 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
-
-import numpy as np
 
 from swarmd.core.clock import boottime
 from swarmd.recording import frames, messages
+from swarmd.recording.cdr import Message
 from swarmd.recording.writer import CHUNK_TIME, RecordingWriter
 
 REPORT_PERIOD = 1.0
 GEOMETRY = "/scan/geometry"
+CLOCK_TOPIC = "/clock/pair"
 
 
 class Converter:
@@ -71,12 +70,18 @@ class Converter:
             self.writer.add(GEOMETRY, messages.geometry_message(scan), at)
         self.writer.add("/scan", messages.scan_message(scan), at, scan.seq)
 
-    def _message(self, entry: frames.Entry) -> tuple[str, Any] | None:
+    def _message(self, entry: frames.Entry) -> tuple[str, Message] | None:
         stamp = 1e-9 * self.ns(entry.at)
-        new = messages.new
         match entry:
+            case frames.DecisionEntry():
+                return "/decision", messages.decision_message(entry, stamp)
             case frames.OdometryEntry():
                 return "/odometry", messages.odometry_message(entry.value)
+            case frames.RequestedEntry():
+                requested = messages.requested_message(entry.twist, entry.scan_seq, stamp)
+                return "/command/requested", requested
+            case frames.HostEntry():
+                return "/host", messages.bytes_message(entry.data, stamp)
             case frames.NeighborsEntry():
                 return "/neighbors", messages.neighbors_message(entry.value, stamp)
             case frames.PoseEntry():
@@ -84,32 +89,23 @@ class Converter:
             case frames.ReadingsEntry():
                 return "/readings", messages.readings_message(entry.value, stamp)
             case frames.DriverEntry():
-                return "/driver", new(
-                    "DriverState",
-                    stamp,
-                    is_up=entry.is_up,
-                    text=entry.text,
-                    hold=entry.hold,
-                    gets_zero=entry.gets_zero,
-                )
-            case frames.HostEntry():
-                return "/host", new("Bytes", stamp, data=np.frombuffer(entry.data, np.uint8))
-            case frames.RequestedEntry():
-                return "/command/requested", messages.requested_message(
-                    entry.twist, entry.scan_seq, stamp
-                )
-            case frames.DecisionEntry():
-                return "/decision", messages.decision_message(entry, stamp)
+                return "/driver", messages.driver_message(entry, stamp)
             case frames.MessageEntry():
                 kind = "sent" if entry.sender == self._robot else "received"
                 text = frames.as_json(
                     {"sender": entry.sender, "channel": entry.channel, "value": entry.value}
                 )
-                return f"/message/{kind}", new("Text", stamp, json=text.decode())
+                return f"/message/{kind}", messages.text_message(text.decode(), stamp)
             case frames.TextEntry():
-                return entry.topic, new("Text", stamp, json=entry.json.decode())
+                return entry.topic, messages.text_message(entry.json.decode(), stamp)
             case frames.EventEntry():
                 return "/event", messages.log_message(entry.text, self._robot, stamp)
+            case frames.ClockEntry():
+                return CLOCK_TOPIC, messages.clock_message(entry, stamp)
+            case frames.DroppedEntry():
+                self.writer.dropped += entry.count
+                text = frames.as_json({"count": entry.count})
+                return "/dropped", messages.text_message(text.decode(), stamp)
         return None
 
 

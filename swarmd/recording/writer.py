@@ -13,11 +13,12 @@ import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO
 
 from mcap.writer import CompressionType, Writer
 
-from swarmd.recording.messages import definition, serialize
+from swarmd.recording.cdr import Message
+from swarmd.recording.messages import definition
 
 CHUNK = 32 * 1024
 """Bytes of a chunk before compression."""
@@ -51,27 +52,23 @@ class RecordingWriter:
         self._max_bytes, self._max_age = max_bytes, round(max_seconds * 1e9)
         self._keep_bytes = keep_bytes
         self._latched_topics = latched
-        self._latched: dict[str, tuple[str, bytes]] = {}
+        self._latched: dict[str, Message] = {}
         self._number = 0
         self._file: IO[bytes] | None = None
         self.path: Path | None = None
         self.total = 0
+        self.dropped = 0
         folder.mkdir(parents=True, exist_ok=True)
 
-    def add(self, topic: str, message: Any, at: int, sequence: int = 0) -> None:
-        """Add a ROS message at `at` ns since 1970."""
-        kind = message.__msgtype__
-        self.add_bytes(topic, kind, serialize(message), at, sequence)
-
-    def add_bytes(self, topic: str, kind: str, payload: bytes, at: int, sequence: int = 0) -> None:
-        """Add the bytes of a message of type `kind`."""
+    def add(self, topic: str, message: Message, at: int, sequence: int = 0) -> None:
+        """Add a message at `at` ns since 1970."""
         if self._file is not None and self._is_full(at):
             self.close()
         if self._file is None:
             self._open(at)
         if topic in self._latched_topics:
-            self._latched[topic] = kind, payload
-        self._write(topic, kind, payload, at, sequence)
+            self._latched[topic] = message
+        self._write(topic, message, at, sequence)
         self.flush_if_due(at)
 
     def flush_if_due(self, at: int) -> None:
@@ -109,11 +106,13 @@ class RecordingWriter:
             "begin_ns": self._begin,
             "end_ns": self._end,
             "messages": self._counts,
+            "dropped": self.dropped,
             "about": self._about,
         }
         partial = self.path.with_suffix(".index.partial")
         partial.write_text(json.dumps(index, indent=1) + "\n")
         partial.replace(self.path.with_suffix(".index.json"))
+        self.dropped = 0
 
     def abandon(self) -> None:
         """Close the file as it is."""
@@ -145,10 +144,11 @@ class RecordingWriter:
         self._pending = 0
         self._writer.add_metadata(METADATA, {**self._about, "file": str(self._number)})
         _sync_folder(self._folder)
-        for topic, (kind, payload) in self._latched.items():
-            self._write(topic, kind, payload, at, 0)
+        for topic, message in self._latched.items():
+            self._write(topic, message, at, 0)
 
-    def _write(self, topic: str, kind: str, payload: bytes, at: int, sequence: int) -> None:
+    def _write(self, topic: str, message: Message, at: int, sequence: int) -> None:
+        kind, payload = message
         channel = self._channels.get(topic)
         if channel is None:
             schema = self._schemas.get(kind)

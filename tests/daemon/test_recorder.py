@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import json
 import math
 import os
 import shutil
@@ -17,6 +18,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from swarmd.core.clock import boottime
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.daemon.recorder import Recorder
@@ -101,7 +103,7 @@ def test_a_frozen_recorder_process_drops_entries_and_delays_nothing(tmp_path: Pa
     async def run() -> tuple[int, float]:
         recorder = Recorder(asyncio.get_running_loop(), events.append)
         recorder.start(tmp_path, "a", {})
-        recorder.add(frames.OdometryEntry(0.0, Odometry(0.0, Pose(), Twist())))
+        recorder.add(frames.OdometryEntry(boottime(), Odometry(0.0, Pose(), Twist())))
         recorder.flush()
         await until(lambda: recorder.report.path)
         assert recorder._open is not None
@@ -111,14 +113,14 @@ def test_a_frozen_recorder_process_drops_entries_and_delays_nothing(tmp_path: Pa
         seq = 0
         while recorder.dropped == 0:
             begin = time.thread_time()
-            recorder.scan(replace(scan(seq), bearings=BEARINGS + 1e-9 * seq), 0.0)
+            recorder.scan(replace(scan(seq), bearings=BEARINGS + 1e-9 * seq), boottime())
             recorder.flush()
             longest = max(longest, time.thread_time() - begin)
             seq += 1
         dropped = recorder.dropped
         process.send_signal(signal.SIGCONT)
         await until(lambda: recorder.report.bytes > 10_000)
-        recorder.scan(scan(seq), 0.0)
+        recorder.scan(scan(seq), boottime())
         recorder.close(WAIT)
         return dropped, longest
 
@@ -126,6 +128,10 @@ def test_a_frozen_recorder_process_drops_entries_and_delays_nothing(tmp_path: Pa
     assert dropped >= 1
     assert events[0] == f"recording: {dropped} entries dropped: the disk is slow"
     (found,) = files_in(tmp_path)
+    (gap,) = [one for one in found.messages if one.topic == "/dropped"]
+    assert json.loads(messages.deserialize(gap.kind, gap.payload).json) == {"count": dropped}
+    index = json.loads(found.path.with_suffix(".index.json").read_text())
+    assert index["dropped"] == dropped
     scans = [one for one in found.messages if one.topic == "/scan"]
     last = [one for one in found.messages if one.topic == "/scan/geometry"][-1]
     geometry = messages.deserialize(last.kind, last.payload)

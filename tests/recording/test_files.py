@@ -11,6 +11,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from mcap_ros2.decoder import DecoderFactory
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist
 from swarmd.recording import frames, messages
+from swarmd.recording.cdr import CdrWriter, Message
 from swarmd.recording.reader import RecordedMessage, read_file
 from swarmd.recording.writer import CHUNK_TIME, RecordingWriter
 
@@ -27,8 +29,8 @@ BEGIN = 1_700_000_000_000_000_000
 STAMP = "geometry_msgs/msg/TwistStamped"
 
 
-def command(speed: float) -> object:
-    return messages.new(STAMP, twist=messages.twist_message(Twist(speed)))
+def command(speed: float) -> Message:
+    return CdrWriter().header(0.0, "").doubles(speed, *(0.0,) * 5).as_message(STAMP)
 
 
 def recorded(folder: Path, seconds: int = 20) -> Path:
@@ -175,9 +177,8 @@ def test_a_file_that_is_none_is_named(tmp_path: Path, content: bytes) -> None:
         read_file(tmp_path / "missing.mcap")
 
 
-def through(message: object) -> object:
-    kind = message.__msgtype__  # type: ignore[attr-defined]
-    return messages.deserialize(kind, messages.serialize(message))
+def through(message: Message) -> Any:
+    return messages.deserialize(*message)
 
 
 def test_scans_are_exact_with_their_geometry() -> None:
