@@ -1,163 +1,302 @@
-"""A recorded run on the page: the trace plays, and may be paused and set to any time."""
+"""Recorded runs on the page: their traces play, and may be paused and set to any time."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Array
-from swarmd.sim.trace import Trace
-from swarmd.sim.world.arena import parse_arena
-from swarmd.view.source import ShownArena, ShownRobot
+from swarmd.core.values import Array, Platform
+from swarmd.settings.platforms import load_platform
+from swarmd.sim.metrics.window import arena_of, presence
+from swarmd.sim.trace import ARENA, Trace
+from swarmd.sim.view.shown import shown_arena
+from swarmd.sim.world.lidar import RangeSensors
+from swarmd.sim.world.scalar_fields import Field, sample
+from swarmd.view.playback import Playback
+from swarmd.view.source import ShownArena, ShownRobot, points_of
+
+CONTACT_TIME = 1.0
+"""Seconds for which a contact is shown after its last step: rows go to the page twice a second."""
+MAX_LINKS = 5000
+_NO_LINKS: Sequence[tuple[int, int]] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class RecordedRun:
+    """A trace, and of its scenario what no trace has: fields, and `platforms` by name."""
+
+    trace: Trace
+    fields: Sequence[Field] = ()
+    platforms: Mapping[str, Platform] = field(default_factory=dict)
 
 
 class TraceSource:
-    """See `swarmd.view.source.Source`."""
+    """See `swarmd.view.source.Source`. One of several runs is shown."""
 
     kind = "run"
+    patterns: Sequence[str] = ()
 
     def __init__(
-        self, trace: Trace, title: str, clock: Callable[[], float] = time.monotonic
+        self,
+        title: str,
+        runs: Sequence[str],
+        load: Callable[[str], RecordedRun],
+        first: str,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
+        """`load` gives the run of a name, and may take a second. SwarmError as `load(first)`."""
         self.swarm = title
-        self.patterns: Sequence[str] = ()
-        self.duration = trace.duration
-        self._trace, self._clock = trace, clock
-        self.robots = [
-            ShownRobot(name, i, trace.platforms[i], trace.footprint(i))
-            for i, name in enumerate(trace.ids)
-        ]
-        self.arena = shown_arena(str(trace.meta.get("arena", "")))
-        self._t = trace.t - (trace.t[0] if len(trace.t) else 0.0)
-        self._limits = _largest(trace)
-        self._offset, self._since, self._speed = 0.0, clock(), 1.0
+        self._load = load
+        self.playback = Playback(runs, self._choose, clock)
+        self.revision = 0
+        self._shown = _ShownRun(load(first))
+        self.playback.load(first, self._shown.duration)
+
+    def _choose(self, run: str) -> None:
+        shown = _ShownRun(self._load(run))
+        self._shown = shown
+        self.playback.load(run, shown.duration)
+        self.revision += 1
 
     @property
-    def time(self) -> float:
-        """Seconds into the run; it begins again after its end."""
-        at = self._offset + self._speed * (self._clock() - self._since)
-        return at % self.duration if self.duration and self._speed else min(at, self.duration)
+    def robots(self) -> Sequence[ShownRobot]:
+        """The robots of the run."""
+        return self._shown.robots
+
+    @property
+    def arena(self) -> ShownArena | None:
+        """The arena of the run."""
+        return self._shown.arena
 
     def frame(self) -> tuple[float, Array]:
         """Poses at the present time, interpolated."""
-        now = self.time
-        if not len(self._t):
-            return now, np.zeros((0, 4))
-        last = min(int(np.searchsorted(self._t, now)), len(self._t) - 1)
-        first = max(last - 1, 0)
-        span = self._t[last] - self._t[first]
-        share = (now - self._t[first]) / span if span > 0.0 else 0.0
-        poses = (1.0 - share) * self._trace.pose[first] + share * self._trace.pose[last]
-        known = np.flatnonzero(np.isfinite(poses).all(axis=1))
-        return now, np.column_stack((known, poses[known]))
+        now = self.playback.time
+        return now, self._shown.places(now)
 
     def rows(self) -> Mapping[str, Mapping[str, Any]]:
         """What each robot reported at the present time."""
-        at, trace = self._index(), self._trace
-        return {robot.name: self._row(at, i) for i, robot in enumerate(self.robots) if trace.ids}
+        return self._shown.rows(self.playback.time)
 
     def scan(self, name: str) -> Array | None:
-        """Traces have no scans."""
-        return None
+        """The points that an ideal lidar measures: traces have no scans."""
+        return self._shown.scan(name, self.playback.time)
 
     def boxes(self) -> Sequence[tuple[Array, Sequence[float]]]:
         """The movable boxes that are in the arena."""
-        trace = self._trace
-        if trace.box_pose is None or trace.box_shapes is None:
-            return ()
-        poses = trace.box_pose[self._index()]
-        shapes = zip(trace.box_shapes, poses, strict=True)
-        return [(shape, pose.tolist()) for shape, pose in shapes if np.isfinite(pose).all()]
+        return self._shown.boxes(self.playback.time)
 
     def links(self) -> Sequence[tuple[int, int]]:
-        """Traces do not tell who hears whom."""
-        return ()
+        """Robots within the range of the radio; empty if each hears all."""
+        return self._shown.links(self.playback.time)
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
         """The values of one robot, and its contacts until now."""
-        index = self._trace.ids.index(name)
-        row = self._row(self._index(), index)
-        values = [["Platform", self._trace.platforms[index]]]
-        values += [[key, _short(value)] for key, value in row["report"].items()]
-        return {"values": values, "events": self._contacts(index)}
+        return self._shown.detail(name, self.playback.time)
 
     def select(self, names: Sequence[str]) -> None:
         """All is known of each robot already."""
 
-    def play(self, *, is_playing: bool, speed: float) -> None:
-        """Play or pause."""
-        self._offset, self._since = self.time, self._clock()
-        self._speed = speed if is_playing else 0.0
 
-    def seek(self, time: float) -> None:
-        """Go to a time in s."""
-        self._offset, self._since = min(max(time, 0.0), self.duration), self._clock()
+class _ShownRun:
+    """One run; times in s from its start."""
 
-    def _index(self) -> int:
-        return min(int(np.searchsorted(self._t, self.time)), max(len(self._t) - 1, 0))
+    def __init__(self, run: RecordedRun) -> None:
+        trace = self._trace = run.trace
+        self.robots = [
+            ShownRobot(name, i, trace.platforms[i], trace.footprint(i))
+            for i, name in enumerate(trace.ids)
+        ]
+        arena = arena_of(trace)
+        self.arena = None if arena is None else shown_arena(arena, run.fields)
+        self.duration = trace.duration
+        start = trace.t[0] if len(trace.t) else 0.0
+        self._t, self._contact_t = trace.t - start, trace.contact_t - start
+        self._present = presence(trace)
+        self._fields = run.fields
+        self._patterns = _patterns(trace)
+        self._limits = _largest(trace)
+        self._index = {name: i for i, name in enumerate(trace.ids)}
+        self._sensors: RangeSensors | None = None
+        with suppress(ConfigError):  # platforms of another machine
+            names = set(trace.platforms)
+            loaded = {name: run.platforms.get(name) or load_platform(name) for name in names}
+            self._platforms = [loaded[name] for name in trace.platforms]
+            if arena is not None and self._platforms:
+                visibility = trace.meta.get("lidar_visibility", "body")
+                self._sensors = RangeSensors(self._platforms, arena, visibility)
+
+    def places(self, now: float) -> Array:
+        """Rows (k, 4) of index and pose of the robots in the arena at a time in s."""
+        if not len(self._t):
+            return np.zeros((0, 4))
+        last = self._at(now)
+        first = max(last - 1, 0)
+        span = self._t[last] - self._t[first]
+        share = min((now - self._t[first]) / span, 1.0) if span > 0.0 else 0.0
+        poses = (1.0 - share) * self._trace.pose[first] + share * self._trace.pose[last]
+        known = np.flatnonzero(np.isfinite(poses).all(axis=1))
+        return np.column_stack((known, poses[known]))
+
+    def rows(self, now: float) -> dict[str, dict[str, Any]]:
+        """The row of each robot."""
+        if not len(self._t):
+            return {}
+        at, trace = self._at(now), self._trace
+        reports: list[dict[str, Any]] = [{} for _ in trace.ids]
+        for name, values in trace.report.items():
+            for i in np.flatnonzero(np.isfinite(values[at])):
+                reports[i][name] = round(float(values[at, i]), 4)
+        for name, words in trace.words.items():
+            for i in np.flatnonzero(words[at] != ""):
+                reports[i][name] = str(words[at, i])
+        touched = self._touched(now)
+        readings = sample(self._fields, np.nan_to_num(trace.pose[at, :, :2]))
+        rows = {}
+        for i, name in enumerate(trace.ids):
+            row = rows[name] = self._row(at, i)
+            row["report"] = reports[i]
+            row["readings"] = {key: round(float(v[i]), 4) for key, v in readings.items()}
+            row["touches"] = touched.get(i, "")
+            row["why"] = row["why"] or (f"touches {touched[i]}" if i in touched else "")
+        return rows
+
+    def scan(self, name: str, now: float) -> Array | None:
+        """Points (k, 2) in the base frame that an ideal lidar measures."""
+        i, trace = self._index.get(name), self._trace
+        if self._sensors is None or i is None or not len(self._t):
+            return None
+        at = self._at(now)
+        bodies = [trace.pose[at]] + ([] if trace.box_pose is None else [trace.box_pose[at]])
+        if not np.isfinite(trace.pose[at, i]).all():
+            return np.zeros((0, 2))
+        (ranges,) = self._sensors.cast(np.concatenate(bodies), np.array([i]))
+        spec = self._platforms[i].scan
+        return points_of(ranges, spec.bearings, spec.offset)
+
+    def boxes(self, now: float) -> list[tuple[Array, Sequence[float]]]:
+        """Outlines and poses of the movable boxes in the arena."""
+        trace = self._trace
+        if trace.box_pose is None or trace.box_shapes is None or not len(self._t):
+            return []
+        poses = trace.box_pose[self._at(now)]
+        shapes = zip(trace.box_shapes, poses, strict=True)
+        return [(shape, pose.tolist()) for shape, pose in shapes if np.isfinite(pose).all()]
+
+    def links(self, now: float) -> Sequence[tuple[int, int]]:
+        """Pairs of robots within the range of the radio, at most MAX_LINKS."""
+        reach = (self._trace.meta.get("radio") or {}).get("range")
+        if reach is None or not len(self._t):
+            return _NO_LINKS
+        at = self._at(now)
+        places = self._trace.pose[at, :, :2]
+        gaps = np.linalg.norm(places[:, None] - places[None], axis=2)
+        gaps[~self._present[at]] = np.inf
+        gaps[:, ~self._present[at]] = np.inf
+        pairs = np.argwhere(np.triu(gaps <= reach, 1))[:MAX_LINKS]
+        return [(a, b) for a, b in pairs.tolist()]
+
+    def detail(self, name: str, now: float) -> Mapping[str, Any] | None:
+        """Values and contacts of one robot."""
+        index = self._index.get(name)
+        if index is None or not len(self._t):
+            return None
+        row = self.rows(now)[name]
+        values = [["Platform", self._trace.platforms[index]], ["Pattern", row["pattern"] or "-"]]
+        values += [[f"Report {key}", _short(value)] for key, value in row["report"].items()]
+        values += [[f"Reading {key}", _short(value)] for key, value in row["readings"].items()]
+        if self._sensors is not None:
+            values.append(["Scan", "ideal: computed from positions, without noise"])
+        return {"values": values, "events": self._contacts(index, now)}
+
+    def _at(self, now: float) -> int:
+        return min(int(np.searchsorted(self._t, now)), len(self._t) - 1)
 
     def _row(self, at: int, i: int) -> dict[str, Any]:
         trace = self._trace
-        report: dict[str, Any] = {
-            name: float(values[at, i])
-            for name, values in trace.report.items()
-            if np.isfinite(values[at, i])
-        }
-        report |= {name: str(values[at, i]) for name, values in trace.words.items()}
+        is_present = bool(self._present[at, i])
         state = "running" if trace.state is None else str(trace.state[at, i])
         reason = "" if trace.reason is None else str(trace.reason[at, i])
         row: dict[str, Any] = {
-            "presence": "alive",
-            "state": state,
-            "why": reason.replace("_", " "),
-            "pattern": str(trace.meta.get("pattern", "")),
-            "report": report,
+            "presence": "alive" if is_present else "absent",
+            "state": state if is_present else "",
+            "why": reason.replace("_", " ") if is_present else "no daemon at this time",
+            "pattern": self._pattern(at, i) if state == "running" else "",
             "limits": self._limits,
-            "safe": trace.safe[at, i].tolist(),
+            "safe": _rounded(trace.safe[at, i]),
             "protection": "",
             "rows": [],
         }
         if trace.requested is not None and np.isfinite(trace.requested[at, i]).all():
-            row["requested"] = trace.requested[at, i].tolist()
+            row["requested"] = _rounded(trace.requested[at, i])
         if trace.active is not None and state == "running":
             row["protection"] = "limits" if trace.active[at, i] else "passes"
         if trace.recovering is not None and trace.recovering[at, i]:
             row["protection"] = "recovers"
+        row["near"] = None
         if trace.gap is not None and np.isfinite(trace.gap[at, i]):
-            row["near"] = float(trace.gap[at, i])
+            row["near"] = round(float(trace.gap[at, i]), 3)
         if trace.bound is not None and np.isfinite(trace.bound[at, i]).all():
-            row["rows"] = [trace.bound[at, i].tolist()]
+            row["rows"] = [_rounded(trace.bound[at, i])]
         return row
 
-    def _contacts(self, index: int) -> list[list[str]]:
-        trace, now = self._trace, self.time
+    def _pattern(self, at: int, i: int) -> str:
+        name, since = "", -np.inf
+        for begin, pattern in self._patterns.get(i, ()):
+            if since <= begin <= self._t[at] + 1e-9:
+                name, since = pattern, begin
+        return name
+
+    def _touched(self, now: float) -> dict[int, str]:
+        """What each robot has touched lately, by index."""
+        lately = slice(*np.searchsorted(self._contact_t, (now - CONTACT_TIME, now + 1e-9)))
+        found = {}
+        for a, b in self._trace.contact_pair[lately].tolist():
+            found[a] = self._name(b)
+            if b >= 0:
+                found[b] = self._name(a)
+        return found
+
+    def _name(self, part: int) -> str:
+        """The name of a robot or other part of the world, by its index in a contact."""
+        if part >= 0:
+            return self._trace.ids[part]
+        return (
+            "the arena" if part == ARENA else f"box {self._trace.movable_boxes[ARENA - 1 - part]}"
+        )
+
+    def _contacts(self, index: int, now: float) -> list[list[str]]:
+        """The beginnings of the last 20 contacts of a robot, the last first."""
+        pairs = self._trace.contact_pair
+        mine = np.flatnonzero((pairs == index).any(axis=1) & (self._contact_t <= now))
         found: list[list[str]] = []
-        last = -1.0
-        for at, (a, b) in zip(trace.contact_t, trace.contact_pair, strict=True):
-            time = float(at - trace.t[0])
-            if time > now or index not in (a, b):
-                continue
-            if time - last > 0.5:
-                other = b if index == a else a
-                name = trace.ids[other] if other >= 0 else "the arena"
-                found.append([f"{time:.1f} s", f"touches {name}"])
-            last = time
-        return found[::-1][:20]
+        last: dict[int, float] = {}
+        for k in mine:
+            a, b = pairs[k].tolist()
+            other, at = (b if a == index else a), float(self._contact_t[k])
+            if at - last.get(other, -np.inf) > CONTACT_TIME:
+                found.append([f"{at:.1f} s", f"touches {self._name(other)}"])
+            last[other] = at
+        return found[:-21:-1]
 
 
-def shown_arena(text: str) -> ShownArena | None:
-    """The arena of a text as `parse_arena` reads it; None if it has none."""
-    try:
-        arena = parse_arena(text)
-    except ConfigError:
-        return None
-    shapes = [box.corners for _, box in arena.fixed]
-    poles = [(pole.x, pole.y, pole.radius) for pole in arena.poles]
-    return ShownArena((arena.length, arena.width), shapes, poles)
+def _patterns(trace: Trace) -> dict[int, list[tuple[float, str]]]:
+    """When each robot, by index, was given which pattern."""
+    index = {name: i for i, name in enumerate(trace.ids)}
+    found: dict[int, list[tuple[float, str]]] = {}
+    if pattern := trace.meta.get("pattern"):
+        found = {i: [(-np.inf, str(pattern))] for i in index.values()}
+    for event in trace.meta.get("events", ()):
+        if event.get("pattern"):
+            for name in event["robots"]:
+                if name in index:
+                    found.setdefault(index[name], []).append((event["at"], event["pattern"]))
+    return found
 
 
 def _largest(trace: Trace) -> list[float]:
@@ -167,6 +306,10 @@ def _largest(trace: Trace) -> list[float]:
     values = np.abs(values[np.isfinite(values).all(axis=1)])
     largest = np.maximum(values.max(axis=0) if len(values) else np.ones(3), 0.01)
     return [float(value) for value in largest]
+
+
+def _rounded(values: Array) -> list[float]:
+    return [round(value, 4) for value in values.tolist()]
 
 
 def _short(value: Any) -> str:

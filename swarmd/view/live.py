@@ -20,7 +20,7 @@ from swarmd.driver_api.hw_codec import decode_scan
 from swarmd.network.discovery import Contact, MembersView, SeenMember
 from swarmd.network.operator import Operator
 from swarmd.settings.platforms import load_platform
-from swarmd.view.source import ShownArena, ShownRobot, row_of
+from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of
 
 LOOK_PERIOD = 1.0
 LOOK_TIME = 1.0
@@ -36,7 +36,7 @@ class LiveSource:
 
     kind = "live"
     arena: ShownArena | None = None
-    duration = 0.0
+    playback = None
 
     def __init__(self, operator: Operator, patterns: Sequence[str]) -> None:
         self.swarm = operator.settings.swarm
@@ -82,6 +82,11 @@ class LiveSource:
     def robots(self) -> Sequence[ShownRobot]:
         """The robots that were heard, in the order of their indices."""
         return self._robots
+
+    @property
+    def revision(self) -> int:
+        """The number of robots."""
+        return len(self._robots)
 
     def frame(self) -> tuple[float, Array]:
         """The last pose of each robot."""
@@ -130,11 +135,7 @@ class LiveSource:
             return None
         platform = self._platform(self._robots[robot].platform)
         offset = (0.0, 0.0) if platform is None else platform.scan.offset
-        is_return = np.isfinite(scan.ranges)
-        ranges, bearings = scan.ranges[is_return], scan.bearings[is_return]
-        return np.stack(
-            (offset[0] + ranges * np.cos(bearings), offset[1] + ranges * np.sin(bearings)), axis=1
-        )
+        return points_of(scan.ranges, scan.bearings, offset)
 
     def boxes(self) -> Sequence[tuple[Array, Sequence[float]]]:
         """Not known of a real room."""
@@ -187,12 +188,6 @@ class LiveSource:
         for name in wanted - self._watched:
             self._operator.watch("scan", self._on_scan, name)
         self._watched = wanted
-
-    def play(self, *, is_playing: bool, speed: float) -> None:
-        """A living swarm is not played."""
-
-    def seek(self, time: float) -> None:
-        """A living swarm has no other time."""
 
     # What robots tell
 

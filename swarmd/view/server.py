@@ -25,7 +25,8 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from swarmd.core.errors import ConfigError, NetworkError
+from swarmd.core.errors import ConfigError, NetworkError, SwarmError
+from swarmd.view.playback import Playback
 from swarmd.view.source import Answer, Source, pack_frame, pack_scan
 
 log = logging.getLogger(__name__)
@@ -36,7 +37,8 @@ DETAIL_PERIOD = 1.0
 MAX_UNACKED = 2
 MAX_MESSAGE = 64 * 1024
 MAX_CLIENTS = 64
-WRONG_TOKEN = 4401
+WRONG_TOKEN, ENDED = 4401, 4410
+"""Codes with which a connection is closed; the page shows the reason."""
 PAGE = "page"
 
 
@@ -106,8 +108,12 @@ class ViewServer:
         name = f"[{bound[0]}]" if ":" in bound[0] else bound[0]
         return f"{scheme}://{name}:{bound[1]}/"
 
-    async def close(self) -> None:
-        """End the server and its pages' connections."""
+    async def close(self, reason: str = "") -> None:
+        """End the server; its pages show `reason` why it has ended, at most 120 bytes of it."""
+        for client in list(self._clients):
+            text = reason.encode()[:120].decode(errors="ignore")
+            with suppress(ConnectionClosed, TimeoutError):
+                await asyncio.wait_for(client.connection.close(ENDED, text), 1.0)
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
@@ -187,17 +193,30 @@ class ViewServer:
             client.selected = [name for name in names or () if name in known][:20]
             client.detail_at = 0.0
             self._tell_selection()
-        elif kind == "play" and self.source.kind == "run":
-            with suppress(TypeError, ValueError):
-                speed = min(max(float(message.get("speed", 1.0)), 0.01), 100.0)
-                self.source.play(is_playing=bool(message.get("is_playing")), speed=speed)
-        elif kind == "seek" and self.source.kind == "run":
-            with suppress(TypeError, ValueError):
-                self.source.seek(float(message.get("time", 0.0)))
+        elif kind in ("play", "seek", "choose") and self.source.playback is not None:
+            if client.role == "operator":
+                with suppress(TypeError, ValueError):
+                    await self._play(client, self.source.playback, kind, message)
         elif kind == "act":
             task = asyncio.create_task(self._act(client, message))
             self._tasks.add(task)
             task.add_done_callback(self._tasks.discard)
+
+    async def _play(
+        self, client: _Client, playback: Playback, kind: str, message: Mapping[str, Any]
+    ) -> None:
+        if kind == "play":
+            speed = float(message.get("speed", 1.0))
+            playback.play(is_playing=bool(message.get("is_playing")), speed=speed)
+        elif kind == "seek":
+            playback.seek(float(message.get("time", 0.0)))
+        elif message.get("run") in playback.runs:
+            text = ""
+            try:
+                await asyncio.to_thread(playback.choose, message["run"])
+            except SwarmError as error:
+                text = str(error)
+            client.tell({"kind": "notice", "text": text})
 
     async def _act(self, client: _Client, message: Mapping[str, Any]) -> None:
         id, verb = str(message.get("id"))[:64], str(message.get("verb"))[:32]
@@ -255,8 +274,9 @@ class ViewServer:
         boxes = [{"shape": shape.tolist(), "pose": pose} for shape, pose in self.source.boxes()]
         links = json.dumps(list(self.source.links()), separators=(",", ":"))
         found = [f'{{"kind":"rows","rows":{{}},"links":{links}}}']
-        if boxes:
-            found.append(json.dumps({"kind": "boxes", "boxes": boxes}))
+        found.append(json.dumps({"kind": "boxes", "boxes": boxes}))
+        if self.source.playback is not None:
+            found.append(json.dumps({"kind": "playback", **self.source.playback.plain()}))
         return found
 
 
@@ -270,14 +290,14 @@ class _Client:
         self.unacked = 0
         self.detail_at = 0.0
         self._rows: dict[str, str] = {}
-        self._known = 0
+        self._known = -1
         self._more: list[str] = []
         self._sending: asyncio.Task[None] | None = None
         self._answers: list[str] = []
 
     async def send_hello(self, source: Source) -> None:
         """Tell the page what it shows."""
-        self._known = len(source.robots)
+        self._known = source.revision
         self._rows.clear()
         await self.connection.send(json.dumps(_hello(source, self.role)))
 
@@ -300,9 +320,10 @@ class _Client:
         if self._sending is not None and not self._sending.done():
             return
         texts: list[str] = []
-        if len(source.robots) != self._known:
-            self._known = len(source.robots)
+        if source.revision != self._known:
+            self._known = source.revision
             self._rows.clear()
+            self._more = []
             texts.append(json.dumps(_hello(source, self.role)))
         is_behind = self.unacked >= MAX_UNACKED
         if rows is not None and not is_behind:
@@ -326,7 +347,7 @@ class _Client:
 
     def _scans(self, source: Source) -> list[bytes]:
         index = {robot.name: robot.index for robot in source.robots}
-        found = ((index[name], source.scan(name)) for name in self.selected)
+        found = ((index[name], source.scan(name)) for name in self.selected if name in index)
         return [pack_scan(one, points) for one, points in found if points is not None]
 
     def _details(self, source: Source, now: float) -> list[str]:
@@ -357,7 +378,8 @@ def _hello(source: Source, role: str) -> dict[str, Any]:
         "robots": [robot.plain() for robot in source.robots],
         "arena": None if source.arena is None else source.arena.plain(),
         "patterns": list(source.patterns),
-        "duration": source.duration,
+        "runs": [] if source.playback is None else list(source.playback.runs),
+        "playback": None if source.playback is None else source.playback.plain(),
     }
 
 

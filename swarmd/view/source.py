@@ -7,8 +7,11 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import numpy as np
+
 from swarmd.core.messages import Status
 from swarmd.core.values import Array
+from swarmd.view.playback import Playback
 
 FRAME, SCAN = 1, 2
 """Kinds of binary messages to the page."""
@@ -35,11 +38,16 @@ class ShownRobot:
 
 @dataclass(frozen=True, slots=True)
 class ShownArena:
-    """Walls: `size` in m, `shapes` of fixed boxes (k, 2) in m, and `poles` as x, y, radius."""
+    """Walls: `size` in m, `shapes` of fixed boxes (k, 2) in m, and `poles` as x, y, radius.
+
+    `fields`: scalar fields by name, as values (rows, columns) at the middles of equal cells that
+    cover the arena; the first row is that of the lowest y.
+    """
 
     size: tuple[float, float]
     shapes: Sequence[Array] = ()
     poles: Sequence[tuple[float, float, float]] = ()
+    fields: Mapping[str, Array] = field(default_factory=dict)
 
     def plain(self) -> dict[str, Any]:
         """As JSON."""
@@ -47,6 +55,7 @@ class ShownArena:
             "size": self.size,
             "shapes": [shape.tolist() for shape in self.shapes],
             "poles": [list(pole) for pole in self.poles],
+            "fields": {name: values.round(4).tolist() for name, values in self.fields.items()},
         }
 
 
@@ -69,12 +78,16 @@ class Source(Protocol):
     swarm: str
     arena: ShownArena | None
     patterns: Sequence[str]
-    duration: float
-    """Seconds of a recorded run, else 0."""
+    playback: Playback | None
+    """The time of recorded runs; None for what happens now."""
+
+    @property
+    def revision(self) -> int:
+        """Changes whenever the robots, the arena or the run have changed."""
 
     @property
     def robots(self) -> Sequence[ShownRobot]:
-        """All robots by index. They become more; an index never changes its robot."""
+        """All robots by index. They become more; an index keeps its robot within a run."""
 
     def frame(self) -> tuple[float, Array]:
         """The time in s, and rows (k, 4) of index, x, y in m and yaw in rad of known robots."""
@@ -97,12 +110,6 @@ class Source(Protocol):
     def select(self, names: Sequence[str]) -> None:
         """The robots that any page has selected: whose scans and details are wanted."""
 
-    def play(self, *, is_playing: bool, speed: float) -> None:
-        """Play or pause a recorded run."""
-
-    def seek(self, time: float) -> None:
-        """Go to a time of a recorded run, in s."""
-
 
 def pack_frame(sequence: int, time: float, places: Array) -> bytes:
     """A frame as the page reads it."""
@@ -118,6 +125,15 @@ def pack_scan(index: int, points: Array) -> bytes:
     return struct.pack("<III", SCAN, index, len(points)) + points.astype("<f4").tobytes()
 
 
+def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Array:
+    """The returns (k, 2) of a scan in the base frame in m; `offset` is that of the sensor."""
+    is_return = np.isfinite(ranges)
+    ranges, bearings = ranges[is_return], bearings[is_return]
+    return np.stack(
+        (offset[0] + ranges * np.cos(bearings), offset[1] + ranges * np.sin(bearings)), axis=1
+    )
+
+
 def row_of(status: Status) -> dict[str, Any]:
     """The row of a status."""
     decision = status.decision
@@ -131,6 +147,7 @@ def row_of(status: Status) -> dict[str, Any]:
         "pattern": status.pattern or "",
         "protection": protection if status.state == "running" else "",
         "report": dict(status.report),
+        "readings": dict(status.readings),
         "requested": [decision.requested_linear, decision.requested_angular, 0.0],
         "safe": [decision.safe_linear, decision.safe_angular, 0.0],
         "rows": [[row.bearing, row.gap, row.cap] for row in decision.rows],

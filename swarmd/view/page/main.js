@@ -28,6 +28,7 @@ const link = new Link(model, {
       if (robot) robot.detail = message;
       model.tell('detail');
     } else if (message.kind === 'boxes') model.boxes = message.boxes;
+    else if (message.kind === 'playback') { model.playback = message; model.tell('playback'); }
     else if (message.kind === 'answer') actions.answer(message);
     else if (message.kind === 'notice') {
       banner.textContent = message.text;

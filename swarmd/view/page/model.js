@@ -15,6 +15,8 @@ export class Model extends EventTarget {
     this.role = '';
     this.swarm = '';
     this.patterns = [];
+    this.runs = [];
+    this.playback = null; // of recorded runs
     this.time = 0;
     this.links = [];
     this.isConnected = false;
@@ -24,7 +26,9 @@ export class Model extends EventTarget {
   tell(name) { this.dispatchEvent(new Event(name)); }
 
   hello(message) {
-    const before = this.robots;
+    const { run } = this.playback || {};
+    const isOther = message.playback && message.playback.run !== run;
+    const before = isOther ? new Map() : this.robots;
     this.robots = new Map();
     this.byIndex = [];
     for (const one of message.robots) this.add(one, before.get(one.name));
@@ -33,7 +37,9 @@ export class Model extends EventTarget {
     this.role = message.role;
     this.swarm = message.swarm;
     this.patterns = message.patterns || [];
-    this.duration = message.duration || 0;
+    this.runs = message.runs;
+    this.playback = message.playback;
+    if (isOther) this.boxes = [];
     for (const name of this.selected) if (!this.robots.has(name)) this.selected.delete(name);
     this.tell('hello');
     this.tell('selection');
@@ -98,8 +104,8 @@ export class Model extends EventTarget {
   forgetTrails() { for (const robot of this.robots.values()) robot.trail.length = 0; }
 
   isHeard(robot, now) {
-    if (this.source === 'run') return true;
-    return this.isConnected && robot.row.presence === 'alive' && now - robot.heard < STALE;
+    if (!this.isConnected || robot.row.presence !== 'alive') return false;
+    return this.source === 'run' || now - robot.heard < STALE;
   }
 
   select(names, adds = false) {

@@ -1,6 +1,7 @@
 // The link to the server: reconnects by itself, and acknowledges frames so that the server paces them.
 
 const RETRY = [500, 1000, 2000, 5000]; // ms
+const WRONG_TOKEN = 4401, ENDED = 4410; // the server's codes, with a reason to show
 const SILENCE = 4000; // ms without any message after which the link counts as lost
 
 export class Link {
@@ -9,6 +10,7 @@ export class Link {
     this.on = on;
     this.tries = 0;
     this.heard = 0;
+    this.reason = '';
     this.open();
     setInterval(() => this.watch(), 500);
   }
@@ -21,7 +23,7 @@ export class Link {
     this.socket = socket;
     socket.onopen = () => { this.heard = performance.now(); };
     socket.onmessage = (event) => { if (socket === this.socket) this.take(event.data); };
-    socket.onclose = (event) => { if (socket === this.socket) this.lost(event.code === 4401 ? event.reason : ''); };
+    socket.onclose = (event) => { if (socket === this.socket) this.lost(event.code, event.reason); };
   }
 
   take(data) {
@@ -29,6 +31,7 @@ export class Link {
     if (!this.model.isConnected) {
       this.model.isConnected = true;
       this.tries = 0;
+      this.reason = '';
       this.on.connected();
     }
     if (typeof data === 'string') {
@@ -47,16 +50,17 @@ export class Link {
   watch() {
     if (this.model.isConnected && performance.now() - this.heard > SILENCE) {
       this.socket.close();
-      this.lost('');
+      this.lost(0, '');
     }
   }
 
-  lost(why) {
+  lost(code, reason) {
     this.socket.onclose = null;
     this.model.isConnected = false;
-    this.on.lost(why);
+    if (code === WRONG_TOKEN || code === ENDED) this.reason = reason;
+    this.on.lost(this.reason);
     this.model.tell('rows');
-    if (why) return; // a wrong token stays wrong
+    if (code === WRONG_TOKEN) return; // a wrong token stays wrong
     const wait = RETRY[Math.min(this.tries, RETRY.length - 1)];
     this.tries += 1;
     setTimeout(() => this.open(), wait);

@@ -1,0 +1,80 @@
+"""The recorded runs of an experiment, of a demo or in a file, for the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.values import Platform
+from swarmd.settings.layered import Layered
+from swarmd.settings.platforms import platform_of
+from swarmd.sim.experiments.manifest import MANIFEST
+from swarmd.sim.experiments.plan import Run
+from swarmd.sim.experiments.results import load_results
+from swarmd.sim.experiments.store import trace_path
+from swarmd.sim.scenarios.environment import fields_of
+from swarmd.sim.trace import load_trace
+from swarmd.sim.view.trace_source import RecordedRun, TraceSource
+
+DEMO_TRACE = "trace.npz"
+
+
+def source_of(place: Path, seed: int | None = None, variant: str | None = None) -> TraceSource:
+    """The runs of an experiment's folder, or the trace of a demo's folder or in a file.
+
+    The first run shown is that of `seed` and `variant`. ConfigError in one line if there is no
+    trace, such a run is not among them, or the trace is damaged.
+    """
+    if place.is_dir() and (place / MANIFEST).exists():
+        return _experiment(place, seed, variant)
+    file = place / DEMO_TRACE if place.is_dir() else place
+    if not file.exists():
+        raise ConfigError(
+            f"{place}: there are no recorded runs; expected the folder of an experiment"
+            " or a demo, or a trace (.npz)"
+        )
+    if seed is not None or variant is not None:
+        raise ConfigError(f"{place}: one trace; --seed and --variant are for experiments")
+    return TraceSource(str(place), [file.name], lambda _: RecordedRun(load_trace(file)), file.name)
+
+
+def _experiment(folder: Path, seed: int | None, variant: str | None) -> TraceSource:
+    results = load_results(folder)
+    kept = [run for run in results.runs if trace_path(folder, run).exists()]
+    if not kept:
+        why = "no run has finished" if not results.runs else "they were run with --no-traces"
+        raise ConfigError(f"{folder}: there are no traces ({why}); run the experiment with them")
+    chosen = kept
+    if variant is not None:
+        chosen = [run for run in chosen if run.variant.name == variant]
+        if not chosen:
+            names = list(dict.fromkeys(run.variant.name for run in kept))
+            raise ConfigError(f"--variant: {unknown('variant', variant, names)}")
+    if seed is not None:
+        seeds = [str(run.seed) for run in chosen]
+        chosen = [run for run in chosen if run.seed == seed]
+        if not chosen:
+            raise ConfigError(f"--seed: {unknown('seed', str(seed), seeds)}")
+    runs = {_name(run): run for run in kept}
+
+    def load(name: str) -> RecordedRun:
+        run = runs[name]
+        effective = run.variant.effective
+        fields = fields_of(Layered((str(folder), effective)), effective.get("fields", ()))
+        return RecordedRun(load_trace(trace_path(folder, run)), fields, _platforms(effective))
+
+    title = f"{results.plan.scenario}, {len(kept)} runs"
+    return TraceSource(title, list(runs), load, _name(chosen[0]))
+
+
+def _name(run: Run) -> str:
+    variant = f"{run.variant.name}, " if run.variant.name else ""
+    return f"{variant}seed {run.seed}"
+
+
+def _platforms(effective: Mapping[str, Any]) -> dict[str, Platform]:
+    """The platforms of a scenario by name."""
+    files = effective.get("platforms", {})
+    return {name: platform_of(name, Layered((name, data))) for name, data in files.items()}

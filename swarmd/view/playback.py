@@ -1,0 +1,64 @@
+"""The time of recorded runs: which run is shown, where it is, whether it plays and how fast."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+MIN_SPEED, MAX_SPEED = 0.01, 100.0
+
+
+class Playback:
+    """Plays `run`, one of `runs`, of `duration` s; all pages see the same time.
+
+    `choose` shows another run: it loads the run, which may take a second, and calls `load`. It
+    raises SwarmError for a run that cannot be loaded; then the former one stays.
+    """
+
+    def __init__(
+        self,
+        runs: Sequence[str],
+        choose: Callable[[str], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self.runs = runs
+        self.run = ""
+        self.choose = choose
+        self.duration = 0.0
+        self.is_playing = True
+        self.speed = 1.0
+        self._clock = clock
+        self._offset, self._since = 0.0, clock()
+
+    def load(self, run: str, duration: float) -> None:
+        """Begin another run; whether it plays, and how fast, stays."""
+        self.run, self.duration = run, duration
+        self._offset, self._since = 0.0, self._clock()
+
+    @property
+    def time(self) -> float:
+        """Seconds into the run; it stays at the end of the run."""
+        rate = self.speed if self.is_playing else 0.0
+        return min(self._offset + rate * (self._clock() - self._since), self.duration)
+
+    def play(self, *, is_playing: bool, speed: float) -> None:
+        """Play or pause; at its end a run plays from the start."""
+        now = self.time
+        self._offset = 0.0 if is_playing and now >= self.duration else now
+        self._since = self._clock()
+        self.is_playing = is_playing
+        self.speed = min(max(speed, MIN_SPEED), MAX_SPEED)
+
+    def seek(self, time: float) -> None:
+        """Go to a time in s, within the run."""
+        self._offset, self._since = min(max(time, 0.0), self.duration), self._clock()
+
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "run": self.run,
+            "duration": self.duration,
+            "is_playing": self.is_playing and self.time < self.duration,
+            "speed": self.speed,
+        }
