@@ -10,7 +10,7 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Platform
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import platform_of
-from swarmd.sim.experiments.manifest import MANIFEST
+from swarmd.sim.experiments.manifest import NAME as MANIFEST
 from swarmd.sim.experiments.plan import Run
 from swarmd.sim.experiments.results import load_results
 from swarmd.sim.experiments.store import trace_path
@@ -50,7 +50,7 @@ def _experiment(folder: Path, seed: int | None, variant: str | None) -> TraceSou
     if variant is not None:
         chosen = [run for run in chosen if run.variant.name == variant]
         if not chosen:
-            names = list(dict.fromkeys(run.variant.name for run in kept))
+            names = [name for name in results.variants if name]
             raise ConfigError(f"--variant: {unknown('variant', variant, names)}")
     if seed is not None:
         seeds = [str(run.seed) for run in chosen]

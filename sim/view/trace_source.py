@@ -150,10 +150,10 @@ class _ShownRun:
         at, trace = self._at(now), self._trace
         reports: list[dict[str, Any]] = [{} for _ in trace.ids]
         for name, values in trace.report.items():
-            for i in np.flatnonzero(np.isfinite(values[at])):
+            for i in np.flatnonzero(np.isfinite(values[at])).tolist():
                 reports[i][name] = round(float(values[at, i]), 4)
         for name, words in trace.words.items():
-            for i in np.flatnonzero(words[at] != ""):
+            for i in np.flatnonzero(words[at] != "").tolist():
                 reports[i][name] = str(words[at, i])
         touched = self._touched(now)
         readings = sample(self._fields, np.nan_to_num(trace.pose[at, :, :2]))

@@ -7,6 +7,7 @@ gets fewer frames, and nothing ever waits in a queue for it.
 from __future__ import annotations
 
 import asyncio
+import errno
 import hmac
 import http
 import json
@@ -101,7 +102,9 @@ class ViewServer:
                 logger=log,
             )
         except OSError as error:
-            raise NetworkError(f"{host}:{port} cannot be used: {error.strerror}") from error
+            why = "is in use" if error.errno == errno.EADDRINUSE else f"fails: {error.strerror}"
+            text = f"port {port} of {host} {why}; expected a free one, such as --port 0"
+            raise NetworkError(text) from error
         self._tasks.add(asyncio.create_task(self._send_frames()))
         bound = next(iter(self._server.sockets)).getsockname()
         scheme = "https" if tls is not None else "http"

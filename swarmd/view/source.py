@@ -76,10 +76,15 @@ class Source(Protocol):
     kind: str
     """`live`, `world` or `run`."""
     swarm: str
-    arena: ShownArena | None
     patterns: Sequence[str]
-    playback: Playback | None
-    """The time of recorded runs; None for what happens now."""
+
+    @property
+    def arena(self) -> ShownArena | None:
+        """The walls; None where they are not known."""
+
+    @property
+    def playback(self) -> Playback | None:
+        """The time of recorded runs; None for what happens now."""
 
     @property
     def revision(self) -> int:

@@ -1,0 +1,171 @@
+"""Options of a web page, and its server: for `view`, `demo`, `sim up` and `exp view`."""
+
+from __future__ import annotations
+
+import asyncio
+import functools
+import secrets
+import signal
+import ssl
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from swarmd.cli.output import warn
+from swarmd.core.errors import ConfigError, PluginError
+
+if TYPE_CHECKING:
+    from swarmd.view.server import Commander, ViewServer
+    from swarmd.view.source import Source
+
+PORT = 8080
+_START_TIME = 10.0  # s
+R = TypeVar("R")
+
+_OPTIONS = (
+    click.option(
+        "--bind", default="127.0.0.1", metavar="ADDRESS", help="Where to listen [127.0.0.1]."
+    ),
+    click.option("--port", type=click.IntRange(0, 65535), default=PORT, help="0: any [8080]."),
+    click.option(
+        "--token",
+        metavar="TEXT",
+        help="What an operator's address must contain; `-`: a new one. Other interfaces than"
+        " loopback require it.",
+    ),
+    click.option("--viewer-token", metavar="TEXT", help="The same for read-only pages."),
+    click.option(
+        "--tls",
+        nargs=2,
+        type=click.Path(exists=True, dir_okay=False, path_type=Path),
+        metavar="CERTIFICATE KEY",
+        help="Serve by https.",
+    ),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class WebOptions:
+    """Where a page is served, and with which tokens; an empty token is none."""
+
+    bind: str
+    port: int
+    token: str = ""
+    viewer_token: str = ""
+    tls: tuple[Path, Path] | None = None
+
+    def context(self) -> ssl.SSLContext | None:
+        """The certificate; ConfigError if it cannot be used."""
+        if self.tls is None:
+            return None
+        context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        try:
+            context.load_cert_chain(*self.tls)
+        except (ssl.SSLError, OSError) as error:
+            raise ConfigError(f"--tls {self.tls[0]} {self.tls[1]}: {error}") from error
+        return context
+
+
+def web_options(function: Callable[..., R]) -> Callable[..., R]:
+    """Give a verb the options of a page, as the parameter `page`."""
+
+    @functools.wraps(function)
+    def wrapper(
+        *args: Any,
+        bind: str,
+        port: int,
+        token: str | None,
+        viewer_token: str | None,
+        tls: tuple[Path, Path] | None,
+        **kwargs: Any,
+    ) -> R:
+        web = WebOptions(bind, port, _token(token), _token(viewer_token), tls)
+        return function(*args, page=web, **kwargs)
+
+    for option in reversed(_OPTIONS):
+        wrapper = option(wrapper)
+    return wrapper
+
+
+def check_web() -> None:
+    """PluginError with the command that installs what a page needs."""
+    if find_spec("websockets") is None:
+        raise PluginError(
+            "a web page needs websockets, which is not installed; run: pip install 'swarmd[web]'"
+        )
+
+
+def serve(source: Source, commander: Commander | None, web: WebOptions) -> None:
+    """Serve a page until Ctrl-C or SIGTERM; NetworkError if the port is in use."""
+    asyncio.run(_serve(source, commander, web))
+
+
+async def _serve(source: Source, commander: Commander | None, web: WebOptions) -> None:
+    ending = asyncio.Event()
+    loop = asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, ending.set)
+    server = await _started(source, commander, web)
+    warn("Ctrl-C ends it")
+    await ending.wait()
+    await server.close("The server has ended.")
+
+
+class Served:
+    """A page that a thread serves while another part of the program runs."""
+
+    def __init__(self, source: Source, commander: Commander | None, web: WebOptions) -> None:
+        """NetworkError if the port is in use."""
+        self.reason = "The server has ended."
+        self._web = web
+        self._loop = asyncio.new_event_loop()
+        self._server: ViewServer | None = None
+        self._thread = threading.Thread(target=self._loop.run_forever, name="page", daemon=True)
+        self._thread.start()
+        try:
+            started = _started(source, commander, web)
+            self._server = asyncio.run_coroutine_threadsafe(started, self._loop).result(_START_TIME)
+        except BaseException:
+            self.close()
+            raise
+
+    def close(self) -> None:
+        """End the server; its pages show `reason`."""
+        if self._server is not None:
+            closing = self._server.close(self.reason)
+            asyncio.run_coroutine_threadsafe(closing, self._loop).result(_START_TIME)
+        self._loop.call_soon_threadsafe(self._loop.stop)
+        self._thread.join(_START_TIME)
+        self._loop.close()
+
+
+@contextmanager
+def served(source: Source, commander: Commander | None, web: WebOptions) -> Iterator[Served]:
+    """Serve a page in a thread; the server has ended when this returns."""
+    page = Served(source, commander, web)
+    try:
+        yield page
+    finally:
+        page.close()
+
+
+async def _started(source: Source, commander: Commander | None, web: WebOptions) -> ViewServer:
+    """A server that listens; prints the addresses of its page."""
+    from swarmd.view.server import Access, ViewServer
+
+    server = ViewServer(source, commander, Access(web.token, web.viewer_token))
+    address = await server.start(web.bind, web.port, web.context())
+    for role, secret in (("page", web.token), ("read only", web.viewer_token)):
+        if secret or role == "page":
+            click.echo(f"{role}: {address}{f'?token={secret}' if secret else ''}")
+    return server
+
+
+def _token(text: str | None) -> str:
+    return secrets.token_urlsafe(12) if text == "-" else text or ""
