@@ -57,7 +57,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("testing",),
 )
 LAYER_EXCEPTIONS: dict[tuple[str, str], str] = {
-    ("view", "cli"): "the page reads parameters as the options of swarmctl do",
+    ("view", "cli"): "views read parameters and print texts as swarmctl does",
     ("pattern_host", "testing"): "the inspecting child runs the contract that authors import",
 }
 _MEASURES, _TESTS = ("benchmarks", "studies"), ("tests",)

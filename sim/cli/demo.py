@@ -21,9 +21,10 @@ from swarmd.core.errors import SwarmError
 from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
 
 if TYPE_CHECKING:
-    from swarmd.sim.live.demo_run import DemoSettings, Scene
+    from swarmd.sim.live.demo_run import DemoSettings
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.live.summary import Summary
+    from swarmd.view.scene import Scene
 
 
 @click.command()
@@ -128,7 +129,7 @@ def _screen(is_live: bool) -> Iterator[Callable[[Scene], None]]:
     from rich.console import Console as Terminal
     from rich.live import Live
 
-    from swarmd.sim.live.view import render
+    from swarmd.view.terminal import render
 
     terminal = Terminal()
     with Live(console=terminal, auto_refresh=False) as live:

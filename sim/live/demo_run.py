@@ -26,6 +26,7 @@ from swarmd.sim.live.state import WorldState
 from swarmd.sim.live.summary import Summary, mean_duty, numbers_of, problems_of
 from swarmd.sim.live.trace_from_statuses import StatusLog
 from swarmd.sim.trace import load_trace
+from swarmd.view.scene import Area, Scene
 
 STATUS_PERIOD = 0.5  # s between two rounds of statuses: what a terminal can show without much load
 STATUS_TIMEOUT = 3.0  # s for the statuses at the start and the end, which decide about problems
@@ -47,21 +48,6 @@ class DemoSettings:
     params: Mapping[str, Any]
     seconds: float
     platform: str
-
-
-@dataclass(frozen=True, slots=True)
-class Scene:
-    """The state to show.
-
-    `poses` by robot: x, y in m and yaw in rad. The arena spans (width, height) m around the origin.
-    `statuses` lacks robots that did not answer.
-    """
-
-    title: str
-    arena: tuple[float, float]
-    poses: Mapping[str, tuple[float, float, float]]
-    statuses: Mapping[str, Status]
-    footer: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -256,7 +242,7 @@ class DemoRun:
                 f" {state.recorded:.0f} of {settings.seconds:.0f} s,"
                 f" {state.real_time_factor:.2f} times real time, contacts {state.contacts}"
             ),
-            arena=state.arena,
+            area=Area(state.arena),
             poses=dict(zip(state.ids, state.poses, strict=True)),
             statuses=statuses,
             footer=f"In another terminal: SWARM={self._fleet.spec.swarm} swarmctl members",

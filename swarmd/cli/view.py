@@ -1,4 +1,4 @@
-"""`swarmctl view`: a living swarm on a web page."""
+"""`swarmctl view`: a living swarm on the terminal, or on a web page."""
 
 from __future__ import annotations
 
@@ -15,11 +15,14 @@ from swarmd.cli.web import WebOptions, check_web, serve, web_options
 def view(options: CommonOptions, web: bool, page: WebOptions) -> None:
     """Show a living swarm: map, list, details and commands.
 
-    With --web on a page, at the address that is printed. On another interface than loopback a token
-    is required, and --tls keeps it secret.
+    On this terminal, where `?` lists the keys; with --web on a page whose address is printed.
     """
     if not web:
-        raise click.UsageError("give --web")
+        from swarmd.cli.view_terminal import show
+
+        if page.token or page.viewer_token or page.tls:
+            raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
+        click.get_current_context().exit(show(options))
     check_web()
     from swarmd.plugins import pattern_names
     from swarmd.view.commander import LiveCommander

@@ -22,21 +22,23 @@ Tell = Callable[[Answer], None]
 
 MAX_COMMANDS = 8
 """Commands under way at a time, beside one emergency stop."""
-REASON = "from the page"
 
 
 class LiveCommander:
     """Carries commands of pages out; each with an operator of its own, in a thread.
 
-    `known` names the robots that pages show: a stop of all expects each of them. An emergency stop
-    is repeated until all robots have acknowledged it, another one begins, or
-    `end_estop`. It has its own thread: requests that wait for answers never delay it.
+    `known` names the robots that pages show: a stop of all expects each of them. Latches and resets
+    keep `reason`. An emergency stop is repeated until all robots have acknowledged it, another one
+    begins, or `end_estop`. It has its own thread: requests that wait for answers never delay it.
     """
 
     def __init__(
-        self, make: Callable[[], Operator], known: Callable[[], Iterable[str]] = tuple
+        self,
+        make: Callable[[], Operator],
+        known: Callable[[], Iterable[str]] = tuple,
+        reason: str = "from the page",
     ) -> None:
-        self._make, self._known = make, known
+        self._make, self._known, self._reason = make, known, reason
         self._requests = ThreadPoolExecutor(MAX_COMMANDS, thread_name_prefix="view commands")
         # Two: one that ends while the next begins.
         self._estops = ThreadPoolExecutor(2, thread_name_prefix="view estop")
@@ -102,7 +104,7 @@ class LiveCommander:
                 verb,
                 select=None if names is None else lambda found: tuple(set(found) & set(names)),
                 names=names or (),
-                reason=REASON if verb == "estop" else "",
+                reason=self._reason if verb == "estop" else "",
                 until_all=verb == "estop",
                 on_progress=on_progress,
                 is_ended=ending.is_set,
@@ -120,7 +122,7 @@ class LiveCommander:
             if verb == "reset":
                 statuses = [view.members[one].status for one in names if one in view.members]
                 ids = tuple(sorted({key for one in statuses if one for key in one.latches}))
-                outcome = operator.request(ResetRequest, epochs, ids=ids, reason=REASON)
+                outcome = operator.request(ResetRequest, epochs, ids=ids, reason=self._reason)
             elif verb == "param":
                 outcome = operator.request(ParamRequest, epochs, params=params)
             else:

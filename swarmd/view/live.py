@@ -76,6 +76,13 @@ class LiveSource:
         left = {name for name, one in members.items() if one.presence is Presence.LEFT}
         return [robot.name for robot in self._robots if robot.name not in left]
 
+    def statuses(self) -> dict[str, tuple[Status, float]]:
+        """The last status of each robot that sent one, and its age in s."""
+        now = time.monotonic()
+        with self._lock:
+            known = dict(self._statuses)
+        return {name: (status, max(now - at, 0.0)) for name, (status, at) in known.items()}
+
     # What the page shows
 
     @property

@@ -1,19 +1,20 @@
-"""The live view: the rows of the table, and the robots on the map."""
+"""A fleet on a terminal: the rows of the table, the robots on the map, the lines below."""
 
 from __future__ import annotations
 
 import io
 import math
+from dataclasses import replace
 
 import pytest
 from rich.console import Console
 
 from swarmd.core.messages import Reason, State
-from swarmd.sim.live.demo_run import Scene
-from swarmd.sim.live.view import cell_of, map_of, map_size, render
+from swarmd.view.scene import Area, Scene, area_around
+from swarmd.view.terminal import cell_of, map_of, map_size, render
 from tests.support.statuses import status
 
-ARENA = (6.0, 3.0)
+ARENA = Area((6.0, 3.0))
 
 
 def shown(scene: Scene, width: int = 140, height: int = 30) -> str:
@@ -61,14 +62,14 @@ def test_map_has_x_to_the_right_and_y_upwards(
 def test_an_arrow_points_where_the_robot_heads(
     yaw: float, arrow: str, offset: tuple[int, int]
 ) -> None:
-    lines = map_of(scene(a=(0.01, -0.01, yaw)), 40, 10).plain.splitlines()
+    lines = [line.plain for line in map_of(scene(a=(0.01, -0.01, yaw)), 40, 10)]
     assert lines[1 + 5][1 + 20] == "1"
     assert lines[1 + 5 + offset[1]][1 + 20 + offset[0]] == arrow
 
 
 def test_map_keeps_the_shape_of_the_arena() -> None:
-    assert map_size((6.0, 3.0), 40, 100) == (40, 10)
-    assert map_size((6.0, 6.0), 100, 20) == (40, 20)
+    assert map_size(Area((6.0, 3.0)), 40, 100) == (40, 10)
+    assert map_size(Area((6.0, 6.0)), 100, 20) == (40, 20)
 
 
 @pytest.mark.parametrize(("width", "height"), [(140, 40), (100, 24), (80, 24), (80, 12), (40, 10)])
@@ -116,3 +117,44 @@ def test_robots_keep_their_order_and_marks_if_some_are_left_out() -> None:
         ["p", "tb3-25"],
         ["u", "tb3-30"],
     ]
+
+
+def test_cursor_selection_and_notes_are_shown_without_colour() -> None:
+    shown_scene = replace(
+        scene(a=(0.0, 0.0, 0.0), b=(1.0, 0.0, 0.0)),
+        robots=("a", "b", "c"),
+        cursor="b",
+        selected=frozenset("ab"),
+        notes={"c": "failed 3 s ago"},
+    )
+    rows = [line.split("│")[0].split() for line in shown(shown_scene).splitlines()[2:5]]
+    assert [row[:3] for row in rows] == [["*1", "a", "running"], [">*2", "b", "running"],
+                                         ["c", "failed", "3"]]  # fmt: skip
+
+
+@pytest.mark.parametrize(("cursor", "first"), [("tb3-01", 1), ("tb3-15", 12), ("tb3-30", 25)])
+def test_rows_around_the_cursor_are_shown(cursor: str, first: int) -> None:
+    lines = shown(replace(crowd(25), cursor=cursor), 80, 11).splitlines()
+    assert [line.split("tb3-")[1][:2] for line in lines[2:-2]] == [
+        f"{number:02d}" for number in range(first, first + 6)
+    ]
+    assert f"{first - 1} more above, {30 - first - 5} below" in lines[-2]
+
+
+def test_the_last_lines_stay_on_a_small_terminal() -> None:
+    below = [("estop: 1 not acknowledged", "bold red"), ("why", "")]
+    lines = shown(replace(crowd(), below=below), 80, 5).splitlines()
+    assert [line.split()[0] for line in lines] == ["attraction", "estop:", "why", "the"]
+
+
+def test_control_characters_of_a_robot_do_not_reach_the_terminal() -> None:
+    evil = Scene("t", ARENA, {"a": (0.0, 0.0, 0.0)}, {"a": status("a", pattern="x\x1b[2Jy")})
+    text = shown(replace(evil, below=[("\x1b]0;title\x07", "")]))
+    assert "\x1b" not in text
+    assert "x?[2Jy" in text
+
+
+def test_an_area_around_places_contains_them_in_whole_metres() -> None:
+    poses = {"a": (0.2, 0.0, 0.0), "b": (3.7, -1.2, 0.0)}
+    assert area_around(poses) == Area((6.0, 3.0), (2.0, -0.5))
+    assert area_around({"a": (0.0, 0.0, 0.0)}).size == (2.0, 2.0)

@@ -1,0 +1,239 @@
+"""A fleet on a terminal: a table of the robots beside a small map seen from above."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from rich.cells import cell_len, set_cell_size
+from rich.console import Group
+from rich.text import Text
+
+from swarmd.cli.output import printable
+from swarmd.core.messages import State, Status
+from swarmd.view.scene import Area, Scene
+
+ARROWS = "→↗↑↖←↙↓↘"
+COLOURS = {
+    State.IDLE: "cyan",
+    State.RUNNING: "green",
+    State.STOPPED: "yellow",
+    State.ESTOPPED: "bold red",
+    State.FAULTED: "bold magenta",
+}
+COLUMNS = (("state", 9), ("reason", 18), ("pattern", 13), ("scan", 7), ("loop99", 7), ("near", 6))
+NUMBERS = frozenset({"scan", "loop99", "near"})
+NAME_WIDTH, MAX_NAME_WIDTH = 11, 24
+TABLE_WIDTH = NAME_WIDTH + sum(1 + width for _, width in COLUMNS)
+GAP = 2  # between the table and the map
+MARGIN = 5  # the map's frame and the gap beside the table
+MAX_MAP = (48, 22)  # columns and rows
+MIN_MAP = (16, 4)
+FRAME = 2  # lines above and below the map
+CURSOR = 1  # the line of the cursor, below the view
+
+
+def render(scene: Scene, width: int, height: int) -> Group:
+    """The view for a terminal of `width` by `height` characters, less a line for its cursor."""
+    return Group(*lines_of(scene, width, height - CURSOR))
+
+
+def lines_of(scene: Scene, width: int, height: int) -> list[Text]:
+    """At most `height` lines of at most `width` characters.
+
+    With more robots than lines, those around the cursor are shown, without a cursor first those
+    that do not run. The rest is counted.
+    """
+    heading = _line(scene.title, "bold")
+    last = [_line(text, style) for text, style in scene.below] + [
+        _line(scene.footer, scene.footer_style)
+    ]
+    free = max(height - 1 - len(last), 2)
+    beside = width - TABLE_WIDTH - MARGIN
+    under = free - len(scene.order) - 1
+    if beside >= MIN_MAP[0] and free >= MIN_MAP[1] + FRAME:
+        name_width = _name_width(scene, beside - MIN_MAP[0])
+        columns = width - (TABLE_WIDTH - NAME_WIDTH + name_width) - MARGIN
+        plan = map_of(scene, *map_size(scene.area, columns, free - FRAME))
+        body = _side_by_side(table_of(scene, free, name_width), plan)
+    else:
+        body = table_of(scene, free, _name_width(scene, width - TABLE_WIDTH))
+        if under >= MIN_MAP[1] + FRAME:
+            body += map_of(scene, *map_size(scene.area, width - MARGIN, under - FRAME))
+    room = max(height - len(last), 0)
+    shown = [heading, *body][:room] + last[-max(height, 1) :]
+    for line in shown:
+        line.truncate(width, overflow="ellipsis")
+    return shown
+
+
+def table_of(scene: Scene, lines: int, name_width: int = NAME_WIDTH) -> list[Text]:
+    """A row for each robot: name, state, reason, pattern, scan rate, loop p99, nearest obstacle.
+
+    At most `lines` with the header; if robots are left out, the last line counts them.
+    """
+    header = " ".join([_cell("name", name_width), *(_cell(*column) for column in COLUMNS)])
+    rows = [Text(header, style="bold")]
+    shown = chosen(scene, max(lines - 1, 1))
+    marks = {robot: _mark(number) for number, robot in enumerate(scene.poses)}
+    for robot in shown:
+        rows.append(_row(scene, robot, marks.get(robot, " "), name_width))
+    if len(shown) < len(scene.order):
+        rows.append(Text(_rest(scene, shown), style="dim"))
+    return rows
+
+
+def chosen(scene: Scene, rows: int) -> Sequence[str]:
+    """The robots to show in `rows`, one of which is kept for the count if not all fit.
+
+    Without a cursor, robots that do not run are kept, since they need attention; others are left
+    out from the end.
+    """
+    robots = scene.order
+    if len(robots) <= rows:
+        return robots
+    rows -= 1
+    if scene.cursor is not None and scene.cursor in robots:
+        first = min(max(robots.index(scene.cursor) - rows // 2, 0), len(robots) - rows)
+        return robots[first : first + rows]
+    running = {name for name, one in scene.statuses.items() if one.state is State.RUNNING}
+    kept = set(sorted(robots, key=running.__contains__)[:rows])
+    return tuple(robot for robot in robots if robot in kept)
+
+
+def map_size(area: Area, width: int, height: int) -> tuple[int, int]:
+    """Columns and rows inside the frame with the area's aspect ratio; a character is 1 by 2.
+
+    At most `width` by `height`, and at most `MAX_MAP`.
+    """
+    length, depth = area.size
+    columns = min(width, MAX_MAP[0], 2 * min(height, MAX_MAP[1]) * length / depth)
+    return max(8, int(columns)), max(4, round(columns * depth / length / 2))
+
+
+def map_of(scene: Scene, columns: int, rows: int) -> list[Text]:
+    """The area with a mark for each robot, and an arrow for its heading."""
+    grid: list[dict[int, tuple[str, str]]] = [{} for _ in range(rows)]
+    cells = {robot: cell_of(pose, scene.area, columns, rows) for robot, pose in scene.poses.items()}
+    for robot, (column, row) in cells.items():
+        octant = _octant(scene.poses[robot][2])
+        arrow = (column + _DX[octant], row - _DY[octant])
+        if 0 <= arrow[0] < columns and 0 <= arrow[1] < rows:
+            grid[arrow[1]][arrow[0]] = (ARROWS[octant], _colour(scene, robot))
+    for number, (robot, (column, row)) in enumerate(cells.items()):
+        chosen = robot == scene.cursor or robot in scene.selected
+        style = f"bold {_colour(scene, robot)}{' reverse' * chosen}"
+        grid[row][column] = (_mark(number), style)
+    note = f" {scene.map_note} " if len(scene.map_note) + 2 <= columns else ""
+    return [
+        Text(f"┌{'─' * columns}┐", style="dim"),
+        *(_map_line(line, columns) for line in grid),
+        Text(f"└{note.ljust(columns, '─') if note else '─' * columns}┘", style="dim"),
+    ]
+
+
+def cell_of(pose: Sequence[float], area: Area, columns: int, rows: int) -> tuple[int, int]:
+    """Column and row of a pose; row 0 is the area's largest y."""
+    column = int(((pose[0] - area.center[0]) / area.size[0] + 0.5) * columns)
+    row = int((0.5 - (pose[1] - area.center[1]) / area.size[1]) * rows)
+    return min(max(column, 0), columns - 1), min(max(row, 0), rows - 1)
+
+
+def _row(scene: Scene, robot: str, mark: str, name_width: int) -> Text:
+    status, note = scene.statuses.get(robot), scene.notes.get(robot)
+    sign = ""
+    if scene.cursor is not None:
+        sign = (">" if robot == scene.cursor else " ") + ("*" if robot in scene.selected else " ")
+    row = Text(style="reverse" if robot == scene.cursor else "", no_wrap=True)
+    row.append(_cell(f"{sign}{mark} {robot}", name_width), "bold" if sign.strip() else "")
+    if status is None or note:
+        row.append(f" {printable(note or 'no answer')}", "red")
+        return row
+    for (title, width), text in zip(COLUMNS, _values(status), strict=True):
+        is_number = title in NUMBERS
+        shown = text.rjust(width) if is_number else _cell(text, width)
+        row.append(f" {shown}", COLOURS[status.state] if title == "state" else "")
+    return row
+
+
+def _values(status: Status) -> tuple[str, ...]:
+    near = status.decision.min_gap
+    return (
+        status.state.value,
+        status.reason.value if status.reason else "",
+        status.pattern or "",
+        f"{status.health.scan_rate:.1f} Hz",
+        f"{1000 * status.health.loop_p99:.1f} ms",
+        "-" if near is None else f"{near:.2f} m",
+    )
+
+
+def _rest(scene: Scene, shown: Sequence[str]) -> str:
+    robots = scene.order
+    if scene.cursor is None or scene.cursor not in robots:
+        return f"... and {len(robots) - len(shown)} more"
+    above = robots.index(shown[0])
+    return f"... and {above} more above, {len(robots) - above - len(shown)} below"
+
+
+def _name_width(scene: Scene, spare: int) -> int:
+    """The width of the first column: as the names need, with `spare` more than usual at most."""
+    sign = 0 if scene.cursor is None else 2
+    needed = max((len(robot) for robot in scene.order), default=0) + sign + 2
+    return min(max(needed, NAME_WIDTH), NAME_WIDTH + max(spare, 0), MAX_NAME_WIDTH)
+
+
+def _side_by_side(left: list[Text], right: list[Text]) -> list[Text]:
+    width = max(line.cell_len for line in left)
+    both = []
+    for number in range(max(len(left), len(right))):
+        line = left[number].copy() if number < len(left) else Text()
+        line.pad_right(width - line.cell_len + GAP)
+        if number < len(right):
+            line.append_text(right[number])
+        both.append(line)
+    return both
+
+
+def _map_line(cells: dict[int, tuple[str, str]], columns: int) -> Text:
+    text = Text(no_wrap=True)
+    text.append("│", "dim")
+    at = 0
+    for column, (character, style) in sorted(cells.items()):
+        text.append(" " * (column - at))
+        text.append(character, style)
+        at = column + 1
+    text.append(" " * (columns - at))
+    text.append("│", "dim")
+    return text
+
+
+def _line(text: str, style: str) -> Text:
+    return Text(printable(text), style=style, no_wrap=True)
+
+
+def _cell(text: str, width: int) -> str:
+    text = printable(text)
+    if cell_len(text) <= width:
+        return set_cell_size(text, width)
+    return f"{set_cell_size(text, width - 1)}…"
+
+
+_DX = (1, 1, 0, -1, -1, -1, 0, 1)
+_DY = (0, 1, 1, 1, 0, -1, -1, -1)
+
+
+def _octant(yaw: float) -> int:
+    return round(yaw / (math.pi / 4)) % 8
+
+
+def _mark(number: int) -> str:
+    marks = "123456789abcdefghijklmnopqrstuvwxyz"
+    return marks[number] if number < len(marks) else "*"
+
+
+def _colour(scene: Scene, robot: str) -> str:
+    status = scene.statuses.get(robot)
+    if status is None or robot in scene.notes:
+        return "white"
+    return COLOURS[status.state].removeprefix("bold ")

@@ -1,0 +1,307 @@
+"""A living swarm on a terminal: what is known of it is drawn, and keys become commands."""
+
+from __future__ import annotations
+
+import asyncio
+import os
+import signal
+from collections.abc import Callable, Iterator, Mapping, Sequence
+
+from swarmd.cli.explain import why
+from swarmd.cli.output import seconds
+from swarmd.core.messages import Presence, Status
+from swarmd.network.discovery import Contact, MembersView, SeenMember
+from swarmd.view.commander import LiveCommander
+from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
+from swarmd.view.keys import KeyDecoder
+from swarmd.view.live import LiveSource
+from swarmd.view.scene import Area, Place, Scene, area_around
+from swarmd.view.screen import Screen
+from swarmd.view.source import Answer
+from swarmd.view.terminal import lines_of
+
+PERIOD = 0.5
+"""Seconds between two drawings without a key: 2 Hz cost 2 % of a core with 50 robots."""
+MIN_PERIOD = 0.05
+ESCAPE_TIME = 0.05
+"""A sequence of a key that is not complete after this time, in s, was the key Escape."""
+SILENCE = 3.0
+"""A status older than this, in s, is not shown as the present one."""
+MAX_ANSWERS, MAX_ANSWER_LINES = 4, 6
+ODOMETRY = "each robot's own odometry"
+
+
+class TerminalView:
+    """Draws `source` on `screen` until a key or a signal ends it.
+
+    `places` gives true positions and their area where the caller knows them; without, positions
+    are those of each robot's own odometry, which begins where the robot was started.
+    """
+
+    def __init__(
+        self,
+        source: LiveSource,
+        commander: LiveCommander,
+        screen: Screen,
+        *,
+        places: Callable[[], tuple[Mapping[str, Place], Area]] | None = None,
+    ) -> None:
+        self._source, self._commander, self._screen = source, commander, screen
+        self._places = places
+        self._controls = Controls(patterns=source.patterns)
+        self._keys = KeyDecoder()
+        self._flush: asyncio.TimerHandle | None = None
+        self._changed = asyncio.Event()
+        self._answers: dict[int, tuple[str, Answer]] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._commands = 0
+        self._code: int | None = None
+        self._is_warned = False
+        self._robots: Sequence[str] = ()
+        self._known: Sequence[str] = ()
+
+    async def run(self) -> int:
+        """Show the swarm; the exit code: 0, or 128 and the number of the signal that ended it."""
+        loop = asyncio.get_running_loop()
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            loop.add_signal_handler(number, self._end, 128 + number)
+        loop.add_signal_handler(signal.SIGWINCH, self._redraw)
+        loop.add_signal_handler(signal.SIGTSTP, self._stop_process)
+        loop.add_reader(self._screen.input, self._on_input)
+        try:
+            while self._code is None:
+                self._draw()
+                await asyncio.sleep(MIN_PERIOD)
+                await _wait(self._changed, PERIOD - MIN_PERIOD)
+                self._changed.clear()
+        finally:
+            loop.remove_reader(self._screen.input)
+            for task in self._tasks:
+                task.cancel()
+        return self._code
+
+    # Input
+
+    def _on_input(self) -> None:
+        try:
+            data = os.read(self._screen.input, 4096)
+        except BlockingIOError:
+            return
+        except OSError:
+            data = b""
+        if not data:  # the terminal is gone
+            self._end(128 + signal.SIGHUP)
+            return
+        if self._flush is not None:
+            self._flush.cancel()
+        self._on_keys(self._keys.feed(data))
+        if self._keys.is_pending:
+            loop = asyncio.get_running_loop()
+            self._flush = loop.call_later(ESCAPE_TIME, self._on_escape)
+
+    def _on_escape(self) -> None:
+        self._on_keys(self._keys.flush())
+
+    def _on_keys(self, keys: Sequence[str]) -> None:
+        for key in keys:
+            if key == "ctrl-l":
+                self._redraw()
+                continue
+            command = self._controls.on_key(key, self._robots, self._known)
+            if command is not None:
+                self._carry_out(command)
+        self._changed.set()
+
+    def _carry_out(self, command: Command) -> None:
+        if command.verb == "quit":
+            waiting = self._waiting_estops()
+            if waiting and not self._is_warned:
+                self._is_warned = True
+                missing = names_of([name for one in waiting for name in one.missing])
+                self._controls.note = (
+                    f"the estop is still sent, {missing or 'robots'} did not acknowledge it;"
+                    " q again ends it"
+                )
+                return
+            self._end(0)
+            return
+        if command.verb == "estop" and self._waiting_estops():
+            self._controls.note = "the estop is still being sent"
+            return
+        self._is_warned = False
+        self._commands += 1
+        task = asyncio.get_running_loop().create_task(self._act(self._commands, command))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _act(self, number: int, command: Command) -> None:
+        def tell(answer: Answer) -> None:
+            self._answers[number] = command.verb, answer
+            self._changed.set()
+
+        to = "all robots" if command.targets is None else names_of(command.targets)
+        tell(Answer(f"{command.verb}: sent to {to}, waits for answers"))
+        targets = None if command.targets is None else list(command.targets)
+        await self._commander.act(command.verb, {**command.fields, "targets": targets}, tell)
+        finals = [key for key, (_, one) in self._answers.items() if one.is_final]
+        for old in finals[:-MAX_ANSWERS]:
+            del self._answers[old]
+
+    def _waiting_estops(self) -> list[Answer]:
+        return [one for verb, one in self._answers.values() if verb == "estop" and not one.is_final]
+
+    def _end(self, code: int) -> None:
+        self._code = code
+        self._changed.set()
+
+    def _redraw(self) -> None:
+        self._screen.forget()
+        self._changed.set()
+
+    def _stop_process(self) -> None:
+        """Ctrl-Z: the shell gets its terminal; `fg` goes on here."""
+        self._screen.suspend()
+        os.kill(os.getpid(), signal.SIGSTOP)
+        self._screen.resume()
+        self._changed.set()
+
+    # Output
+
+    def _draw(self) -> None:
+        width, height = self._screen.size
+        self._screen.paint(lines_of(self._scene(), width, height))
+
+    def _scene(self) -> Scene:
+        view, statuses = self._source.view, self._source.statuses()
+        names = sorted(view.members.keys() | statuses.keys() | view.roster)
+        notes = {
+            name: note
+            for name in names
+            if (note := _note(view.members.get(name), statuses.get(name)))
+        }
+        now = {name: status for name, (status, _) in statuses.items() if name not in notes}
+        rows = {name: notes.get(name) or _searched(now[name]) for name in names}
+        before, self._known = self._robots, names
+        controls = self._controls
+        self._robots = controls.shown(rows)
+        controls.follow(self._robots, before)
+        poses, area = self._where()
+        shown = {name: poses[name] for name in self._robots if name in poses and name in now}
+        return Scene(
+            title=self._title(view, now, notes),
+            area=area,
+            poses=shown,
+            statuses=now,
+            robots=self._robots,
+            notes=notes,
+            cursor=controls.cursor,
+            selected=frozenset(controls.selected),
+            below=[*self._details(view, statuses, notes), *self._told()],
+            footer=controls.prompt,
+            footer_style="bold" if controls.mode is not Mode.LOOK or controls.note else "dim",
+            map_note="" if self._places else ODOMETRY,
+        )
+
+    def _where(self) -> tuple[Mapping[str, Place], Area]:
+        if self._places is not None:
+            return self._places()
+        robots = self._source.robots
+        _, rows = self._source.frame()
+        poses = {robots[int(i)].name: (x, y, yaw) for i, x, y, yaw in rows.tolist()}
+        return poses, area_around(poses)
+
+    def _title(
+        self, view: MembersView, statuses: Mapping[str, Status], notes: Mapping[str, str]
+    ) -> str:
+        swarm, controls = self._source.swarm, self._controls
+        if not statuses and not notes:
+            if not view.seconds:
+                return f"{swarm}: looking for robots"
+            return f"{swarm}: no robot is heard; start swarmd, or see --swarm and --profile"
+        states = [one.state.value for one in statuses.values()]
+        counts = [f"{states.count(state)} {state}" for state in sorted(set(states))]
+        counts += [f"{len(notes)} silent"] if notes else []
+        parts = [f"{swarm}: {len(states) + len(notes)} robots: {', '.join(counts)}"]
+        if controls.selected:
+            hidden = len(controls.selected.difference(self._robots))
+            parts.append(f"{len(controls.selected)} selected{f' ({hidden} hidden)' * bool(hidden)}")
+        if controls.filter:
+            parts.append(f"with '{controls.filter}': {len(self._robots)}")
+        return "; ".join(parts)
+
+    def _details(
+        self,
+        view: MembersView,
+        statuses: Mapping[str, tuple[Status, float]],
+        notes: Mapping[str, str],
+    ) -> Iterator[tuple[str, str]]:
+        """Why the robot at the cursor stands, and what a reset would clear."""
+        controls = self._controls
+        if controls.mode is Mode.RESET:
+            for name in controls.targets:
+                held = statuses[name][0].latches.values() if name in statuses else ()
+                for latch in held:
+                    yield f"{name}: emergency stop by {latch.issuer}: {latch.reason or '-'}", "red"
+        name = controls.cursor
+        member = view.members.get(name)
+        if name in notes or member is None or name not in statuses:
+            text = notes.get(name, "")
+        else:
+            text = why(_with_status(member, statuses[name][0]))
+        yield (f"{name}: {text}" if text else ""), ""
+
+    def _told(self) -> Iterator[tuple[str, str]]:
+        """The answers to the last commands, and the keys if they are asked for."""
+        lines: list[tuple[str, str]] = []
+        for verb, answer in self._answers.values():
+            style = "green" if answer.is_good else "yellow"
+            if not answer.is_good and (answer.is_final or verb == "estop"):
+                style = "bold red"
+            lines += [(text, style) for text in answer_lines(answer)]
+        yield from lines[-MAX_ANSWER_LINES:]
+        if self._controls.is_help_shown:
+            yield from ((text, "") for text in KEYS)
+
+
+def answer_lines(answer: Answer) -> list[str]:
+    """The count, then each text with the robots that gave it; texts of success are left out."""
+    waiting = [] if answer.is_final or not answer.missing else [f"({names_of(answer.missing, 12)})"]
+    lines = [" ".join([answer.line, *waiting])]
+    by_text: dict[str, list[str]] = {}
+    for name, code, text in answer.replies:
+        if code != "applied":
+            by_text.setdefault(f"{code}: {text}", []).append(name)
+    return lines + [f"  {names_of(names)} {text}" for text, names in by_text.items()]
+
+
+def _note(member: SeenMember | None, known: tuple[Status, float] | None) -> str:
+    """What stands in place of a robot's state; empty if its status is the present one."""
+    if member is None:
+        return "" if known else "on the roster, not seen"
+    if member.presence is not Presence.ALIVE:
+        return f"{member.presence} {seconds(member.age)} ago"
+    if member.contact is Contact.UNREACHABLE:
+        return f"alive by {member.by}'s word, not reachable from here"
+    if member.contact is Contact.OTHER_VERSION:
+        return f"{member.state or 'alive'}, of another version"
+    if known is None or known[1] > SILENCE:
+        return f"no answer, heard {seconds(member.age)} ago"
+    return ""
+
+
+def _with_status(member: SeenMember, status: Status) -> SeenMember:
+    from msgspec.structs import replace
+
+    return replace(member, status=status, contact=Contact.ANSWERED)
+
+
+def _searched(status: Status) -> str:
+    return f"{status.state} {status.reason or ''} {status.pattern or ''} {status.platform}"
+
+
+async def _wait(event: asyncio.Event, timeout: float) -> None:
+    try:
+        async with asyncio.timeout(timeout):
+            await event.wait()
+    except TimeoutError:
+        return
