@@ -19,8 +19,10 @@ from swarmd.cli.arguments import Duration, read_assignments
 from swarmd.cli.output import print_json, print_section, warn
 from swarmd.core.errors import SwarmError
 from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
+from swarmd.sim.cli.world_page import page_option, world_page
 
 if TYPE_CHECKING:
+    from swarmd.cli.web import WebOptions
     from swarmd.sim.live.demo_run import DemoSettings
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.live.summary import Summary
@@ -35,6 +37,7 @@ if TYPE_CHECKING:
 )
 @click.option("--seconds", type=Duration(), default=60.0, help="How long, in simulated time [60].")
 @click.option("--headless", is_flag=True, help="Show no live view; the default without a terminal.")
+@page_option
 @output_option
 @click.pass_context
 def demo(
@@ -45,6 +48,7 @@ def demo(
     seconds: float,
     headless: bool,
     is_json: bool,
+    page: WebOptions | None,
     **world: Any,
 ) -> None:
     """Start a simulated swarm, run one pattern, and sum it up.
@@ -67,13 +71,19 @@ def demo(
     stamp = time.strftime("%Y%m%d-%H%M%S")
     folder = new_folder(Path("runs"), (stamp, *(f"{stamp}-{n}" for n in range(2, 1000))))
     spec = replace(fleet, folder=folder / "logs", trace=folder / "trace.npz", seconds=seconds)
-    summary = perform(spec, settings, is_live=sys.stdout.isatty() and not (headless or is_json))
+    is_live = sys.stdout.isatty() and not (headless or is_json)
+    summary = perform(spec, settings, is_live=is_live, page=page)
     report(summary, folder, is_json=is_json)
     ctx.exit(0 if summary.is_good else 1)
 
 
-def perform(spec: FleetSpec, settings: DemoSettings, *, is_live: bool) -> Summary:
-    """Run the demo from start to end; every process is gone when it returns or raises."""
+def perform(
+    spec: FleetSpec, settings: DemoSettings, *, is_live: bool, page: WebOptions | None = None
+) -> Summary:
+    """Run the demo from start to end; every process is gone when it returns or raises.
+
+    With `page` it is served on a web page.
+    """
     from swarmd.network.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.sim.live.demo_run import DemoRun
@@ -87,9 +97,16 @@ def perform(spec: FleetSpec, settings: DemoSettings, *, is_live: bool) -> Summar
         Fleet(spec) as fleet,
         WorldView(spec.swarm, fleet.endpoint) as world,
         Operator(NetworkSettings(swarm=spec.swarm)) as operator,
+        world_page(fleet, page) as shown,
         _screen(is_live) as on_scene,
     ):
-        return DemoRun(settings, fleet, operator, world, on_scene).perform(spec.trace, started_at())
+        run = DemoRun(settings, fleet, operator, world, on_scene)
+        summary = run.perform(spec.trace, started_at())
+        if shown is not None:
+            shown.reason = (
+                f"The demo has ended; its robots have stopped. Results: {spec.folder.parent}/"
+            )
+        return summary
 
 
 def report(summary: Summary, folder: Path, *, is_json: bool) -> None:

@@ -17,8 +17,10 @@ from swarmd.cli.options import DEFAULT_SWARM, CommonOptions, VerbGroup
 from swarmd.cli.output import print_section, warn
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
+from swarmd.sim.cli.world_page import page_option, world_page
 
 if TYPE_CHECKING:
+    from swarmd.cli.web import WebOptions
     from swarmd.sim.live.fleet import Fleet, FleetSpec
 
 CHECK_PERIOD = 1.0  # s between two checks of the processes
@@ -38,12 +40,14 @@ def sim() -> None:
     metavar="DIR",
     help="Keep logs and latches in this folder; the next start loads the latches.",
 )
+@page_option
 @click.pass_context
 def up(
     ctx: click.Context,
     /,
     swarm: str | None,
     keep: Path | None,
+    page: WebOptions | None,
     **world: Any,
 ) -> None:
     """Start a world and a daemon for each robot; Ctrl-C ends them all.
@@ -56,11 +60,14 @@ def up(
     given = swarm or (ctx.find_object(CommonOptions) or CommonOptions()).swarm
     name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
     with _folder(keep) as folder:
-        serve(fleet_for(name, folder, **world))
+        serve(fleet_for(name, folder, **world), page)
 
 
-def serve(spec: FleetSpec) -> None:
-    """Run a fleet until Ctrl-C or SIGTERM; SwarmError if it cannot start, or its world ends."""
+def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
+    """Run a fleet until Ctrl-C or SIGTERM; SwarmError if it cannot start, or its world ends.
+
+    With `page` it is served on a web page.
+    """
     from swarmd.network.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.sim.live.demo_run import await_robots, statuses_of
@@ -74,7 +81,7 @@ def serve(spec: FleetSpec) -> None:
                 f"swarm {spec.swarm!r} already has {', '.join(taken)};"
                 " end those, or use another swarm: swarmctl sim up --swarm NAME"
             )
-        with Fleet(spec) as fleet:
+        with Fleet(spec) as fleet, world_page(fleet, page) as shown:
             up = statuses_of(await_robots(operator, fleet))
             for robot in spec.robots:
                 if robot not in up or not up[robot].health.driver_up:
@@ -83,6 +90,8 @@ def serve(spec: FleetSpec) -> None:
             with suppress(KeyboardInterrupt):
                 _report_ends(fleet)
             click.echo("ending all")
+            if shown is not None:
+                shown.reason = "The simulated world has ended, and its robots with it."
 
 
 def _report_ends(fleet: Fleet) -> NoReturn:

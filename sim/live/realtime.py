@@ -171,6 +171,7 @@ class RealTimeWorld:
     def _state(self) -> WorldState:
         world, record = self._world, self._recorder
         emulated = self._emulated.side.dropped if self._emulated else 0
+        boxes = zip(world.movable_boxes, _triples(world.box_poses()), strict=True)
         return WorldState(
             time=world.time,
             real_time_factor=self._pacer.real_time_factor(),
@@ -185,6 +186,8 @@ class RealTimeWorld:
             recorded=record.seconds,
             overruns=self._pacer.overruns,
             dropped=self._link.dropped + emulated + self._unreadable,
+            boxes={name: pose for name, pose in boxes if np.isfinite(pose).all()},
+            touching=record.touching(),
         )
 
 

@@ -13,7 +13,7 @@ from msgspec.structs import astuple
 from swarmd.core.values import Array
 from swarmd.sim.live.pacing import Staggered
 from swarmd.sim.trace import TraceBuilder
-from swarmd.sim.world.contacts import ContactEpisodes
+from swarmd.sim.world.contacts import EPISODE_GAP, ContactEpisodes
 from swarmd.sim.world.world import World
 
 _log = logging.getLogger(__name__)
@@ -49,6 +49,7 @@ class LiveRecorder:
         self.contacts = 0
         self.arena_contacts = 0
         self._end = 0.0
+        self._touched: dict[tuple[str, str], float] = {}
         self.begin()
 
     @property
@@ -56,10 +57,17 @@ class LiveRecorder:
         """Seconds of simulation recorded so far."""
         return (self._world.time if self.is_running else self._end) - self._start
 
+    def touching(self) -> tuple[tuple[str, str], ...]:
+        """The pairs that were in contact in the last EPISODE_GAP, while this records."""
+        since = self._world.time - EPISODE_GAP
+        self._touched = {pair: time for pair, time in self._touched.items() if time >= since}
+        return tuple(self._touched)
+
     def begin(self) -> None:
         """Discard the recording and start again at time 0."""
         self._start = self._world.time
         self._episodes = ContactEpisodes()
+        self._touched = {}
         self._due = Staggered(np.array([self._settings.rate]), self._start)
         self._builder.clear()
         self.contacts = self.arena_contacts = 0
@@ -89,6 +97,7 @@ class LiveRecorder:
 
     def _note_contacts(self) -> None:
         for contact in self._world.contacts():
+            self._touched[contact.a, contact.b] = self._world.time
             if self._episodes.add(self._world.time, contact.a, contact.b):
                 _log.info("%s touches %s at %.2f s", contact.a, contact.b, self.seconds)
                 if contact.b in self._world.ids:

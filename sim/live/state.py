@@ -20,7 +20,9 @@ class WorldState(Struct, frozen=True, kw_only=True):
     `poses` x, y in m and yaw in rad, `twists` linear, angular, lateral in each base frame,
     `commanded` whether a fresh command is in force. Contact episodes since recording began:
     `contacts` between robots, `arena_contacts` with walls, boxes and poles. `recorded` in s.
-    `overruns`: late steps, `dropped`: malformed messages.
+    `overruns`: late steps, `dropped`: malformed messages. `boxes`: the poses of the movable boxes
+    in the arena, by name. `touching`: pairs that were in contact in the last 0.5 s, each a robot
+    and a robot or part of the arena.
     """
 
     time: Seconds
@@ -36,6 +38,8 @@ class WorldState(Struct, frozen=True, kw_only=True):
     recorded: Seconds
     overruns: Count
     dropped: Count
+    boxes: dict[Name, Triple] = {}
+    touching: tuple[tuple[Name, Name], ...] = ()
 
 
 class WorldRequest(Struct, frozen=True, kw_only=True):

@@ -15,7 +15,7 @@ from swarmd.core.values import Array, Platform
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.metrics.window import arena_of, presence
 from swarmd.sim.trace import ARENA, Trace
-from swarmd.sim.view.shown import shown_arena
+from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.lidar import RangeSensors
 from swarmd.sim.world.scalar_fields import Field, sample
 from swarmd.view.playback import Playback
@@ -23,7 +23,6 @@ from swarmd.view.source import ShownArena, ShownRobot, points_of
 
 CONTACT_TIME = 1.0
 """Seconds for which a contact is shown after its last step: rows go to the page twice a second."""
-MAX_LINKS = 5000
 _NO_LINKS: Sequence[tuple[int, int]] = ()
 
 
@@ -189,17 +188,13 @@ class _ShownRun:
         return [(shape, pose.tolist()) for shape, pose in shapes if np.isfinite(pose).all()]
 
     def links(self, now: float) -> Sequence[tuple[int, int]]:
-        """Pairs of robots within the range of the radio, at most MAX_LINKS."""
+        """Pairs of robots within the range of the radio."""
         reach = (self._trace.meta.get("radio") or {}).get("range")
         if reach is None or not len(self._t):
             return _NO_LINKS
         at = self._at(now)
-        places = self._trace.pose[at, :, :2]
-        gaps = np.linalg.norm(places[:, None] - places[None], axis=2)
-        gaps[~self._present[at]] = np.inf
-        gaps[:, ~self._present[at]] = np.inf
-        pairs = np.argwhere(np.triu(gaps <= reach, 1))[:MAX_LINKS]
-        return [(a, b) for a, b in pairs.tolist()]
+        there = np.flatnonzero(self._present[at])
+        return links_within(reach, there, self._trace.pose[at, there, :2])
 
     def detail(self, name: str, now: float) -> Mapping[str, Any] | None:
         """Values and contacts of one robot."""

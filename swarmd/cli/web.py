@@ -111,14 +111,17 @@ async def _serve(source: Source, commander: Commander | None, web: WebOptions) -
     loop = asyncio.get_running_loop()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, ending.set)
-    server = await _started(source, commander, web)
+    server = await _started(source, commander, web, click.echo)
     warn("Ctrl-C ends it")
     await ending.wait()
     await server.close("The server has ended.")
 
 
 class Served:
-    """A page that a thread serves while another part of the program runs."""
+    """A page that a thread serves while another part of the program runs.
+
+    Its addresses are printed on standard error: standard output is that part's.
+    """
 
     def __init__(self, source: Source, commander: Commander | None, web: WebOptions) -> None:
         """NetworkError if the port is in use."""
@@ -129,7 +132,7 @@ class Served:
         self._thread = threading.Thread(target=self._loop.run_forever, name="page", daemon=True)
         self._thread.start()
         try:
-            started = _started(source, commander, web)
+            started = _started(source, commander, web, warn)
             self._server = asyncio.run_coroutine_threadsafe(started, self._loop).result(_START_TIME)
         except BaseException:
             self.close()
@@ -155,15 +158,17 @@ def served(source: Source, commander: Commander | None, web: WebOptions) -> Iter
         page.close()
 
 
-async def _started(source: Source, commander: Commander | None, web: WebOptions) -> ViewServer:
-    """A server that listens; prints the addresses of its page."""
+async def _started(
+    source: Source, commander: Commander | None, web: WebOptions, on_address: Callable[[str], None]
+) -> ViewServer:
+    """A server that listens; `on_address` takes a line for each address of its page."""
     from swarmd.view.server import Access, ViewServer
 
     server = ViewServer(source, commander, Access(web.token, web.viewer_token))
     address = await server.start(web.bind, web.port, web.context())
     for role, secret in (("page", web.token), ("read only", web.viewer_token)):
         if secret or role == "page":
-            click.echo(f"{role}: {address}{f'?token={secret}' if secret else ''}")
+            on_address(f"{role}: {address}{f'?token={secret}' if secret else ''}")
     return server
 
 

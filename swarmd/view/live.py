@@ -100,7 +100,11 @@ class LiveSource:
         with self._lock:
             motions = list(self._motions.values())
         self._add(one.robot for one in motions)
-        rows = [(self._index[one.robot], one.x, one.y, one.yaw) for one in motions]
+        rows = [
+            (self._index[one.robot], one.x, one.y, one.yaw)
+            for one in motions
+            if one.robot in self._index
+        ]
         return time.monotonic(), np.array(rows, dtype=np.float64).reshape(-1, 4)
 
     def rows(self) -> Mapping[str, Mapping[str, Any]]:

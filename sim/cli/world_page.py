@@ -1,0 +1,60 @@
+"""The option --web of `swarmctl demo` and `swarmctl sim up`, and the page of their fleet."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import click
+
+from swarmd.cli.web import Served, WebOptions, check_web, served, web_options
+
+if TYPE_CHECKING:
+    from swarmd.network.operator import Operator
+    from swarmd.sim.live.fleet import Fleet
+
+R = TypeVar("R")
+
+
+def page_option(function: Callable[..., R]) -> Callable[..., R]:
+    """Give a verb --web and the options of a page, as the parameter `page`: None without --web."""
+
+    @functools.wraps(function)
+    def wrapper(*args: Any, web: bool, page: WebOptions, **kwargs: Any) -> R:
+        if web:
+            check_web()
+        return function(*args, page=page if web else None, **kwargs)
+
+    text = "Serve a page with true positions, walls, states and commands."
+    return click.option("--web", is_flag=True, help=text)(web_options(wrapper))
+
+
+@contextmanager
+def world_page(fleet: Fleet, web: WebOptions | None) -> Iterator[Served | None]:
+    """Serve a page of a running fleet; without options nothing is served."""
+    if web is None:
+        yield None
+        return
+    from swarmd.network.operator import Operator
+    from swarmd.network.settings import NetworkSettings
+    from swarmd.plugins import pattern_names
+    from swarmd.sim.live.link import WorldView
+    from swarmd.sim.view.world_source import WorldSource
+    from swarmd.view.commander import LiveCommander
+
+    spec = fleet.spec
+
+    def make() -> Operator:
+        return Operator(NetworkSettings(swarm=spec.swarm))
+
+    with ExitStack() as opened:
+        operator = opened.enter_context(make())
+        world = opened.enter_context(WorldView(spec.swarm, fleet.endpoint))
+        source = WorldSource(operator, sorted(pattern_names(spec.plugin_dir)), fleet, world)
+        opened.callback(source.close)
+        source.start()
+        commander = LiveCommander(make, source.expected)
+        opened.callback(commander.close)
+        yield opened.enter_context(served(source, commander, web))
