@@ -22,7 +22,7 @@ def view(folder: Path, seed: int | None, variant: str | None, page: WebOptions) 
     (.npz).
     """
     need("mujoco")
-    check_web()
+    check_web(page)
     from swarmd.sim.view.experiment import source_of
 
     serve(source_of(folder, seed, variant), None, page)

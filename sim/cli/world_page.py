@@ -24,7 +24,7 @@ def page_option(function: Callable[..., R]) -> Callable[..., R]:
     @functools.wraps(function)
     def wrapper(*args: Any, web: bool, page: WebOptions, **kwargs: Any) -> R:
         if web:
-            check_web()
+            check_web(page)
         return function(*args, page=page if web else None, **kwargs)
 
     text = "Serve a page with true positions, walls, states and commands."

@@ -65,7 +65,7 @@ def _experiment(folder: Path, seed: int | None, variant: str | None) -> TraceSou
         fields = fields_of(Layered((str(folder), effective)), effective.get("fields", ()))
         return RecordedRun(load_trace(trace_path(folder, run)), fields, _platforms(effective))
 
-    title = f"{results.plan.scenario}, {len(kept)} runs"
+    title = f"{results.plan.scenario}, {len(kept)} run{'s' * (len(kept) > 1)}"
     return TraceSource(title, list(runs), load, _name(chosen[0]))
 
 

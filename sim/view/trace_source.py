@@ -162,7 +162,6 @@ class _ShownRun:
             row["report"] = reports[i]
             row["readings"] = {key: round(float(v[i]), 4) for key, v in readings.items()}
             row["touches"] = touched.get(i, "")
-            row["why"] = row["why"] or (f"touches {touched[i]}" if i in touched else "")
         return rows
 
     def scan(self, name: str, now: float) -> Array | None:

@@ -23,7 +23,7 @@ def view(options: CommonOptions, web: bool, page: WebOptions) -> None:
         if page.token or page.viewer_token or page.tls:
             raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
         click.get_current_context().exit(show(options))
-    check_web()
+    check_web(page)
     from swarmd.plugins import pattern_names
     from swarmd.view.commander import LiveCommander
     from swarmd.view.live import LiveSource

@@ -68,7 +68,9 @@ class WebOptions:
         try:
             context.load_cert_chain(*self.tls)
         except (ssl.SSLError, OSError) as error:
-            raise ConfigError(f"--tls {self.tls[0]} {self.tls[1]}: {error}") from error
+            raise ConfigError(
+                f"--tls {self.tls[0]} {self.tls[1]}: {error}; expected PEM files"
+            ) from error
         return context
 
 
@@ -93,16 +95,23 @@ def web_options(function: Callable[..., R]) -> Callable[..., R]:
     return wrapper
 
 
-def check_web() -> None:
-    """PluginError with the command that installs what a page needs."""
+def check_web(web: WebOptions) -> None:
+    """Raise before anything has started: PluginError for a missing library, else as `serve`."""
     if find_spec("websockets") is None:
         raise PluginError(
             "a web page needs websockets, which is not installed; run: pip install 'swarmd[web]'"
         )
+    from swarmd.view.server import Access, check_address
+
+    check_address(web.bind, web.port, Access(web.token, web.viewer_token))
+    web.context()
 
 
 def serve(source: Source, commander: Commander | None, web: WebOptions) -> None:
-    """Serve a page until Ctrl-C or SIGTERM; NetworkError if the port is in use."""
+    """Serve a page until Ctrl-C or SIGTERM.
+
+    NetworkError if the port is in use, ConfigError without a token or certificate that is needed.
+    """
     asyncio.run(_serve(source, commander, web))
 
 

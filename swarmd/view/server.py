@@ -13,6 +13,8 @@ import http
 import json
 import logging
 import mimetypes
+import os
+import socket
 import ssl
 from collections.abc import Mapping
 from contextlib import suppress
@@ -71,6 +73,29 @@ class Commander(Protocol):
         """Carry a command out; `tell(answer)` is called as answers come, the last one final."""
 
 
+def check_address(host: str, port: int, access: Access) -> None:
+    """ConfigError if the address needs a token, NetworkError if it cannot be used."""
+    if host not in ("127.0.0.1", "::1", "localhost") and not access.operator:
+        raise ConfigError(
+            f"--bind {host}: other machines could command the robots; expected a token"
+            " (--token), or 127.0.0.1"
+        )
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        socket.create_server((host, port), family=family).close()
+    except OSError as error:
+        raise _refused(host, port, error) from error
+
+
+def _refused(host: str, port: int, error: OSError) -> NetworkError:
+    why = (
+        "is in use"
+        if error.errno == errno.EADDRINUSE
+        else f"cannot be used ({os.strerror(error.errno or 0)})"
+    )
+    return NetworkError(f"port {port} of {host} {why}; expected a free one, such as --port 0")
+
+
 class ViewServer:
     """The server of one source."""
 
@@ -84,12 +109,8 @@ class ViewServer:
         self.frames = 0
 
     async def start(self, host: str, port: int, tls: ssl.SSLContext | None = None) -> str:
-        """Listen, and return the address of the page. NetworkError if the port is taken."""
-        if host not in ("127.0.0.1", "::1", "localhost") and not self._access.operator:
-            raise ConfigError(
-                f"--bind {host}: other machines could command the robots; expected a token"
-                " (--token), or 127.0.0.1"
-            )
+        """Listen, and return the address of the page. Raises as `check_address`."""
+        check_address(host, port, self._access)
         try:
             self._server = await serve(
                 self._talk,
@@ -102,9 +123,7 @@ class ViewServer:
                 logger=log,
             )
         except OSError as error:
-            why = "is in use" if error.errno == errno.EADDRINUSE else f"fails: {error.strerror}"
-            text = f"port {port} of {host} {why}; expected a free one, such as --port 0"
-            raise NetworkError(text) from error
+            raise _refused(host, port, error) from error
         self._tasks.add(asyncio.create_task(self._send_frames()))
         bound = next(iter(self._server.sockets)).getsockname()
         scheme = "https" if tls is not None else "http"

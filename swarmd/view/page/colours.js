@@ -16,9 +16,9 @@ export class Colouring {
 
   value(robot) {
     if (this.key === 'state') return robot.row.state;
-    if (this.key === 'pattern') return robot.row.pattern;
     if (this.key === 'platform') return robot.platform;
-    return (robot.row.report || {})[this.key.slice(7)];
+    const [kind, name] = this.key.split(/:(.*)/); // pattern, or report:opinion
+    return name === undefined ? robot.row[kind] : (robot.row[kind] || {})[name];
   }
 
   of(robot) {
@@ -50,7 +50,7 @@ export class Colouring {
 }
 
 // Dark blue to yellow, even in lightness.
-function scale(share) {
+export function scale(share) {
   const t = Math.round(Math.min(Math.max(share, 0), 1) * STEPS) / STEPS;
   return `hsl(${230 - 180 * t} ${60 + 20 * t}% ${32 + 32 * t}%)`;
 }

@@ -33,7 +33,7 @@ export class Detail {
     }
     title.textContent = selected.size > 1 ? `${name}, and ${selected.size - 1} more` : name;
     const [, sign] = stateColour(robot.row.state);
-    why.textContent = `${sign} ${robot.row.state || '?'}${robot.row.why ? `: ${robot.row.why}` : ''}`;
+    why.textContent = `${sign} ${robot.row.state || '?'}${robot.row.why ? `: ${robot.row.why}` : ''}${robot.row.touches ? `; touches ${robot.row.touches}` : ''}`;
     const detail = robot.detail || {};
     values.replaceChildren(...(detail.values || []).flatMap(([key, value]) => {
       const [dt, dd] = [document.createElement('dt'), document.createElement('dd')];

@@ -55,7 +55,7 @@ function counts() {
 }
 
 function legend() {
-  element('legend').replaceChildren(...map.colouring.legend(model.robots.values()).map(([colour, text]) => {
+  element('legend').replaceChildren(...map.legend().map(([colour, text]) => {
     const item = document.createElement('span');
     const mark = document.createElement('i');
     mark.style.background = colour;
@@ -65,8 +65,10 @@ function legend() {
 }
 
 function colours() {
-  const keys = new Set(['state', 'pattern', 'platform']);
-  for (const robot of model.robots.values()) for (const key of Object.keys(robot.row.report || {})) keys.add(`report:${key}`);
+  const keys = new Set(['state', 'pattern', 'protection', 'platform']);
+  for (const { row } of model.robots.values()) {
+    for (const kind of ['report', 'readings']) for (const key of Object.keys(row[kind] || {})) keys.add(`${kind}:${key}`);
+  }
   const select = element('colour');
   if ([...select.options].map((one) => one.value).join() === [...keys].join()) return;
   const chosen = select.value || 'state';
@@ -80,6 +82,11 @@ model.addEventListener('hello', () => {
   document.body.classList.toggle('viewer', model.role === 'viewer');
   document.body.classList.toggle('recorded', model.source === 'run');
   element('align').hidden = model.source !== 'live';
+  const fields = Object.keys((model.arena || {}).fields || {});
+  element('fields').hidden = !fields.length;
+  element('field').replaceChildren(new Option('none', ''), ...fields.map((name) => new Option(name)));
+  map.showField(fields[0] || '');
+  element('field').value = map.field;
 });
 model.addEventListener('selection', () => link.send({ kind: 'select', names: [...model.selected] }));
 setInterval(() => { counts(); colours(); }, 500);
@@ -97,6 +104,7 @@ press('align', (isOn) => { map.mode = isOn ? 'align' : ''; });
 for (const name of ['trails', 'links', 'names']) {
   element(name).addEventListener('change', (event) => { map.shows[name] = event.target.checked; map.wake(); });
 }
+element('field').addEventListener('change', (event) => map.showField(event.target.value));
 element('colour').addEventListener('change', (event) => { map.colouring = new Colouring(event.target.value); map.wake(); legend(); });
 element('all').addEventListener('click', () => model.select(list.chosen().map((robot) => robot.name)));
 element('none').addEventListener('click', () => model.select([]));

@@ -1,9 +1,10 @@
 // The map: robots, trails, scans of the selected ones, walls and boxes, seen from above.
 
-import { Colouring } from './colours.js';
+import { Colouring, scale } from './colours.js';
 
 const NAME_SCALE = 30; // pixels a metre from which on names are drawn
 const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at least
+const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
 const EDGE = 0.6; // m around what is shown by Fit
 
 export class SwarmMap {
@@ -19,6 +20,9 @@ export class SwarmMap {
     this.isFollowing = false;
     this.hasFitted = false;
     this.ruler = null;
+    this.field = ''; // the name of the field behind the robots
+    this.fieldPicture = null;
+    this.fieldRange = [0, 0];
     this.pointers = new Map();
     this.isDue = true;
     new ResizeObserver(() => { this.resize(); this.draw(); }).observe(canvas);
@@ -55,6 +59,36 @@ export class SwarmMap {
     const box = this.canvas.getBoundingClientRect();
     return [this.centre[0] + (event.clientX - box.left - box.width / 2) / this.scale,
       this.centre[1] - (event.clientY - box.top - box.height / 2) / this.scale];
+  }
+
+  // Colours and what they mean.
+  legend() {
+    const found = this.colouring.legend(this.model.robots.values());
+    if ([...this.model.robots.values()].some((robot) => robot.row.touches)) found.push([CONTACT, 'in contact']);
+    if (this.fieldPicture) {
+      const [low, high] = this.fieldRange;
+      found.push([scale(0), `${this.field} ${low.toPrecision(3)}`], [scale(1), `${this.field} ${high.toPrecision(3)}`]);
+    }
+    return found;
+  }
+
+  // The field behind the robots: a picture with a pixel for each cell, from its lowest value to its highest.
+  showField(name) {
+    const values = name && this.model.arena.fields[name];
+    this.field = name;
+    this.fieldPicture = null;
+    if (values) {
+      const [low, high] = this.fieldRange = [Math.min(...values.flat()), Math.max(...values.flat())];
+      const picture = document.createElement('canvas');
+      [picture.width, picture.height] = [values[0].length, values.length];
+      const ctx = picture.getContext('2d');
+      values.forEach((row, y) => row.forEach((value, x) => {
+        ctx.fillStyle = scale((value - low) / Math.max(high - low, 1e-9));
+        ctx.fillRect(x, y, 1, 1); // the first row has the lowest y, as the map's own axes
+      }));
+      this.fieldPicture = picture;
+    }
+    this.wake();
   }
 
   fit() {
@@ -129,9 +163,15 @@ export class SwarmMap {
   walls(text, dim, zoom) {
     const { ctx } = this, { arena, boxes } = this.model;
     if (!arena) return;
+    const [left, bottom] = [-arena.size[0] / 2, -arena.size[1] / 2];
+    if (this.fieldPicture) {
+      ctx.globalAlpha = 0.45;
+      ctx.drawImage(this.fieldPicture, left, bottom, ...arena.size);
+      ctx.globalAlpha = 1;
+    }
     ctx.lineWidth = 2 * this.ratio / zoom;
     ctx.strokeStyle = text;
-    ctx.strokeRect(-arena.size[0] / 2, -arena.size[1] / 2, arena.size[0], arena.size[1]);
+    ctx.strokeRect(left, bottom, ...arena.size);
     ctx.fillStyle = dim;
     const shape = (points) => {
       ctx.beginPath();
@@ -140,10 +180,14 @@ export class SwarmMap {
       ctx.fill();
     };
     for (const points of arena.shapes || []) shape(points);
+    ctx.lineWidth = this.ratio / zoom;
+    ctx.fillStyle = MOVABLE;
     for (const box of boxes) {
       const [x, y, yaw] = box.pose, c = Math.cos(yaw), s = Math.sin(yaw);
       shape(box.shape.map(([u, v]) => [x + c * u - s * v, y + s * u + c * v]));
+      ctx.stroke();
     }
+    ctx.fillStyle = dim;
     for (const [x, y, radius] of arena.poles || []) {
       ctx.beginPath();
       ctx.arc(x, y, radius, 0, 2 * Math.PI);
@@ -221,6 +265,13 @@ export class SwarmMap {
       ctx.beginPath();
       ctx.arc(0, 0, 1.5 * robot.radius, 0, 2 * Math.PI);
       ctx.lineWidth = 3 * this.ratio / zoom;
+      ctx.stroke();
+    }
+    if (robot.row.touches) {
+      ctx.beginPath();
+      ctx.arc(0, 0, 1.25 * robot.radius, 0, 2 * Math.PI);
+      ctx.lineWidth = 4 * this.ratio / zoom;
+      ctx.strokeStyle = CONTACT;
       ctx.stroke();
     }
     ctx.globalAlpha = 1;
