@@ -12,6 +12,7 @@ import click
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import NOTHING, print_json, print_table, seconds, warn
+from swarmd.cli.record_merge import merge
 from swarmd.cli.send import known_members, send_to, targets_of
 from swarmd.core.errors import NetworkError
 from swarmd.core.messages import RecordRequest
@@ -65,6 +66,7 @@ def list_(options: CommonOptions, targets: Targets) -> None:
                         "file": one.name,
                         "bytes": one.size,
                         "is_open": one.is_open,
+                        "dropped": one.dropped,
                         "begin": one.begin,
                         "end": one.end,
                         "now": reply.now,
@@ -73,15 +75,19 @@ def list_(options: CommonOptions, targets: Targets) -> None:
                 ]
                 for robot, reply in replies.items()
             }
-            print_json("Recordings", {"robots": robots, "missing": failed})
+            faults = {robot: reply.fault for robot, reply in replies.items() if reply.fault}
+            print_json("Recordings", {"robots": robots, "faults": faults, "missing": failed})
         else:
             rows = [
-                (robot, one.name, _megabytes(one.size), *_times(one, reply.now))
+                (robot, one.name, _megabytes(one.size), *_times(one, reply.now), str(one.dropped))
                 for robot, reply in replies.items()
                 for one in reply.files
             ]
-            print_table(("NAME", "FILE", "SIZE", "LENGTH", "ENDED"), rows)
+            print_table(("NAME", "FILE", "SIZE", "LENGTH", "ENDED", "DROPPED"), rows)
             click.echo(f"{len(rows)} files of {len(replies)} robots")
+            for robot, reply in replies.items():
+                if reply.fault:
+                    warn(f"{robot} ended its recording: {reply.fault}")
         _end(replies.keys(), failed)
 
 
@@ -102,6 +108,7 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
     copied; the copy of a file that is being written ends in `.partial`.
     """
     from swarmd.recording.fetch import fetch as copy_file
+    from swarmd.recording.fetch import note_clock
 
     with options.operator() as operator:
         replies, failed = _recordings(options, operator, targets)
@@ -109,13 +116,20 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
         rows = []
         for robot, reply in replies.items():
             try:
+                note_clock(ask, robot, folder)
                 for one in reply.files:
                     done = copy_file(ask, robot, one, folder, partial(_tell, robot, one.name))
-                    state = "whole" if done.is_whole else "so far"
+                    state = done.fault or ("whole" if done.is_whole else "so far")
                     rows.append((robot, str(done.path), _megabytes(done.size), state))
+                    if done.fault and robot not in failed:
+                        failed.append(robot)
             except NetworkError as error:
                 warn(str(error))
                 failed.append(robot)
+            except OSError as error:
+                raise click.ClickException(
+                    f"{folder}: {error.strerror}; what came is kept; make room and fetch again"
+                ) from error
         if sys.stderr.isatty():
             click.echo("\r\x1b[K", err=True, nl=False)
         if options.is_json:
@@ -124,6 +138,9 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
         else:
             print_table(("NAME", "FILE", "SIZE", "COPY"), rows)
         _end(replies.keys(), failed)
+
+
+record.add_command(merge)
 
 
 def _recordings(

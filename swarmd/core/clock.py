@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import hashlib
+import os
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
 
 Clock = Callable[[], float]
 
@@ -14,3 +20,31 @@ TICK = 0.05
 def boottime() -> float:
     """Seconds since boot (CLOCK_BOOTTIME), with time in suspend; never set back."""
     return time.clock_gettime(time.CLOCK_BOOTTIME)
+
+
+class ClockSample(NamedTuple):
+    """An exchange with a peer: sent and returned on the own clock, answered on the peer's, in s.
+
+    `clock` identifies the peer's clock as `clock_id` does.
+    """
+
+    peer: str
+    clock: str
+    sent: float
+    answered: float
+    returned: float
+
+
+@lru_cache(maxsize=1)
+def clock_id() -> str:
+    """12 hex digits that name the clock of `boottime`.
+
+    Processes with one id read the same clock; a reboot makes another, and so does a time namespace.
+    """
+    boot = namespace = ""
+    with suppress(OSError):
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
+    with suppress(OSError):
+        namespace = os.readlink("/proc/self/ns/time")
+    unknown = "" if boot else os.urandom(16).hex()
+    return hashlib.blake2b(f"{boot}/{namespace}{unknown}".encode(), digest_size=6).hexdigest()

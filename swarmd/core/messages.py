@@ -227,21 +227,31 @@ class MembersQuery(Struct, frozen=True, kw_only=True):
 
 
 class RecordingFile(Struct, frozen=True, kw_only=True):
-    """A file of a recording. Times in s on the robot's clock, None if they are not known yet."""
+    """A file of a recording. Times in s on the robot's clock, None if they are not known yet.
+
+    `crc`: the CRC-32 of a finished file. `dropped`: entries that were lost in it.
+    """
 
     name: Line
     size: Count
     is_open: bool
+    crc: Count | None = None
+    dropped: Count = 0
     begin: Seconds | None = None
     end: Seconds | None = None
 
 
 class RecordingsReply(Struct, frozen=True, kw_only=True):
-    """The recordings of a robot; `now` is its clock when it answered."""
+    """The recordings of a robot; `now` is its clock when it answered, `clock` names that clock.
+
+    `fault`: why the last recording ended, if not by a request.
+    """
 
     robot: Name
     now: Seconds
+    clock: Annotated[str, Meta(max_length=32)]
     files: tuple[RecordingFile, ...]
+    fault: Line = ""
 
 
 class FetchQuery(Struct, frozen=True, kw_only=True):

@@ -20,7 +20,7 @@ from typing import Any
 
 from msgspec.structs import replace
 
-from swarmd.core.clock import boottime
+from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.codec import decode_value, encode, encode_value
 from swarmd.core.errors import CodecError, SwarmError
 from swarmd.core.kernels import describe_kernels
@@ -44,6 +44,7 @@ from swarmd.network.peer import Summary
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import body_of
+from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.robot.actions import Actions
 from swarmd.robot.lifecycle import RobotSettings
@@ -98,6 +99,7 @@ class Daemon:
                 on_latches=self._on_latches,
                 on_message=self._on_message,
                 on_place=self._on_place,
+                on_clock=self._on_clock,
                 on_members=self._update_neighbors,
                 on_duplicate=self._on_duplicate,
                 on_interface=self._on_interface,
@@ -277,6 +279,9 @@ class Daemon:
     def _on_place(self, place: PeerPlace) -> None:
         self._robot.on_peer_place(place, boottime())
 
+    def _on_clock(self, sample: ClockSample) -> None:
+        self._recording.recorder.add(frames.ClockEntry(boottime(), *sample))
+
     def _on_duplicate(self, holder: str | None) -> None:
         if holder is not None:
             log.error("id %s is also held by %s", self._robot.id, holder)
@@ -313,6 +318,8 @@ class Daemon:
         self._ticks += 1
         self._carry_out(self._robot.tick(boottime()))
         self._network.advance()
+        if self._recording.recorder.is_on:
+            self._network.ask_clocks()
         if told := self._robot.pose_to_tell(boottime()):
             self._network.publish_pose(*told)
         if self._ticks % MOTION_PERIOD == 0:
@@ -387,6 +394,7 @@ def _head(settings: DaemonSettings, instance: str, seed: int, now: float) -> Rec
         robot=settings.id,
         swarm=settings.network.swarm,
         driver=settings.driver,
+        clock=clock_id(),
         instance=instance,
         seed=seed,
         version=version("swarmd"),

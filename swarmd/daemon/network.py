@@ -18,7 +18,7 @@ import zenoh
 from msgspec.structs import replace
 
 from swarmd.core import codec
-from swarmd.core.clock import boottime
+from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.errors import CodecError, IdHeldError, NetworkError
 from swarmd.core.messages import Body, Latch, Member, Presence, Reply
 from swarmd.core.values import PeerPlace, SharedPose
@@ -63,6 +63,7 @@ class NetworkHandlers:
     on_latches: Callable[[Mapping[str, Latch]], None]
     on_message: Callable[[Message], None]
     on_place: Callable[[PeerPlace], None]
+    on_clock: Callable[[ClockSample], None]
     on_members: Callable[[], None]
     on_duplicate: Callable[[str | None], None]
     on_interface: Callable[[InterfaceChange], None]
@@ -171,6 +172,7 @@ class Network:
             roster=self._roster,
             now=boottime(),
             body=self._body,
+            clock=clock_id(),
         )
         warn_at = boottime() + CLAIM_WARNING
         while not self._peer.owns_id:
@@ -215,6 +217,12 @@ class Network:
         place = None if self._peer is None else self._peer.place(pose, age, boottime())
         if place is not None:
             self._send(place, None)
+
+    def ask_clocks(self) -> None:
+        """Ask peers for their clocks if that is due; the answers go to `on_clock`."""
+        if self._peer is not None:
+            for body, address in self._peer.clock_queries(boottime()):
+                self._send(body, address)
 
     def publish(self, name: str, payload: Callable[[], bytes]) -> None:
         """Publish status, motion or scan to the viewers that subscribe to it."""
@@ -280,6 +288,8 @@ class Network:
             self._handlers.on_message(message)
         for place in effects.places:
             self._handlers.on_place(place)
+        for sample in effects.clocks:
+            self._handlers.on_clock(sample)
         if effects.duplicate:
             self._is_duplicate = True
             self._handlers.on_duplicate(f"instance {effects.duplicate}")

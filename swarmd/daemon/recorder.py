@@ -60,7 +60,10 @@ class _Process:
 
 
 class Recorder:
-    """Records one robot while it is started. `on_event` takes a line for the robot's log."""
+    """Records one robot while it is started. `on_event` takes a line for the robot's log.
+
+    `dropped`: entries that the recording lost. `fault`: why it ended, if not by `stop`.
+    """
 
     def __init__(self, loop: asyncio.AbstractEventLoop, on_event: Callable[[str], None]) -> None:
         self._loop = loop
@@ -75,6 +78,7 @@ class Recorder:
         self._reported_at = -DROPS_PERIOD
         self._unreported = self._unrecorded = 0
         self.dropped = 0
+        self.fault = ""
         self.report = frames.RecorderReport("", 0)
 
     @property
@@ -101,6 +105,7 @@ class Recorder:
         self._loop.add_reader(one.pidfd, self._on_end, one)
         self._scan, self._entries, self._size = None, [], 0
         self.dropped = self._unreported = self._unrecorded = 0
+        self.fault = ""
         self.report = frames.RecorderReport("", 0)
         at = boottime()
         self.add(
@@ -208,8 +213,7 @@ class Recorder:
             return
         self.report = report
         if report.fault:
-            self._disconnect()
-            self._on_event(f"recording ends: {report.path or 'no file'}: {report.fault}")
+            self._fail(f"{report.path or 'no file'}: {report.fault}")
 
     def _on_end(self, one: _Process) -> None:
         if one.pidfd < 0:
@@ -221,9 +225,13 @@ class Recorder:
         if one is self._open:
             self._on_report(one)
         if one is self._open:
-            self._disconnect()
-            self._on_event(f"recording ends: its process {how_it_ended(code)}")
+            self._fail(f"its process {how_it_ended(code)}")
         self._ending.remove(one)
+
+    def _fail(self, fault: str) -> None:
+        self.fault = fault
+        self._disconnect()
+        self._on_event(f"recording ends: {fault}")
 
     def _disconnect(self) -> None:
         one, self._open = self._open, None

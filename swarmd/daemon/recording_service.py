@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from swarmd.core.clock import boottime
+from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.messages import (
@@ -120,9 +120,19 @@ class RecordingService:
         except OSError:
             paths = []
         open_now = Path(self.recorder.report.path).name if self.recorder.is_on else ""
-        files = [_described(path, is_open=path.name == open_now) for path in paths]
+        lost = self.recorder.dropped
+        files = [_described(path, lost if path.name == open_now else None) for path in paths]
         found = tuple(one for one in files if one is not None)
-        return encode(RecordingsReply(robot=self._robot, now=boottime(), files=found))
+        recorder = self.recorder
+        return encode(
+            RecordingsReply(
+                robot=self._robot,
+                now=boottime(),
+                clock=clock_id(),
+                files=found,
+                fault=recorder.fault[:1000],
+            )
+        )
 
     def _fetch(self, payload: bytes) -> bytes:
         query = _fetch(payload)
@@ -151,15 +161,24 @@ class RecordingService:
         )
 
 
-def _described(path: Path, *, is_open: bool) -> RecordingFile | None:
+def _described(path: Path, lost: int | None) -> RecordingFile | None:
+    """One file; `lost`: entries that were dropped so far if it is being written, else None."""
     try:
         size = path.stat().st_size
     except OSError:  # it was removed meanwhile
         return None
-    begin = end = None
+    name = path.name
     try:
         index: dict[str, Any] = json.loads(path.with_suffix(".index.json").read_text())
         begin, end = (clock_of(index["about"], int(index[key])) for key in ("begin_ns", "end_ns"))
-    except (OSError, ValueError, KeyError):
-        pass  # it is being written, or was cut off
-    return RecordingFile(name=path.name, size=size, is_open=is_open, begin=begin, end=end)
+        return RecordingFile(
+            name=name,
+            size=size,
+            is_open=False,
+            crc=index["crc32"],
+            dropped=index["dropped"],
+            begin=begin,
+            end=end,
+        )
+    except (OSError, ValueError, KeyError):  # it is being written, or was cut off
+        return RecordingFile(name=name, size=size, is_open=lost is not None, dropped=lost or 0)

@@ -47,6 +47,7 @@ Bytes6 = Annotated[bytes, Meta(min_length=6, max_length=6)]
 DIGEST_BYTES = 6
 Digest = Annotated[bytes, Meta(max_length=DIGEST_BYTES)]
 Milliseconds = Annotated[int, Meta(ge=0, le=_MAX_MS)]
+Nanoseconds = Annotated[int, Meta(ge=0, le=2**62)]
 Millimetres = Annotated[int, Meta(ge=0, le=100_000)]
 Coordinate = Annotated[int, Meta(ge=-1_000_000_000, le=1_000_000_000)]
 """Millimetres in a shared frame."""
@@ -69,6 +70,8 @@ class Kind(IntEnum):
     MESSAGE = 7
     SWARM = 8
     PLACE = 9
+    CLOCK_QUERY = 10
+    CLOCK_REPLY = 11
 
 
 class Flag(IntFlag):
@@ -271,6 +274,21 @@ class Place(_Datagram, frozen=True, kw_only=True):
     error: Millimetres
 
 
+class ClockQuery(_Datagram, frozen=True, kw_only=True):
+    """Asks a robot for the time on its clock; `sent` on the asker's own, repeated in the answer."""
+
+    sent: Nanoseconds
+
+
+class ClockReply(_Datagram, frozen=True, kw_only=True):
+    """The answer to a `ClockQuery`: the time on the robot's clock, and which clock that is."""
+
+    robot: RobotId
+    clock: Bytes6
+    sent: Nanoseconds
+    answered: Nanoseconds
+
+
 class Swarm(_Datagram, frozen=True, kw_only=True):
     """The answer to a `Solicit` of any swarm: the name of the robot's swarm and its profile."""
 
@@ -279,7 +297,19 @@ class Swarm(_Datagram, frozen=True, kw_only=True):
     robot: RobotId
 
 
-Datagram = Beacon | Solicit | MemberList | Stop | Ack | Latches | Message | Swarm | Place
+Datagram = (
+    Beacon
+    | Solicit
+    | MemberList
+    | Stop
+    | Ack
+    | Latches
+    | Message
+    | Swarm
+    | Place
+    | ClockQuery
+    | ClockReply
+)
 _TYPES: dict[int, type[_Datagram]] = {
     Kind.BEACON: Beacon,
     Kind.SOLICIT: Solicit,
@@ -290,6 +320,8 @@ _TYPES: dict[int, type[_Datagram]] = {
     Kind.MESSAGE: Message,
     Kind.SWARM: Swarm,
     Kind.PLACE: Place,
+    Kind.CLOCK_QUERY: ClockQuery,
+    Kind.CLOCK_REPLY: ClockReply,
 }
 _KINDS = {kind: number for number, kind in _TYPES.items()}
 _encoder = msgspec.msgpack.Encoder()

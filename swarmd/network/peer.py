@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from swarmd.core.arrival_delay import ArrivalDelay
+from swarmd.core.clock import ClockSample
 from swarmd.core.messages import Body, Latch, State
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.values import PeerPlace, SharedPose
@@ -22,6 +23,8 @@ from swarmd.network.datagram import (
     Address,
     Beacon,
     BodyReport,
+    ClockQuery,
+    ClockReply,
     Datagram,
     Flag,
     Latches,
@@ -42,6 +45,8 @@ BEACON_PERIOD = 1.0  # s
 FAST_BEACON_PERIOD = 0.1
 NEW_LATCH_TIME = 1.0
 LATCH_REPEATS = (0.0, 0.1, 0.3)  # s after a latch is new: so often the latch itself is sent to all
+# s between two questions for the clocks of peers; FIRST at the beginning, then twice as long.
+CLOCK_PERIOD, FIRST_CLOCK_PERIOD = 10.0, 1.0
 LIST_PERIOD = 10.0  # between questions for words, each to another member
 # Datagrams a second that answer solicits, of all and of one host, and that answer a claimer.
 ANSWER_RATE, ANSWER_RATE_OF_HOST = 100.0, 30.0
@@ -72,8 +77,9 @@ class Effects:
     `sends`: datagrams, each to an address or (None) to all. `stops`: to be carried out, with their
     sources; the ack goes to the source if `wants_ack`. `latches`: of peers. `changed`: robots whose
     presence changed. `messages`: of patterns. `indirect_addresses`: of robots that others hear.
-    `places`: of peers in a shared frame. `duplicate`: another instance that has begun to own the
-    id. `lost`: messages that are missing, or less than 0 for those that came late.
+    `places`: of peers in a shared frame. `clocks`: times that peers answered. `duplicate`: another
+    instance that has begun to own the id. `lost`: messages that are missing, or less than 0 for
+    those that came late.
     """
 
     sends: list[tuple[Datagram, Address | None]] = field(default_factory=list)
@@ -82,6 +88,7 @@ class Effects:
     changed: list[str] = field(default_factory=list)
     messages: list[Message] = field(default_factory=list)
     places: list[PeerPlace] = field(default_factory=list)
+    clocks: list[ClockSample] = field(default_factory=list)
     indirect_addresses: list[Address] = field(default_factory=list)
     duplicate: str = ""
     lost: int = 0
@@ -113,7 +120,7 @@ class _Window:
 
 
 class Peer:
-    """One robot among the others; `instance` has 6 bytes."""
+    """One robot among the others; `instance` has 6 bytes, `clock` is that of `clock_id`."""
 
     def __init__(
         self,
@@ -129,6 +136,7 @@ class Peer:
         roster: tuple[str, ...],
         now: float,
         body: Body | None = None,
+        clock: str = "000000000000",
     ) -> None:
         self.robot = robot
         self.membership = Membership(robot, lease)
@@ -158,6 +166,9 @@ class Peer:
         self._windows: dict[str, _Window] = {}
         self._place_at = -math.inf
         self._place_delays: dict[str, tuple[bytes, ArrivalDelay]] = {}
+        self._clock = clock
+        self._clocks_at, self._clocks_pause = -math.inf, FIRST_CLOCK_PERIOD
+        self._clocks_asked: dict[str, int] = {}
         self._duplicates: dict[bytes, float] = {}
         self._answers = TokenBucket(ANSWER_RATE, ANSWER_RATE)
         self._members_at = now
@@ -221,6 +232,10 @@ class Peer:
                 effects.latches = dict(body.held)
             case Message() if body.robot != self.robot:
                 self._on_message(body, effects)
+            case ClockQuery() if self._claim is None and self._may_answer(source, 1, now):
+                effects.sends.append((self._clock_reply(body, now), source))
+            case ClockReply():
+                self._on_clock(body, now, effects)
             case Place() if body.robot != self.robot and self.membership.knows(body.robot):
                 self._on_place(body, now, effects)
         return effects
@@ -255,6 +270,27 @@ class Peer:
             y=round(1000.0 * pose.pose.y),
             error=math.ceil(1000.0 * pose.error) + 1,  # that of rounding
         )
+
+    def clock_queries(self, now: float) -> list[tuple[Datagram, Address | None]]:
+        """Questions for the clocks of peers, if they are due: call it while a recording is made.
+
+        Of all robots in the order of their names, in a ring, each asks those 1, 2, 4, ... places
+        further: few questions, and a short path between any two.
+        """
+        if self._claim is not None or now < self._clocks_at:
+            return []
+        is_first = now > self._clocks_at + FIRST_CLOCK_PERIOD  # nothing was recorded until now
+        self._clocks_pause = (
+            FIRST_CLOCK_PERIOD if is_first else min(2 * self._clocks_pause, CLOCK_PERIOD)
+        )
+        self._clocks_at = now + self._clocks_pause
+        alive = dict(self.membership.alive_addresses())
+        ring = sorted([*alive, self.robot])
+        place = ring.index(self.robot)
+        asked = [ring[(place + 2**k) % len(ring)] for k in range((len(ring) - 1).bit_length())]
+        query = ClockQuery(sent=max(round(1e9 * now), 0))
+        self._clocks_asked = dict.fromkeys(asked, query.sent)
+        return [(query, alive[robot]) for robot in dict.fromkeys(asked)]
 
     def leave_beacon(self, summary: Summary) -> Beacon:
         """The last beacon of a robot that leaves in order."""
@@ -371,6 +407,22 @@ class Peer:
         if solicit.wants_latches:
             parts_ = latch_parts(self.robot, self._instance, summary.latches)
             effects.sends.extend((latches, source) for latches in parts_)
+
+    def _clock_reply(self, query: ClockQuery, now: float) -> ClockReply:
+        return ClockReply(
+            robot=self.robot,
+            clock=bytes.fromhex(self._clock),
+            sent=query.sent,
+            answered=max(round(1e9 * now), 0),
+        )
+
+    def _on_clock(self, reply: ClockReply, now: float, effects: Effects) -> None:
+        if self._clocks_asked.get(reply.robot) != reply.sent:
+            return  # late, or not asked for
+        del self._clocks_asked[reply.robot]
+        sent, answered = 1e-9 * reply.sent, 1e-9 * reply.answered
+        sample = ClockSample(reply.robot, reply.clock.hex(), sent, answered, now)
+        effects.clocks.append(sample)
 
     def _on_message(self, message: Message, effects: Effects) -> None:
         window = self._windows.get(message.robot)

@@ -4,13 +4,22 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
+from itertools import count
 from pathlib import Path
 from typing import NamedTuple
 
+import msgspec
+
+from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError, NetworkError
 from swarmd.core.messages import FetchQuery, FetchReply, RecordingFile, RecordingsReply
+from swarmd.recording.clock_offset import Exchange
+from swarmd.recording.reader import crc_of
 
+CLOCKS_FILE = "clocks.jsonl"
+"""Beside fetched recordings: exchanges between the operator and the robots."""
 PIECE = 32768
 """Bytes of one answer."""
 ASK_TIME = 10.0
@@ -24,12 +33,16 @@ _fetched = Decoder(FetchReply, 2 * PIECE)
 
 
 class Copy(NamedTuple):
-    """A file that was copied: bytes that came now, its size here, and whether it was finished."""
+    """A file that was copied: bytes that came now, its size here, and whether it was finished.
+
+    `fault`: why the robot did not hand it out, such as a file that it removed meanwhile.
+    """
 
     path: Path
     received: int
     size: int
     is_whole: bool
+    fault: str = ""
 
 
 def recordings_of(ask: Ask, robot: str) -> RecordingsReply:
@@ -43,6 +56,29 @@ def recordings_of(ask: Ask, robot: str) -> RecordingsReply:
         raise NetworkError(f"{robot} lists its recordings in another way: {error}") from error
 
 
+def note_clock(ask: Ask, robot: str, folder: Path) -> None:
+    """Append an exchange between the clocks of operator and robot to `<folder>/clocks.jsonl`.
+
+    `record merge` uses it where robots did not hear each other. NetworkError without an answer.
+    """
+    sent = boottime()
+    reply = recordings_of(ask, robot)
+    exchange = Exchange(clock_id(), reply.clock, sent, reply.now, boottime())
+    folder.mkdir(parents=True, exist_ok=True)
+    with (folder / CLOCKS_FILE).open("ab") as file:
+        file.write(msgspec.json.encode(exchange) + b"\n")
+
+
+def read_exchanges(path: Path) -> list[Exchange]:
+    """The exchanges in a file of `note_clock`; damaged lines are left out."""
+    found = []
+    with suppress(OSError):
+        for line in path.read_bytes().splitlines():
+            with suppress(msgspec.MsgspecError):
+                found.append(msgspec.json.decode(line, type=Exchange))
+    return found
+
+
 def fetch(
     ask: Ask,
     robot: str,
@@ -53,40 +89,69 @@ def fetch(
     """Copy a recording to `<folder>/<robot>/`; bytes that are there are not asked for again.
 
     A copy that is not whole has the ending `.partial`, and can be read as a file that was cut off.
-    The recording of a robot that records on is copied up to its present end. NetworkError if the
-    robot does not answer or sends damaged pieces; what came is kept.
+    The recording of a robot that records on is copied up to its present end. A file of that name
+    that holds another recording is kept under another name. NetworkError if the robot does not
+    answer or sends damaged pieces, OSError if the disk fails; what came is kept.
     """
+    if Path(file.name).name != file.name or not file.name.endswith(".mcap"):
+        raise NetworkError(f"{robot} lists {file.name!r}; expected the name of a recording")
     path = folder / robot / file.name
     path.parent.mkdir(parents=True, exist_ok=True)
-    if path.exists() and path.stat().st_size >= file.size:
-        return Copy(path, 0, path.stat().st_size, True)
     partial = path.with_suffix(".mcap.partial")
-    received = 0
+    for found in (path, partial):
+        if found.exists() and not _is_part_of(found, ask, robot, file):
+            found.rename(_unused(found))
+    if path.exists():
+        if file.crc is not None or path.stat().st_size >= file.size:
+            return Copy(path, 0, path.stat().st_size, True)
+        path.rename(partial)  # of a recording that was cut off, and has grown again
+    received, fault = 0, ""
     with partial.open("ab") as copy:
-        while copy.tell() < file.size:
-            piece = _piece(ask, robot, file.name, copy.tell())
-            if not piece:
-                break
-            copy.write(piece)
-            received += len(piece)
+        while copy.tell() < file.size and not fault:
+            reply = _piece(ask, robot, file.name, copy.tell(), PIECE)
+            fault = reply.text or ("" if reply.data else "it has become shorter")
+            copy.write(reply.data)
+            received += len(reply.data)
             on_progress(copy.tell(), file.size)
         size = copy.tell()
-    if file.is_open or size < file.size:
-        return Copy(partial, received, size, False)
+    if file.is_open or fault:
+        return Copy(partial, received, size, False, fault)
+    if file.crc is not None and crc_of(partial) != file.crc:
+        partial.unlink()
+        raise NetworkError(f"{robot}: the copy of {file.name} was damaged; fetch again")
     partial.replace(path)
     return Copy(path, received, size, True)
 
 
-def _piece(ask: Ask, robot: str, name: str, offset: int) -> bytes:
-    answer = ask(robot, "fetch", encode(FetchQuery(file=name, offset=offset, length=PIECE)))
+def _is_part_of(here: Path, ask: Ask, robot: str, file: RecordingFile) -> bool:
+    """True if a file here is, or begins, the robot's file of that name."""
+    size = here.stat().st_size
+    if size > file.size:
+        return False
+    if size == file.size and file.crc is not None:
+        return crc_of(here) == file.crc
+    length = min(size, PIECE)
+    if not length:
+        return True
+    reply = _piece(ask, robot, file.name, 0, length)
+    with here.open("rb") as copy:
+        return bool(reply.text) or copy.read(length) == reply.data
+
+
+def _unused(path: Path) -> Path:
+    name, ending = path.name.split(".", 1)
+    numbers = (path.with_name(f"{name}-other{n}.{ending}") for n in count(1))
+    return next(one for one in numbers if not one.exists())
+
+
+def _piece(ask: Ask, robot: str, name: str, offset: int, length: int) -> FetchReply:
+    answer = ask(robot, "fetch", encode(FetchQuery(file=name, offset=offset, length=length)))
     if answer is None:
         raise NetworkError(f"{robot} does not answer; {name} has {offset} bytes here; fetch again")
     try:
         reply = _fetched(answer)
     except CodecError as error:
         raise NetworkError(f"{robot} sent a damaged piece of {name}: {error}") from error
-    if reply.text:
-        raise NetworkError(f"{robot}: {name}: {reply.text}")
     if (reply.file, reply.offset) != (name, offset) or zlib.crc32(reply.data) != reply.crc:
         raise NetworkError(f"{robot} sent a damaged piece of {name}; fetch again")
-    return reply.data
+    return reply

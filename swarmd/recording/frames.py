@@ -155,15 +155,12 @@ class EventEntry(Struct, frozen=True, array_like=True, tag="event"):
 
 
 class ClockEntry(Struct, frozen=True, array_like=True, tag="clock"):
-    """An exchange with a peer, in s: `sent` and `returned` on the robot's clock, the others on the
-    peer's, which `clock` identifies (see `core/clock.py`).
-    """
+    """An exchange with a peer, as in `ClockSample`."""
 
     at: float
     peer: str
     clock: str
     sent: float
-    received: float
     answered: float
     returned: float
 

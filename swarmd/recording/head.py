@@ -19,12 +19,14 @@ from swarmd.protection.compatibility import Accepts
 class RecordingHead(Struct, frozen=True, kw_only=True):
     """The robot, and the settings that decide what it does. `born` in s on its clock.
 
-    `born`: when its daemon started. `layers`: parameters by pattern and source, weakest first.
+    `born`: when its daemon started. `clock`: which clock, see `core/clock.py`. `layers`: parameters
+    by pattern and source, weakest first.
     """
 
     robot: str
     swarm: str
     driver: str
+    clock: str
     instance: str
     seed: int
     version: str
@@ -44,6 +46,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
             "swarm": self.swarm,
             "platform": self.platform.name,
             "driver": self.driver,
+            "clock": self.clock,
             "version": self.version,
             "head": base64.b64encode(payload).decode(),
         }

@@ -53,7 +53,7 @@ OWN = {
     ),
     "ClockPair": (
         "std_msgs/Header header\nstring peer\nstring peer_clock\n"
-        "float64 sent\nfloat64 received\nfloat64 answered\nfloat64 returned"
+        "float64 sent\nfloat64 answered\nfloat64 returned"
     ),
     "Text": "std_msgs/Header header\nstring json",
     "Bytes": "std_msgs/Header header\nuint8[] data",
@@ -200,7 +200,7 @@ def driver_message(entry: DriverEntry, stamp: float) -> Message:
 def clock_message(entry: ClockEntry, stamp: float) -> Message:
     """One exchange with a peer, by which the offset of its clock is estimated."""
     cdr = CdrWriter().header(stamp, "").text(entry.peer).text(entry.clock)
-    cdr.doubles(entry.sent, entry.received, entry.answered, entry.returned)
+    cdr.doubles(entry.sent, entry.answered, entry.returned)
     return cdr.as_message(CLOCK_PAIR)
 
 

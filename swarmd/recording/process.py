@@ -23,7 +23,6 @@ from swarmd.recording.writer import CHUNK_TIME, RecordingWriter
 
 REPORT_PERIOD = 1.0
 GEOMETRY = "/scan/geometry"
-CLOCK_TOPIC = "/clock/pair"
 
 
 class Converter:
@@ -101,7 +100,7 @@ class Converter:
             case frames.EventEntry():
                 return "/event", messages.log_message(entry.text, self._robot, stamp)
             case frames.ClockEntry():
-                return CLOCK_TOPIC, messages.clock_message(entry, stamp)
+                return "/clock/pair", messages.clock_message(entry, stamp)
             case frames.DroppedEntry():
                 self.writer.dropped += entry.count
                 text = frames.as_json({"count": entry.count})

@@ -191,3 +191,12 @@ def messages_of(files: list[RecordedFile]) -> Iterator[RecordedMessage]:
 def clock_of(about: Mapping[str, str], at: int) -> float:
     """The time on the robot's clock in s of a time `at` in ns of its recording."""
     return (at - int(about["wall_ns"])) * 1e-9 + int(about["boot_ns"]) * 1e-9
+
+
+def crc_of(path: Path) -> int:
+    """The CRC-32 of a file; OSError if it cannot be read."""
+    crc = 0
+    with path.open("rb") as file:
+        while part := file.read(2**20):
+            crc = zlib.crc32(part, crc)
+    return crc

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import os
-import zlib
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -19,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 
 from swarmd.recording.cdr import Message
 from swarmd.recording.messages import definition
+from swarmd.recording.reader import crc_of
 
 CHUNK = 32 * 1024
 """Bytes of a chunk before compression."""
@@ -102,7 +102,7 @@ class RecordingWriter:
         index = {
             "file": self.path.name,
             "bytes": size,
-            "crc32": _crc(self.path),
+            "crc32": crc_of(self.path),
             "begin_ns": self._begin,
             "end_ns": self._end,
             "messages": self._counts,
@@ -176,14 +176,6 @@ class RecordingWriter:
         last = max((int(number) for number in taken if number.isdigit()), default=0)
         self._number = max(self._number, last) + 1
         return self._folder / f"{self._name}-{self._number:05d}.mcap"
-
-
-def _crc(path: Path) -> int:
-    crc = 0
-    with path.open("rb") as file:
-        while part := file.read(2**20):
-            crc = zlib.crc32(part, crc)
-    return crc
 
 
 def _sync_folder(folder: Path) -> None:

@@ -38,7 +38,7 @@ from swarmd.robot.robot import Robot
 TOLERANCE = 1e-6
 """m/s and rad/s: two commands that differ by less are equal."""
 
-_SKIPPED = frozenset({"/scan/geometry", "/command/requested", "/status", "/event"})
+_SKIPPED = frozenset({"/scan/geometry", "/command/requested", "/status", "/event", "/clock/pair"})
 
 
 @dataclass(slots=True)

@@ -86,6 +86,7 @@ class FakeDaemon:
             on_latches=lambda latches: None,
             on_message=lambda message: None,
             on_place=lambda place: None,
+            on_clock=lambda sample: None,
             on_members=lambda: None,
             on_duplicate=lambda holder: None,
             on_interface=lambda change: None,

@@ -87,7 +87,11 @@ class Swarm:
         return self._left.enter_context(body)
 
     def spawn(
-        self, robot: str, body: Body | None = None, options: Mapping[str, Value] | None = None
+        self,
+        robot: str,
+        body: Body | None = None,
+        options: Mapping[str, Value] | None = None,
+        prefix: Sequence[str] = (),
     ) -> DaemonProcess:
         """A daemon that is starting; without a body its driver does not connect.
 
@@ -101,14 +105,18 @@ class Swarm:
             robot=robot,
             endpoint="tcp/127.0.0.1:9" if body is None else body.endpoint,
             options={"state_dir": str(self.folder / "state"), **shared, **(options or {})},
-            prefix=self._prefix,
+            prefix=(*self._prefix, *prefix),
         )
         return self._left.enter_context(daemon)
 
     def start(
-        self, robot: str, body: Body | None = None, options: Mapping[str, Value] | None = None
+        self,
+        robot: str,
+        body: Body | None = None,
+        options: Mapping[str, Value] | None = None,
+        prefix: Sequence[str] = (),
     ) -> DaemonProcess:
-        return self.spawn(robot, body, options).wait_ready()
+        return self.spawn(robot, body, options, prefix).wait_ready()
 
     @property
     def settings(self) -> NetworkSettings:

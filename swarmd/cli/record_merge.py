@@ -1,0 +1,106 @@
+"""`swarmctl record merge`: the recordings of several robots as one file with one timeline."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import click
+
+from swarmd.cli.options import CommonOptions
+from swarmd.cli.output import NOTHING, print_json, print_table, warn
+
+
+@click.command()
+@click.argument(
+    "files",
+    nargs=-1,
+    required=True,
+    metavar="FILE...",
+    type=click.Path(exists=True, path_type=Path),
+)
+@click.option(
+    "-o",
+    "--output",
+    "outputs",
+    multiple=True,
+    metavar="OUT.mcap|json",
+    help="The file to write; with a second -o json the table of clocks as JSON.",
+)
+@click.option(
+    "--reference", metavar="NAME", help="The robot whose clock is the timeline [the first]."
+)
+@click.option(
+    "--unaligned",
+    is_flag=True,
+    help="Place robots whose clocks cannot be compared by their own wall clocks.",
+)
+def merge(
+    files: tuple[Path, ...], outputs: tuple[str, ...], reference: str | None, unaligned: bool
+) -> None:
+    """Merge recordings of several robots into one file with one timeline.
+
+    FILE: a recording (.mcap, .partial), or a folder of them, such as `record fetch` makes. The
+    offsets of the robots' clocks are estimated from the queries that robots exchange while they
+    record; the table states the bound of each error. The topic /scan of tb3-01 becomes
+    /tb3-01/scan.
+    """
+    from swarmd.recording.merge import place, rows, survey, write_merged
+
+    above = click.get_current_context().find_object(CommonOptions) or CommonOptions()
+    is_json = "json" in outputs or above.is_json
+    named = [name for name in outputs if name not in ("json", "table")]
+    if len(named) != 1 or not named[0].endswith(".mcap"):
+        raise click.UsageError("expected one -o OUT.mcap, the file to write")
+    target = Path(named[0])
+    if target.exists():
+        raise click.UsageError(f"{target} exists; give another name, or remove it")
+    if not target.parent.is_dir():
+        raise click.UsageError(f"{target.parent}: no such folder; make it first")
+    found = survey(_parts(files))
+    if not found.sources:
+        raise click.UsageError(f"{files[0]}: no messages in this recording")
+    for fault in found.faults:
+        warn(fault)
+    placed = place(found, reference)
+    lost = sorted({one.source.robot for one in placed if one.alignment is None})
+    if lost and not unaligned:
+        raise click.UsageError(
+            f"{', '.join(lost)}: no exchange with the clock of {placed[0].source.robot} was"
+            " recorded; record the robots at the same time, leave them out, or give --unaligned to"
+            " place them by their own wall clocks"
+        )
+    try:
+        count = write_merged(placed, target)
+    except OSError as error:
+        raise click.ClickException(f"{target}: {error.strerror}; nothing was written") from error
+    table = rows(placed)
+    if is_json:
+        content = {"file": str(target), "messages": count, "clocks": table}
+        print_json("Merged", {**content, "reference": placed[0].source.robot})
+        return
+    print_table(("NAME", "CLOCK", "OFFSET", "DRIFT", "ERROR", "VIA"), [_row(one) for one in table])
+    click.echo(f"{count} messages of {len({one['robot'] for one in table})} robots in {target}")
+
+
+def _parts(files: tuple[Path, ...]) -> list[Path]:
+    parts: dict[Path, None] = {}
+    for one in files:
+        inside = sorted([*one.rglob("*.mcap"), *one.rglob("*.mcap.partial")])
+        if one.is_dir() and not inside:
+            raise click.UsageError(f"{one}: no recording (.mcap) in this folder")
+        parts |= dict.fromkeys(path.resolve() for path in (inside if one.is_dir() else [one]))
+    return list(parts)
+
+
+def _row(one: dict[str, Any]) -> tuple[str, ...]:
+    if not one["is_aligned"]:
+        return one["robot"], one["clock"], "unaligned", NOTHING, NOTHING, NOTHING
+    return (
+        one["robot"],
+        one["clock"],
+        f"{one['offset']:.6f} s",
+        f"{one['drift_ppm']:+.1f} ppm",
+        f"{1000.0 * one['error']:.3f} ms",
+        ", ".join(one["via"]) or NOTHING,
+    )

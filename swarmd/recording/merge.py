@@ -1,0 +1,206 @@
+"""Merges the recordings of several robots into one file with one timeline."""
+
+from __future__ import annotations
+
+import heapq
+import json
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mcap.writer import CompressionType, Writer
+
+from swarmd.core.errors import CodecError, ConfigError
+from swarmd.recording.clock_offset import Alignment, Exchange, align
+from swarmd.recording.fetch import CLOCKS_FILE, read_exchanges
+from swarmd.recording.messages import definition, deserialize
+from swarmd.recording.reader import RecordedFile, clock_of, read_file
+from swarmd.recording.writer import METADATA, PROFILE
+
+CLOCK_TOPIC = "/clock/pair"
+
+
+@dataclass(slots=True)
+class Source:
+    """The files of one robot on one clock, in their order, and the times on it in s."""
+
+    robot: str
+    clock: str
+    about: Mapping[str, str]
+    files: list[tuple[float, Path]] = field(default_factory=list)
+    begin: float = float("inf")
+    end: float = float("-inf")
+
+
+@dataclass(slots=True)
+class Recordings:
+    """What `survey` found: sources, exchanges of all clocks, and faults of files."""
+
+    sources: list[Source]
+    exchanges: list[Exchange]
+    faults: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class Placed:
+    """A source on the timeline; `alignment` None: unaligned, by the robot's own wall clock."""
+
+    source: Source
+    alignment: Alignment | None
+
+    def row(self, names: Mapping[str, str]) -> dict[str, Any]:
+        """The estimate as JSON, in s and ppm; `names` of robots by clock."""
+        one = self.alignment
+        return {
+            "robot": self.source.robot,
+            "clock": self.source.clock,
+            "is_aligned": one is not None,
+            "offset": None if one is None else one.offset,
+            "drift_ppm": None if one is None else 1e6 * one.drift,
+            "error": None if one is None else one.error,
+            "via": [] if one is None else [names.get(clock, clock) for clock in one.via],
+            "begin": self.source.begin,
+            "end": self.source.end,
+        }
+
+
+def survey(paths: Sequence[Path]) -> Recordings:
+    """Read all files once; ConfigError if one is no recording of a robot."""
+    sources: dict[tuple[str, str], Source] = {}
+    exchanges: list[Exchange] = []
+    faults = []
+    for path in paths:
+        found = read_file(path)
+        if found.fault:
+            faults.append(f"{path}: {found.fault}; what is whole is merged")
+        if not found.messages:
+            continue
+        source = _source(found, sources)
+        times = [clock_of(found.about, one.at) for one in found.messages]
+        source.files.append((min(times), path))
+        source.begin, source.end = min(source.begin, *times), max(source.end, *times)
+        exchanges += _exchanges(found, source.clock)
+    folders = {folder for path in paths for folder in (path.parent, path.parent.parent)}
+    for folder in sorted(folders):
+        exchanges += read_exchanges(folder / CLOCKS_FILE)
+    for source in sources.values():
+        source.files.sort()
+    return Recordings(list(sources.values()), exchanges, faults)
+
+
+def place(found: Recordings, reference: str | None = None) -> list[Placed]:
+    """Each source on the clock of robot `reference`, or of the first one; the reference is first.
+
+    ConfigError if there is no such robot.
+    """
+    sources = found.sources
+    names = [source.robot for source in sources]
+    if reference is not None and reference not in names:
+        raise ConfigError(
+            f"no recording of robot {reference!r}; there are {', '.join(sorted(set(names)))}"
+        )
+    first = sources[0 if reference is None else names.index(reference)]
+    spans: dict[str, tuple[float, float]] = {}
+    for source in sources:
+        begin, end = spans.get(source.clock, (source.begin, source.end))
+        spans[source.clock] = min(begin, source.begin), max(end, source.end)
+    found_lines = align(found.exchanges, spans, first.clock)
+    ordered = [first, *(source for source in sources if source is not first)]
+    return [Placed(source, found_lines.get(source.clock)) for source in ordered]
+
+
+def write_merged(placed: Sequence[Placed], path: Path) -> int:
+    """Write all messages to `path` in the order of the timeline; returns their number.
+
+    The timeline is the wall clock of the first source. A topic `/scan` of tb3-01 becomes
+    `/tb3-01/scan`. OSError if the disk fails; a file that is not whole is removed.
+    """
+    partial = path.with_name(f"{path.name}.partial")
+    reference = placed[0].source.about
+    streams = [_messages(one, reference) for one in placed]
+    try:
+        with partial.open("wb") as file:
+            writer = Writer(file, compression=CompressionType.ZSTD)
+            writer.start(PROFILE, "swarmd")
+            writer.add_metadata(METADATA, _about(placed))
+            for one in placed:
+                writer.add_metadata(f"{METADATA}/{one.source.robot}", dict(one.source.about))
+            count = _write(writer, heapq.merge(*streams, key=lambda one: one[0]))
+            writer.finish()  # type: ignore[no-untyped-call]
+        partial.replace(path)
+    except BaseException:
+        with suppress(OSError):
+            partial.unlink()
+        raise
+    return count
+
+
+_Timed = tuple[int, str, str, int, bytes]
+"""Time in ns since 1970, topic, type, sequence and bytes of a message."""
+
+
+def _write(writer: Writer, messages: Iterable[_Timed]) -> int:
+    schemas: dict[str, int] = {}
+    channels: dict[str, int] = {}
+    count = 0
+    for at, topic, kind, sequence, payload in messages:
+        if kind not in schemas:
+            schemas[kind] = writer.register_schema(kind, "ros2msg", definition(kind))
+        if topic not in channels:
+            channels[topic] = writer.register_channel(topic, "cdr", schemas[kind])
+        writer.add_message(channels[topic], at, payload, at, sequence)
+        count += 1
+    return count
+
+
+def _messages(placed: Placed, reference: Mapping[str, str]) -> Iterator[_Timed]:
+    """The messages of a source; one file at a time is in memory."""
+    wall, boot = int(reference["wall_ns"]), int(reference["boot_ns"])
+    alignment, robot = placed.alignment, placed.source.robot
+    for _, path in placed.source.files:
+        found = read_file(path)
+        for one in sorted(found.messages, key=lambda one: one.at):
+            at = one.at
+            if alignment is not None:
+                time = alignment.to_reference(clock_of(found.about, at))
+                at = wall + round((time - 1e-9 * boot) * 1e9)
+            yield max(at, 0), f"/{robot}{one.topic}", one.kind, one.sequence, one.payload
+
+
+def rows(placed: Sequence[Placed]) -> list[dict[str, Any]]:
+    """The table of estimates, for people, programs and the file."""
+    names = {one.source.clock: one.source.robot for one in placed}
+    return [one.row(names) for one in placed]
+
+
+def _about(placed: Sequence[Placed]) -> dict[str, str]:
+    return {
+        "kind": "merged",
+        "reference": placed[0].source.robot,
+        "robots": ",".join(dict.fromkeys(one.source.robot for one in placed)),
+        "clocks": json.dumps(rows(placed)),
+    }
+
+
+def _source(found: RecordedFile, sources: dict[tuple[str, str], Source]) -> Source:
+    about = found.about
+    if about.get("kind") == "merged":
+        raise ConfigError(f"{found.path}: merged already; give the robots' own recordings")
+    missing = {"robot", "clock", "wall_ns", "boot_ns"} - about.keys()
+    if missing:
+        raise ConfigError(
+            f"{found.path}: it does not tell {', '.join(sorted(missing))} of its robot; expected a"
+            " recording by swarmd"
+        )
+    key = about["robot"], about["clock"]
+    return sources.setdefault(key, Source(*key, about))
+
+
+def _exchanges(found: RecordedFile, clock: str) -> Iterator[Exchange]:
+    for one in found.messages:
+        if one.topic == CLOCK_TOPIC:
+            with suppress(CodecError):
+                pair = deserialize(one.kind, one.payload)
+                yield Exchange(clock, pair.peer_clock, pair.sent, pair.answered, pair.returned)
