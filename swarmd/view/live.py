@@ -13,22 +13,20 @@ import numpy as np
 from msgspec.structs import astuple
 
 from swarmd.core.codec import Decoder
-from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.errors import ConfigError
 from swarmd.core.messages import Motion, Presence, Status
 from swarmd.core.values import Array, Platform, Scan
 from swarmd.driver_api.hw_codec import decode_scan
-from swarmd.network.discovery import Contact, MembersView, SeenMember
+from swarmd.network.discovery import MembersView, SeenMember
 from swarmd.network.operator import Operator
 from swarmd.settings.platforms import load_platform
 from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of
+from swarmd.view.swarm_watch import SwarmWatch
 
-LOOK_PERIOD = 1.0
-LOOK_TIME = 1.0
 PLAIN = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 """The footprint of a robot whose platform is not known here, in m."""
 
 _motion = Decoder(Motion)
-_status = Decoder(Status)
 
 
 class LiveSource:
@@ -46,42 +44,34 @@ class LiveSource:
         self._index: dict[str, int] = {}
         self._lock = threading.Lock()
         self._motions: dict[str, Motion] = {}
-        self._statuses: dict[str, tuple[Status, float]] = {}
         self._scans: dict[str, Scan] = {}
         self._platforms: dict[str, Platform | None] = {}
         self._watched: frozenset[str] = frozenset()
-        self._view = MembersView({})
-        self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._look, name="view looks", daemon=True)
+        self._watch = SwarmWatch(operator)
 
     def start(self) -> None:
         """Begin to look."""
         self._operator.watch("motion", self._on_motion)
-        self._operator.watch("status", self._on_status)
-        self._thread.start()
+        self._watch.start()
 
     def close(self) -> None:
         """End; the operator is closed by its owner."""
-        self._ending.set()
-        self._thread.join(2.0 * LOOK_TIME)
+        self._watch.close()
 
     @property
     def view(self) -> MembersView:
         """The members as last seen."""
-        return self._view
+        return self._watch.view
 
     def expected(self) -> list[str]:
         """The robots that a stop of all must reach: all that are shown and did not leave."""
-        members = self._view.members
+        members = self.view.members
         left = {name for name, one in members.items() if one.presence is Presence.LEFT}
         return [robot.name for robot in self._robots if robot.name not in left]
 
     def statuses(self) -> dict[str, tuple[Status, float]]:
         """The last status of each robot that sent one, and its age in s."""
-        now = time.monotonic()
-        with self._lock:
-            known = dict(self._statuses)
-        return {name: (status, max(now - at, 0.0)) for name, (status, at) in known.items()}
+        return self._watch.statuses()
 
     # What the page shows
 
@@ -109,10 +99,10 @@ class LiveSource:
 
     def rows(self) -> Mapping[str, Mapping[str, Any]]:
         """The last status of each robot, and what is known of one that does not answer."""
-        now = time.monotonic()
+        statuses = self.statuses()
         with self._lock:
-            statuses, motions = dict(self._statuses), dict(self._motions)
-        members = self._view.members
+            motions = dict(self._motions)
+        members = self.view.members
         self._add(sorted(members.keys() | statuses.keys()))
         rows: dict[str, dict[str, Any]] = {}
         for robot in self._robots:
@@ -121,7 +111,7 @@ class LiveSource:
             if known is None:
                 rows[name] = _unanswered(member)
                 continue
-            status, at = known
+            status, age = known
             row = rows[name] = row_of(status)
             motion = motions.get(name)
             if motion is not None:
@@ -134,7 +124,7 @@ class LiveSource:
             if platform is not None:
                 limits = platform.limits
                 row["limits"] = [limits.linear, limits.angular, limits.lateral]
-            row["age"] = round(max(now - at, 0.0), 1)
+            row["age"] = round(age, 1)
             if member is not None and member.presence is not Presence.ALIVE:
                 row |= {"presence": member.presence.value, "why": f"{member.presence.value}"}
         return rows
@@ -158,11 +148,10 @@ class LiveSource:
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
         """What `describe` tells."""
-        known = self._statuses.get(name)
+        known = self.statuses().get(name)
         if known is None:
             return None
-        status, at = known
-        age = time.monotonic() - at
+        status, age = known
         health, decision = status.health, status.decision
         values = [
             ["Platform", f"{status.platform}, driver {status.driver}"],
@@ -202,30 +191,11 @@ class LiveSource:
 
     # What robots tell
 
-    def _look(self) -> None:
-        while not self._ending.is_set():
-            began = time.monotonic()
-            with contextlib.suppress(SwarmError):
-                view = self._operator.members(timeout=LOOK_TIME)
-                self._view = view
-                now = time.monotonic()
-                with self._lock:
-                    for name, member in view.members.items():
-                        if member.contact is Contact.ANSWERED and member.status is not None:
-                            self._statuses[name] = member.status, now
-            self._ending.wait(max(LOOK_PERIOD - (time.monotonic() - began), 0.05))
-
     def _on_motion(self, robot: str, payload: bytes) -> None:
         motion = _motion(payload)
         if motion.robot == robot and math.isfinite(motion.x + motion.y + motion.yaw):
             with self._lock:
                 self._motions[robot] = motion
-
-    def _on_status(self, robot: str, payload: bytes) -> None:
-        status = _status(payload)
-        if status.robot == robot:
-            with self._lock:
-                self._statuses[robot] = status, time.monotonic()
 
     def _on_scan(self, robot: str, payload: bytes) -> None:
         index = self._index.get(robot)
@@ -236,11 +206,11 @@ class LiveSource:
             self._scans[robot] = decode_scan(payload, platform.scan)
 
     def _add(self, names: Any) -> None:
-        for name in names:
-            if name in self._index:
-                continue
-            known = self._statuses.get(name)
-            if known is None and name not in self._view.members:
+        new = [name for name in names if name not in self._index]
+        statuses = self.statuses() if new else {}
+        for name in new:
+            known = statuses.get(name)
+            if known is None and name not in self.view.members:
                 continue
             platform = "" if known is None else known[0].platform
             if not platform:

@@ -21,7 +21,7 @@ from swarmd.view.source import Answer
 from swarmd.view.terminal import lines_of
 
 PERIOD = 0.5
-"""Seconds between two drawings without a key: 2 Hz cost 2 % of a core with 50 robots."""
+"""Seconds between two drawings without a key: a drawing takes 8 ms with 50 robots."""
 MIN_PERIOD = 0.05
 ESCAPE_TIME = 0.05
 """A sequence of a key that is not complete after this time, in s, was the key Escape."""
