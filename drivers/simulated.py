@@ -13,10 +13,18 @@ from msgspec import Struct
 
 from swarmd.core import keys
 from swarmd.core.errors import CodecError
+from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
-from swarmd.driver_api.hw_codec import INPUTS, decode_input, deliver, encode_command
+from swarmd.driver_api.hw_codec import (
+    INPUTS,
+    decode_input,
+    decode_message,
+    deliver,
+    encode_command,
+    encode_message,
+)
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.scan_delay import scan_delay_finding
 from swarmd.network.session import (
@@ -37,9 +45,10 @@ _WATCH_PERIOD = 0.1
 
 
 class SimulatedOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`endpoint`: where the world listens."""
+    """`endpoint`: where the world listens. `radio`: the world carries the patterns' messages."""
 
     endpoint: str = DEFAULT_ENDPOINT
+    radio: bool = False
 
 
 class SimulatedDriver:
@@ -52,9 +61,11 @@ class SimulatedDriver:
     ) -> None:
         """Not connected yet. Options: `SimulatedOptions`."""
         self._robot, self._swarm, self._platform = robot, swarm, platform
-        self._endpoint = Layered(("driver simulated", options)).build(SimulatedOptions).endpoint
+        chosen = Layered(("driver simulated", options)).build(SimulatedOptions)
+        self._endpoint, self.carries_messages = chosen.endpoint, chosen.radio
         parse_endpoint(self._endpoint, "driver simulated: endpoint is ", DEFAULT_ENDPOINT)
         self._commands: zenoh.Publisher | None = None
+        self._sent: zenoh.Publisher | None = None
         self._gate = CommandGate()
         self._last_sample = -math.inf
 
@@ -72,6 +83,10 @@ class SimulatedDriver:
             self._commands = realtime_publisher(session, self._key("cmd_vel"))
             for name in INPUTS:
                 session.declare_subscriber(self._key(name), inbox.receiver(name, self._key(name)))
+            if self.carries_messages:
+                self._sent = session.declare_publisher(self._key("sent"))
+                received = partial(hand_over, loop, partial(self._take_message, sink))
+                session.declare_subscriber(self._key("received"), received)
             while True:
                 await asyncio.sleep(_WATCH_PERIOD)
                 self._watch(sink, loop.time())
@@ -81,7 +96,7 @@ class SimulatedDriver:
                 if self._gate.end():
                     self._put(ZERO, -1, -1)
             finally:  # an open session would keep the process for ever
-                self._commands = None
+                self._commands = self._sent = None
                 session.close()
 
     def send(
@@ -91,6 +106,11 @@ class SimulatedDriver:
         command = self._gate.filter(twist)
         if command is not None:
             self._put(command, scan_seq, requested_scan_seq)
+
+    def send_message(self, channel: str, payload: bytes) -> None:
+        """Send a pattern's message by the simulated radio; dropped while there is no session."""
+        if self._sent is not None:
+            self._sent.put(encode_message(self._robot, channel, payload))
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """Whether scans and odometry arrive and commands have a subscriber; moves nothing."""
@@ -147,6 +167,14 @@ class SimulatedDriver:
             self._gate.open()
             sink.state(True, f"simulated robot at {self._endpoint}")
         deliver(sink, value)
+
+    def _take_message(self, sink: Sink, sample: zenoh.Sample) -> None:
+        try:
+            wire = decode_message(sample.payload.to_bytes())
+        except CodecError:
+            sink.dropped("hw/received")
+        else:
+            sink.message(wire.robot, wire.channel, wire.payload)
 
     def _watch(self, sink: Sink, now: float) -> None:
         if self._gate.is_open and now - self._last_sample > SENSOR_TIMEOUT:

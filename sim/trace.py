@@ -29,6 +29,7 @@ _PARTS = {
     "state": "U T n", "reason": "U T n", "active": "b T n", "present": "b T n",
     "decided": "i T n", "evaded": "i T n", "recovering": "b T n",
     "gap": "f T n", "scan_age": "f T n", "bound": "f T n 3", "report": "f T n", "words": "U T n",
+    "readings": "f T n",
     "contact_t": "f c", "contact_pair": "i c 2", "contact_speed": "f c 2",
     "box_pose": "f T m 3", "box_shapes": "f m k 2",
 }  # fmt: skip
@@ -57,7 +58,8 @@ class Trace:
     bool: protection replaced the requested command by a way around an obstacle.
 
     `present` (T, n) bool: the robot has a daemon (None: all, always). `report` (T, n) by name:
-    numbers that patterns reported, NaN where absent; `words`: texts, empty where absent.
+    numbers that patterns reported, NaN where absent; `words`: texts, empty where absent;
+    `readings`: the scalar sensors that robots read, NaN where absent.
 
     `box_pose` (T, m, 3) are the poses of the movable boxes `movable_boxes`, NaN for one outside the
     arena; `box_shapes` (m, k, 2) their outlines in their own frames.
@@ -86,6 +88,7 @@ class Trace:
     present: NDArray[np.bool_] | None = None
     report: Mapping[str, Array] = field(default_factory=dict)
     words: Mapping[str, NDArray[np.str_]] = field(default_factory=dict)
+    readings: Mapping[str, Array] = field(default_factory=dict)
     movable_boxes: tuple[str, ...] = ()
     box_pose: Array | None = None
     box_shapes: Array | None = None
@@ -113,6 +116,7 @@ class Trace:
         kept = {k: v for k, v in arrays.items() if isinstance(v, np.ndarray)}
         kept |= {f"report/{name}": values for name, values in self.report.items()}
         kept |= {f"words/{name}": values for name, values in self.words.items()}
+        kept |= {f"readings/{name}": values for name, values in self.readings.items()}
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = partial_path(path)
         with partial.open("wb") as file:
@@ -136,7 +140,7 @@ def load_trace(path: Path) -> Trace:
         for key in ("ids", "platforms", "movable_boxes"):
             head[key] = tuple(head[key])
         _check_parts(arrays, {"n": len(head["ids"]), "m": len(head["movable_boxes"])})
-        for kind in ("report", "words"):
+        for kind in ("report", "words", "readings"):
             named = [name for name in arrays if name.startswith(f"{kind}/")]
             head[kind] = {name.partition("/")[2]: arrays.pop(name) for name in named}
         shapes = [head["footprints"][name] for name in head["platforms"]]

@@ -238,6 +238,9 @@ class _CountingSink:
     def readings(self, values: Mapping[str, float]) -> None:
         pass
 
+    def message(self, sender: str, channel: str, payload: bytes) -> None:
+        pass
+
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:

@@ -6,7 +6,7 @@ import json
 import secrets
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
@@ -51,30 +51,55 @@ def demo(
     page: WebOptions | None,
     **world: Any,
 ) -> None:
-    """Start a simulated swarm, run one pattern, and sum it up.
+    """Start a simulated swarm, run one pattern or SCENARIO, and sum it up.
 
-    Leaves summary.json, trajectories.png, the trace and all logs in runs/<time>/. Exit code 0 only
-    if every robot ran to the end and no two robots touched.
+    SCENARIO is a name of `swarmctl exp list` or a YAML file; it runs for its duration, with one
+    seed. Leaves summary.json, trajectories.png, the trace and all logs in runs/<time>/. Exit code 0
+    only if every robot ran to the end and no two robots touched.
     """
     need("mujoco")
     from swarmd.plugins import find_pattern
-    from swarmd.sim.live.demo_run import DemoSettings
 
-    settings = DemoSettings(
-        pattern=pattern,
-        params=read_assignments(params),
-        seconds=seconds,
-        platform=world["platform"],
-    )
-    find_pattern(pattern, world["plugin_dir"])
+    if world["scenario"] is None:
+        find_pattern(pattern, world["plugin_dir"])
+    values = read_assignments(params)
     fleet = fleet_for(f"demo-{secrets.token_hex(3)}", Path(), **world)
+    if fleet.scenario is not None:
+        fleet = replace(fleet, absent=fleet.scenario.scenario.absent)
     stamp = time.strftime("%Y%m%d-%H%M%S")
     folder = new_folder(Path("runs"), (stamp, *(f"{stamp}-{n}" for n in range(2, 1000))))
-    spec = replace(fleet, folder=folder / "logs", trace=folder / "trace.npz", seconds=seconds)
+    settings = _settings(fleet, pattern, values, seconds)
+    spec = replace(
+        fleet, folder=folder / "logs", trace=folder / "trace.npz", seconds=settings.seconds
+    )
     is_live = sys.stdout.isatty() and not (headless or is_json)
     summary = perform(spec, settings, is_live=is_live, page=page)
     report(summary, folder, is_json=is_json)
     ctx.exit(0 if summary.is_good else 1)
+
+
+def _settings(
+    fleet: FleetSpec, pattern: str, params: Mapping[str, Any], seconds: float
+) -> DemoSettings:
+    """What the demo does: the events of the fleet's scenario, or one pattern from the start."""
+    from swarmd.sim.live.demo_run import DemoSettings
+    from swarmd.sim.scenarios.scenario import ScheduledEvent
+
+    platforms = "+".join(dict.fromkeys(Path(name).stem for name in fleet.robots.values()))
+    if fleet.scenario is None:
+        robots = tuple(fleet.robots)
+        run = ScheduledEvent(
+            at=0.0, action="run", robots=robots, pattern=pattern, parameters=params
+        )
+        return DemoSettings(events=(run,), seconds=seconds, pattern=pattern, platform=platforms)
+    scenario = fleet.scenario.scenario
+    patterns = dict.fromkeys(event.pattern for event in scenario.events if event.pattern)
+    return DemoSettings(
+        events=scenario.events,
+        seconds=scenario.duration,
+        pattern="+".join(patterns) or "no pattern",
+        platform=platforms,
+    )
 
 
 def perform(

@@ -46,7 +46,7 @@ _OPTIONS = (
         type=click.IntRange(min=0),
         default=0,
         show_default=True,
-        help="Seed of random layouts.",
+        help="Seed of random layouts, and of noise and radio.",
     ),
     click.option(
         "--realism",
@@ -96,16 +96,25 @@ def output_option(function: Callable[..., R]) -> Callable[..., R]:
 
 
 def fleet_options(function: Function) -> Function:
-    """Give a verb the options of a fleet."""
+    """Give a verb the argument SCENARIO and the options of a fleet."""
     for option in reversed(_OPTIONS):
         function = option(function)
-    return function
+    sets = click.option(
+        "--set",
+        "sets",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help="Override a value of SCENARIO, such as duration=30; may be repeated.",
+    )
+    return click.argument("scenario", required=False)(sets(function))
 
 
 def fleet_for(
     swarm: str,
     folder: Path,
     *,
+    scenario: str | None,
+    sets: tuple[str, ...],
     count: int,
     platform: str,
     arena: str | None,
@@ -119,6 +128,11 @@ def fleet_for(
     wide as the range of the lidar, so that a robot detects some of the others but not all, and has
     at least (3 protection thresholds)^2 of room for each robot.
     """
+    if scenario is not None:
+        seed = others["seed"]
+        return scenario_fleet(swarm, folder, scenario, sets, seed=seed, emulator=emulator)
+    if sets:
+        raise ConfigError(f"--set {sets[0]}: there is no SCENARIO whose values it could override")
     from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
     from swarmd.settings.platforms import load_platform
     from swarmd.sim.live.fleet import FleetSpec, robot_ids
@@ -162,6 +176,65 @@ def fleet_for(
         layout=layout,
         emulator=emulator,
         **others,
+    )
+
+
+_OF_PLAIN_RUNS = {
+    "count": "groups.GROUP.count",
+    "platform": "groups.GROUP.platform",
+    "arena": "arena.size",
+    "layout": "start.layout",
+    "realism": "realism",
+    "lidar_visibility": "lidar_visibility",
+    "radio_range": "radio.range",
+    "plugin_dir": "plugin_dir",
+    "pattern": "groups.GROUP.pattern",
+    "params": "groups.GROUP.parameters.KEY",
+    "seconds": "duration",
+}
+"""Options that a scenario replaces, each with its key."""
+
+
+def scenario_fleet(
+    swarm: str, folder: Path, scenario: str, sets: Iterable[str], *, seed: int, emulator: str | None
+) -> FleetSpec:
+    """The fleet of a scenario, a name of `exp list` or a YAML file; ConfigError names the key.
+
+    Raises ConfigError for options that a scenario replaces, too.
+    """
+    from swarmd.sim.experiments.arguments import parse_sets
+    from swarmd.sim.live.fleet import FleetSpec
+    from swarmd.sim.live.live_scenario import LiveScenario, check_live
+    from swarmd.sim.scenarios.scenariofile import load_scenario
+
+    ctx = click.get_current_context()
+    for option in ctx.command.params:
+        key = _OF_PLAIN_RUNS.get(option.name or "")
+        given = (
+            ctx.get_parameter_source(option.name or "") is click.core.ParameterSource.COMMANDLINE
+        )
+        if key is not None and given:
+            text = f"{option.opts[0]} does not go with a scenario"
+            raise ConfigError(f"{text}; change the value in the file, or with --set {key}=VALUE")
+    loaded = load_scenario(scenario, parse_sets(sets))
+    if emulator is not None:
+        from swarmd.plugins import load_emulator
+
+        load_emulator(emulator)
+    check_live(loaded, MAX_ROBOTS, emulator)
+    loaded.starts(seed)  # raises without room
+    for note in loaded.notes:
+        warn(f"note: {note}")
+    return FleetSpec(
+        swarm=swarm,
+        robots={robot: platform.name for robot, platform in loaded.robots.items()},
+        folder=folder,
+        arena=loaded.arena.text,
+        layout=loaded.name,
+        seed=seed,
+        emulator=emulator,
+        plugin_dir=loaded.plugin_dir,
+        scenario=LiveScenario(loaded),
     )
 
 

@@ -52,7 +52,9 @@ def up(
 ) -> None:
     """Start a world and a daemon for each robot; Ctrl-C ends them all.
 
-    The robots start idle. Command them from another terminal with the other verbs of swarmctl.
+    SCENARIO is a name of `swarmctl exp list` or a YAML file: its arena, robots, fields and radio,
+    with one seed. The robots start idle; `swarmctl demo SCENARIO` runs its patterns and events.
+    Command the robots from another terminal with the other verbs of swarmctl.
     """
     need("mujoco")
     from swarmd.core.keys import check_id
@@ -70,8 +72,8 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
     """
     from swarmd.network.operator import Operator
     from swarmd.network.settings import NetworkSettings
-    from swarmd.sim.live.demo_run import await_robots, statuses_of
     from swarmd.sim.live.fleet import Fleet, end_on_signals
+    from swarmd.sim.live.starting import await_robots, statuses_of
 
     end_on_signals()
     with Operator(NetworkSettings(swarm=spec.swarm)) as operator:
@@ -119,12 +121,33 @@ def _print_usage(spec: FleetSpec) -> None:
         "In another terminal:",
         [
             (f"{swarmctl} members", "all robots and their states"),
-            (f"{swarmctl} run attraction --all", "the robots gather"),
+            *_runs(spec, swarmctl),
             (f"{swarmctl} describe {names[0]}", "one robot in detail"),
             (f"{swarmctl} stop", "all robots stop"),
         ],
     )
     click.echo(f"Logs: {spec.folder}/  Ctrl-C ends everything.")
+
+
+def _runs(spec: FleetSpec, swarmctl: str) -> list[tuple[str, str]]:
+    """The commands that start what the scenario runs at its beginning."""
+    if spec.scenario is None:
+        return [(f"{swarmctl} run attraction --all", "the robots gather")]
+    runs = [e for e in spec.scenario.scenario.events if e.action == "run" and e.at == 0.0]
+    return [
+        (f"{swarmctl} run {run.pattern} {_targets(run.robots, spec)}", "as the scenario begins")
+        for run in runs
+    ]
+
+
+def _targets(robots: tuple[str, ...], spec: FleetSpec) -> str:
+    """The robots as words of a command: --all, a glob, or their names."""
+    if set(robots) == set(spec.robots):
+        return "--all"
+    stem = f"{robots[0].rpartition('-')[0]}-"
+    if {robot for robot in spec.robots if robot.startswith(stem)} == set(robots):
+        return f"'{stem}*'"
+    return " ".join(robots)
 
 
 @contextmanager

@@ -26,6 +26,9 @@ import yaml
 
 from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.core.processes import how_it_ended
+from swarmd.core.values import Platform
+from swarmd.settings.platforms import load_platform
+from swarmd.sim.live.live_scenario import SCENARIO_FILE, LiveScenario
 
 WORLD = "world"
 WHOLE_BODIES = "every lidar sees whole bodies here (lidar_visibility: body)"
@@ -39,7 +42,9 @@ class FleetSpec:
 
     `emulator`: the driver whose interface the world emulates; None: driver `simulated`. The world
     gives each robot its own pose if `shared_frame`, and records `seconds` of simulation in the file
-    `trace`, if given.
+    `trace`, if given. With a `scenario`, the world and the daemons are those of its file, and
+    `arena`, `layout`, `realism`, `lidar_visibility` and `radio_range` are not used. Robots in
+    `absent` get no daemon at the start.
     """
 
     swarm: str
@@ -56,6 +61,15 @@ class FleetSpec:
     seconds: float | None = None
     emulator: str | None = None
     shared_frame: bool = False
+    scenario: LiveScenario | None = None
+    absent: frozenset[str] = frozenset()
+
+    def platforms(self) -> Mapping[str, Platform]:
+        """The platform of each robot."""
+        if self.scenario is not None:
+            return self.scenario.scenario.robots
+        kinds = {name: load_platform(name) for name in set(self.robots.values())}
+        return {robot: kinds[name] for robot, name in self.robots.items()}
 
 
 class Ready(msgspec.Struct, frozen=True):
@@ -104,6 +118,26 @@ class Fleet:
         """Process ids by name; the world's is `WORLD`."""
         return {child.name: child.process.pid for child in self._children}
 
+    @property
+    def robots(self) -> tuple[str, ...]:
+        """The robots that have a daemon now."""
+        return tuple(child.name for child in self._children[1:])
+
+    def start_daemon(self, robot: str) -> None:
+        """Start the daemon of a robot that has none."""
+        command = ["swarmd.cli.daemon", "--config", str(self.spec.folder / f"{robot}.yaml")]
+        self._children.append(_spawn(robot, command, self.spec.folder, stdout=subprocess.DEVNULL))
+
+    def end_daemon(self, robot: str, *, in_order: bool) -> None:
+        """End the daemon of a robot, in order or by SIGKILL; `check` forgets it."""
+        child = next(child for child in self._children[1:] if child.name == robot)
+        self._children.remove(child)
+        if in_order:
+            child.process.terminate()
+        else:
+            child.process.kill()
+        _end([child])
+
     def ended(self) -> Mapping[str, str]:
         """How each child that has ended did so, by name."""
         return {
@@ -127,6 +161,8 @@ class Fleet:
     def _start(self) -> None:
         spec = self.spec
         spec.folder.mkdir(parents=True, exist_ok=True)
+        if spec.scenario is not None:
+            spec.scenario.write(spec.folder)
         world = _spawn(WORLD, world_command(spec), spec.folder, stdout=subprocess.PIPE)
         self._children.append(world)
         ready = _await_ready(world)
@@ -134,8 +170,9 @@ class Fleet:
         for robot in spec.robots:
             config = spec.folder / f"{robot}.yaml"
             config.write_text(yaml.safe_dump(daemon_config(spec, robot, ready)))
-            command = ["swarmd.cli.daemon", "--config", str(config)]
-            self._children.append(_spawn(robot, command, spec.folder, stdout=subprocess.DEVNULL))
+        for robot in spec.robots:
+            if robot not in spec.absent:
+                self.start_daemon(robot)
 
 
 def robot_ids(platform: str, count: int) -> tuple[str, ...]:
@@ -146,14 +183,18 @@ def robot_ids(platform: str, count: int) -> tuple[str, ...]:
 
 def world_command(spec: FleetSpec) -> list[str]:
     """Arguments of the world process."""
-    robots = ",".join(f"{robot}:{platform}" for robot, platform in spec.robots.items())
-    command = ["swarmd.sim.live.server", "--swarm", spec.swarm, "--robots", robots]
-    command += ["--arena", spec.arena, "--layout", spec.layout, "--seed", str(spec.seed)]
-    command += ["--endpoint", "tcp/127.0.0.1:0", "--realism", spec.realism]
-    command += ["--lidar-visibility", spec.lidar_visibility]
+    command = ["swarmd.sim.live.server", "--swarm", spec.swarm, "--seed", str(spec.seed)]
+    command += ["--endpoint", "tcp/127.0.0.1:0"]
+    if spec.scenario is not None:
+        command += ["--scenario", str(spec.folder / SCENARIO_FILE)]
+        command += ["--trace-rate", str(spec.scenario.scenario.trace_rate)]
+    else:
+        robots = ",".join(f"{robot}:{platform}" for robot, platform in spec.robots.items())
+        command += ["--robots", robots, "--arena", spec.arena, "--layout", spec.layout]
+        command += ["--realism", spec.realism, "--lidar-visibility", spec.lidar_visibility]
+        command += [] if spec.radio_range is None else ["--radio-range", str(spec.radio_range)]
     if spec.emulator is not None:
         command += ["--emulator", spec.emulator, "--emulator-endpoint", "tcp/127.0.0.1:0"]
-    command += [] if spec.radio_range is None else ["--radio-range", str(spec.radio_range)]
     command += ["--shared-frame"] if spec.shared_frame else []
     command += ["--trace", str(spec.trace)] if spec.trace else []
     return command + (["--seconds", str(spec.seconds)] if spec.seconds else [])
@@ -173,7 +214,9 @@ def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object
         "driver_options": dict(ready.driver_options),
         "state_dir": str((spec.folder / "state").absolute()),
     }
-    if spec.lidar_visibility == "body":
+    if spec.scenario is not None:
+        config |= spec.scenario.daemon_config(robot, spec.folder)
+    elif spec.lidar_visibility == "body":
         names = {Path(name).stem for name in spec.robots.values()}
         config["accepts_unseen"] = dict.fromkeys(sorted(names), WHOLE_BODIES)
     if spec.plugin_dir is not None:

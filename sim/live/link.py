@@ -20,7 +20,10 @@ from swarmd.core.errors import CodecError, NetworkError, SwarmError
 from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose, Twist
 from swarmd.driver_api.hw_codec import (
     INPUTS,
+    MessageWire,
     decode_command,
+    decode_message,
+    encode_message,
     encode_neighbors,
     encode_odometry,
     encode_pose,
@@ -45,6 +48,7 @@ from swarmd.sim.live.state import (
 # daemon is noticed at once.
 LEASE = 60.0
 MAX_PENDING_REQUESTS = 64  # until the next step; more are dropped
+MAX_PENDING_MESSAGES = 4096  # of all robots until the next step; more are dropped
 _OPTIONS: dict[str, object] = {
     "mode": "peer",
     "scouting/multicast/enabled": False,
@@ -85,6 +89,7 @@ class WorldLink:
         self._clock = clock
         self._lock = threading.Lock()
         self._commands: dict[str, Command] = {}
+        self._messages: list[MessageWire] = []
         self._requests: list[PendingRequest] = []
         self._swarm = swarm
         self._ids = frozenset(ids)
@@ -93,12 +98,13 @@ class WorldLink:
         self._publishers = {
             (robot, name): self._publisher(keys.build(swarm, robot, "hw", name))
             for robot in self._ids
-            for name in INPUTS
+            for name in (*INPUTS, "received")
         }
         self._state = self._session.declare_publisher(state_key(swarm))
         self._session.declare_subscriber(
             keys.build(swarm, keys.ANY, "hw", "cmd_vel"), self._on_command
         )
+        self._session.declare_subscriber(keys.build(swarm, keys.ANY, "hw", "sent"), self._on_sent)
         self._session.declare_queryable(control_key(swarm), self._on_query)
 
     def publish(self, robot: str, name: str, payload: bytes) -> None:
@@ -125,6 +131,10 @@ class WorldLink:
         """Publish scalar readings."""
         self.publish(robot, "readings", encode_readings(values))
 
+    def message(self, robot: str, sender: str, channel: str, payload: bytes) -> None:
+        """Publish a pattern's message that the radio of `robot` receives."""
+        self.publish(robot, "received", encode_message(sender, channel, payload))
+
     def publish_state(self, state: WorldState) -> None:
         """Publish the state for viewers."""
         self._state.put(encode(state))
@@ -134,6 +144,12 @@ class WorldLink:
         with self._lock:
             commands, self._commands = self._commands, {}
         return commands
+
+    def take_messages(self) -> list[MessageWire]:
+        """The messages that patterns have sent since the last call, in order of arrival."""
+        with self._lock:
+            messages, self._messages = self._messages, []
+        return messages
 
     def take_requests(self) -> list[PendingRequest]:
         """The requests since the last call; each needs one reply."""
@@ -167,6 +183,21 @@ class WorldLink:
         twist = Twist(wire.linear, wire.angular, wire.lateral)
         with self._lock:
             self._commands[key.robot] = Command(twist, arrival, wire.scan_seq)
+
+    def _on_sent(self, sample: zenoh.Sample) -> None:
+        key = keys.parse(str(sample.key_expr))
+        try:
+            wire = decode_message(sample.payload.to_bytes())
+        except CodecError:
+            self.dropped += 1
+            return
+        source = None if key is None else (key.swarm, key.robot)
+        is_ours = source == (self._swarm, wire.robot) and wire.robot in self._ids
+        with self._lock:
+            if is_ours and len(self._messages) < MAX_PENDING_MESSAGES:
+                self._messages.append(wire)
+            else:
+                self.dropped += 1
 
     def _on_query(self, query: zenoh.Query) -> None:
         payload = query.payload.to_bytes() if query.payload is not None else b""
@@ -221,6 +252,10 @@ class WorldView:
     def remove(self, box: str, timeout: float = 10.0) -> WorldState:
         """Take a movable box out of the arena; SwarmError if it is not there."""
         return self._done(WorldRequest(action="remove", box=box), timeout)
+
+    def take_out(self, robot: str, timeout: float = 10.0) -> WorldState:
+        """Take a robot out of the arena for good; SwarmError if there is no such robot."""
+        return self._done(WorldRequest(action="take_out", robot=robot), timeout)
 
     def _done(self, request: WorldRequest, timeout: float) -> WorldState:
         reply = self._ask(request, timeout)

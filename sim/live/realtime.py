@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from typing import cast
 
 import numpy as np
 
-from swarmd.core.errors import CodecError, SwarmError
+from swarmd.core.errors import CodecError, ConfigError, SwarmError, unknown
 from swarmd.core.values import Array, Pose, SharedPose
 from swarmd.sim.live.body_transport import EmulatorTransport
 from swarmd.sim.live.link import PendingRequest, WorldLink
@@ -21,7 +22,8 @@ from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
-from swarmd.sim.world.radio import NEIGHBORS_RATE, Radio
+from swarmd.sim.world.radio import Radio, neighbors_rate
+from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.world import World
 
 COMMAND_TIMEOUT = 0.5
@@ -68,7 +70,10 @@ class RealTimeWorld:
         self._unreadable = 0
         self._scans_due = Staggered(np.array([p.scan.rate for p in world.platforms]), start)
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start)
-        self._neighbors_due = Staggered(np.full(n, NEIGHBORS_RATE), start)
+        heard = 0 if radio is None else n
+        rate = 1.0 if radio is None else neighbors_rate(radio.settings)
+        self._neighbors_due = Staggered(np.full(heard, rate), start)
+        self._readings_due = Staggered(np.full(n if world.fields else 0, READINGS_RATE), start)
         self._poses_due = Staggered(np.full(n if has_shared_frame else 0, POSE_RATE), start)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
         self._pacer = StepPacer(world.dt, clock())
@@ -125,8 +130,10 @@ class RealTimeWorld:
         if len(due):
             for row, odometry in zip(due, world.odometry(due), strict=True):
                 transport.odometry(world.ids[row], odometry)
-        for row in self._neighbors_due.due(world.time):
-            self._publish_neighbors(int(row))
+        if self._radio is not None:
+            self._publish_radio(self._radio)
+        for row in self._readings_due.due(world.time):
+            transport.readings(world.ids[row], world.readings(int(row)))
         for row in self._poses_due.due(world.time):
             pose = Pose(*world.poses()[row].tolist())
             # Stamped in real time: simulated time may lag behind.
@@ -135,14 +142,21 @@ class RealTimeWorld:
         if len(self._state_due.due(world.time)):
             self._link.publish_state(self._state())
 
-    def _publish_neighbors(self, row: int) -> None:
-        world, robot = self._world, self._world.ids[row]
-        if self._radio is not None:
-            boxes = transform(world.box_shapes, world.box_poses())
-            neighbors = self._radio.neighbors(row, world.poses(), boxes)
-            self._transport.neighbors(robot, neighbors)
-        if readings := world.readings(row):
-            self._transport.readings(robot, readings)
+    def _publish_radio(self, radio: Radio) -> None:
+        """Carry messages, and tell robots their neighbors: robots whose daemons command them."""
+        world, ids = self._world, self._world.ids
+        poses, boxes = world.poses(), transform(world.box_shapes, world.box_poses())
+        for wire in self._link.take_messages():
+            row = self._rows[wire.robot]
+            radio.carry(radio.send(row, wire.channel, wire.payload, world.time, poses, boxes))
+        for hearer, sender, channel, payload in radio.arrived(world.time):
+            self._link.message(ids[hearer], ids[sender], channel, cast(bytes, payload))
+        due = self._neighbors_due.due(world.time)
+        there = self._is_fresh(self._clock()) if len(due) else ()
+        for row in due.tolist():
+            neighbors = radio.neighbors(row, poses, boxes)
+            present = tuple(one for one in neighbors if there[self._rows[one.id]])
+            self._transport.neighbors(ids[row], present)
 
     def _answer(self, pending: PendingRequest) -> None:
         try:
@@ -166,20 +180,26 @@ class RealTimeWorld:
                 self._world.place(request.box, request.pose)
             case "remove":
                 self._world.remove(request.box)
+            case "take_out":
+                if request.robot not in self._rows:
+                    raise ConfigError(unknown("robot", request.robot, self._rows))
+                self._world.take_out(self._rows[request.robot])
         return ""
 
     def _state(self) -> WorldState:
         world, record = self._world, self._recorder
         emulated = self._emulated.side.dropped if self._emulated else 0
+        poses, twists, commanded = world.poses(), world.twists(), self._is_fresh(self._clock())
+        present = np.flatnonzero(np.isfinite(poses[:, 0]))
         boxes = zip(world.movable_boxes, _triples(world.box_poses()), strict=True)
         return WorldState(
             time=world.time,
             real_time_factor=self._pacer.real_time_factor(),
             arena=(world.arena.length, world.arena.width),
-            ids=world.ids,
-            poses=_triples(world.poses()),
-            twists=_triples(world.twists()),
-            commanded=tuple(self._is_fresh(self._clock()).tolist()),
+            ids=tuple(world.ids[row] for row in present.tolist()),
+            poses=_triples(poses[present]),
+            twists=_triples(twists[present]),
+            commanded=tuple(commanded[present].tolist()),
             contacts=record.contacts,
             arena_contacts=record.arena_contacts,
             is_recording=record.is_running,

@@ -7,17 +7,17 @@ and `driver_options` for daemons. SIGTERM and SIGINT end it; then it writes the 
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import gc
 import json
 import logging
 import signal
 import sys
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from types import FrameType
 
-from msgspec import to_builtins
 from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError, SwarmError
@@ -32,11 +32,12 @@ from swarmd.sim.live.body_transport import DRIVER, EmulatorTransport
 from swarmd.sim.live.link import WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.layouts import parse_layout
-from swarmd.sim.world.radio import Radio, RadioSettings
+from swarmd.sim.world.radio import RadioSettings, needs_radio
 from swarmd.sim.world.realism import REALISMS, Realism
-from swarmd.sim.world.world import World
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -93,18 +94,24 @@ def _stop_signals() -> Iterator[Callable[[], bool]]:
 
 def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
     swarm = check_id(options.swarm, "swarm")
-    robots = parse_robots(options.robots)
-    world = _make_world(options, robots)
-    meta = _meta(options, robots, world)
+    scenario = _scenario(options)
+    robots = scenario.robots
+    # Over ROS, a scan tells one time from each ray to the next.
+    world = world_of(scenario, options.seed, sectors=10 if options.emulator is None else 100)
+    meta = {**meta_of(scenario, options.seed), "swarm": swarm}
+    if options.scenario is None:
+        meta |= {"layout": options.layout, "realism": options.realism}
     settings = RecorderSettings(options.trace, options.trace_rate, options.seconds, meta)
     record = LiveRecorder(world, settings)
     with ExitStack() as opened:
         link = WorldLink(swarm, robots, options.endpoint)
         opened.callback(link.close)
         driver, driver_options, timeouts = DRIVER, dict[str, Value](endpoint=link.endpoint), None
+        if needs_radio(scenario.radio):
+            driver_options["radio"] = True
         emulated = None
         if options.emulator is not None:
-            emulated = _make_emulator(options, robots)
+            emulated = _make_emulator(options, scenario)
             opened.callback(emulated.side.close)
             driver, driver_options = options.emulator, dict(emulated.side.driver_options)
             timeouts = [
@@ -116,9 +123,8 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
         # What is alive now stays alive; a collection would only walk through it again.
         gc.collect()
         gc.freeze()
-        radio = None  # all robots hear each other, which daemons assume without neighbors
-        if options.radio_range is not None:
-            radio = Radio(_radio_settings(options), world.ids, world.arena, seed=options.seed)
+        # Without one all robots hear each other, which daemons assume without neighbors.
+        radio = radio_of(scenario, options.seed) if scenario.radio != RadioSettings() else None
         live = RealTimeWorld(
             world,
             link,
@@ -131,15 +137,49 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
         live.run(is_over)
 
 
-def _make_emulator(
-    options: argparse.Namespace, robots: Mapping[str, Platform]
-) -> EmulatorTransport:
-    if options.radio_range is not None:
+def _make_emulator(options: argparse.Namespace, scenario: Scenario) -> EmulatorTransport:
+    if scenario.radio != RadioSettings():
         raise ConfigError(
             f"--radio-range and --emulator {options.emulator}: emulated robots publish no"
             " neighbors; leave one of the two out"
         )
-    return EmulatorTransport(load_emulator(options.emulator), robots, options.emulator_endpoint)
+    factory = load_emulator(options.emulator)
+    return EmulatorTransport(factory, scenario.robots, options.emulator_endpoint)
+
+
+def _scenario(options: argparse.Namespace) -> Scenario:
+    """The scenario of the file, or that of the options; ConfigError if it is invalid."""
+    if options.scenario is None:
+        return _scenario_of_options(options)
+    from swarmd.sim.scenarios.scenariofile import scenario_of  # it loads the patterns
+
+    scenario = scenario_of(json.loads(options.scenario.read_bytes()))
+    if options.emulator is not None:
+        scenario = dataclasses.replace(scenario, realism=_as_daemons_expect(scenario.realism))
+    return scenario
+
+
+def _scenario_of_options(options: argparse.Namespace) -> Scenario:
+    if options.robots is None:
+        raise ConfigError("robots are missing; give --robots ID:PLATFORM,... or --scenario FILE")
+    robots, arena = parse_robots(options.robots), parse_arena(options.arena)
+    footprints = [platform.footprint for platform in robots.values()]
+    starts = parse_layout(options.layout, footprints, arena, seed=options.seed)
+    return Scenario(
+        name="",
+        description="",
+        duration=options.seconds or 0.0,
+        robots=robots,
+        groups={},
+        starts=lambda seed: starts,
+        arena=arena,
+        fields=(),
+        realism=_as_daemons_expect(REALISMS[options.realism]),
+        visibility=options.lidar_visibility,
+        radio=_radio_settings(options),
+        layers=lambda robot, pattern: (),
+        events=(),
+    )
 
 
 def _as_daemons_expect(realism: Realism) -> Realism:
@@ -154,44 +194,11 @@ def _as_daemons_expect(realism: Realism) -> Realism:
     return replace(realism, lidar=lidar)
 
 
-def _make_world(options: argparse.Namespace, robots: Mapping[str, Platform]) -> World:
-    arena = parse_arena(options.arena)
-    footprints = [platform.footprint for platform in robots.values()]
-    starts = parse_layout(options.layout, footprints, arena, seed=options.seed)
-    return World(
-        robots,
-        arena,
-        starts,
-        visibility=options.lidar_visibility,
-        realism=_as_daemons_expect(REALISMS[options.realism]),
-        seed=options.seed,
-        sectors=100,  # over ROS, a scan tells one time from each ray to the next
-    )
-
-
 def _radio_settings(options: argparse.Namespace) -> RadioSettings:
     if options.radio_range is None:
         return RadioSettings()
     asked = {"neighborhood": "range", "range": options.radio_range}
     return Layered(("--radio-range", asked)).build(RadioSettings)
-
-
-def _meta(
-    options: argparse.Namespace, robots: Mapping[str, Platform], world: World
-) -> dict[str, object]:
-    kinds = {platform.name: platform for platform in robots.values()}
-    return {
-        "swarm": options.swarm,
-        "arena": world.arena.text,
-        "layout": options.layout,
-        "seed": options.seed,
-        "lidar_visibility": options.lidar_visibility,
-        "realism": options.realism,
-        "radio": to_builtins(_radio_settings(options)),
-        "modes": {name: p.protection["mode"] for name, p in kinds.items()},
-        "thresholds": {name: p.protection.get("threshold", 0.0) for name, p in kinds.items()},
-        "v_max": {name: p.limits.linear for name, p in kinds.items()},
-    }
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -201,7 +208,13 @@ def _parser() -> argparse.ArgumentParser:
     )
     add = parser.add_argument
     add("--swarm", required=True)
-    add("--robots", required=True, metavar="ID:PLATFORM,...")
+    add("--robots", metavar="ID:PLATFORM,...")
+    add(
+        "--scenario",
+        type=Path,
+        metavar="FILE.json",
+        help="an effective scenario; --robots, --arena, --layout and what follows are not used",
+    )
     add(
         "--arena",
         default="6x6",

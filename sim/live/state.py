@@ -9,12 +9,12 @@ from msgspec import Meta, Struct
 from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder
 from swarmd.core.messages import Count, Line, Metres, Name, Rate, Seconds, Word
 
-Action = Literal["start", "finish", "poses", "place", "remove"]
+Action = Literal["start", "finish", "poses", "place", "remove", "take_out"]
 Triple = tuple[Metres, Metres, Metres]
 
 
 class WorldState(Struct, frozen=True, kw_only=True):
-    """The world at one instant; row i of each list is robot `ids[i]`.
+    """The world at one instant; row i of each list is robot `ids[i]`, one that is in the arena.
 
     `time` s of simulation, `real_time_factor` over the last second (0 before there is one),
     `poses` x, y in m and yaw in rad, `twists` linear, angular, lateral in each base frame,
@@ -46,11 +46,12 @@ class WorldRequest(Struct, frozen=True, kw_only=True):
     """A request to the world.
 
     `start` restarts the recording, `finish` writes it, `poses` returns the state, `place` puts the
-    movable `box` at rest at `pose`, `remove` takes it out of the arena.
+    movable `box` at rest at `pose`, `remove` takes it out of the arena, `take_out` the `robot`.
     """
 
     action: Action
     box: Word = ""
+    robot: Word = ""
     pose: Triple = (0.0, 0.0, 0.0)
 
 

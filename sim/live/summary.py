@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from swarmd.core.messages import State, Status
-from swarmd.core.values import Platform
+from swarmd.core.values import Platform, Scalar
 from swarmd.sim.metrics.aggregation import cluster_counts, distance_to_centroid, largest_cluster
 from swarmd.sim.metrics.contacts import contacts_between_robots, contacts_with_arena
 from swarmd.sim.metrics.gap import minimum_gap
@@ -42,13 +42,25 @@ class Numbers:
     protection_duty: float | None
 
 
+@dataclass(frozen=True, slots=True)
+class DoneEvent:
+    """An event that was due `at` s and carried out `done_at` s; `problem`: what went wrong."""
+
+    at: float
+    done_at: float
+    action: str
+    robots: tuple[str, ...]
+    problem: str = ""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Summary:
     """A finished demo. `problems` is empty if all robots ran to the end and no two touched.
 
     `late` robots started only when they were asked again. `seconds_to_moving` counts from the
     start of the command until all robots moved; None if they did not all move. `kernels`: which
-    code decided, as the robots reported it.
+    code decided, as the robots reported it. `scenario` is empty without one; `events` are those
+    after the start; `reports` and `readings` the last ones, by robot and name.
     """
 
     pattern: str
@@ -62,6 +74,10 @@ class Summary:
     kernels: str
     numbers: Numbers
     problems: tuple[str, ...]
+    scenario: str = ""
+    events: tuple[DoneEvent, ...] = ()
+    reports: Mapping[str, Mapping[str, Scalar]] = field(default_factory=dict)
+    readings: Mapping[str, Mapping[str, Scalar]] = field(default_factory=dict)
 
     @property
     def is_good(self) -> bool:
@@ -87,9 +103,24 @@ class Summary:
             ("contacts", f"{n.contacts} between robots, {n.arena_contacts} with walls"),
             ("minimum gap", "-" if n.minimum_gap is None else f"{n.minimum_gap:.2f} m"),
             ("speed at the end", f"{n.mean_speed_late:.3f} m/s"),
+            *_spread("reported", self.reports),
+            *_spread("reading", self.readings),
             ("kernels", self.kernels),
             ("protection active", "-" if duty is None else f"{100 * duty:.0f} % of decisions"),
         ]
+
+
+def _spread(what: str, values: Mapping[str, Mapping[str, Scalar]]) -> list[tuple[str, str]]:
+    """A line for each name: the mean and the range of the numbers of all robots."""
+    found: dict[str, list[float]] = {}
+    for one in values.values():
+        for name, value in one.items():
+            if isinstance(value, int | float):
+                found.setdefault(name, []).append(float(value))
+    return [
+        (f"{what} {name}", f"{sum(some) / len(some):.3g} ({min(some):.3g} to {max(some):.3g})")
+        for name, some in sorted(found.items())
+    ]
 
 
 def numbers_of(

@@ -13,10 +13,8 @@ from __future__ import annotations
 import gc
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from itertools import compress
 from operator import itemgetter
-from typing import Any
 
 import numpy as np
 
@@ -38,13 +36,14 @@ from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.lockstep.timeline import Timeline
 from swarmd.sim.scenarios.compatibility import has_findings
 from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
-from swarmd.sim.world.radio import Flight, Radio, neighbors_rate
+from swarmd.sim.world.radio import Flight, neighbors_rate
+from swarmd.sim.world.realism import configured
 from swarmd.sim.world.scalar_fields import READINGS_RATE
 from swarmd.sim.world.seeding import generator
-from swarmd.sim.world.world import World
 
 BASE_TIMEOUT = 0.5
 """Seconds without a daemon after which a base stops."""
@@ -96,33 +95,12 @@ class Lockstep:
         """
         self.scenario, self.seed = scenario, seed
         self._process = process or RunProcess()
-        self.world = World(
-            scenario.robots,
-            scenario.arena,
-            scenario.starts(seed),
-            visibility=scenario.visibility,
-            realism=scenario.realism,
-            fields=scenario.fields,
-            seed=seed,
-        )
-        # Without scan noise, repeated scans do not mean a frozen sensor; without rolling scans, all
-        # rays are measured at once.
-        lidar = scenario.realism.lidar
-        self._platforms = [
-            replace(
-                p,
-                scan=replace(
-                    p.scan,
-                    is_noisy=p.scan.is_noisy and lidar.differs_each_time,
-                    sweep=p.scan.sweep if lidar.rolling else None,
-                ),
-            )
-            for p in self.world.platforms
-        ]
+        self.world = world_of(scenario, seed)
+        self._platforms = [configured(p, scenario.realism) for p in self.world.platforms]
         ids, n = self.world.ids, len(self.world.ids)
         origins = pattern_names(scenario.plugin_dir)
         self._find = PatternLoader({name: (o.value, o.is_file) for name, o in origins.items()})
-        self._radio = Radio(scenario.radio, ids, scenario.arena, seed=seed)
+        self._radio = radio_of(scenario, seed)
         phases = np.array([generator(seed, "phase", robot).random() for robot in ids])
         self._scans_due = Schedules(np.array([p.scan.rate for p in self.world.platforms]), phases)
         bodies = [body_of(p) for p in self._platforms]
@@ -284,7 +262,7 @@ class Lockstep:
         """The trace up to now, in the first process; each calls it."""
         self._recorder.record_instant(self.world.time, self._commands, self.shells)
         kept = self._process.collect(self._recorder.kept(self._process.rows))
-        return self._recorder.trace(self._meta(), kept)
+        return self._recorder.trace(meta_of(self.scenario, self.seed), kept)
 
     def _step(self) -> None:
         world, now = self.world, self.world.time
@@ -373,25 +351,6 @@ class Lockstep:
         if not self.scenario.radio.line_of_sight or not self.world.movable_boxes:
             return None
         return transform(self.world.box_shapes, self.world.box_poses())
-
-    def _meta(self) -> dict[str, Any]:
-        scenario, platforms = self.scenario, self.world.platforms
-        return {
-            "scenario": scenario.name,
-            "seed": self.seed,
-            "duration": scenario.duration,
-            "arena": scenario.arena.text,
-            "lidar_visibility": scenario.visibility,
-            "radio": scenario.effective.get("radio", {}),
-            "groups": {name: list(ids) for name, ids in scenario.groups.items()},
-            "modes": {p.name: p.protection["mode"] for p in platforms},
-            "thresholds": {p.name: p.protection.get("threshold", 0.0) for p in platforms},
-            "v_max": {p.name: p.limits.linear for p in platforms},
-            "events": [
-                {"at": e.at, "action": e.action, "robots": list(e.robots), "pattern": e.pattern}
-                for e in scenario.events
-            ],
-        }
 
 
 @contextmanager

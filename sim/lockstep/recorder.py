@@ -55,7 +55,9 @@ class LockstepRecorder:
         self._builder.add(now, world.poses(), safe, world.box_poses())
         for row, shell in enumerate(shells):
             if shell is not None and (report := shell.robot.report):
-                self._note(report, row)
+                self._note("report", report, row)
+            if shell is not None and (readings := shell.robot.readings):
+                self._note("readings", readings, row)
         self._samples += 1
         # A column at once: numpy takes as long to enter one value as Python to list ten.
         columns = zip(*map(_values, shells), strict=True)
@@ -70,7 +72,7 @@ class LockstepRecorder:
     def trace(self, meta: Mapping[str, Any], kept: Sequence[Kept]) -> Trace:
         """The trace of all samples; `kept` is of all rows."""
         shape = (self._samples, len(self._world.ids))
-        known: dict[str, Any] = {"report": {}, "words": {}}
+        known: dict[str, Any] = {"report": {}, "words": {}, "readings": {}}
         reports: _Reports = {}
         for own, columns, some in kept:
             for name, values in columns.items():
@@ -86,9 +88,9 @@ class LockstepRecorder:
             known[kind][name] = blank
         return replace(self._builder.trace(**meta), **known)
 
-    def _note(self, report: Mapping[str, Any], row: int) -> None:
-        for name, value in report.items():
-            key = ("words" if isinstance(value, str) else "report", name)
+    def _note(self, kind: str, values: Mapping[str, Any], row: int) -> None:
+        for name, value in values.items():
+            key = ("words" if isinstance(value, str) else kind, name)
             item = value if isinstance(value, str) else float(value)
             self._reports.setdefault(key, []).append((self._samples, row, item))
 

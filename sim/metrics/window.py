@@ -66,6 +66,7 @@ def cut(trace: Trace, start: int, stop: int) -> Trace:
         contact_speed=trace.contact_speed[is_in],
         report={name: values[span] for name, values in trace.report.items()},
         words={name: values[span] for name, values in trace.words.items()},
+        readings={name: values[span] for name, values in trace.readings.items()},
         **sliced,
     )
 

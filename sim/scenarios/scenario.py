@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from swarmd.core.host_messages import Layers
 from swarmd.core.values import Array, Platform, Scalar, TouchZone
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
 from swarmd.sim.world.arena import Arena
-from swarmd.sim.world.lidar import Visibility
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import Realism
 from swarmd.sim.world.scalar_fields import Field
+
+if TYPE_CHECKING:
+    from swarmd.sim.world.lidar import Visibility  # it imports MuJoCo
 
 Action = Literal[
     "run", "stop", "estop", "reset", "join", "leave", "kill", "place", "remove", "param"

@@ -9,7 +9,6 @@ import numpy as np
 
 from swarmd.core.values import Array
 from swarmd.network.operator import Operator
-from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState
@@ -29,13 +28,13 @@ class WorldSource(LiveSource):
     ) -> None:
         super().__init__(operator, patterns)
         spec = fleet.spec
-        arena = parse_arena(spec.arena)
-        self.arena = shown_arena(arena)
+        scenario = None if spec.scenario is None else spec.scenario.scenario
+        arena = parse_arena(spec.arena) if scenario is None else scenario.arena
+        self.arena = shown_arena(arena, () if scenario is None else scenario.fields)
         self._shapes = {name: box.shape for name, box in arena.movable_boxes}
-        self._radio_range = spec.radio_range
+        self._radio_range = spec.radio_range if scenario is None else scenario.radio.range
         self._state: WorldState | None = None
-        for name, platform in spec.robots.items():
-            kind = load_platform(platform)
+        for name, kind in spec.platforms().items():
             self._platforms[kind.name] = kind
             self._index[name] = len(self._robots)
             shown = ShownRobot(name, self._index[name], kind.name, kind.footprint)

@@ -8,7 +8,7 @@ from dataclasses import replace
 from typing import Annotated, Literal
 
 import numpy as np
-from msgspec import Meta, Struct
+from msgspec import Meta, Struct, structs
 from numpy.typing import NDArray
 
 from swarmd.core.angles import wrap
@@ -71,6 +71,11 @@ def check_radio(settings: RadioSettings) -> None:
         )
 
 
+def needs_radio(settings: RadioSettings) -> bool:
+    """True if a message may be lost, late or out of reach, which no real network imitates."""
+    return structs.replace(settings, range_and_bearing=False) != RadioSettings()
+
+
 def neighbors_rate(settings: RadioSettings) -> float:
     """Hz at which a robot learns its neighbors."""
     return _BEARINGS_RATE if settings.range_and_bearing else NEIGHBORS_RATE
@@ -124,7 +129,7 @@ class Radio:
     ) -> None:
         """`ids` (n,) in the order of rows; ConfigError if the settings contradict each other."""
         check_radio(settings)
-        self._settings, self._ids = settings, tuple(ids)
+        self.settings, self._ids = settings, tuple(ids)
         self._reach = math.inf if settings.range is None else settings.range
         self._sight = LineOfSight(arena) if settings.line_of_sight else None
         self._loss_rngs = [generator(seed, "radio", robot) for robot in ids]
@@ -138,10 +143,10 @@ class Radio:
     ) -> tuple[Neighbor, ...]:
         """The neighbors of robot `row`; with range_and_bearing also their noisy positions."""
         hears_all = math.isinf(self._reach) and self._sight is None
-        if hears_all and not self._settings.range_and_bearing:
+        if hears_all and not self.settings.range_and_bearing:
             return self._others(row)
         neighbors = self.hearers(row, poses, movable_boxes)
-        if not self._settings.range_and_bearing:
+        if not self.settings.range_and_bearing:
             return tuple(self._plain[i] for i in neighbors.tolist())
         sensed = self._sense(row, neighbors, poses).tolist()
         return tuple(
@@ -182,7 +187,7 @@ class Radio:
 
         They go to its present hearers once `carry` has them.
         """
-        settings, rng = self._settings, self._loss_rngs[row]
+        settings, rng = self.settings, self._loss_rngs[row]
         hearers = self.hearers(row, poses, movable_boxes)
         if settings.loss > 0.0:
             hearers = hearers[rng.random(len(hearers)) >= settings.loss]

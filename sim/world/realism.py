@@ -8,12 +8,14 @@ drives; [sim] turtlebot3_simulations model.sdf. Values without a source are mark
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Annotated, Any
 
 from msgspec import Meta, Struct, to_builtins
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.values import Platform
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import brief
 
@@ -134,6 +136,21 @@ def realism_of(value: str | Mapping[str, Any], source: str = "realism") -> Reali
     preset = _preset(value.get("preset", "realistic"), source)
     over = {key: item for key, item in value.items() if key != "preset"}
     return Layered((source, over), ("preset", to_builtins(preset))).build(Realism)
+
+
+def configured(platform: Platform, realism: Realism) -> Platform:
+    """The platform as its robots are configured.
+
+    Without scan noise, repeated scans do not mean a frozen sensor; without rolling scans, all rays
+    are measured at once.
+    """
+    lidar = realism.lidar
+    scan = replace(
+        platform.scan,
+        is_noisy=platform.scan.is_noisy and lidar.differs_each_time,
+        sweep=platform.scan.sweep if lidar.rolling else None,
+    )
+    return replace(platform, scan=scan)
 
 
 def _preset(name: object, source: str) -> Realism:

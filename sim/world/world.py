@@ -95,7 +95,7 @@ class World:
                     self._rolling_of[row] = rolling
         self._is_rolled = False  # the rays of this step are measured
         self._transport = ScanTransport(realism.lidar, self.platforms, self.ids, seed)
-        self._fields = tuple(fields)
+        self.fields = tuple(fields)
         shapes = [platform.footprint for platform in self.platforms]
         self._widest = sum(
             max(map(radius, some), default=0.0) for some in (shapes, self.box_shapes)
@@ -230,7 +230,7 @@ class World:
 
     def readings(self, robot: int) -> Mapping[str, float]:
         """The values of the fields at the robot's axle, by name."""
-        values = sample(self._fields, self.poses()[robot, None, :2])
+        values = sample(self.fields, self.poses()[robot, None, :2])
         return {name: float(value[0]) for name, value in values.items()}
 
     def box_poses(self) -> Array:

@@ -35,7 +35,7 @@ from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.request_server import RequestServer
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
-from swarmd.driver_api.driver import Driver, check_protected
+from swarmd.driver_api.driver import Driver, check_protected, message_carrier
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import Address, Message, Stop
@@ -77,6 +77,7 @@ class Daemon:
         check_protected(settings.platform, driver, settings.driver)
         self._settings = settings
         self._driver = driver
+        self._carrier = message_carrier(driver)
         base = base_options(settings.driver_options, f"driver {settings.driver}")
         self._idle = IdleOutputFilter(base.idle_output)
         self._loop = asyncio.get_running_loop()
@@ -357,10 +358,15 @@ class Daemon:
                 self._runner.send(command)
         for name, value in actions.messages.items():
             try:
-                self._network.publish_message(name, encode_value(value))
+                payload = encode_value(value)
             except CodecError as error:
                 log.debug("message on %s not sent: %s", name, error)
                 self._network.drop(f"msg/{name}:unsendable")
+                continue
+            if self._carrier is None:
+                self._network.publish_message(name, payload)
+            else:
+                self._carrier.send_message(name, payload)
         if actions.status is not None:
             self._network.publish("status", lambda: encode(self._status()))
         for reply in actions.replies:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from swarmd.core.clock import boottime
+from swarmd.core.codec import decode_value
+from swarmd.core.errors import CodecError
 from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose
 from swarmd.robot.actions import Actions
@@ -45,6 +47,17 @@ class DriverSink:
     def readings(self, values: Mapping[str, float]) -> None:
         """Scalar sensors by name."""
         self._robot.on_readings(values)
+
+    def message(self, sender: str, channel: str, payload: bytes) -> None:
+        """A pattern's message that the base's radio received."""
+        try:
+            value = decode_value(payload)
+            is_accepted = self._robot.on_message(sender, channel, value, boottime())
+        except CodecError:
+            self.dropped("message")
+            return
+        if not is_accepted:
+            self.dropped("message:not_a_neighbor")
 
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False

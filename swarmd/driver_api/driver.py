@@ -40,7 +40,10 @@ class Sink(Protocol):
         """The robot's own pose in a frame that robots share, if something measures it."""
 
     def readings(self, values: Mapping[str, float]) -> None:
-        """Scalar sensors by name."""
+        """All present scalar sensors by name: a name that is left out has no value any more."""
+
+    def message(self, sender: str, channel: str, payload: bytes) -> None:
+        """A pattern's message that the base's own radio received; see `MessageCarrier`."""
 
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
@@ -117,6 +120,26 @@ class ZeroSenderProvider(Protocol):
         """
 
 
+@runtime_checkable
+class MessageCarrier(Protocol):
+    """What a driver also offers if its base has a radio for the messages of patterns.
+
+    While `carries_messages`, the daemon hands messages to the driver and not to its own network.
+    """
+
+    carries_messages: bool
+
+    def send_message(self, channel: str, payload: bytes) -> None:
+        """Send an encoded value to all robots in reach: never blocks; dropped while lost."""
+
+
+def message_carrier(driver: Driver) -> MessageCarrier | None:
+    """The driver, or the one that it wraps, if its base carries messages."""
+    while hasattr(driver, "wrapped"):
+        driver = driver.wrapped
+    return driver if isinstance(driver, MessageCarrier) and driver.carries_messages else None
+
+
 class DriverFactory(Protocol):
     """Makes a driver; the type of the entry points in group `swarmd.drivers`."""
 
@@ -141,4 +164,4 @@ class NullSink:
     def _ignore(self, *args: Any, **kwargs: Any) -> None:
         pass
 
-    scan = odometry = neighbors = pose = readings = state = dropped = _ignore
+    scan = odometry = neighbors = pose = readings = message = state = dropped = _ignore

@@ -14,7 +14,7 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta, Struct
 
-from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder, encode
+from swarmd.core.codec import MAX_MESSAGE, MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Count, Metres, Name, Seconds, Speed, Word
 from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, ScanSpec, SharedPose, Twist
@@ -27,6 +27,7 @@ Coordinate = Annotated[float, Meta(ge=-1e9, le=1e9)]
 """Metres in the odometry frame, which may be that of a map."""
 Step = Annotated[float, Meta(ge=-10.0, le=10.0)]
 """Seconds from one ray to the next."""
+Channel = Annotated[str, Meta(min_length=3, max_length=127)]
 MAX_RAYS = 20_000
 INPUTS = ("scan", "odometry", "neighbors", "pose", "readings")
 Input = Scan | Odometry | tuple[Neighbor, ...] | SharedPose | Mapping[str, float]
@@ -90,6 +91,14 @@ class ReadingsWire(Struct, frozen=True, array_like=True):
     values: dict[Word, Metres]
 
 
+class MessageWire(Struct, frozen=True, array_like=True):
+    """A pattern's message on a channel; `robot` is its sender. `payload` is an encoded value."""
+
+    robot: Name
+    channel: Channel
+    payload: Annotated[bytes, Meta(max_length=MAX_MESSAGE)]
+
+
 class CommandWire(Struct, frozen=True, array_like=True):
     """The safe command, the scan of its decision and the scan of its request (-1: none)."""
 
@@ -106,6 +115,7 @@ _neighbors = Decoder(NeighborsWire)
 _pose = Decoder(PoseWire)
 _readings = Decoder(ReadingsWire)
 _command = Decoder(CommandWire)
+_message = Decoder(MessageWire)
 
 
 def encode_scan(scan: Scan) -> bytes:
@@ -194,6 +204,16 @@ def encode_command(twist: Twist, scan_seq: int, requested_scan_seq: int) -> byte
 def decode_command(payload: bytes) -> CommandWire:
     """A safe command and the scans behind it."""
     return _command(payload)
+
+
+def encode_message(robot: str, channel: str, payload: bytes) -> bytes:
+    """The bytes of a message of robot `robot` whose encoded value is `payload`."""
+    return encode(MessageWire(robot, channel, payload))
+
+
+def decode_message(payload: bytes) -> MessageWire:
+    """A message with its sender and channel; its value is still encoded."""
+    return _message(payload)
 
 
 def decode_input(kind: str, payload: bytes, spec: ScanSpec) -> Input:

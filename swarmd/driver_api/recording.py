@@ -220,6 +220,10 @@ class RecordingSink:
         self._sink.readings(values)
         self._add("readings", encode_readings(values), decode_readings)
 
+    def message(self, sender: str, channel: str, payload: bytes) -> None:
+        """Passed on, not recorded."""
+        self._sink.message(sender, channel, payload)
+
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
@@ -245,14 +249,14 @@ class RecordedDriver:
 
     def __init__(self, driver: Driver, path: Path, header: Mapping[str, str]) -> None:
         self.is_simulated = driver.is_simulated
-        self._driver, self._path, self._header = driver, path, header
+        self.wrapped, self._path, self._header = driver, path, header
         self._recorder: Recorder | None = None
 
     async def run(self, sink: Sink) -> None:
         """Run the driver, recording."""
         self._recorder = Recorder(self._path, self._header)
         try:
-            await self._driver.run(RecordingSink(sink, self._recorder))
+            await self.wrapped.run(RecordingSink(sink, self._recorder))
         finally:
             self._recorder.close()
             self._recorder = None
@@ -261,13 +265,13 @@ class RecordedDriver:
         self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
     ) -> None:
         """Pass a command on and record it."""
-        self._driver.send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
+        self.wrapped.send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
         if self._recorder is not None:
             self._recorder.add("command", encode_command(twist, scan_seq, requested_scan_seq))
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """The driver's findings; records nothing."""
-        return await self._driver.check(seconds)
+        return await self.wrapped.check(seconds)
 
 
 def _framed(message: Struct) -> bytes:

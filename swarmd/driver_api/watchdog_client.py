@@ -165,7 +165,7 @@ class WatchedDriver:
         self, driver: Driver, spec: ZeroSenderSpec, *, name: str, tie: int | None = None
     ) -> None:
         self.is_simulated = driver.is_simulated
-        self._driver, self._spec, self._name, self._tie = driver, spec, name, tie
+        self.wrapped, self._spec, self._name, self._tie = driver, spec, name, tie
         self._watchdog: WatchdogProcess | None = None
         self._before: WatchdogProcess | None = None
 
@@ -179,7 +179,7 @@ class WatchedDriver:
             await watchdog.start()
             log.info("watchdog ready as process %d", watchdog.pid)
             self._watchdog = watchdog
-            await _while_watched(self._driver.run(sink), watchdog)
+            await _while_watched(self.wrapped.run(sink), watchdog)
         finally:
             self._watchdog = None
             watchdog.close()
@@ -191,11 +191,11 @@ class WatchedDriver:
         if self._watchdog is not None:
             self._watchdog.feed()
             command = ZERO if self._watchdog.requires_zero else twist
-            self._driver.send(command, scan_seq, requested_scan_seq, is_stopped=is_stopped)
+            self.wrapped.send(command, scan_seq, requested_scan_seq, is_stopped=is_stopped)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """The driver's findings, and whether a watchdog can be started; moves nothing."""
-        checking = asyncio.create_task(self._driver.check(seconds))
+        checking = asyncio.create_task(self.wrapped.check(seconds))
         try:
             with contextlib.closing(WatchdogProcess(self._spec, name=None)) as watchdog:
                 async with asyncio.timeout(seconds):

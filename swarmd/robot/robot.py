@@ -113,6 +113,11 @@ class Robot:
         """The last report of the pattern."""
         return self._lifecycle.report
 
+    @property
+    def readings(self) -> Mapping[str, float]:
+        """The present scalar sensors by name."""
+        return self._sensors.readings
+
     # Inputs from the driver and the network
 
     def on_scan(self, scan: Scan, now: float) -> Actions:

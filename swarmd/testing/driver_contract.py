@@ -110,6 +110,7 @@ class CollectingSink:
     neighborhoods: list[tuple[Neighbor, ...]] = field(default_factory=list)
     poses: list[SharedPose] = field(default_factory=list)
     values: list[Mapping[str, float]] = field(default_factory=list)
+    messages: list[tuple[str, str, bytes]] = field(default_factory=list)
     states: list[tuple[bool, str]] = field(default_factory=list)
     hold: Reason | None = None
     gets_zero: bool = False
@@ -145,6 +146,10 @@ class CollectingSink:
     def readings(self, values: Mapping[str, float]) -> None:
         """Record scalar sensors."""
         self.values.append(values)
+
+    def message(self, sender: str, channel: str, payload: bytes) -> None:
+        """Record a message that the base's radio received."""
+        self.messages.append((sender, channel, payload))
 
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False

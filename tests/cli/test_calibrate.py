@@ -16,8 +16,8 @@ from swarmd.core.messages import State, Status
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
-from swarmd.sim.live.demo_run import statuses_of
 from swarmd.sim.live.fleet import Fleet, FleetSpec
+from swarmd.sim.live.starting import statuses_of
 from tests.support.processes import unique_swarm, wait_until
 
 pytestmark = pytest.mark.integration

@@ -14,13 +14,15 @@ from swarmd.core.messages import Code, Epoch, Reply, RunRequest, State
 from swarmd.network.discovery import MembersView, SeenMember
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
-from swarmd.sim.live.demo_run import DemoSettings, Started, WorldWatcher, start_pattern
+from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.link import WorldView
+from swarmd.sim.live.starting import Started, start_pattern
 from swarmd.sim.live.state import WorldState
+from swarmd.sim.scenarios.scenario import ScheduledEvent
 from tests.support.statuses import make_member
 
 ROBOTS = ("a", "b", "c")
-SETTINGS = DemoSettings(pattern="drive", params={}, seconds=1.0, platform="burger")
+RUN = ScheduledEvent(at=0.0, action="run", robots=ROBOTS, pattern="drive")
 
 
 class FakeWorld:
@@ -66,7 +68,7 @@ class FakeOperator:
 
 
 def start(operator: FakeOperator) -> Started:
-    return start_pattern(cast(Operator, operator), operator.members(), ROBOTS, SETTINGS)
+    return start_pattern(cast(Operator, operator), operator.members(), RUN)
 
 
 def state(time: float, *xs: float) -> WorldState:

@@ -15,9 +15,10 @@ from swarmd.core.messages import RunRequest
 from swarmd.core.values import Array
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.sim.live.demo_run import WorldWatcher, statuses_of
+from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
 from swarmd.sim.live.link import WorldView
+from swarmd.sim.live.starting import statuses_of
 from swarmd.sim.live.state import WorldState
 from swarmd.testing.driver_contract import is_running
 from tests.support.processes import children, unique_swarm, wait_until, watchdogs

@@ -16,8 +16,8 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.messages import State
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.sim.live.demo_run import await_robots, statuses_of
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
+from swarmd.sim.live.starting import await_robots, statuses_of
 from tests.support.processes import children, unique_swarm, wait_until
 
 READY = Ready("tcp/127.0.0.1:1", "simulated", {"endpoint": "tcp/127.0.0.1:1"})

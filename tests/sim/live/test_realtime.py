@@ -18,12 +18,15 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.values import Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.emulator import EmulatorFactory, OnCommand
 from swarmd.driver_api.hw_codec import (
+    MessageWire,
     decode_command,
+    decode_message,
     decode_neighbors,
     decode_odometry,
     decode_readings,
     decode_scan,
     encode_command,
+    encode_message,
 )
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.body_transport import EmulatorTransport
@@ -40,6 +43,7 @@ from swarmd.sim.world.world import World
 from tests.support.processes import wait_until
 
 IDS = ("a", "b")
+FOR_EVER = (math.inf, math.inf)
 
 
 class Side:
@@ -71,7 +75,7 @@ class ManualWorld:
         self,
         settings: RecorderSettings,
         realism: Realism = IDEAL,
-        reach: float | None = None,
+        radio: RadioSettings | None = None,
         fields: tuple[Field, ...] = (),
         boxes: tuple[Box, ...] = (),
         emulator: EmulatorFactory | None = None,
@@ -82,7 +86,6 @@ class ManualWorld:
         starts = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
         robots, arena = dict.fromkeys(IDS, platform), Arena(6.0, 6.0, boxes)
         self.world = World(robots, arena, starts, realism=realism, fields=fields)
-        radio = RadioSettings(neighborhood="range", range=reach)
         self.link = WorldLink("s", IDS, "tcp/127.0.0.1:0", clock=lambda: self.now)
         self.recorder = LiveRecorder(self.world, settings)
         emulated = None
@@ -92,7 +95,7 @@ class ManualWorld:
             self.world,
             self.link,
             self.recorder,
-            radio=None if reach is None else Radio(radio, IDS, arena, seed=0),
+            radio=None if radio is None else Radio(radio, IDS, arena, seed=0),
             emulated=emulated,
             command_timeouts=command_timeouts,
             clock=lambda: self.now,
@@ -280,10 +283,42 @@ def received(live: LiveWorld, key: str) -> bytes:
 
 @pytest.mark.parametrize(("reach", "heard"), [(1.5, []), (2.5, ["b"])])
 def test_a_robot_receives_its_neighbors(make: Make, reach: float, heard: list[str]) -> None:
-    live = make(reach=reach)
+    live = make(radio=RadioSettings(neighborhood="range", range=reach), command_timeouts=FOR_EVER)
+    live.command("b", encode_command(Twist(), 1, 1))
     neighbors = decode_neighbors(received(live, "neighbors"))
     assert [neighbor.id for neighbor in neighbors] == heard
     assert all(neighbor.distance is None for neighbor in neighbors)
+
+
+def test_a_robot_without_a_daemon_is_no_neighbor(make: Make) -> None:
+    live = make(radio=RadioSettings(range_and_bearing=True))
+    assert decode_neighbors(received(live, "neighbors")) == ()
+
+
+def test_range_and_bearing_is_measured_from_the_true_poses(make: Make) -> None:
+    live = make(radio=RadioSettings(range_and_bearing=True), command_timeouts=FOR_EVER)
+    live.command("b", encode_command(Twist(), 1, 1))
+    (neighbor,) = decode_neighbors(received(live, "neighbors"))
+    assert neighbor.distance == pytest.approx(2.0, abs=0.3)  # five standard deviations
+    assert neighbor.bearing == pytest.approx(math.pi / 2.0, abs=0.2)
+
+
+def test_a_message_reaches_the_others_after_the_delay_of_the_radio(make: Make) -> None:
+    live = make(radio=RadioSettings(delay=0.3))
+    came: list[MessageWire | None] = []
+    live.peer.declare_subscriber(
+        "swarm/s/a/hw/received", lambda s: came.append(decode_message(s.payload.to_bytes()))
+    )
+    live.peer.declare_subscriber("swarm/s/a/hw/readings", lambda s: came.append(None))
+    live.peer.put("swarm/s/b/hw/sent", encode_message("b", "vote/opinion", b"x"))
+    live.peer.put("swarm/s/b/hw/sent", encode_message("a", "vote/opinion", b"of another"))
+    wait_until(lambda: live.link.dropped == 1, "both have arrived")
+    live.pass_time(0.25)
+    live.link.readings("a", {})  # follows what was sent before
+    wait_until(lambda: bool(came), "the mark")
+    live.pass_time(0.1)
+    wait_until(lambda: len(came) > 1, "the message")
+    assert came == [None, MessageWire("b", "vote/opinion", b"x")]
 
 
 def test_a_robot_receives_its_scalar_readings(make: Make) -> None:

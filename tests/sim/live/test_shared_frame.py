@@ -9,8 +9,8 @@ import pytest
 from swarmd.core.messages import Reason, RunRequest, State, Status
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.sim.live.demo_run import await_robots, statuses_of
 from swarmd.sim.live.fleet import Fleet, FleetSpec, world_command
+from swarmd.sim.live.starting import await_robots, statuses_of
 from tests.support.processes import unique_swarm, wait_until
 
 JACKAL, BURGER = "jackal-01", "tb3-01"

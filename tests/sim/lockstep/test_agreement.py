@@ -13,9 +13,10 @@ from swarmd.core.messages import RunRequest
 from swarmd.core.values import Array
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.sim.live.demo_run import WorldWatcher, await_robots
+from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.link import WorldView
+from swarmd.sim.live.starting import await_robots
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import Trace, load_trace

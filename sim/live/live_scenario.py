@@ -1,0 +1,95 @@
+"""A scenario as files for a live world and its daemons, and what cannot be done live."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Platform
+from swarmd.sim.scenarios.scenario import Scenario
+from swarmd.sim.world.radio import RadioSettings
+from swarmd.sim.world.realism import configured
+
+SCENARIO_FILE = "scenario.json"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LiveScenario:
+    """A scenario whose robots are daemons."""
+
+    scenario: Scenario
+
+    def write(self, folder: Path) -> None:
+        """Write the effective scenario and its platforms, with the sensors that it adds."""
+        scenario = self.scenario
+        (folder / SCENARIO_FILE).write_text(json.dumps(scenario.effective, indent=1))
+        (folder / "platforms").mkdir(exist_ok=True)
+        for platform in {one.name: one for one in scenario.robots.values()}.values():
+            path = _platform_path(folder, platform)
+            path.write_text(yaml.safe_dump(self._platform_file(platform)))
+
+    def daemon_config(self, robot: str, folder: Path) -> dict[str, object]:
+        """The keys of the daemon's file that the scenario sets; `write` has written to `folder`."""
+        scenario, accepts = self.scenario, self.scenario.accepts
+        group = next(name for name, ids in scenario.groups.items() if robot in ids)
+        section = scenario.effective["groups"][group]
+        own = {name: dict(values) for name, values in scenario.effective["parameters"].items()}
+        if (pattern := section["pattern"]) is not None:  # a group's parameters are the stronger
+            own[pattern] = {**own.get(pattern, {}), **section["parameters"]}
+        return {
+            "platform": str(_platform_path(folder.absolute(), scenario.robots[robot])),
+            "labels": {name: list(ids) for name, ids in scenario.groups.items()},
+            "parameters": {"robots": {robot: own}},
+            "touch": section["touch"],
+            "accepts_unseen": dict(accepts.unseen),
+            "accepts_faster": dict(accepts.faster),
+        }
+
+    def _platform_file(self, platform: Platform) -> dict[str, Any]:
+        """The content of the platform's file."""
+        scan = configured(platform, self.scenario.realism).scan
+        file = dict(self.scenario.effective["platforms"][platform.name])
+        file["provides"] = sorted(platform.provides)
+        file["scan"] = {**file["scan"], "noisy": scan.is_noisy}
+        if scan.sweep is None:
+            file["scan"]["sweep"] = None
+        return file
+
+
+def _platform_path(folder: Path, platform: Platform) -> Path:
+    return folder / "platforms" / f"{platform.name}.yaml"
+
+
+def check_live(scenario: Scenario, most: int, emulator: str | None = None) -> None:
+    """Raise ConfigError, which names the first key, for what a live run cannot do.
+
+    `most`: the robots that one machine can run as daemons.
+    """
+    for key, why in _impossible(scenario, most, emulator):
+        raise ConfigError(f"scenario {scenario.name}: {key}: {why}")
+
+
+def _impossible(scenario: Scenario, most: int, emulator: str | None) -> Iterator[tuple[str, str]]:
+    count = len(scenario.robots)
+    if count > most:
+        text = f"{count} robots; a live run has at most {most}, each with a daemon"
+        yield "groups", f"{text}: lower the counts with --set, or use swarmctl exp run"
+    if emulator is None:
+        return
+    if scenario.fields:
+        yield "fields", f"emulated robots ({emulator}) publish no readings; leave --emulate out"
+    default = RadioSettings()
+    for key in RadioSettings.__struct_fields__:
+        if getattr(scenario.radio, key) != getattr(default, key):
+            text = f"emulated robots ({emulator}) have no simulated radio; leave --emulate out"
+            yield f"radio.{key}", text
+    for platform in scenario.robots.values():
+        if platform.protection["mode"] == "off":
+            text = f"off is for driver simulated, not for {emulator}; leave --emulate out"
+            yield f"platforms.{platform.name}.protection.mode", text

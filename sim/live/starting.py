@@ -1,0 +1,135 @@
+"""Waits for the robots of a fleet, and starts patterns on them, as an operator would."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from swarmd.core.errors import ConfigError, NetworkError, SwarmError
+from swarmd.core.messages import Code, Presence, RunRequest, State, Status
+from swarmd.network.discovery import MembersView
+from swarmd.network.operator import Operator
+from swarmd.network.outcome import Outcome
+from swarmd.sim.live.fleet import Fleet
+from swarmd.sim.scenarios.scenario import ScheduledEvent
+
+# s between two rounds while robots start. Without a pause the rounds take up to half a second of
+# processor time from seven daemons that start on two cores.
+UP_PERIOD = 0.02
+UP_TIMEOUT, UP_TIMEOUT_EACH = 20.0, 1.0  # s, and s more per robot: slow machines, cold disks
+# Twelve Burgers on a busy machine: four needed more than the 3 s in which a pattern must load.
+RUN_ATTEMPTS = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Started:
+    """The robots that run the pattern; of these `late` needed more than one request.
+
+    `missing`: why each other robot does not run it.
+    """
+
+    robots: tuple[str, ...]
+    late: tuple[str, ...]
+    missing: Mapping[str, str]
+
+
+def await_robots(operator: Operator, fleet: Fleet) -> MembersView:
+    """The swarm once each robot has answered and reaches its base, or when the time is up.
+
+    SwarmError if a process ends meanwhile, NetworkError if no robot is up in time.
+    """
+    robots = fleet.robots
+    timeout = UP_TIMEOUT + UP_TIMEOUT_EACH * len(robots)
+    deadline = time.monotonic() + timeout
+    while True:
+        fleet.check()
+        view = operator.members()
+        up = {name for name, status in statuses_of(view).items() if status.health.driver_up}
+        is_over = time.monotonic() > deadline
+        if up.issuperset(robots) or (up and is_over):
+            return view
+        if is_over:
+            raise NetworkError(f"no robot is up after {timeout:.0f} s (logs: {fleet.spec.folder})")
+        time.sleep(UP_PERIOD)
+
+
+def statuses_of(view: MembersView) -> dict[str, Status]:
+    """The statuses of the robots that are alive and have answered."""
+    return {
+        name: member.status
+        for name, member in view.members.items()
+        if member.presence is Presence.ALIVE and member.status is not None
+    }
+
+
+def start_pattern(operator: Operator, view: MembersView, run: ScheduledEvent) -> Started:
+    """Carry out a run event; each robot that fails or does not answer is asked again.
+
+    ConfigError if all refuse, SwarmError if none runs it after the last attempt.
+    """
+    waiting = run.robots
+    started: set[str] = set()
+    late: set[str] = set()
+    for attempt in range(RUN_ATTEMPTS):
+        if attempt:
+            view = operator.members()
+            # The acknowledgement may have been late or lost, and the robot runs all the same.
+            running = {
+                name
+                for name, one in statuses_of(view).items()
+                if one.state is State.RUNNING and one.pattern == run.pattern
+            }
+            late |= running.intersection(waiting)
+            waiting = tuple(name for name in waiting if name not in late)
+        outcome = operator.request(RunRequest, view.epochs(waiting), **run_fields(run))
+        if not attempt and len(outcome.refused) == len(waiting):
+            raise ConfigError(why_not("run", outcome))
+        (late if attempt else started).update(outcome.applied)
+        waiting = tuple(name for name in waiting if name not in outcome.applied)
+        if not waiting:
+            break
+    started |= late
+    if not started:
+        raise SwarmError(why_not("run", outcome))
+    return Started(tuple(sorted(started)), tuple(sorted(late)), _texts(outcome))
+
+
+def joined(parts: Iterable[Started]) -> Started:
+    """Several starts as one."""
+    some = list(parts)
+    return Started(
+        tuple(sorted(robot for one in some for robot in one.robots)),
+        tuple(sorted(robot for one in some for robot in one.late)),
+        {robot: text for one in some for robot, text in one.missing.items()},
+    )
+
+
+def run_fields(run: ScheduledEvent) -> dict[str, Any]:
+    """The fields of a request for a run event."""
+    return {
+        "pattern": run.pattern,
+        "params": dict(run.parameters),
+        "seconds": run.seconds,
+        "until": tuple(run.until),
+    }
+
+
+def _texts(outcome: Outcome) -> dict[str, str]:
+    """Why each robot did not apply a request."""
+    texts = {
+        name: reply.text or reply.code.value
+        for name, reply in outcome.replies.items()
+        if reply.code is not Code.APPLIED
+    }
+    return texts | dict.fromkeys(outcome.missing, "no answer")
+
+
+def why_not(verb: str, outcome: Outcome) -> str:
+    """The outcome in one line, with each text once."""
+    by_text: dict[str, list[str]] = {}
+    for name, text in sorted(_texts(outcome).items()):
+        by_text.setdefault(text, []).append(name)
+    reasons = [f"{', '.join(names)}: {text}" for text, names in by_text.items()]
+    return "; ".join([f"{verb}: {outcome.line}", *reasons])
