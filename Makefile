@@ -9,7 +9,7 @@ ARGS ?=
 # nothing. 0: one after the other, in this process.
 JOBS ?= 5
 
-.PHONY: help demo kernels wheels test evidence check static wheel format bench budget network network-scale paper safety outcomes voting mutants kernel-mutants lock clean
+.PHONY: help demo kernels wheels test evidence check static wheel format docs bench budget network network-scale paper safety outcomes voting mutants kernel-mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -17,7 +17,8 @@ help:
 	@echo "make test      all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
 	@echo "make kernels   compiles the kernels again, after an edit of a *_kernel.py"
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"
-	@echo "make check     format, lint, types, and the wheel tried in a fresh environment"
+	@echo "make check     format, lint, types, the site, and the wheel tried in a fresh environment"
+	@echo "make docs      the site of the documentation, in build/site; open index.html, no network needed"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
 	@echo "make budget    each budget beside a short measurement, in a minute and a half"
@@ -57,7 +58,7 @@ evidence: $(VENV)/tools
 	  --hypothesis-profile evidence --timeout 3600 $(ARGS)
 	@$(MAKE) --no-print-directory ARGS= outcomes paper voting safety
 
-check: static wheel
+check: static docs wheel
 
 static: $(VENV)/tools
 	$(BIN)/ruff format --check .
@@ -67,6 +68,11 @@ static: $(VENV)/tools
 # Without isolation: the installation of the tools has built swarmd with what pyproject.toml names.
 wheel: $(VENV)/tools
 	.ci/try-wheel $(BIN)/python
+
+# A warning, such as a link that leads nowhere, is an error. The parts of the reference are made from
+# the installed plugins and the YAML files.
+docs: $(VENV)/docs
+	$(BIN)/sphinx-build -q --fail-on-warning --keep-going -c docs -d build/doctrees . build/site
 
 format: $(VENV)/tools
 	$(BIN)/ruff format .
@@ -134,7 +140,7 @@ $(VENV)/made:
 
 $(VENV)/installed: $(VENV)/made pyproject.toml setup.py constraints.txt
 	@echo "Installing swarmd with what the demo needs."
-	@$(PIP) install --constraint constraints.txt --editable '.[sim,plot]'
+	@$(PIP) install --constraint constraints.txt --editable '.[sim,plot,web]'
 	@$(COMPILE)
 	@touch $@
 
@@ -143,6 +149,12 @@ $(VENV)/tools: $(VENV)/installed
 	@echo "Installing the tools for tests and checks."
 	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]["dev"], sep="\n")' > $(VENV)/dev.txt
 	@$(PIP) install --constraint constraints.txt --requirement $(VENV)/dev.txt
+	@touch $@
+
+$(VENV)/docs: $(VENV)/tools
+	@echo "Installing the tools for the site."
+	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]["docs"], sep="\n")' > $(VENV)/docs.txt
+	@$(PIP) install --constraint constraints.txt --requirement $(VENV)/docs.txt
 	@touch $@
 
 # The newest versions that fit, in a fresh environment; run the checks before committing them.

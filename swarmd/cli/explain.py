@@ -13,7 +13,7 @@ from swarmd.network.discovery import Contact, SeenMember
 _SAME_OBSTACLE = math.radians(10.0)
 _START = "start it with `swarmctl run PATTERN {robot}`"
 
-_SENTENCES = {
+SENTENCES = {
     Reason.NEVER_ASKED: f"has not been run yet; {_START}",
     Reason.FINISHED: f"the pattern has finished{{detail}}; {_START}",
     Reason.RESET: f"was reset{{detail}}; {_START}",
@@ -41,6 +41,7 @@ _SENTENCES = {
     Reason.NO_REQUESTED_COMMAND: "the pattern requests no motion",
     Reason.PROTECTION: "protection holds it{gap}",
 }
+"""Sentence of each reason, with the fields that `why` fills in."""
 
 # In the past tense, for a robot that was stopped because the hold lasted: it may be over by now.
 _LASTING_HOLDS = {
@@ -84,7 +85,7 @@ def why(member: SeenMember) -> str:
         return lasting + _lost(status)
     issuers = sorted({latch.issuer for latch in status.latches.values()})
     age = status.decision.scan_age
-    sentence = _SENTENCES[reason].format(
+    sentence = SENTENCES[reason].format(
         robot=member.robot,
         detail=detail,
         latches=f" by {', '.join(issuers)}" if issuers else "",

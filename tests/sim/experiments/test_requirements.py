@@ -63,6 +63,9 @@ def test_a_requirement_compares_a_statistic(text: str, expected: bool) -> None:
         "minimum_gap",
         "minimum_gap >= ",
         "minimum_gap => 3",
+        "minimum_gap = 3",
+        "minimum_gap != 3",
+        "minimum_gap= >= 3",
         "minimum_gap >= much",
         "minimum_gap >= nan",
         "mode(minimum_gap) >= 3",
@@ -78,9 +81,10 @@ def test_a_malformed_requirement_is_refused_by_its_text(text: str) -> None:
     assert repr(text) in str(error.value)
 
 
-def test_the_name_of_a_metric_may_hold_colons_and_dots() -> None:
-    assert parse_requirement("median(report:value.mean_end) > 3").metric == "report:value.mean_end"
-    assert parse_requirement("report:value.mean_end > 3").metric == "report:value.mean_end"
+@pytest.mark.parametrize("name", ["report:value.mean_end", "report:state=wait", "warm.py:warm"])
+@pytest.mark.parametrize("form", ["median({}) == 3", "{}==3", "{} > 3"])
+def test_the_name_of_a_metric_may_hold_marks(name: str, form: str) -> None:
+    assert parse_requirement(form.format(name)).metric == name
 
 
 def test_an_unknown_metric_is_refused_with_the_nearest() -> None:

@@ -1,4 +1,4 @@
-"""What the documents promise: code as in the examples, links that lead somewhere, real verbs."""
+"""What the pages promise: links that lead somewhere, real verbs, options, targets and metrics."""
 
 from __future__ import annotations
 
@@ -17,10 +17,16 @@ from swarmd.cli.daemon import swarmd
 from swarmd.cli.swarmctl import VERBS, cli
 from swarmd.plugins import DRIVERS
 from swarmd.settings.platforms import platform_names
+from swarmd.sim.experiments.requirements import RUNS, parse_requirement
+from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.scenarios.scenariofile import load_scenario
 
-ROOT = Path(__file__).resolve().parent.parent
-PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")])
+ROOT = Path(__file__).resolve().parents[2]
+PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "benchmarks/README.md"])
 LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]+))?\)")
+IMAGE = re.compile(r'<(?:img|source|video)[^>]* src="([^"]+)"')
+TARGET = re.compile(r"^make(?: [A-Z]+=\S+)* ([a-z-]+)", re.MULTILINE)
+FILE = re.compile(r"# (\w+\.(?:py|yaml))\n")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 EXAMPLE = "udp"  # the driver in examples/
 NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
@@ -39,13 +45,21 @@ def blocks(page: Path, language: str) -> list[str]:
 def commands(page: Path, program: str = "swarmctl") -> list[list[str]]:
     """The words of each line in a block that begins with `program`, without comments."""
     lines = [line for block in blocks(page, "") for line in block.splitlines()]
-    pattern = re.compile(rf"(?:\w+=\S+ )?{program}\s+(.+?)(?:\s+#.*)?$")
+    pattern = re.compile(rf"(?:\$ )?(?:\w+=\S+ )?{program}\s+(.+?)(?:\s+#.*)?$")
     return [shlex.split(match[1]) for match in map(pattern.match, lines) if match]
+
+
+def files(page: Path) -> dict[str, str]:
+    """The blocks that begin with the name of a file, by that name."""
+    listed = [text for kind in ("yaml", "python") for text in blocks(page, kind)]
+    return {match[1]: text for text in listed if (match := FILE.match(text))}
 
 
 def outgoing(page: Path) -> list[tuple[str, str]]:
     """(file or empty, anchor or empty) of each link of the page into the repository."""
-    return [link for link in LINK.findall(BLOCK.sub("", page.read_text())) if "://" not in link[0]]
+    text = BLOCK.sub("", page.read_text())
+    links = LINK.findall(text) + [(image, "") for image in IMAGE.findall(text)]
+    return [link for link in links if "://" not in link[0]]
 
 
 def anchors(page: Path) -> set[str]:
@@ -56,6 +70,11 @@ def anchors(page: Path) -> set[str]:
 
 def test_the_pattern_in_the_readme_is_the_example() -> None:
     assert (ROOT / "examples" / "shy.py").read_text() in blocks(ROOT / "README.md", "python")
+
+
+def test_the_pattern_in_the_tutorial_is_the_example() -> None:
+    page = ROOT / "docs" / "tutorial" / "2-own-behaviour.md"
+    assert (ROOT / "examples" / "beeclust.py").read_text() in blocks(page, "python")
 
 
 def test_that_pattern_is_at_most_15_lines_of_code() -> None:
@@ -77,7 +96,11 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
-def test_commands_are_as_swarmctl_takes_them(page: Path) -> None:
+def test_commands_are_as_swarmctl_takes_them(page: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Their files need not exist."""
+    monkeypatch.setattr(
+        click.Path, "convert", lambda path, value, *_: path.coerce_path_result(value)
+    )
     wrong = []
     for words in commands(page):
         with click.Context(cli) as ctx:
@@ -98,6 +121,43 @@ def test_commands_are_as_swarmd_takes_them(page: Path) -> None:
         assert platform is None or platform.endswith(".yaml") or platform in platform_names()
         assert driver is None or driver in (*entry_points(group=DRIVERS).names, EXAMPLE)
         assert platform is None or driver is not None, f"{words}: drives a simulated robot"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_targets_of_make_exist(page: Path) -> None:
+    known = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    inline = re.findall(r"`(make [^`\n]+)`", BLOCK.sub("", page.read_text()))
+    found = TARGET.findall("\n".join([*inline, *blocks(page, "")]))
+    assert set(found) <= known
+
+
+@pytest.mark.parametrize("page", PAGES, ids=name_of)
+def test_metrics_and_requirements_exist(page: Path) -> None:
+    """Those of `--metrics` and of `exp check`; one of a file must be a file of the page."""
+    verbs = [words for words in commands(page) if words[0] == "exp"]
+    checked = [words[3:] for words in verbs if words[1] == "check"]
+    found = {parse_requirement(text).metric for texts in checked for text in texts}
+    options = [words[words.index("--metrics") + 1] for words in verbs if "--metrics" in words]
+    found |= {name for names in options for name in names.split(",")}
+    unknown = [
+        name
+        for name in sorted(found - {RUNS, *METRICS})
+        if name.partition(":")[0] not in ("report", *files(page))
+    ]
+    assert unknown == []
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if files(page)], ids=name_of)
+def test_files_of_a_page_are_ready_to_use(page: Path, tmp_path: Path) -> None:
+    for name, text in files(page).items():
+        (tmp_path / name).write_text(text)
+    for example in (ROOT / "examples").glob("*.py"):
+        (tmp_path / example.name).write_text(example.read_text())
+    for name, text in files(page).items():
+        if name.endswith(".yaml"):
+            assert load_scenario(tmp_path / name).robots
+        else:
+            compile(text, name, "exec")
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

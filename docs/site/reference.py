@@ -1,0 +1,278 @@
+"""The reference pages in Markdown, from plugins, YAML files, schemas and command lines."""
+
+from __future__ import annotations
+
+import inspect
+import re
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from typing import Any
+
+import click
+import msgspec
+
+from swarmd.cli.daemon import swarmd
+from swarmd.cli.explain import SENTENCES
+from swarmd.cli.output import number
+from swarmd.cli.plugin_check import describe_patterns
+from swarmd.cli.swarmctl import cli
+from swarmd.protection.settings import BarrierSettings, PotentialFieldSettings, StopZoneSettings
+from swarmd.settings.platforms import (
+    HeightsSection,
+    LimitsSection,
+    PlatformFile,
+    ScanSection,
+    SweepSection,
+    load_platform,
+    platform_names,
+    platform_sources,
+)
+from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
+from swarmd.sim.scenarios.schema import (
+    ArenaSection,
+    BoxSection,
+    EventSection,
+    GroupSection,
+    PoleSection,
+    ScenarioFile,
+    SegmentSection,
+    StartSection,
+)
+from swarmd.sim.world.radio import RadioSettings
+from swarmd.sim.world.realism import Actuation, LidarNoise, OdometryNoise
+
+_PLATFORM = "waffle_pi"  # for defaults that depend on the robot
+
+
+def patterns() -> Iterator[str]:
+    """Each pattern with its parameters."""
+    for row in describe_patterns((), None, _PLATFORM):
+        if "error" in row:
+            raise RuntimeError(f"{row['name']}: {row['error']}")
+        yield f"## {row['name']}"
+        yield _prose(row["text"])
+        channels = ", ".join(f"`{name}` ({kind})" for name, kind in row["channels"].items())
+        needs = ", ".join(f"`{one}`" for one in row["needs"])
+        yield f"Kind: {row['kind']}. Needs: {needs or 'no sensor'}. Sends: {channels or 'nothing'}."
+        rows = [
+            (
+                f"`{one['name']}`",
+                _default(one),
+                one["unit"],
+                one["wanted"],
+                one["description"],
+                "platform" if one["is_derived"] else one["source"],
+            )
+            for one in row["params"]
+        ]
+        yield _table(("parameter", "default", "unit", "accepted", "meaning", "source"), rows)
+
+
+def platforms() -> Iterator[str]:
+    """The figures of each platform, then the keys of a platform's file."""
+    yield "## Shipped platforms"
+    rows = []
+    for name in platform_names():
+        one = load_platform(name)
+        length, width = one.footprint.max(axis=0) - one.footprint.min(axis=0)
+        description = platform_sources(name)[0][1].get("description", "")
+        rows.append(
+            (
+                f"`{name}`",
+                str(description),
+                f"{one.limits.linear:g}, {one.limits.angular:g}",
+                f"{length:.3g} x {width:.3g}",
+                str(len(one.scan.bearings)),
+                f"{one.scan.rate:g}",
+                f"{one.scan.range_min:g} to {one.scan.range_max:g}",
+            )
+        )
+    heads = ("platform", "robot", "limits [m/s, rad/s]", "outline [m]")
+    yield _table((*heads, "rays", "scans [Hz]", "ranges [m]"), rows)
+    yield "## Keys of the file"
+    yield from _schema("", PlatformFile)
+    yield from _schema("limits", LimitsSection)
+    yield from _schema("scan", ScanSection)
+    yield from _schema("scan.sweep", SweepSection)
+    yield from _schema("heights", HeightsSection)
+    yield from _schema("protection.barrier", BarrierSettings)
+    yield from _schema("protection.stop_zone", StopZoneSettings)
+    yield from _schema("protection.presets.NAME", PotentialFieldSettings)
+
+
+def scenarios() -> Iterator[str]:
+    """Each shipped scenario, then the keys of a scenario's file."""
+    yield "## Shipped scenarios"
+    rows = []
+    for name in scenario_names():
+        one = load_scenario(name)
+        run = {str(group["pattern"]) for group in one.effective["groups"].values()}
+        description = " ".join(one.description.split())
+        cells = (str(len(one.robots)), f"{one.duration:g}", ", ".join(sorted(run)), description)
+        rows.append((f"`{name}`", *cells))
+    yield _table(("scenario", "robots", "duration [s]", "pattern", "description"), rows)
+    yield "## Keys of the file"
+    yield from _schema("", ScenarioFile)
+    yield from _schema("groups.NAME", GroupSection)
+    yield from _schema("start", StartSection)
+    yield from _schema("arena", ArenaSection)
+    yield from _schema("arena.boxes", BoxSection)
+    yield from _schema("arena.poles", PoleSection)
+    yield from _schema("arena.segments", SegmentSection)
+    yield from _schema("events", EventSection)
+    yield from _schema("radio", RadioSettings)
+    yield from _schema("realism.lidar", LidarNoise)
+    yield from _schema("realism.odometry", OdometryNoise)
+    yield from _schema("realism.actuation", Actuation)
+
+
+def metrics() -> Iterator[str]:
+    """All metrics of a run."""
+    rows = [(f"`{m.name}`", m.unit, m.better or "", m.meaning, m.source) for m in METRICS.values()]
+    yield _table(("metric", "unit", "better", "meaning", "source"), rows)
+
+
+def commands() -> Iterator[str]:
+    """Both programs, each verb with its arguments and options."""
+    yield from _command(swarmd, "swarmd", None)
+    yield from _command(cli, "swarmctl", None)
+
+
+def reasons() -> Iterator[str]:
+    """The sentence of each reason, as `describe` prints it, without its details."""
+    known = {"robot": "ROBOT", "late": "much", "peer": "a peer is not seen, or is too fast"}
+    filled = defaultdict(str, known)
+    rows = [(f"`{reason}`", text.format_map(filled)) for reason, text in SENTENCES.items()]
+    yield _table(("reason", "meaning and remedy"), rows)
+
+
+PARTS: dict[str, Callable[[], Iterable[str]]] = {
+    "patterns": patterns,
+    "platforms": platforms,
+    "scenarios": scenarios,
+    "metrics": metrics,
+    "commands": commands,
+    "reasons": reasons,
+}
+"""What the directive `reference` accepts."""
+
+
+def _command(command: click.Command, path: str, parent: click.Context | None) -> Iterator[str]:
+    ctx = click.Context(command, info_name=path.rpartition(" ")[2], parent=parent)
+    yield f"## {path}"
+    yield f"```\n{path} {' '.join(command.collect_usage_pieces(ctx))}\n```"
+    text = inspect.cleandoc(command.help or "").replace("\b\n", "")
+    yield _prose(text)
+    records = (option.get_help_record(ctx) for option in command.params)
+    rows = [(f"`{names}`", text) for names, text in filter(None, records)]
+    if rows:
+        yield _table(("option", "meaning"), rows)
+    if command.epilog:
+        yield f"```\n{inspect.cleandoc(command.epilog.replace(chr(8), ''))}\n```"
+    if isinstance(command, click.Group):
+        for name in command.list_commands(ctx):
+            verb = command.get_command(ctx, name)
+            if verb is not None and not verb.hidden:
+                yield from _command(verb, f"{path} {name}", ctx)
+
+
+def _schema(where: str, kind: type[msgspec.Struct]) -> Iterator[str]:
+    """A table of the keys of a section: what each accepts, its default and its meaning."""
+    yield f"### {where}" if where else "### The whole file"
+    text = inspect.cleandoc(kind.__doc__ or "")
+    bullets = {
+        name: " ".join(meaning.split())
+        for names, meaning in re.findall(r"^- (`.+?): ((?:.|\n  )*)", text, re.MULTILINE)
+        for name in re.findall(r"`(\w+)`", names)
+    }
+    yield _prose(re.sub(r"\n*^- `(?:.|\n  )*", "", text, flags=re.MULTILINE))
+    comments = _comments(kind)
+    info = msgspec.inspect.type_info(kind)
+    assert isinstance(info, msgspec.inspect.StructType)
+    rows = [
+        (
+            f"`{one.encode_name}`",
+            _accepted(one.type),
+            "required" if one.required else _shown_default(one),
+            bullets.get(one.name) or comments.get(one.name, ""),
+        )
+        for one in info.fields
+    ]
+    if not any(row[3] for row in rows):
+        yield _table(("key", "accepted", "default"), [row[:3] for row in rows])
+    else:
+        yield _table(("key", "accepted", "default", "meaning"), rows)
+
+
+def _comments(kind: type) -> dict[str, str]:
+    """The comment above each field of a class."""
+    found, above = {}, []
+    for line in inspect.getsource(kind).splitlines():
+        text = line.strip()
+        if text.startswith("#"):
+            above.append(text.removeprefix("#").strip())
+            continue
+        name = re.match(r"(\w+):", text)
+        if name and above:
+            found[name[1]] = " ".join(above)
+        above = []
+    return found
+
+
+def _accepted(kind: msgspec.inspect.Type) -> str:
+    """What a key accepts, in words."""
+    match kind:
+        case msgspec.inspect.UnionType(types=types):
+            listed = [one for one in types if not isinstance(one, msgspec.inspect.NoneType)]
+            return " or ".join(dict.fromkeys(map(_accepted, listed)))
+        case msgspec.inspect.FloatType() | msgspec.inspect.IntType():
+            word = "integer" if isinstance(kind, msgspec.inspect.IntType) else "number"
+            above = f" from {kind.ge:g}" if kind.ge is not None else ""
+            above = f" above {kind.gt:g}" if kind.gt is not None else above
+            return word + above + (f" to {kind.le:g}" if kind.le is not None else "")
+        case msgspec.inspect.LiteralType(values=values):
+            return "one of " + ", ".join(f"`{one}`" for one in values)
+        case msgspec.inspect.ListType(item_type=item):
+            return f"list of: {_accepted(item)}"
+        case msgspec.inspect.TupleType(item_types=items):
+            return "[" + ", ".join(map(_accepted, items)) + "]"
+        case msgspec.inspect.DictType() | msgspec.inspect.StructType():
+            return "a section"
+        case msgspec.inspect.BoolType():
+            return "true or false"
+        case msgspec.inspect.StrType():
+            return "text"
+    return "any value"
+
+
+def _shown_default(one: msgspec.inspect.Field) -> str:
+    value: Any = one.default
+    if one.default_factory is not msgspec.NODEFAULT:
+        value = one.default_factory()
+    if value is None or value in ("", [], {}, ()) or isinstance(value, msgspec.Struct):
+        return ""
+    return f"`{str(value).lower()}`" if isinstance(value, bool) else f"`{value}`"
+
+
+def _default(spec: dict[str, Any]) -> str:
+    return "required" if spec["is_required"] else f"`{number(spec['default'])}`"
+
+
+def _prose(text: str) -> str:
+    """Text of a docstring, safe in Markdown outside of code."""
+    parts = re.split(r"(`[^`\n]*`)", inspect.cleandoc(text))
+    return "".join(one if one.startswith("`") else _escape(one) for one in parts)
+
+
+def _escape(text: str) -> str:
+    return re.sub(r"([<*\[\]_$])", r"\\\1", text)
+
+
+def _table(heads: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    def line(cells: Iterable[str]) -> str:
+        return (
+            "| " + " | ".join(_prose(" ".join(c.replace("|", "\\|").split())) for c in cells) + " |"
+        )
+
+    return "\n".join([line(heads), "|" + "---|" * len(heads), *map(line, rows)])
