@@ -9,7 +9,7 @@ ARGS ?=
 # nothing. 0: one after the other, in this process.
 JOBS ?= 5
 
-.PHONY: help demo kernels wheels test evidence check static wheel format docs bench budget network network-scale paper safety outcomes voting mutants kernel-mutants lock clean
+.PHONY: help demo kernels wheels test evidence check static wheel format docs bench budget network network-scale paper safety outcomes voting films mutants kernel-mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -28,6 +28,7 @@ help:
 	@echo "make outcomes    what each pattern brings about in a swarm, over twenty seeds"
 	@echo "make paper       the tables and figures of docs/paper.md; half an hour"
 	@echo "make voting      how voting scales with the number of robots; ten minutes"
+	@echo "make films       a short film of each pattern; a few minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
 	@echo "make mutants   small changes of the code and the tests that notice them; a night"
 	@echo "make kernel-mutants  the same for the compiled kernels; ARGS=40 draws so many; 20 s each, 2 min if none notices"
@@ -107,6 +108,10 @@ outcomes: $(VENV)/tools
 # How voting scales with robots, drawn for docs/figures; some ten minutes.
 voting: $(VENV)/tools
 	@$(BIN)/python -m studies.voting $(ARGS)
+
+# A short film of each pattern, in build/films; ARGS=docs/figures replaces those of the docs.
+films: $(VENV)/tools
+	@$(BIN)/python -m studies.films $(ARGS)
 
 # Robot-hours and progress under protection, kept in build/safety; hours on two cores. With
 # ARGS="--robot-hours 30" a tenth of it; --attack-share sets how many of them are among attackers.

@@ -18,6 +18,7 @@ import click
 from swarmd.cli.arguments import Duration, read_assignments
 from swarmd.cli.output import print_json, print_section, warn
 from swarmd.core.errors import SwarmError
+from swarmd.sim.cli.exp_video import film, need_film
 from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
 from swarmd.sim.cli.world_page import page_option, world_page
 
@@ -36,6 +37,12 @@ if TYPE_CHECKING:
     "-p", "params", multiple=True, metavar="KEY=VALUE", help="A parameter; may be repeated."
 )
 @click.option("--seconds", type=Duration(), default=60.0, help="How long, in simulated time [60].")
+@click.option(
+    "--video",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="Film the run when it has ended: .mp4, .gif or .webp; more options has `exp video`.",
+)
 @click.option("--headless", is_flag=True, help="Show no live view; the default without a terminal.")
 @page_option
 @output_option
@@ -46,6 +53,7 @@ def demo(
     pattern: str,
     params: tuple[str, ...],
     seconds: float,
+    video: Path | None,
     headless: bool,
     is_json: bool,
     page: WebOptions | None,
@@ -58,6 +66,11 @@ def demo(
     only if every robot ran to the end and no two robots touched.
     """
     need("mujoco")
+    if video is not None:  # before the run, not after it
+        need_film()
+        from swarmd.sim.film.encode import check_output
+
+        check_output(video)
     from swarmd.plugins import find_pattern
 
     if world["scenario"] is None:
@@ -75,6 +88,12 @@ def demo(
     is_live = sys.stdout.isatty() and not (headless or is_json)
     summary = perform(spec, settings, is_live=is_live, page=page)
     report(summary, folder, is_json=is_json)
+    if video is not None:
+        from swarmd.sim.film.film import FilmSettings
+        from swarmd.sim.trace import load_trace
+
+        title = f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
+        film(load_trace(folder / "trace.npz"), video, title, FilmSettings(), is_quiet=is_json)
     ctx.exit(0 if summary.is_good else 1)
 
 

@@ -17,7 +17,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.kernels import describe_kernels
 from swarmd.plugins import mission_files
 
-NOT_IN_RUNS = frozenset({"__pycache__", "cli", "live", "plots", "testing"})
+NOT_IN_RUNS = frozenset({"__pycache__", "cli", "film", "live", "plots", "report", "testing"})
 """Folders of swarmd that no run imports; a change there changes no result."""
 
 _GIT_SECONDS = 10.0

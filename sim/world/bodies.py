@@ -37,6 +37,11 @@ def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujo
 
     The robots come first, then the arena's movable boxes.
     """
+    return build_spec(robots, arena, dt).compile()
+
+
+def build_spec(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujoco.MjSpec:
+    """The model before it is compiled: bodies `robot/ID` and `box-body/NAME`."""
     spec = mujoco.MjSpec()
     spec.option.timestep = dt
     spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
@@ -47,7 +52,7 @@ def build_model(robots: Mapping[str, Platform], arena: Arena, dt: float) -> mujo
         _add_shapes(body, robot, platform)
     for name, box in arena.movable_boxes:
         _add_movable_box(spec, name, box)
-    return spec.compile()
+    return spec
 
 
 def _add_arena(spec: mujoco.MjSpec, arena: Arena) -> None:

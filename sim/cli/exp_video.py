@@ -1,0 +1,131 @@
+"""`swarmctl exp video`: a film of one run."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import click
+
+from swarmd.cli.output import warn
+from swarmd.core.errors import ConfigError
+from swarmd.sim.cli.options import need
+from swarmd.sim.trace import Trace
+
+if TYPE_CHECKING:
+    from swarmd.sim.film.film import FilmSettings
+
+_SIZE = re.compile(r"([0-9]+)x([0-9]+)")
+_SMALLEST, _LARGEST = 160, 4096
+
+
+@click.command("video")
+@click.argument("place", metavar="DIR", type=click.Path(exists=True, path_type=Path))
+@click.option("--seed", type=click.IntRange(min=0), help="The seed of the run [the first run].")
+@click.option("--variant", metavar="NAME", help="The variant of a sweep [the first].")
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    default="run.mp4",
+    show_default=True,
+    help="The film: .mp4, .gif or .webp.",
+)
+@click.option(
+    "--camera",
+    type=click.Choice(["top", "perspective"]),
+    default="top",
+    show_default=True,
+    help="From above without perspective, or from the side.",
+)
+@click.option(
+    "--colour",
+    default="state",
+    show_default=True,
+    metavar="VALUE",
+    help="Colour of robots: state, pattern, platform, robot, or a value that they report.",
+)
+@click.option(
+    "--speed",
+    type=click.FloatRange(0.0, 1000.0, min_open=True),
+    default=4.0,
+    show_default=True,
+    help="Times real time.",
+)
+@click.option("--size", metavar="WxH", help="Pixels [1280x720; .gif and .webp 480x360].")
+@click.option("--from", "start", type=click.FloatRange(min=0.0), default=0.0, help="First s [0].")
+@click.option("--to", "stop", type=click.FloatRange(min=0.0), help="Last s [the end].")
+@click.option(
+    "--trail",
+    type=click.FloatRange(min=0.0),
+    default=5.0,
+    show_default=True,
+    help="Seconds of the path behind each robot.",
+)
+def video(
+    place: Path,
+    seed: int | None,
+    variant: str | None,
+    out: Path,
+    camera: str,
+    colour: str,
+    speed: float,
+    size: str | None,
+    start: float,
+    stop: float | None,
+    trail: float,
+) -> None:
+    """Film one run of DIR: an experiment, the folder of a demo, or a trace.
+
+    The film needs no display. It needs the program ffmpeg, Mesa, and the extra `film`.
+    """
+    need_film()
+    from swarmd.sim.cli.run_choice import chosen_run
+    from swarmd.sim.film.film import FilmSettings
+
+    settings = FilmSettings(
+        camera="perspective" if camera == "perspective" else "top",
+        colour=colour,
+        speed=speed,
+        size=None if size is None else _size_of(size),
+        start=start,
+        stop=stop,
+        trail=trail,
+    )
+    trace, title = chosen_run(place, seed, variant)
+    film(trace, out, title, settings)
+
+
+def need_film() -> None:
+    """PluginError for the first library of the extra `film` that is missing."""
+    need("mujoco", "OpenGL", "PIL", extra="sim,film")
+
+
+def film(
+    trace: Trace, out: Path, title: str, settings: FilmSettings, *, is_quiet: bool = False
+) -> None:
+    """Write the film, with progress on stderr, and print its name; on stderr if `is_quiet`."""
+    from swarmd.sim.film.film import make_film
+
+    shown = -1
+
+    def on_progress(done: int, of: int) -> None:
+        nonlocal shown
+        if 4 * done // of > shown:
+            shown = 4 * done // of
+            warn(f"{done} of {of} frames")
+
+    for note in make_film(trace, out, title, settings, on_progress):
+        warn(f"note: {note}")
+    click.echo(f"{out}: {out.stat().st_size / 1e6:.2f} MB", err=is_quiet)
+
+
+def _size_of(text: str) -> tuple[int, int]:
+    match = _SIZE.fullmatch(text)
+    width, height = (int(part) for part in match.groups()) if match else (0, 0)
+    is_good = all(_SMALLEST <= one <= _LARGEST and one % 2 == 0 for one in (width, height))
+    if not is_good:
+        wanted = f"even numbers from {_SMALLEST} to {_LARGEST}, such as 1280x720"
+        raise ConfigError(f"--size {text}: expected {wanted}")
+    return width, height

@@ -1,0 +1,204 @@
+"""Frames of a run by MuJoCo's renderer, without a display."""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from contextlib import suppress
+from importlib import import_module
+from types import TracebackType
+from typing import Any, Literal
+
+import mujoco
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.core.errors import ConfigError, PluginError
+from swarmd.core.values import Array
+from swarmd.sim.film.colours import Colouring
+from swarmd.sim.film.stage import Stage, stage_of
+from swarmd.sim.plots.scene import Extent
+from swarmd.sim.trace import Trace
+
+Camera = Literal["top", "perspective"]
+BACKENDS = ("egl", "osmesa")
+_FOVY, _ELEVATION, _AZIMUTH = 40.0, -48.0, 90.0  # degrees, of the perspective camera
+_MARGIN = 1.06
+_HOUSING = 0.62  # how dark a lidar is beside the body
+_TRAIL_STEPS = 24  # segments of a trail
+_MAX_TRAILS = 4000  # segments of all trails
+
+
+class Renderer:
+    """Draws a run at any time into arrays (height, width, 3) of uint8."""
+
+    def __init__(
+        self, trace: Trace, colouring: Colouring, size: tuple[int, int], camera: Camera
+    ) -> None:
+        """PluginError if no way of rendering without a display is installed."""
+        self.width, self.height = size
+        self.stage: Stage = stage_of(trace, size)
+        self._trace, self._colouring = trace, colouring
+        self._t = trace.t - trace.t[0]
+        model = self.stage.model
+        self._data = mujoco.MjData(model)
+        self._camera = mujoco.MjvCamera()
+        _aim(self._camera, model, self.stage.extent, size, camera)
+        self._option = mujoco.MjvOption()
+        self._option.geomgroup[:4] = 0, 1, 1, 1  # without collision shapes
+        self._scene = mujoco.MjvScene(model, maxgeom=model.ngeom + _MAX_TRAILS + 100)
+        self._gl = gl_context(*size)
+        self._gl.make_current()
+        self._context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_100.value)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN.value, self._context)
+
+    def __enter__(self) -> Renderer:
+        return self
+
+    def __exit__(
+        self,
+        kind: type[BaseException] | None,
+        error: BaseException | None,
+        trail: TracebackType | None,
+    ) -> None:
+        self._context.free()
+        self._gl.free()
+
+    def frame(self, time: float, trail: float = 0.0) -> NDArray[np.uint8]:
+        """The run at `time` in s from its start; `trail`: s of the path behind each robot."""
+        at = self._place(time)
+        model, data, scene = self.stage.model, self._data, self._scene
+        mujoco.mj_kinematics(model, data)
+        mujoco.mj_camlight(model, data)
+        everything = mujoco.mjtCatBit.mjCAT_ALL.value
+        mujoco.mjv_updateScene(model, data, self._option, None, self._camera, everything, scene)
+        if trail > 0.0:
+            self._add_trails(at, time, trail)
+        rect = mujoco.MjrRect(0, 0, self.width, self.height)
+        mujoco.mjr_render(rect, scene, self._context)
+        picture = np.empty((self.height, self.width, 3), dtype=np.uint8)
+        mujoco.mjr_readPixels(picture, None, rect, self._context)
+        return picture[::-1]
+
+    def _place(self, time: float) -> int:
+        """Move and colour everything; the index of the latest instant."""
+        trace, model, n = self._trace, self.stage.model, len(self._trace.ids)
+        poses = self._between(trace.pose, time)
+        at = max(int(np.searchsorted(self._t, time + 1e-9, side="right")) - 1, 0)
+        is_there = _are_known(poses)
+        self._data.qpos[: 3 * n] = np.where(is_there[:, None], poses, 0.0).ravel()
+        colours = self._colouring.rgb[at] / 255.0
+        model.geom_rgba[self.stage.bodies, :3] = colours
+        model.geom_rgba[self.stage.housings, :3] = _HOUSING * colours
+        for parts, shown in zip(self.stage.parts, is_there.tolist(), strict=True):
+            model.geom_rgba[parts, 3] = float(shown)
+        if trace.box_pose is not None:
+            boxes = self._between(trace.box_pose, time)
+            is_there = _are_known(boxes)
+            self._data.qpos[3 * n :] = np.where(is_there[:, None], boxes, 0.0).ravel()
+            model.geom_rgba[self.stage.boxes, 3] = is_there
+        return at
+
+    def _between(self, poses: Array, time: float) -> Array:
+        """Poses (k, 3) at a time, interpolated."""
+        last = min(int(np.searchsorted(self._t, time)), len(self._t) - 1)
+        first = max(last - 1, 0)
+        span = float(self._t[last] - self._t[first])
+        share = min(max((time - float(self._t[first])) / span, 0.0), 1.0) if span > 0.0 else 1.0
+        found: Array = (1.0 - share) * poses[first] + share * poses[last]
+        return found
+
+    def _add_trails(self, at: int, time: float, seconds: float) -> None:
+        """Lines on the floor along the latest positions."""
+        begin = int(np.searchsorted(self._t, time - seconds))
+        n = len(self._trace.ids)
+        steps = min(_TRAIL_STEPS, _MAX_TRAILS // max(n, 1), at - begin)
+        if steps < 1:
+            return
+        kept = np.linspace(begin, at, steps + 1).astype(int)
+        places = self._trace.pose[kept, :, :2]
+        scene, line = self._scene, mujoco.mjtGeom.mjGEOM_LINE
+        for robot in range(n):
+            colour = np.append(self._colouring.rgb[at, robot] / 255.0, 0.7).astype(np.float32)
+            for a, b in zip(places[:-1, robot], places[1:, robot], strict=True):
+                if scene.ngeom >= scene.maxgeom or not np.isfinite((a, b)).all():
+                    continue
+                geom = scene.geoms[scene.ngeom]
+                mujoco.mjv_initGeom(geom, line, np.zeros(3), np.zeros(3), np.eye(3).ravel(), colour)
+                mujoco.mjv_connector(geom, line, 3.0, np.append(a, 0.005), np.append(b, 0.005))
+                geom.emission = 0.4
+                scene.ngeom += 1
+
+
+def _aim(
+    camera: mujoco.MjvCamera,
+    model: mujoco.MjModel,
+    extent: Extent,
+    size: tuple[int, int],
+    kind: Camera,
+) -> None:
+    """Point the camera so that the extent fills the frame."""
+    width, height = size
+    camera.type = mujoco.mjtCamera.mjCAMERA_FREE
+    camera.lookat[:] = (extent.left + extent.right) / 2.0, (extent.bottom + extent.top) / 2.0, 0.0
+    longest = max(extent.width, extent.height)
+    model.stat.extent = longest
+    model.vis.map.znear, model.vis.map.zfar = 0.01, 50.0
+    if kind == "top":
+        camera.azimuth, camera.elevation, camera.distance = 90.0, -90.0, 2.0 * longest
+        camera.orthographic = 1
+        model.vis.global_.orthographic = 1
+        high = _MARGIN * max(extent.height, extent.width * height / width)
+        model.vis.global_.fovy = high
+        return
+    camera.azimuth, camera.elevation = _AZIMUTH, _ELEVATION
+    model.vis.global_.fovy = _FOVY
+    camera.distance = _distance(extent, math.tan(math.radians(_FOVY) / 2.0), width / height)
+
+
+def _distance(extent: Extent, tangent: float, aspect: float) -> float:
+    """The smallest distance in m from which all corners of the extent are in the picture."""
+    x, y = extent.width / 2.0, extent.height / 2.0
+    corners = np.array([[u * x, v * y, z] for u in (-1, 1) for v in (-1, 1) for z in (0.0, 0.2)])
+    a, e = math.radians(_AZIMUTH), math.radians(_ELEVATION)
+    ahead = np.array([math.cos(e) * math.cos(a), math.cos(e) * math.sin(a), math.sin(e)])
+    right = np.array([math.sin(a), -math.cos(a), 0.0])
+    above = np.cross(right, ahead)
+    wide = np.abs(corners @ right) / (tangent * aspect) - corners @ ahead
+    tall = np.abs(corners @ above) / tangent - corners @ ahead
+    return _MARGIN * float(max(wide.max(), tall.max()))
+
+
+def gl_context(width: int, height: int) -> Any:
+    """An OpenGL context without a display: that of $MUJOCO_GL, else EGL, else OSMesa.
+
+    ConfigError for another $MUJOCO_GL, PluginError with what to install if there is none.
+    """
+    wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
+    if wanted and wanted not in BACKENDS:
+        raise ConfigError(f"MUJOCO_GL={wanted}: films need {' or '.join(BACKENDS)}; unset it")
+    problems = []
+    for name in (wanted,) if wanted else BACKENDS:
+        try:
+            return import_module(f"mujoco.{name}").GLContext(width, height)
+        except Exception as error:  # libraries raise what they like
+            problems.append(f"{name}: {' '.join(str(error).split())[:120]}")
+            _forget_opengl()
+    raise PluginError(
+        f"MuJoCo cannot render here ({'; '.join(problems)}); install Mesa:"
+        " apt install libegl1 libgl1-mesa-dri, or libosmesa6; and: pip install 'swarmd[film]'"
+    )
+
+
+def _forget_opengl() -> None:
+    """Unload PyOpenGL, which is bound to one platform when it is first imported."""
+    os.environ.pop("PYOPENGL_PLATFORM", None)
+    for name in [n for n in sys.modules if n.split(".")[0] == "OpenGL" or n == "mujoco.egl"]:
+        with suppress(KeyError):
+            del sys.modules[name]
+
+
+def _are_known(poses: Array) -> NDArray[np.bool_]:
+    """Which of the poses (k, 3) hold no NaN."""
+    return np.asarray(np.isfinite(poses).all(axis=1))

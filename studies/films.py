@@ -1,0 +1,104 @@
+"""A short film of each pattern: `python -m studies.films [OUT]`, by default in build/films.
+
+Draws film_PATTERN.gif for docs/patterns, and demo.gif for README.md. `make films` runs it.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from swarmd.sim.film.film import FilmSettings, make_film
+from swarmd.sim.film.renderer import Camera
+from swarmd.sim.lockstep.lockstep import simulate_run
+from swarmd.sim.scenarios.scenariofile import load_scenario
+
+SECONDS = 6.0
+"""How long a film is, without its last frame."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Shot:
+    """The first `stop` s of a scenario, with values by dotted key, and how they are filmed."""
+
+    scenario: str
+    title: str
+    stop: float
+    sets: Mapping[str, Any] = field(default_factory=dict)
+    seed: int = 0
+    colour: str = "robot"
+    camera: Camera = "perspective"
+    size: tuple[int, int] = (480, 340)
+
+
+_ROOM = {"arena.size": [6, 6]}
+_VOTE = {"groups.tb3.parameters": {"opinions": 3}, "duration": 40}
+SHOTS = MappingProxyType(
+    {
+        "demo": Shot(
+            scenario="paper_exp2",
+            title="Seven robots agree on a distance, and keep it",
+            stop=40.0,
+            colour="opinion",
+            size=(640, 420),
+        ),
+        "film_attraction": Shot(scenario="aggregation", title="attraction", stop=90.0),
+        "film_circle_formation": Shot(
+            scenario="circle_formation",
+            title="circle_formation; one robot is removed",
+            stop=60.0,
+            sets=_ROOM,
+        ),
+        "film_discussed_dispersion": Shot(
+            scenario="paper_exp2", title="discussed_dispersion", stop=40.0, colour="opinion"
+        ),
+        "film_dispersion": Shot(scenario="dispersion", title="dispersion", stop=40.0, sets=_ROOM),
+        "film_drive": Shot(scenario="drive", title="drive, towards a wall", stop=25.0),
+        "film_flocking": Shot(scenario="flocking", title="flocking", stop=40.0, seed=1),
+        "film_line_formation": Shot(
+            scenario="line_formation",
+            title="line_formation; one robot is removed",
+            stop=60.0,
+            sets=_ROOM,
+        ),
+        "film_majority_rule": Shot(
+            scenario="voting_range", title="majority_rule", stop=30.0, colour="opinion", sets=_VOTE
+        ),
+        "film_random_walk": Shot(scenario="random_walk", title="random_walk", stop=60.0),
+        "film_voter_model": Shot(
+            scenario="voting_range",
+            title="voter_model",
+            stop=40.0,
+            colour="opinion",
+            sets={**_VOTE, "groups.tb3.pattern": "voter_model"},
+        ),
+    }
+)
+
+
+def shoot(name: str, out: Path) -> Path:
+    """Simulate and film one shot; the file."""
+    shot = SHOTS[name]
+    scenario = load_scenario(shot.scenario, {"duration": shot.stop, **shot.sets})
+    settings = FilmSettings(
+        camera=shot.camera,
+        colour=shot.colour,
+        speed=shot.stop / SECONDS,
+        size=shot.size,
+        stop=shot.stop,
+    )
+    path = out / f"{name}.gif"
+    make_film(simulate_run(scenario, shot.seed), path, shot.title, settings)
+    return path
+
+
+if __name__ == "__main__":
+    folder = Path(sys.argv[1] if len(sys.argv) > 1 else "build/films")
+    folder.mkdir(parents=True, exist_ok=True)
+    for chosen in sys.argv[2:] or SHOTS:
+        made = shoot(chosen, folder)
+        print(f"{made}: {made.stat().st_size / 1e6:.2f} MB", flush=True)
