@@ -27,6 +27,7 @@ from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 if TYPE_CHECKING:
     from swarmd.sim.experiments.compare import Difference, Side
     from swarmd.sim.experiments.results import Results
+    from swarmd.sim.metrics.metric import Metric
 
 FAILED, PARTIAL = 1, 3  # exit codes if all runs failed, or some
 _FAILURES_SHOWN = 5
@@ -34,7 +35,10 @@ _FAILURES_SHOWN = 5
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 _metrics = click.option(
-    "--metrics", metavar="A,B,..", help="Show only these metrics; see `swarmctl exp metrics`."
+    "--metrics",
+    metavar="A,B,..",
+    help="Show only these metrics; see `swarmctl exp metrics`. Also report:KEY, what patterns"
+    " report, and FILE.py:NAME, one of your own.",
 )
 _processes = click.option(
     "-j",
@@ -135,6 +139,7 @@ def run(
     from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.experiments.simulate import Runner, plan_of, run_experiment
+    from swarmd.sim.metrics.catalog import beyond_catalog
 
     if scheduler is not None and cores is not None:
         raise ConfigError("--cores is for runs on this machine; leave it out with --scheduler")
@@ -143,6 +148,7 @@ def run(
         from swarmd.sim.experiments.cluster import connect
 
     names = chosen_metrics(metrics)
+    own = beyond_catalog(names or ())
     plan = plan_of(
         scenario,
         parse_seeds(seeds),
@@ -163,8 +169,10 @@ def run(
              "--out": folder}  # fmt: skip
     command += [word for k, v in given.items() if v is not None for word in (k, str(v))]
     command += ["--no-traces"] * no_traces
+    if own:
+        command += ["--metrics", ",".join(one.origin or one.name for one in own)]
     command += [] if timeout is None else ["--timeout", f"{timeout:g}"]
-    manifest = manifest_of(plan, traces=not no_traces, command=command)
+    manifest = manifest_of(plan, traces=not no_traces, command=command, metrics=own)
     limit = STEP_TIMEOUT if timeout is None else timeout
     begin = time.monotonic()
     try:
@@ -256,9 +264,8 @@ def merge(
     need("mujoco")
     from swarmd.sim.experiments import merge as merging
 
-    names = chosen_metrics(metrics)
     results, lacking = merging.merge(folders, out)
-    _print_results(results, names, is_json)
+    _print_results(results, chosen_metrics(metrics, results.asked), is_json)
     for line in lacking:
         warn(f"missing: {line}")
     warn(f"results: {out}/")
@@ -277,8 +284,9 @@ def compare(a: str, b: str, metrics: str | None, is_json: bool) -> None:
     """
     from swarmd.sim.experiments import compare as comparing
 
-    names = chosen_metrics(metrics)
-    found = [(*pair, comparing.compare(*pair, names)) for pair in comparing.sides(a, b)]
+    pairs = comparing.sides(a, b)
+    names = chosen_metrics(metrics, pairs[0][0].results.asked)
+    found = [(*pair, comparing.compare(*pair, names)) for pair in pairs]
     if is_json:
         documents = [comparing.document(*one) for one in found]
         print_json("Comparison", {"comparisons": documents})
@@ -295,7 +303,8 @@ def show(folder: Path, metrics: str | None, is_json: bool) -> None:
     """Show the statistics of the experiment in DIR, also if it is not finished."""
     from swarmd.sim.experiments.results import load_results
 
-    _print_results(load_results(folder), chosen_metrics(metrics), is_json)
+    results = load_results(folder)
+    _print_results(results, chosen_metrics(metrics, results.asked), is_json)
 
 
 @exp.command()
@@ -309,13 +318,15 @@ def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None)
     """Draw the experiment in DIR: trajectories, start and end, metrics over time."""
     need("matplotlib")
     from swarmd.sim.experiments.arguments import parse_seeds
+    from swarmd.sim.experiments.results import load_results
     from swarmd.sim.plots.figures import draw_experiment
 
     if seeds and out is None:  # the pictures of all runs stay
         out = folder / "plots" / f"seeds-{seeds}"
     one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
     chosen = None if one_or_more is None else parse_seeds(one_or_more)
-    for path in draw_experiment(folder, out, metrics=chosen_metrics(metrics), seeds=chosen):
+    names = chosen_metrics(metrics, load_results(folder).asked)
+    for path in draw_experiment(folder, out, metrics=names, seeds=chosen):
         click.echo(str(path))
 
 
@@ -356,11 +367,13 @@ def list_scenarios(is_json: bool) -> None:
 @exp.command("metrics")
 @output_option
 def list_metrics(is_json: bool) -> None:
-    """List the metrics of every run."""
+    """List the metrics of every run, and those of installed packages."""
     from swarmd.sim.metrics.catalog import METRICS
+    from swarmd.sim.metrics.own import installed_metrics
 
     keys = ("name", "unit", "better", "meaning", "source")
-    listed = [{key: getattr(m, key) for key in keys} for m in METRICS.values()]
+    known = (*METRICS.values(), *installed_metrics().values())
+    listed = [{key: getattr(m, key) for key in keys} for m in known]
     if is_json:
         print_json("Metrics", {"metrics": listed})
         return
@@ -380,24 +393,42 @@ def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None
     """
     from swarmd.sim.experiments.report import number
     from swarmd.sim.metrics import catalog
-    from swarmd.sim.trace import load_trace
 
-    names = chosen_metrics(metrics) or tuple(catalog.METRICS)
-    measured = {str(file): catalog.measure(load_trace(file), names) for file in files}
+    chosen = chosen_metrics(metrics) or tuple(catalog.METRICS.values())
+    measured = {str(file): _measured(file, chosen) for file in files}
     if is_json:
         print_json("Measurements", {"traces": measured})
         return
-    units = {name: catalog.METRICS[name].unit or "-" for name in names}
     rows = [
-        (name, unit, *(number(found[name]) for found in measured.values()))
-        for name, unit in units.items()
+        (one.name, one.unit or "-", *(number(found[one.name]) for found in measured.values()))
+        for one in chosen
     ]
     stems = [Path(file).stem.upper() for file in measured]
     heads = stems if len(set(stems)) == len(stems) else list(measured)
     print_table(("METRIC", "UNIT", *heads), rows)
 
 
-def _print_results(results: Results, names: Sequence[str] | None, is_json: bool) -> None:
+def _measured(file: Path, metrics: Sequence[Metric]) -> dict[str, float | None]:
+    """The values of a trace by name.
+
+    ConfigError if it lacks what a metric takes of reports, SwarmError if one's own metric fails.
+    """
+    from swarmd.sim.metrics import catalog
+    from swarmd.sim.metrics.own import MetricError
+    from swarmd.sim.trace import load_trace
+
+    trace, found = load_trace(file), dict[str, float | None]()
+    for one in metrics:
+        try:
+            found |= catalog.measure(trace, [one])
+        except MetricError as error:
+            raise SwarmError(f"{file}: metric {one.name}: {error}") from error
+        if not found[one.name]:
+            catalog.check_has_value(one, trace)
+    return found
+
+
+def _print_results(results: Results, names: Sequence[Metric] | None, is_json: bool) -> None:
     if is_json:
         print_json("ExperimentSummary", {**results.document(names), "folder": str(results.folder)})
     else:
@@ -411,6 +442,18 @@ def _print_results(results: Results, names: Sequence[str] | None, is_json: bool)
         warn(f"failed: {name}: {reason}")
     if len(results.failures) > _FAILURES_SHOWN:
         warn(f"and others; see {results.folder}/failures.json")
+    _warn_of_metrics(results, results.metrics if names is None else [one.name for one in names])
+
+
+def _warn_of_metrics(results: Results, names: Sequence[str]) -> None:
+    """A line for each of one's own metrics that failed in runs, or that no robot reports."""
+    for name in names:
+        found = {run: why[name] for run, why in results.errors.items() if name in why}
+        for run, why in list(found.items())[:1]:
+            warn(f"metric {name} failed in {len(found)} of {len(results.runs)} runs; {run}: {why}")
+    for name, fault in results.unreported().items():
+        if name in names:
+            warn(fault)
 
 
 def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:

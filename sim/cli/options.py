@@ -17,6 +17,7 @@ from swarmd.core.keys import is_id
 
 if TYPE_CHECKING:
     from swarmd.sim.live.fleet import FleetSpec
+    from swarmd.sim.metrics.metric import Metric
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 R = TypeVar("R")
@@ -248,8 +249,13 @@ def need(*modules: str, extra: str = "sim,plot") -> None:
             )
 
 
-def chosen_metrics(text: str | None) -> tuple[str, ...] | None:
-    """The metrics of `--metrics A,B`; ConfigError with the nearest name for an unknown one."""
+def chosen_metrics(
+    text: str | None, about: Callable[[str], Metric] | None = None
+) -> tuple[Metric, ...] | None:
+    """The metrics of `--metrics A,B`; ConfigError with the nearest name for an unknown one.
+
+    `about` finds a metric by name; without it, those of an experiment's own table are unknown.
+    """
     if text is None:
         return None
     from swarmd.sim.metrics.catalog import metric_of
@@ -257,7 +263,7 @@ def chosen_metrics(text: str | None) -> tuple[str, ...] | None:
     names = tuple(dict.fromkeys(name.strip() for name in text.split(",") if name.strip()))
     if not names:
         raise ConfigError("--metrics is empty; see `swarmctl exp metrics`")
-    return tuple(metric_of(name).name for name in names)
+    return tuple(map(about or metric_of, names))
 
 
 def new_folder(base: Path, names: Iterable[str]) -> Path:

@@ -29,6 +29,7 @@ from msgspec import structs
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import (
     Manifest,
+    digests_of_metrics,
     joined,
     plugin_folders,
     software_conflict,
@@ -42,6 +43,7 @@ from swarmd.sim.experiments.pool import (
     run_jobs,
 )
 from swarmd.sim.experiments.provenance import digests_of_folders, made_with
+from swarmd.sim.metrics.catalog import metric_of
 from swarmd.sim.trace import partial_path
 
 if TYPE_CHECKING:
@@ -121,6 +123,7 @@ class Cluster:
         self._client, self._address = client, address
         self._timeout, self._note, self._at_a_time = timeout, note, at_a_time
         self._folders = plugin_folders(manifest.plan)
+        self._metrics = [one.origin for one in manifest.metrics]
         self._topic = f"swarmd-{uuid.uuid4().hex}"
         self._workers: dict[str, _Worker] = {}
         self._asked: dict[str, str] = {}  # worker by key of the question
@@ -225,7 +228,7 @@ class Cluster:
             worker = self._workers.get(name)
             if worker is None:
                 self._workers[name] = _Worker(about["nthreads"], about["last_seen"])
-                key, _ = self._submit(partial(_software, self._folders), name)
+                key, _ = self._submit(partial(_software, self._folders, self._metrics), name)
                 self._asked[key] = name
             else:
                 is_same = worker.seen == about["last_seen"]
@@ -327,9 +330,12 @@ class Cluster:
         return difference
 
 
-def _software(folders: Sequence[str]) -> tuple[dict[str, str], dict[str, str]]:
-    """What a worker runs with: versions, and the digests of plugins."""
-    return made_with(), digests_of_folders(folders)
+def _software(
+    folders: Sequence[str], metrics: Sequence[str]
+) -> tuple[dict[str, str], dict[str, str]]:
+    """What a worker runs with: versions, and the digests of plugins and metrics of one's own."""
+    own = digests_of_metrics(map(metric_of, metrics))
+    return made_with(), {**digests_of_folders(folders), **own}
 
 
 def _perform(job: Job, timeout: float, topic: str) -> tuple[JobResult, bytes | None]:

@@ -10,9 +10,9 @@ from typing import Any, Literal
 import numpy as np
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.sim.experiments.results import Results, load_results, unit_of
+from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.statistics import LEVEL, Interval, difference_interval, mean_interval
-from swarmd.sim.metrics.catalog import METRICS, is_time_to_event
+from swarmd.sim.metrics.metric import Metric
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,18 +103,15 @@ def sides_of(text: str) -> list[Side]:
     return [Side(f"{folder}:{name}" if name else folder, results, name) for name in wanted]
 
 
-def compare(a: Side, b: Side, names: Sequence[str] | None = None) -> list[Difference]:
+def compare(a: Side, b: Side, names: Sequence[str | Metric] | None = None) -> list[Difference]:
     """The difference of each metric that both sides have; ConfigError for an unknown name.
 
     With the same planned seeds on both sides, each run is compared with the run of the same seed,
     which removes the common effect of the seed; a failed run drops its counterpart too. Otherwise
     the sides are resampled independently.
     """
-    known = [name for name in a.results.metrics if name in b.results.metrics]
-    for name in names or ():
-        if name not in known:
-            raise ConfigError(unknown("metric", name, known))
-    return [_difference(a, b, name) for name in (known if names is None else names)]
+    both = [name for name in a.results.metrics if name in b.results.metrics]
+    return [_difference(a, b, a.results.about(name)) for name in (both if names is None else names)]
 
 
 def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, Any]:
@@ -128,12 +125,13 @@ def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, A
     }
 
 
-def _difference(a: Side, b: Side, name: str) -> Difference:
-    left, right = a.results.metric(name, a.variant), b.results.metric(name, b.variant)
+def _difference(a: Side, b: Side, metric: Metric) -> Difference:
+    name, unit = metric.name, metric.unit
+    left, right = a.results.metric(metric, a.variant), b.results.metric(metric, b.variant)
     never_a, never_b = int(np.isnan(left).sum()), int(np.isnan(right).sum())
-    if is_time_to_event(name) and (never_a or never_b):
+    if metric.is_time_to_event and (never_a or never_b):
         known_a, known_b = left.size - never_a, right.size - never_b
-        return Difference(name, unit_of(name), known_a, known_b, never_a=never_a, never_b=never_b)
+        return Difference(name, unit, known_a, known_b, never_a=never_a, never_b=never_b)
     is_paired = set(a.results.plan.seeds) == set(b.results.plan.seeds)
     if is_paired:
         seeds = a.results.seeds(a.variant), b.results.seeds(b.variant)
@@ -146,13 +144,12 @@ def _difference(a: Side, b: Side, name: str) -> Difference:
         left, right = left[~np.isnan(left)], right[~np.isnan(right)]
         found = difference_interval(left, right)
     better: Literal["a", "b"] | None = None
-    wanted = METRICS[name].better if name in METRICS else None
-    if found is not None and wanted is not None and 0.0 not in found:
-        better = "b" if (found.low > 0.0) == (wanted == "more") else "a"
+    if found is not None and metric.better is not None and 0.0 not in found:
+        better = "b" if (found.low > 0.0) == (metric.better == "more") else "a"
     mean_a, mean_b = (float(some.mean()) if some.size else None for some in (left, right))
     return Difference(
         metric=name,
-        unit=unit_of(name),
+        unit=unit,
         n_a=left.size,
         n_b=right.size,
         mean_a=mean_a,

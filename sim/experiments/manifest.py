@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -20,6 +20,7 @@ from swarmd.sim.experiments.provenance import (
     git_state,
     made_with,
 )
+from swarmd.sim.metrics.metric import Better, Metric
 
 NAME = "manifest.json"
 FORMAT = 1
@@ -31,12 +32,26 @@ class _Format(msgspec.Struct):
     format: int
 
 
+class OwnMetric(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """A metric that an experiment measures besides the catalog's; the fields are those of Metric.
+
+    `unit` and `better` are those of the run, also where the code is not there any more.
+    """
+
+    name: str
+    origin: str
+    unit: str
+    better: Better | None
+    is_time_to_event: bool
+
+
 class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The runs of an experiment, and the software that made them.
 
     `scenario` is its name as given; `sets` and `sweep` are by dotted key; `variants` hold the
     resulting complete scenarios. `made_with`: versions and the digest of the code. `plugins`:
-    digests of one-file patterns by name. `git`: the checkouts of swarmd and of the scenario's
+    digests of one-file patterns, and of metrics of one's own by their origin. `metrics`: those
+    measured besides the catalog's. `git`: the checkouts of swarmd and of the scenario's
     folder, None without one. `traces`: whether they are kept. `command`: the command line that
     repeats it, empty if it was made from Python. `created` in UTC. `shard`: the part of the runs
     that the folder holds, None for all.
@@ -55,6 +70,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
     plugins: dict[str, str]
     variants: list[Variant]
     shard: Shard | None = None
+    metrics: list[OwnMetric] = []
 
     @property
     def plan(self) -> Plan:
@@ -69,8 +85,27 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
         )
 
 
-def manifest_of(plan: Plan, *, traces: bool, command: list[str]) -> Manifest:
-    """The manifest of a plan, with the present software."""
+def manifest_of(
+    plan: Plan, *, traces: bool, command: list[str], metrics: Iterable[Metric] = ()
+) -> Manifest:
+    """The manifest of a plan, with the present software; `metrics` are those beyond the catalog.
+
+    ConfigError if two of them have one name.
+    """
+    own = list(metrics)
+    measured = [
+        OwnMetric(
+            name=one.name,
+            origin=one.origin or one.name,
+            unit=one.unit,
+            better=one.better,
+            is_time_to_event=one.is_time_to_event,
+        )
+        for one in own
+    ]
+    names = [one.name for one in measured]
+    if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
+        raise ConfigError(f"two metrics are named {twice}; rename a file or a function")
     place = Path(plan.scenario)
     return Manifest(
         format=FORMAT,
@@ -86,10 +121,16 @@ def manifest_of(plan: Plan, *, traces: bool, command: list[str]) -> Manifest:
             "swarmd": git_state(Path(swarmd.__file__).resolve().parent),
             "scenario": git_state(place.resolve().parent) if place.is_file() else None,
         },
-        plugins=digests_of_folders(plugin_folders(plan)),
+        plugins={**digests_of_folders(plugin_folders(plan)), **digests_of_metrics(own)},
         variants=[Variant(v.name, plain(v.values), plain(v.effective)) for v in plan.variants],
         shard=plan.shard,
+        metrics=measured,
     )
+
+
+def digests_of_metrics(metrics: Iterable[Metric]) -> dict[str, str]:
+    """The digests of the code of metrics of one's own, by origin."""
+    return {one.origin: one.digest for one in metrics if one.digest}
 
 
 def plain(values: Mapping[str, Any]) -> dict[str, Any]:
@@ -135,6 +176,9 @@ def differences(old: Manifest, new: Manifest) -> Iterator[str]:
         was, now = getattr(old, name), getattr(new, name)
         if was != now or (name == "sweep" and list(was) != list(now)):  # its order is that of rows
             yield f"{name} was {_clipped(was)}, now {_clipped(now)}"
+    was, now = ([one.origin for one in side.metrics] for side in (old, new))
+    if was != now:
+        yield f"metrics were {_clipped(was)}, now {_clipped(now)}"
     if (old.sets, old.sweep) == (new.sets, new.sweep) and (
         [v.effective for v in old.variants] != [v.effective for v in new.variants]
     ):

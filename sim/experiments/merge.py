@@ -14,7 +14,14 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments.manifest import Manifest, differences, joined, read_manifest
 from swarmd.sim.experiments.plan import Run, parts_of
 from swarmd.sim.experiments.results import Results, load_results
-from swarmd.sim.experiments.store import Row, open_store, read_failures, read_table, trace_path
+from swarmd.sim.experiments.store import (
+    Row,
+    open_store,
+    read_errors,
+    read_failures,
+    read_table,
+    trace_path,
+)
 from swarmd.sim.trace import partial_path
 
 _NAMED = 10  # runs that a message lists
@@ -45,6 +52,7 @@ def merge(folders: Sequence[Path], out: Path) -> tuple[Results, list[str]]:
             raise ConfigError(
                 f"{one} and {other}: their metrics differ; merge parts of one version"
             )
+    errors = {run: why for folder in parts for run, why in read_errors(folder).items()}
     failures = {run: why for folder in parts for run, why in read_failures(folder).items()}
     with open_store(out, whole, metrics=next(iter(tables.values()))[0]) as store:
         for run in store.missing:
@@ -52,7 +60,7 @@ def merge(folders: Sequence[Path], out: Path) -> tuple[Results, list[str]]:
                 row, place = rows[run.id]
                 if (trace := store.trace_of(run)) is not None:
                     _copy(trace_path(place, run), trace)
-                store.add(run, row.metrics, row.wall)
+                store.add(run, row.metrics, row.wall, errors.get(run.id))
             elif run.id in failures:
                 store.fail(run, failures[run.id])
         results = load_results(out)

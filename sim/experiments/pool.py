@@ -15,7 +15,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Generator, Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from multiprocessing import Pipe
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
@@ -24,7 +24,8 @@ from typing import Any, TypeAlias
 from swarmd.core.errors import SwarmError
 from swarmd.core.processes import die_with_parent, how_it_ended
 from swarmd.sim.lockstep.lockstep import simulate_run
-from swarmd.sim.metrics.catalog import measure
+from swarmd.sim.metrics.catalog import measure, metric_of
+from swarmd.sim.metrics.own import MetricError
 from swarmd.sim.scenarios.scenariofile import scenario_of
 from swarmd.sim.trace import partial_path
 
@@ -35,6 +36,8 @@ _EXIT_TIMEOUT = 2.0  # s for a worker without work to end by itself
 _SHARE_OF_TIMEOUT = 0.8  # of the limit for a run, for each of several processes of it
 _POLL_PERIOD = 0.5  # s between two checks of workers that report nothing
 _PROGRESS_PERIOD = 0.25  # s between two reports of a worker
+OWN_METRICS = 0.999
+"""The share of a run before metrics of one's own: they are under the time-out, as patterns are."""
 _MAX_LOG_TAIL = 8192  # bytes of a worker's output that are searched for its last line
 _MAX_REASON = 300  # characters
 _MODULE = "swarmd.sim.experiments.pool"
@@ -47,7 +50,8 @@ _ONE_THREAD = {
 class Job:
     """A run: its id, a complete scenario as plain values, a seed, and the path of its trace.
 
-    `cores` processes share its robots. A process without progress for `timeout` s ends the run.
+    `metrics`: the origins of those measured besides the catalog's. `cores` processes share its
+    robots. A process without progress for `timeout` s ends the run.
     """
 
     run: str
@@ -56,6 +60,7 @@ class Job:
     trace: Path | None
     cores: int = 1
     timeout: float = STEP_TIMEOUT
+    metrics: tuple[str, ...] = ()
 
 
 Shares: TypeAlias = Mapping[str, float]
@@ -67,7 +72,7 @@ class JobResult:
     """The result of a job: `metrics` by name, or None and the reason in one line.
 
     `write_error` is set if the trace could not be written; then no other trace can be written
-    either. `wall` is the duration in s.
+    either. `wall` is the duration in s. `errors`: why metrics of one's own have no value, by name.
     """
 
     run: str
@@ -75,6 +80,7 @@ class JobResult:
     wall: float = 0.0
     reason: str = ""
     write_error: str = ""
+    errors: Mapping[str, str] = field(default_factory=dict)
 
 
 def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> JobResult:
@@ -88,7 +94,14 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
         limit = _SHARE_OF_TIMEOUT * job.timeout  # so that the run names the process, not the pool
         scenario = scenario_of(job.effective)
         trace = simulate_run(scenario, job.seed, on_progress, cores=job.cores, timeout=limit)
-        metrics = measure(trace)
+        metrics, errors = measure(trace), dict[str, str]()
+        if job.metrics and on_progress is not None:
+            on_progress(OWN_METRICS)
+        for metric in map(metric_of, job.metrics):
+            try:
+                metrics |= measure(trace, [metric])
+            except MetricError as error:
+                metrics[metric.name], errors[metric.name] = None, one_line(str(error))
     except SwarmError as error:
         return JobResult(job.run, reason=one_line(str(error)))
     except Exception as error:
@@ -100,7 +113,7 @@ def run_job(job: Job, on_progress: Callable[[float], None] | None = None) -> Job
         except OSError as error:
             remove_partial(job.trace)
             return JobResult(job.run, write_error=f"{job.trace.parent}: {error.strerror or error}")
-    return JobResult(job.run, metrics, time.perf_counter() - begin)
+    return JobResult(job.run, metrics, time.perf_counter() - begin, errors=errors)
 
 
 def remove_partial(trace: Path | None) -> None:
@@ -216,7 +229,7 @@ class _Worker:
             return received
         self._has_started = True
         self.share = received
-        self._silence = 0.0 if received < 1.0 else None  # from here on no pattern runs
+        self._silence = 0.0 if received < 1.0 else None  # from here on only our own code runs
         return None
 
     def add_silence(self, seconds: float, timeout: float) -> JobResult | None:
@@ -227,7 +240,7 @@ class _Worker:
         if self._silence < (timeout if self._has_started else max(timeout, STEP_TIMEOUT)):
             return None
         self._end_group()
-        return self._failed(f"no progress in {timeout:g} s; a pattern may not return")
+        return self._failed(f"no progress in {timeout:g} s; a pattern or metric may not return")
 
     def end(self) -> None:
         """Close the pipe, which ends an idle worker, and wait for it."""
@@ -314,7 +327,7 @@ def _do(job: Job, connection: Connection) -> None:
     def report(share: float) -> None:
         nonlocal next_report
         now = time.monotonic()
-        if now >= next_report or share == 1.0:
+        if now >= next_report or share in (OWN_METRICS, 1.0):
             next_report = now + _PROGRESS_PERIOD
             connection.send(share)
 

@@ -2,24 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Sequence
 
 from swarmd.sim.experiments.statistics import Interval, Summary
-from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.metrics.metric import Metric
 
 HEADER = ("METRIC", "UNIT", "MEAN", "95 %", "MEDIAN", "95 %", "MIN", "MAX", "RUNS")
 NOTHING = "-"
 
 
-def summary_rows(summary: Mapping[str, Summary]) -> list[tuple[str, ...]]:
+def summary_rows(summaries: Iterable[tuple[Metric, Summary]]) -> list[tuple[str, ...]]:
     """A row of cells for each metric; a metric that is 0 or 1 has the interval of its share.
 
     A time to an event that never happened in some runs has their number instead of a mean.
     """
     return [
         (
-            name,
-            (METRICS[name].unit if name in METRICS else "") or NOTHING,
+            metric.name,
+            metric.unit or NOTHING,
             f"{one.never} of {one.n + one.never} never" if one.never else number(one.mean),
             interval(one.mean_interval if one.share is None else one.share_interval),
             number(one.median) if one.share is None else NOTHING,
@@ -28,7 +28,7 @@ def summary_rows(summary: Mapping[str, Summary]) -> list[tuple[str, ...]]:
             number(one.max),
             str(one.n + (one.never or 0)),
         )
-        for name, one in summary.items()
+        for metric, one in summaries
     ]
 
 

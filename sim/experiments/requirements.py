@@ -95,10 +95,9 @@ def check(requirement: Requirement, side: Side) -> Finding:
     value: float | None
     if name == RUNS:
         value = float(len(results.seeds(side.variant)))
-    elif name not in results.metrics:
-        raise ConfigError(unknown("metric", name, (RUNS, *results.metrics)))
     else:
-        summary = results.summary(side.variant, [name])[name]
+        metric = results.about(name)
+        summary = results.summary(side.variant, [metric])[metric.name]
         value = getattr(summary, requirement.statistic)
         remark = _remark(summary, requirement.statistic, value)
         if requirement.statistic == "mean":

@@ -12,17 +12,23 @@ from typing import Any
 import msgspec
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.experiments.manifest import manifest_of, read_manifest, software_differences
+from swarmd.sim.experiments.manifest import (
+    Manifest,
+    manifest_of,
+    read_manifest,
+    software_differences,
+)
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import OnProgress, run_experiment
+from swarmd.sim.metrics.catalog import metric_of
 from swarmd.sim.trace import Trace
 
 
 def warnings(folder: Path) -> list[str]:
     """A text for each difference of the software since; ConfigError if it is no experiment."""
     old = read_manifest(folder)
-    return list(software_differences(old, manifest_of(old.plan, traces=old.traces, command=[])))
+    return list(software_differences(old, _again(old)))
 
 
 def rerun(
@@ -46,7 +52,7 @@ def rerun(
     if out is not None and out.resolve() == folder.resolve():
         raise ConfigError(f"--out {out} is the experiment itself; name another folder")
     old = read_manifest(folder)
-    manifest = manifest_of(old.plan, traces=old.traces, command=old.command)
+    manifest = _again(old)
     runner = partial(run_jobs, processes=processes, timeout=timeout)
     again = partial(run_experiment, manifest, runner=runner, on_progress=on_progress)
     if out is not None:
@@ -60,6 +66,12 @@ def trace_differences(a: Trace, b: Trace) -> list[str]:
     """The names of the fields that differ between two traces in at least one bit."""
     names = [field.name for field in fields(Trace)]
     return [name for name in names if _bits(getattr(a, name)) != _bits(getattr(b, name))]
+
+
+def _again(old: Manifest) -> Manifest:
+    """The manifest of the same runs, with the present software."""
+    metrics = [metric_of(one.origin) for one in old.metrics]
+    return manifest_of(old.plan, traces=old.traces, command=old.command, metrics=metrics)
 
 
 def _comparisons(before: Results, after: Results) -> dict[str, str]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +12,19 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.values import Array
-from swarmd.sim.experiments.manifest import read_manifest
+from swarmd.sim.experiments.manifest import Manifest, read_manifest
 from swarmd.sim.experiments.plan import Plan, Run
 from swarmd.sim.experiments.report import HEADER, aligned, summary_rows
 from swarmd.sim.experiments.statistics import LEVEL, METHOD, Summary, summarize
-from swarmd.sim.experiments.store import Row, read_failures, read_table, trace_path
-from swarmd.sim.metrics.catalog import METRICS, is_time_to_event
+from swarmd.sim.experiments.store import (
+    Row,
+    read_errors,
+    read_failures,
+    read_table,
+    trace_path,
+)
+from swarmd.sim.metrics.catalog import METRICS, Metric, check_has_value, measure, metric_of
+from swarmd.sim.metrics.own import MetricError
 from swarmd.sim.trace import Trace, load_trace
 
 YES_OR_NO = "0 or 1"
@@ -52,9 +60,10 @@ class Traces:
 class Results:
     """The finished runs of an experiment, in the order of its plan.
 
-    `failures`: the reason of each failed run, by run. `variants`: the names of the points of the
-    parameter sweep, one empty name without a sweep. `kernels`: `compiled`, or which code ran
-    instead.
+    `failures`: the reason of each failed run, by run. `errors`: why metrics of one's own have no
+    value, by run and metric. `metrics`: the columns of the table. `variants`: the names of the
+    points of the parameter sweep, one empty name without a sweep. `kernels`: `compiled`, or which
+    code ran instead.
     """
 
     def __init__(
@@ -65,12 +74,19 @@ class Results:
         failures: Mapping[str, str],
         metrics: Sequence[str],
         kernels: str = "",
+        *,
+        own: Mapping[str, Metric] | None = None,
+        errors: Mapping[str, Mapping[str, str]] | None = None,
     ) -> None:
+        """`own`: the metrics by name that were measured besides those of the catalog."""
         self.folder = folder
         self.plan = plan
         self.failures = dict(failures)
         self.metrics = tuple(metrics)
         self.kernels = kernels
+        self.errors = {run: dict(why) for run, why in (errors or {}).items()}
+        self._own = dict(own or {})
+        self._measured: dict[tuple[str, str], dict[str, float | None]] = {}
         self.variants = tuple(variant.name for variant in plan.variants)
         self._rows = tuple(rows)
         self._rows_of: dict[str, list[Row]] = {name: [] for name in self.variants}
@@ -92,15 +108,76 @@ class Results:
         """The traces of the finished runs, in the order of `rows`."""
         return Traces(self)
 
-    def metric(self, name: str, variant: str | None = None) -> Array:
+    def about(self, which: str | Metric) -> Metric:
+        """The metric of that name; ConfigError with the nearest name if there is none."""
+        if isinstance(which, str) and which in self._own:
+            return self._own[which]
+        if isinstance(which, str) and which in self.metrics and which not in METRICS:
+            return Metric(which, "", "", "another version of swarmd", value=lambda trace: None)
+        return metric_of(which)
+
+    def asked(self, name: str | Metric) -> Metric:
+        """As `about`; a metric of a file is that of its present code, if the file is there."""
+        known = self._own.get(name) if isinstance(name, str) else None
+        file = known.origin.rpartition(":")[0] if known is not None else ""
+        if known is not None and file and Path(file).is_file():
+            return metric_of(known.origin)
+        return self.about(name)
+
+    def metric(self, which: str | Metric, variant: str | None = None) -> Array:
         """The values (runs,) of a metric, NaN where it has none; of all variants if None.
 
-        ConfigError with the nearest name if there is no such metric or variant.
+        What the runs did not measure, or by other code, is measured now on their traces.
+        ConfigError with the nearest name if there is no such metric or variant, SwarmError if
+        traces are missing.
         """
-        if name not in self.metrics:
-            raise ConfigError(unknown("metric", name, self.metrics))
+        one = self.about(which)
         rows = self._rows if variant is None else self._of(variant)
-        return np.array([row.metrics[name] for row in rows], dtype=np.float64)  # None gives NaN
+        known = self._own.get(one.name)
+        if one.name in self.metrics and (known is None or known.digest == one.digest):
+            values = [row.metrics[one.name] for row in rows]
+        else:
+            measured = self._from_traces(one)
+            values = [measured[row.run.id] for row in rows]
+        return np.array(values, dtype=np.float64)  # None gives NaN
+
+    def unreported(self) -> dict[str, str]:
+        """A line for each column that takes what no robot reports in any run."""
+        empty = [m for m in self._own.values() if not any(r.metrics[m.name] for r in self._rows)]
+        return {one.name: fault[0] for one in empty if (fault := self._unreported(one))}
+
+    def _unreported(self, metric: Metric) -> list[str]:
+        """Why no run has a value, or only 0; empty if one of the traces has what is reported."""
+        fault: list[str] = []
+        for number in range(len(self._rows)):
+            try:
+                check_has_value(metric, self.traces[number])
+                return []
+            except SwarmError as error:
+                fault = [str(error)]
+        return fault
+
+    def _from_traces(self, metric: Metric) -> Mapping[str, float | None]:
+        """The value of a metric by run, measured on the traces, once."""
+        key = metric.origin or metric.name, metric.digest
+        if key not in self._measured:
+            found: dict[str, float | None] = {}
+            for errors in self.errors.values():
+                errors.pop(metric.name, None)  # of other code
+            for row in self._rows:
+                try:
+                    value = measure(self.traces[row.run.id], [metric])[metric.name]
+                    found[row.run.id] = value
+                except MetricError as error:
+                    found[row.run.id] = None
+                    self.errors.setdefault(row.run.id, {})[metric.name] = str(error)
+                except SwarmError as error:
+                    text = f"metric {metric.name} was not measured by the runs, and {error}"
+                    raise SwarmError(f"{text}; run again with --metrics {metric.name}") from error
+            if not any(found.values()) and (fault := self._unreported(metric)):
+                raise ConfigError(fault[0])
+            self._measured[key] = found
+        return self._measured[key]
 
     def seeds(self, variant: str) -> tuple[int, ...]:
         """The seeds of the finished runs of a variant, in the order of `metric`."""
@@ -114,7 +191,7 @@ class Results:
         )
 
     def summary(
-        self, variant: str | None = None, names: Sequence[str] | None = None
+        self, variant: str | None = None, names: Sequence[str | Metric] | None = None
     ) -> dict[str, Summary]:
         """Statistics by metric, of a variant or the only one; of all metrics without `names`.
 
@@ -126,15 +203,15 @@ class Results:
                 raise ConfigError(f"{text}; name one")
             variant = self.variants[0]
         return {
-            name: summarize(
-                self.metric(name, variant),
-                is_share=unit_of(name) == YES_OR_NO,
-                is_time_to_event=is_time_to_event(name),
+            one.name: summarize(
+                self.metric(one, variant),
+                is_share=one.unit == YES_OR_NO,
+                is_time_to_event=one.is_time_to_event,
             )
-            for name in names or self.metrics
+            for one in map(self.about, names or self.metrics)
         }
 
-    def document(self, names: Sequence[str] | None = None) -> dict[str, Any]:
+    def document(self, names: Sequence[str | Metric] | None = None) -> dict[str, Any]:
         """All statistics as plain values, or of the named metrics: the contents of summary.json."""
         return {
             "scenario": self.plan.scenario,
@@ -153,15 +230,22 @@ class Results:
                     "values": dict(variant.values),
                     "finished": len(self.seeds(variant.name)),
                     "metrics": {
-                        name: {"unit": unit_of(name), **asdict(summary)}
-                        for name, summary in self.summary(variant.name, names).items()
+                        one.name: {"unit": one.unit, **asdict(summary)}
+                        for one, summary in self._summaries(variant.name, names)
                     },
                 }
                 for variant in self.plan.variants
             ],
         }
 
-    def text(self, names: Sequence[str] | None = None) -> str:
+    def _summaries(
+        self, variant: str, names: Sequence[str | Metric] | None
+    ) -> list[tuple[Metric, Summary]]:
+        metrics = [self.about(name) for name in names or self.metrics]
+        found = self.summary(variant, metrics)
+        return [(one, found[one.name]) for one in metrics]
+
+    def text(self, names: Sequence[str | Metric] | None = None) -> str:
         """A table of each variant, of all metrics without `names`."""
         failed = f", {len(self.failures)} failed" if self.failures else ""
         part = f"part {self.plan.shard}, " if self.plan.shard else ""
@@ -176,7 +260,7 @@ class Results:
             found.append(f"kernels: {self.kernels}")
         for variant in self.variants:
             found += ["", variant] if variant else [""]
-            found += aligned(HEADER, summary_rows(self.summary(variant, names)))
+            found += aligned(HEADER, summary_rows(self._summaries(variant, names)))
         return "\n".join(found)
 
     def __str__(self) -> str:
@@ -206,9 +290,37 @@ def load_results(folder: str | Path) -> Results:
     metrics, rows = read_table(place, plan)
     failures = {run: why for run, why in read_failures(place).items() if run not in rows}
     kernels = manifest.made_with.get("kernels", "")
-    return Results(place, plan, rows.values(), failures, metrics, kernels)
+    own = known_metrics(manifest)
+    errors = {run: why for run, why in read_errors(place).items() if run in rows}
+    return Results(place, plan, rows.values(), failures, metrics, kernels, own=own, errors=errors)
 
 
-def unit_of(metric: str) -> str:
-    """The unit of a metric; empty for an unknown one, such as that of another version."""
-    return METRICS[metric].unit if metric in METRICS else ""
+def known_metrics(manifest: Manifest) -> dict[str, Metric]:
+    """The metrics beyond the catalog that an experiment measured, by name.
+
+    Their code is read when a value is asked of them, and need not be there any more.
+    """
+    return {
+        one.name: Metric(
+            name=one.name,
+            unit=one.unit,
+            meaning="",
+            source=one.origin,
+            value=partial(_value_of, one.origin),
+            series=partial(_series_of, one.origin),
+            better=one.better,
+            is_time_to_event=one.is_time_to_event,
+            origin=one.origin,
+            digest=manifest.plugins.get(one.origin, ""),
+        )
+        for one in manifest.metrics
+    }
+
+
+def _value_of(origin: str, trace: Trace) -> float | None:
+    return metric_of(origin).value(trace)
+
+
+def _series_of(origin: str, trace: Trace) -> Array | None:
+    series = metric_of(origin).series
+    return None if series is None else series(trace)

@@ -27,9 +27,9 @@ from swarmd.sim.experiments.arguments import parse_shard
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
 from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, Shares, run_job, run_jobs
-from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.results import Results, known_metrics
 from swarmd.sim.experiments.store import Store, open_store
-from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.metrics.catalog import METRICS, Metric, beyond_catalog, metric_of
 from swarmd.sim.scenarios.overrides import SOURCE, SWEEP_SOURCE
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
@@ -69,6 +69,7 @@ def simulate(
     timeout: float = STEP_TIMEOUT,
     shard: str | None = None,
     cores: int = 1,
+    metrics: Iterable[str | Metric] = (),
 ) -> Results:
     """Run a scenario once for each seed (a number n means 0 to n - 1), and measure every run.
 
@@ -79,6 +80,7 @@ def simulate(
     for `timeout` s is ended and has failed. `out` is a folder as of `swarmctl exp`; the same call
     continues an interrupted one. Without `out`, the results are deleted with the returned object.
     With `cores` above 1 as many processes share the robots of each run, which is for large ones.
+    `metrics` are measured besides those of the catalog: `report:...`, `FILE.py:FUNCTION`.
     With `shard="3/40"` only the third of forty parts is run; `merge` joins their folders.
 
     ConfigError before anything runs if scenario, seeds or overrides are invalid. Failed runs are
@@ -94,7 +96,8 @@ def simulate(
     plan = plan_of(scenario, listed, set, sweep)
     if shard is not None:
         plan = replace(plan, shard=parse_shard(shard))
-    manifest = manifest_of(plan, traces=traces, command=[])
+    own = beyond_catalog(map(metric_of, metrics))
+    manifest = manifest_of(plan, traces=traces, command=[], metrics=own)
     in_workers = partial(run_jobs, processes=jobs, timeout=timeout, cores=cores)
     runner = in_workers if max(jobs, cores) > 1 else _run_here
     folder = Path(tempfile.mkdtemp(prefix="swarmd-exp-")) if out is None else Path(out)
@@ -154,10 +157,15 @@ def run_experiment(
     `only` limits the runs. If it ends early, the finished runs stay in the folder. SwarmError if
     the folder cannot be used or the disk is full.
     """
-    with open_store(folder, manifest, tuple(METRICS)) as store:
+    origins = tuple(one.origin for one in manifest.metrics)
+    columns = (*METRICS, *(one.name for one in manifest.metrics))
+    with open_store(folder, manifest, columns) as store:
         try:
             runs = [run for run in store.missing if only is None or run.id in only]
-            jobs = [Job(r.id, r.variant.effective, r.seed, store.trace_of(r)) for r in runs]
+            jobs = [
+                Job(r.id, r.variant.effective, r.seed, store.trace_of(r), metrics=origins)
+                for r in runs
+            ]
             _gather(store, runs, runner(jobs), on_progress)
         except BaseException:
             with suppress(SwarmError, OSError):  # the first error is the one to report
@@ -202,7 +210,7 @@ def _gather(
             if result.metrics is None:
                 store.fail(by_id[result.run], result.reason)
             else:
-                store.add(by_id[result.run], result.metrics, result.wall)
+                store.add(by_id[result.run], result.metrics, result.wall, result.errors)
             share = shares.pop(result.run, 0.0) if result.metrics is None else 1.0
             shares.pop(result.run, None)
             ended += work[result.run] * share
@@ -217,8 +225,16 @@ def _run_here(jobs: Sequence[Job]) -> Generator[JobResult | Shares, None, None]:
 
 def _results(store: Store) -> Results:
     rows = [store.rows[run.id] for run in store.plan.runs if run.id in store.rows]
-    kernels = store.manifest.made_with["kernels"]
-    return Results(store.folder, store.plan, rows, store.failures, tuple(METRICS), kernels)
+    return Results(
+        store.folder,
+        store.plan,
+        rows,
+        store.failures,
+        (*METRICS, *(one.name for one in store.manifest.metrics)),
+        store.manifest.made_with["kernels"],
+        own=known_metrics(store.manifest),
+        errors=store.errors,
+    )
 
 
 def _overridden(

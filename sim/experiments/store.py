@@ -5,7 +5,7 @@
     manifest.json   what was to be run, and with what
     runs.csv        a row for each finished run, appended as it finishes
     traces/ID.npz   the trace of a run
-    failures.json   the runs that failed, and why
+    failures.json   the runs that failed, and metrics of one's own that failed in a run, and why
     summary.json    means, medians and intervals by variant and metric
 
 The last line of runs.csv may be torn, as a killed process leaves it. It is read as if it were not
@@ -127,6 +127,7 @@ def _row(cells: Sequence[str], metrics: Sequence[str], runs: Mapping[str, Run]) 
 class Store:
     """An experiment's folder, open for writing. `rows` and `failures` (reasons) are by run.
 
+    `errors`: why metrics of one's own have no value in a finished run, by run and metric.
     Runs that failed earlier are not in `failures`: they are run again.
     """
 
@@ -136,6 +137,7 @@ class Store:
         self.plan = manifest.plan
         self.rows = rows
         self.failures: dict[str, str] = {}
+        self.errors = {run: why for run, why in read_errors(folder).items() if run in rows}
 
     @property
     def missing(self) -> tuple[Run, ...]:
@@ -146,8 +148,18 @@ class Store:
         """Where the trace of a run goes; None if traces are not kept."""
         return trace_path(self.folder, run) if self.manifest.traces else None
 
-    def add(self, run: Run, metrics: Mapping[str, float | None], wall: float) -> None:
+    def add(
+        self,
+        run: Run,
+        metrics: Mapping[str, float | None],
+        wall: float,
+        errors: Mapping[str, str] | None = None,
+    ) -> None:
         """Append a finished run; SwarmError if it cannot be written."""
+        if errors:
+            self.errors[run.id] = dict(errors)
+            with _translate_errors(self.folder):
+                self._write_failures()
         row = Row(run, metrics, round(wall, 3))
         # "r+" does not make a removed table again. A line torn by a full disk is cut at the start.
         with _translate_errors(self.folder), (self.folder / TABLE).open("r+b") as file:
@@ -177,9 +189,13 @@ class Store:
              "reason": self.failures[run.id]}
             for run in self.plan.runs if run.id in self.failures
         ]  # fmt: skip
+        errors = [
+            {"run": run.id, "metric": metric, "reason": why}
+            for run in self.plan.runs for metric, why in self.errors.get(run.id, {}).items()
+        ]  # fmt: skip
         path = self.folder / FAILURES
-        if listed or path.exists():
-            write_json(path, {"failures": listed})
+        if listed or errors or path.exists():
+            write_json(path, {"failures": listed, "metrics": errors})
 
 
 @contextmanager
@@ -199,15 +215,30 @@ def open_store(folder: Path, manifest: Manifest, metrics: tuple[str, ...]) -> It
 
 def read_failures(folder: Path) -> dict[str, str]:
     """The reasons by run of failures.json, {} without one; ConfigError if it is damaged."""
+    return {run: why for run, _, why in _listed(folder, "failures")}
+
+
+def read_errors(folder: Path) -> dict[str, dict[str, str]]:
+    """Why metrics of one's own have no value, by run and metric; ConfigError as above."""
+    found: dict[str, dict[str, str]] = {}
+    for run, metric, why in _listed(folder, "metrics"):
+        found.setdefault(run, {})[metric] = why
+    return found
+
+
+def _listed(folder: Path, key: str) -> list[tuple[str, str, str]]:
+    """Run, metric and reason of each entry of failures.json."""
     path = folder / FAILURES
     try:
-        listed = json.loads(path.read_bytes())["failures"]
-        return {str(failure["run"]): str(failure["reason"]) for failure in listed}
+        return [
+            (str(one["run"]), str(one.get("metric", "")), str(one["reason"]))
+            for one in json.loads(path.read_bytes())[key]
+        ]
     except FileNotFoundError:
-        return {}
+        return []
     except OSError as error:
         raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise ConfigError(f"{path}: damaged; remove it or restore it") from error
 
 

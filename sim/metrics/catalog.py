@@ -1,8 +1,9 @@
 """All metrics by name, with unit, meaning and source, and their values for a trace.
 
-Names are columns of tables and keys of files. `late` is the last 60 s of a run, or its last half
-if that is shorter. A metric is None if the trace lacks the data, or if it has no value, such as
-the time to an event that never happened.
+Besides these there are metrics of what patterns report (`reported.py`) and of one's own (`own.py`);
+`metric_of` takes all of them. Names are columns of tables and keys of files. `late` is the last
+60 s of a run, or its last half if that is shorter. A metric is None if the trace lacks the data, or
+if it has no value, such as the time to an event that never happened.
 """
 
 from __future__ import annotations
@@ -27,6 +28,8 @@ from swarmd.sim.metrics import (
     radio_graph,
 )
 from swarmd.sim.metrics.metric import Better, Metric
+from swarmd.sim.metrics.own import installed_metrics, metric_of_file
+from swarmd.sim.metrics.reported import PREFIX, check_reported, reported_metric
 from swarmd.sim.trace import Trace
 
 __all__ = ["METRICS", "Better", "Metric", "measure", "metric_of", "series", "table"]
@@ -48,13 +51,16 @@ METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric
 """By name, in display order."""
 
 
-def measure(trace: Trace, names: Iterable[str] | None = None) -> dict[str, float | None]:
-    """The value of each named metric, all if None; true is 1. ConfigError for an unknown name."""
-    wanted = [metric_of(name) for name in (METRICS if names is None else names)]
+def measure(trace: Trace, names: Iterable[str | Metric] | None = None) -> dict[str, float | None]:
+    """The value of each metric by name, of all of METRICS if None; true is 1.
+
+    ConfigError for an unknown name, MetricError if a metric of one's own fails.
+    """
+    wanted = map(metric_of, METRICS if names is None else names)
     return {metric.name: _plain(metric.value(trace)) for metric in wanted}
 
 
-def series(trace: Trace, name: str) -> Array | None:
+def series(trace: Trace, name: str | Metric) -> Array | None:
     """(T,) a metric over time, NaN where unknown; None if the trace lacks what it needs.
 
     ConfigError for an unknown metric, and for one that is defined for whole runs only.
@@ -63,21 +69,39 @@ def series(trace: Trace, name: str) -> Array | None:
     if metric.series is None:
         known = ", ".join(one.name for one in METRICS.values() if one.series is not None)
         raise ConfigError(
-            f"metric {name} is defined for whole runs only; over time there are {known}"
+            f"metric {metric.name} is defined for whole runs only; over time there are {known}"
         )
     return metric.series(trace)
 
 
-def metric_of(name: str) -> Metric:
-    """The metric of that name; ConfigError with the nearest name if it is unknown."""
-    if name not in METRICS:
-        raise ConfigError(unknown("metric", name, METRICS))
-    return METRICS[name]
+def metric_of(name: str | Metric) -> Metric:
+    """The metric of that name; ConfigError with the nearest name if it is unknown.
+
+    A name is one of METRICS, `report:KEY...`, `FILE.py:FUNCTION` or that of an installed metric.
+    """
+    if isinstance(name, Metric):
+        return name
+    if name in METRICS:
+        return METRICS[name]
+    if name.startswith(PREFIX):
+        return reported_metric(name)
+    if ".py:" in name:
+        return metric_of_file(name)
+    installed = installed_metrics()
+    if name not in installed:
+        raise ConfigError(unknown("metric", name, (*METRICS, *installed)))
+    return installed[name]
 
 
-def is_time_to_event(name: str) -> bool:
-    """Whether a metric is the time to an event that may never happen in a run."""
-    return name in METRICS and METRICS[name].is_time_to_event
+def check_has_value(metric: Metric, trace: Trace) -> None:
+    """ConfigError with the nearest name if no robot of the trace reports what a metric takes."""
+    if metric.name.startswith(PREFIX):
+        check_reported(metric.name, trace)
+
+
+def beyond_catalog(metrics: Iterable[Metric]) -> list[Metric]:
+    """Those that not every run measures, each once."""
+    return list({(m.name, m.origin): m for m in metrics if m.name not in METRICS}.values())
 
 
 def table() -> list[tuple[str, str, str, str]]:

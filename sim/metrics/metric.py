@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -25,6 +26,9 @@ class Metric:
     each instant, NaN where unknown, or None if the trace lacks data; a metric without `series` is
     defined for whole runs only. `better`: the direction that is good for every task, else None.
     `is_time_to_event`: the value is a duration in s, None where the event never happened.
+
+    `origin`: what `metric_of` takes from any folder, where that is not the name; `digest` of the
+    code of a metric that does not come with swarmd.
     """
 
     name: str
@@ -35,6 +39,8 @@ class Metric:
     series: Series | None = None
     better: Better | None = None
     is_time_to_event: bool = False
+    origin: str = ""
+    digest: str = ""
 
 
 def at_start(series: Series) -> Value:
@@ -69,3 +75,26 @@ def _mean_of(series: Series, part: Callable[[Trace], Trace]) -> Value:
         return None if values is None else window.mean(values)
 
     return value
+
+
+def over_time(values: Array, t: Array, word: str) -> float | None:
+    """One of TIMES of values (T,) at instants `t` (T,), NaN left out; None without a value.
+
+    `start` and `end` are the values at the first and the last instant, `late` is the mean as of
+    `late_mean`.
+    """
+    if word == "start":
+        values = values[:1]
+    elif word == "end":
+        values = values[-1:]
+    elif word == "late" and len(t):
+        values = values[window.late_from(t) :]
+    known = values[~np.isnan(values)]
+    return float(_STATISTICS.get(word, np.mean)(known)) if len(known) else None
+
+
+_STATISTICS: Mapping[str, Callable[[Array], np.floating]] = MappingProxyType(
+    {"mean": np.mean, "min": np.min, "max": np.max, "std": np.std}
+)
+TIMES = ("start", "end", "late", *_STATISTICS)
+"""The words of `over_time`."""

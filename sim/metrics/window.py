@@ -32,10 +32,13 @@ def presence(trace: Trace) -> NDArray[np.bool_]:
 
 def late(trace: Trace, seconds: float = LATE) -> Trace:
     """The last `seconds` of a run, or its last half if that is shorter."""
-    if len(trace.t) == 0:
-        return trace
-    since = trace.t[-1] - min(seconds, trace.duration / 2.0)
-    return cut(trace, int(np.searchsorted(trace.t, since - _ROUNDING)), len(trace.t))
+    return cut(trace, late_from(trace.t, seconds), len(trace.t)) if len(trace.t) else trace
+
+
+def late_from(t: Array, seconds: float = LATE) -> int:
+    """The index in `t` (T,), which is not empty, of the first instant of `late`."""
+    since = t[-1] - min(seconds, float(t[-1] - t[0]) / 2.0)
+    return int(np.searchsorted(t, since - _ROUNDING))
 
 
 def last(trace: Trace) -> Trace:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from textwrap import fill
@@ -12,8 +13,8 @@ import numpy as np
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.experiments.plan import Run
-from swarmd.sim.experiments.results import Results, load_results, unit_of
-from swarmd.sim.metrics.catalog import METRICS, is_time_to_event, metric_of
+from swarmd.sim.experiments.results import YES_OR_NO, Results, load_results
+from swarmd.sim.metrics.catalog import METRICS, Metric
 from swarmd.sim.plots.bands import Series, series_figure
 from swarmd.sim.plots.intervals import Panel, intervals_figure
 from swarmd.sim.plots.overview import overview_figure
@@ -35,14 +36,13 @@ from swarmd.sim.plots.trajectories import trajectories_figure
 from swarmd.sim.trace import Trace
 
 _log = logging.getLogger(__name__)
-_YES_OR_NO = "0 or 1"
 
 
 def draw_experiment(
     folder: Path,
     out: Path | None = None,
     *,
-    metrics: Sequence[str] | None = None,
+    metrics: Sequence[str | Metric] | None = None,
     seeds: Iterable[int] | None = None,
     targets: Mapping[str, float] | None = None,
     suffix: str = ".png",
@@ -73,16 +73,15 @@ class _Gallery:
         self,
         folder: Path,
         out: Path | None,
-        metrics: Sequence[str] | None,
+        metrics: Sequence[str | Metric] | None,
         seeds: Iterable[int] | None,
         suffix: str,
     ) -> None:
-        self._metrics = None if metrics is None else [metric_of(name).name for name in metrics]
         self._results = load_results(folder)
+        self._metrics = None if metrics is None else [*map(self._results.asked, metrics)]
         self._out = folder / "plots" if out is None else out
         self._suffix = suffix
         self._runs = _chosen(self._results, folder, seeds)
-        self._rows = {row["run"]: row for row in self._results.rows}
         self._primary = primary_metric(self._results, self._metrics)
         self._scenario = Path(self._results.plan.scenario).stem
         self._warned: set[str] = set()
@@ -95,14 +94,13 @@ class _Gallery:
     def intervals(self, targets: Mapping[str, float]) -> list[Path]:
         """Metrics run by run."""
         panels = []
-        for name in RUN_BY_RUN if self._metrics is None else self._metrics:
-            values = {v or self._scenario: self._values(name, v) for v in self.variants}
-            if any(value is not None for column in values.values() for value in column):
-                unit = unit_of(name)
-                is_share = unit == _YES_OR_NO
+        for one in self._asked(RUN_BY_RUN):
+            values = {v or self._scenario: self._values(one, v) for v in self.variants}
+            if any(np.isfinite(column).any() for column in values.values()):
                 panels.append(
-                    Panel(label=label_of(name), unit=unit, values=values, is_share=is_share,
-                          target=targets.get(name), is_time_to_event=is_time_to_event(name))
+                    Panel(label=label_of(one.name), unit=one.unit, values=values,
+                          is_share=one.unit == YES_OR_NO, target=targets.get(one.name),
+                          is_time_to_event=one.is_time_to_event)
                 )  # fmt: skip
         if not panels:
             return []
@@ -116,7 +114,7 @@ class _Gallery:
             (f"seed {run.seed}{self._primary_value(run)}", lambda run=run: self._trace(run))
             for run in self._of(variant)
         ]
-        note = f"by seed: {label_of(self._primary)}" if self._primary else ""
+        note = f"by seed: {label_of(self._primary.name)}" if self._primary else ""
         figure = overview_figure(runs, self._title(variant), note=note)
         return [save(figure, self._path("runs", variant))]
 
@@ -127,36 +125,35 @@ class _Gallery:
             return []
         if self._primary is None:
             return self._first_of(runs, "first")[0]
-        values = np.array(
-            [np.nan if v is None else v for v in self._values(self._primary, variant)]
-        )
+        values = self._values(self._primary, variant)
         nearest = [runs[k] for k in typical_first(values)]
         made, typical = self._first_of(nearest, "typical")
-        order, word = worst_first(values, self._primary)
+        order, word = worst_first(values, self._primary.better)
         # If the trace of the worst is lost, the next one is not the worst.
         worst = [runs[k] for k in order[:1] if runs[k] is not typical]
         return made + self._first_of(worst, word)[0]
 
     def over_time(self, targets: Mapping[str, float]) -> list[Path]:
         """Metrics over time, of all variants."""
-        names = metrics_over_time(OVER_TIME if self._metrics is None else self._metrics)
-        found: dict[str, dict[str, list[Series]]] = {name: {} for name in names}
+        metrics = metrics_over_time(self._asked(OVER_TIME))
+        found: dict[str, dict[str, list[Series]]] = {one.name: {} for one in metrics}
         events: set[tuple[tuple[float, str], ...]] = set()
-        for run in self._runs if names and self._has_traces else ():
+        for run in self._runs if metrics and self._has_traces else ():
             trace = self._trace(run)
             if trace is not None:
                 events.add(events_of(trace))
-                for name in names:
-                    _gather(found[name], run.variant.name or self._scenario, name, trace)
+                for one in metrics:
+                    _gather(found[one.name], run.variant.name or self._scenario, one, trace)
         made = []
-        for name, groups in found.items():
+        for one in metrics:
+            name, groups = one.name, found[one.name]
             if _varies(groups) or (groups and self._metrics is not None):
-                is_event = is_time_to_event(name)
+                is_event = one.is_time_to_event
                 label = label_of(stem_of(name))
                 figure = series_figure(
                     groups,
                     label=f"{label} reached" if is_event else label,
-                    unit=unit_of(name),
+                    unit=one.unit,
                     title=self._scenario,
                     target=None if is_event else targets.get(name),
                     events=next(iter(events)) if len(events) == 1 else (),
@@ -197,15 +194,31 @@ class _Gallery:
     def _of(self, variant: str) -> list[Run]:
         return [run for run in self._runs if run.variant.name == variant]
 
-    def _values(self, metric: str, variant: str) -> list[float | None]:
-        return [self._rows[run.id].get(metric) for run in self._of(variant)]
+    def _asked(self, default: Sequence[str]) -> list[Metric]:
+        return [METRICS[name] for name in default] if self._metrics is None else self._metrics
+
+    def _values(self, metric: Metric, variant: str) -> Array:
+        """(runs,) the values of the variant's chosen runs, NaN without one."""
+        if metric.name in METRICS and metric.name not in self._results.metrics:
+            return np.full(len(self._of(variant)), np.nan)  # of another version
+        by_seed = dict(
+            zip(
+                self._results.seeds(variant),
+                self._results.metric(metric, variant),
+                strict=True,
+            )
+        )
+        return np.array([by_seed[run.seed] for run in self._of(variant)])
 
     def _primary_value(self, run: Run, *, has_name: bool = False) -> str:
-        value = None if self._primary is None else self._rows[run.id][self._primary]
-        if self._primary is None or value is None:
+        if self._primary is None:
             return ""
-        unit = "" if unit_of(self._primary) in ("share", _YES_OR_NO) else unit_of(self._primary)
-        name = f"{label_of(self._primary)} " if has_name else ""
+        runs = self._of(run.variant.name)
+        value = self._values(self._primary, run.variant.name)[runs.index(run)]
+        if np.isnan(value):
+            return ""
+        unit = "" if self._primary.unit in ("share", YES_OR_NO) else self._primary.unit
+        name = f"{label_of(self._primary.name)} " if has_name else ""
         return f": {name}{value:.3g} {unit}".rstrip()
 
     def _title(self, variant: str) -> str:
@@ -214,7 +227,8 @@ class _Gallery:
     def _path(self, name: str, variant: str = "") -> Path:
         run = next(run for run in self._runs if run.variant.name == variant or not variant)
         stem = run.id.rpartition("_s")[0] if variant else ""
-        return self._out / f"{f'{stem}_' if stem else ''}{name}{self._suffix}"
+        safe = re.sub(r"[^\w.,=+-]+", "_", name)
+        return self._out / f"{f'{stem}_' if stem else ''}{safe}{self._suffix}"
 
 
 def _chosen(results: Results, folder: Path, seeds: Iterable[int] | None) -> list[Run]:
@@ -232,14 +246,14 @@ def _chosen(results: Results, folder: Path, seeds: Iterable[int] | None) -> list
     return [run for run in runs if run.seed in wanted]
 
 
-def _gather(groups: dict[str, list[Series]], variant: str, metric: str, trace: Trace) -> None:
+def _gather(groups: dict[str, list[Series]], variant: str, metric: Metric, trace: Trace) -> None:
     """Add the run's series; of a time to an event, 0 before the event and 1 from it on."""
-    found, t = METRICS[metric], trace.t - trace.t[0]
-    if found.is_time_to_event:
-        time = found.value(trace)
+    t = trace.t - trace.t[0]
+    if metric.is_time_to_event:
+        time = metric.value(trace)
         values: Array | None = np.zeros(len(t)) if time is None else (t >= time).astype(np.float64)
     else:
-        values = None if found.series is None else found.series(trace)
+        values = None if metric.series is None else metric.series(trace)
     if values is not None and np.isfinite(values).any():
         groups.setdefault(variant, []).append((t, values.astype(np.float64)))
 

@@ -31,7 +31,7 @@ class Panel:
 
     label: str
     unit: str = ""
-    values: Mapping[str, Sequence[float | None]]
+    values: Mapping[str, Sequence[float | None] | Array]
     target: float | None = None
     is_share: bool = False
     is_time_to_event: bool = False
@@ -77,13 +77,12 @@ def _paint_panel(axes: Axes, panel: Panel, runs: Mapping[str, int]) -> None:
     if panel.target is not None:
         axes.axvline(panel.target, color=GUIDE_COLOUR, linestyle=(0, (5, 3)), linewidth=1.1)
     for row, name in enumerate(runs):
-        given = panel.values.get(name, ())
-        values = np.array([np.nan if v is None else v for v in given], dtype=np.float64)
+        values = np.array(panel.values.get(name, ()), dtype=np.float64)  # None gives NaN
         _paint_strip(axes, values, row, panel)
     axes.set_yticks(range(len(runs)), [_row_label(*item) for item in runs.items()], fontsize=9)
     axes.tick_params(axis="y", length=0)
     axes.set_ylim(len(runs) - 0.5, -0.6)
-    known = [v for values in panel.values.values() for v in values if v is not None]
+    known = [v for some in panel.values.values() for v in some if v is not None and v == v]
     is_count = bool(known) and not panel.is_share and all(float(v).is_integer() for v in known)
     axes.locator_params(axis="x", nbins=6, integer=is_count)
     if panel.is_share:

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from swarmd.core.values import Array
 from swarmd.sim.experiments.results import Results
-from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.metrics.catalog import METRICS, Better, Metric
 from swarmd.sim.trace import Trace
 
 OVER_TIME = (
@@ -66,25 +66,26 @@ def smoothing_of(metric: str) -> float:
     return 2.0 if metric.startswith(_FLICKERING) else 0.0
 
 
-def metrics_over_time(names: Sequence[str]) -> list[str]:
+def metrics_over_time(metrics: Iterable[Metric]) -> list[Metric]:
     """The metrics that can be drawn over time, one for each series."""
-    by_stem: dict[str, str] = {}
-    for name in names:
-        metric = METRICS.get(name)
-        if metric is not None and (metric.series is not None or metric.is_time_to_event):
-            by_stem.setdefault(stem_of(name), name)
+    by_stem: dict[str, Metric] = {}
+    for one in metrics:
+        if one.series is not None or one.is_time_to_event:
+            by_stem.setdefault(stem_of(one.name), one)
     return list(by_stem.values())
 
 
-def primary_metric(results: Results, names: Sequence[str] | None) -> str | None:
-    """The metric that ranks runs: the first of `names` whose values differ.
+def primary_metric(results: Results, metrics: Sequence[Metric] | None) -> Metric | None:
+    """The metric that ranks runs: the first of `metrics` whose values differ.
 
-    Without `names`, the first of a default list. None if no metric has a value.
+    Without `metrics`, the first of a default list. None if no metric has a value.
     """
-    known = [name for name in (_PRIMARY if names is None else names) if name in results.metrics]
-    values = {name: results.metric(name) for name in known}
-    has_value = [name for name in known if np.isfinite(values[name]).any()]
-    differing = [name for name in has_value if np.ptp(_finite(values[name])) > 0.0]
+    if metrics is None:
+        metrics = [METRICS[name] for name in _PRIMARY]
+    metrics = [one for one in metrics if one.name in results.metrics or one.name not in METRICS]
+    values = [_finite(results.metric(one)) for one in metrics]
+    has_value = [one for one, some in zip(metrics, values, strict=True) if some.size]
+    differing = [m for m, some in zip(metrics, values, strict=True) if some.size and np.ptp(some)]
     return next(iter((*differing, *has_value)), None)
 
 
@@ -97,12 +98,11 @@ def typical_first(values: Array) -> list[int]:
     return _order(np.where(np.isnan(away), np.inf, away))
 
 
-def worst_first(values: Array, metric: str) -> tuple[list[int], str]:
+def worst_first(values: Array, better: Better | None) -> tuple[list[int], str]:
     """Indices from the worst run on, and the name of the first: "worst" or "least typical".
 
     Where neither direction is good as such, runs are ranked by distance from the median.
     """
-    better = METRICS[metric].better if metric in METRICS else None
     if better is None:
         known = [index for index in typical_first(values) if not np.isnan(values[index])]
         return known[::-1], "least typical"

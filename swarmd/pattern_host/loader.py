@@ -84,7 +84,7 @@ def _from_entry_point(name: str, value: str) -> type[Pattern[Any]]:
 
 
 def _from_file(path: Path) -> type[Pattern[Any]]:
-    module = _module(path)
+    module = import_file(path)
     kinds = [
         value
         for value in vars(module).values()
@@ -121,7 +121,8 @@ def _check_declarations(kind: type[Pattern[Any]]) -> None:
                 )
 
 
-def _module(path: Path) -> ModuleType:
+def import_file(path: Path) -> ModuleType:
+    """The file as a module, as it is now; PluginError, or what the file raises."""
     name = f"swarmd_plugin_{path.stem}"
     loader = _UncachedLoader(name, str(path))
     spec = importlib.util.spec_from_loader(name, loader)

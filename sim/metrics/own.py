@@ -1,0 +1,141 @@
+"""Metrics of one's own: a function of a trace, in a file or in an installed package.
+
+::
+
+    from swarmd.sim.metrics.own import metric
+
+    @metric(unit="share", better="more")
+    def warm(trace):
+        '''Robots within 1 m of the warm spot.'''
+        return (np.hypot(trace.pose[..., 0] - 1.5, trace.pose[..., 1]) < 1.0).mean(axis=1)
+
+It returns a number, None where the run has no value, or an array (T,): the values over time, whose
+mean over the late part is the number of the run. A file's metric is named `path/to/file.py:warm`,
+that of a package by its entry point in the group `swarmd.metrics`. The decorator may be left out.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import inspect
+import traceback
+from collections.abc import Callable, Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import Any, TypeVar
+
+import numpy as np
+
+from swarmd.core.errors import ConfigError, SwarmError, named, unknown
+from swarmd.core.values import Array
+from swarmd.pattern_host.loader import import_file
+from swarmd.sim.metrics.metric import Better, Metric, over_time
+from swarmd.sim.trace import Trace
+
+GROUP = "swarmd.metrics"
+_Function = TypeVar("_Function", bound=Callable[[Trace], Any])
+
+
+class MetricError(SwarmError):
+    """A metric of one's own raised an error, or gave something that is no value."""
+
+
+def metric(
+    *, unit: str = "", better: Better | None = None, is_time_to_event: bool = False
+) -> Callable[[_Function], _Function]:
+    """Give a function of a trace its unit and direction; see `Metric` for their meaning."""
+
+    def decorated(function: _Function) -> _Function:
+        attributes = {"unit": unit, "better": better, "is_time_to_event": is_time_to_event}
+        vars(function).update(attributes)
+        return function
+
+    return decorated
+
+
+def metric_of_file(text: str) -> Metric:
+    """The metric `FILE.py:FUNCTION`; ConfigError if file or function are missing or faulty.
+
+    Its name is that of the file and the function, without folders.
+    """
+    file, _, name = text.rpartition(":")
+    path = Path(file).resolve()
+    try:
+        digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise ConfigError(f"metric {text!r}: {file} cannot be read: {error.strerror}") from error
+    try:
+        module = import_file(path)
+    except Exception as error:
+        raise ConfigError(f"metric {text!r}: {type(error).__name__}: {error}") from error
+    known = [
+        key
+        for key, value in vars(module).items()
+        if inspect.isfunction(value) and value.__module__ == module.__name__ and key[0] != "_"
+    ]
+    if name not in known:
+        raise ConfigError(f"{file}: {unknown('metric', name, known)}")
+    function = getattr(module, name)
+    return _metric(f"{path.name}:{name}", function, f"{path}:{name}", digest, str(path))
+
+
+def installed_metrics() -> Mapping[str, Metric]:
+    """The metrics of installed packages by name; ConfigError if one cannot be imported."""
+    found = {}
+    for point in sorted(entry_points(group=GROUP)):
+        try:
+            function = point.load()
+            source = inspect.getsourcefile(function)
+        except Exception as error:
+            text = f"metric {point.name!r} of {point.value}: {type(error).__name__}: {error}"
+            raise ConfigError(f"{text}; reinstall its package") from error
+        data = Path(source).read_bytes() if source else b""
+        about = point.dist.name if point.dist is not None else point.value
+        digest = hashlib.sha256(data).hexdigest()
+        found[point.name] = _metric(point.name, function, point.name, digest, about)
+    return found
+
+
+def _metric(
+    name: str, function: Callable[[Trace], Any], origin: str, digest: str, source: str
+) -> Metric:
+    better = getattr(function, "better", None)
+    if better not in (None, "less", "more"):
+        raise ConfigError(f"metric {name}: better is {better!r}; expected 'less' or 'more'")
+
+    def value(trace: Trace) -> float | None:
+        found = _called(name, function, trace)
+        return over_time(found, trace.t, "late") if isinstance(found, np.ndarray) else found
+
+    def series(trace: Trace) -> Array | None:
+        found = _called(name, function, trace)
+        return found if isinstance(found, np.ndarray) else None
+
+    return Metric(
+        name=name,
+        unit=str(getattr(function, "unit", "")),
+        meaning=(inspect.getdoc(function) or "").partition("\n")[0],
+        source=source,
+        value=value,
+        series=series,
+        better=better,
+        is_time_to_event=bool(getattr(function, "is_time_to_event", False)),
+        origin=origin,
+        digest=digest,
+    )
+
+
+def _called(name: str, function: Callable[[Trace], Any], trace: Trace) -> Array | float | None:
+    """What the function gives; MetricError with the line of the file if that is no value."""
+    try:
+        found = function(trace)
+    except Exception as error:
+        frame = traceback.extract_tb(error.__traceback__)[-1]
+        where = f"{Path(frame.filename).name}:{frame.lineno}"
+        raise MetricError(f"{type(error).__name__}: {error} ({where})") from error
+    if found is None or isinstance(found, (bool, int, float, np.number, np.bool_)):
+        return None if found is None else float(found)
+    if isinstance(found, np.ndarray) and found.shape in ((), trace.t.shape):
+        return found.astype(np.float64) if found.ndim else float(found)
+    what = f"an array {found.shape}" if isinstance(found, np.ndarray) else named(found)
+    raise MetricError(f"{name} gave {what}; expected a number, None or an array {trace.t.shape}")

@@ -1,0 +1,96 @@
+"""Metrics beyond the catalog in experiments: columns, errors, digests, traces measured later."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.experiments.compare import Side, compare
+from swarmd.sim.experiments.manifest import read_manifest
+from swarmd.sim.experiments.rerun import warnings
+from swarmd.sim.experiments.results import Results, load_results
+from swarmd.sim.experiments.simulate import simulate
+
+FILE = """\
+from swarmd.sim.metrics.own import metric
+
+@metric(unit="m", better="more")
+def seed(trace):
+    return 10 * trace.meta["seed"]
+
+def odd(trace):
+    return 1 / trace.meta["seed"]
+"""
+
+
+@pytest.fixture
+def file(tmp_path: Path) -> Path:
+    path = tmp_path / "mine.py"
+    path.write_text(FILE)
+    return path
+
+
+def small(duo: Path, out: Path, *metrics: str, **more: Any) -> Results:
+    return simulate(duo, 2, set={"duration": 1}, out=out, metrics=metrics, **more)
+
+
+def test_they_are_columns_in_worker_processes_with_the_digest_in_the_manifest(
+    duo: Path, file: Path, tmp_path: Path
+) -> None:
+    out = tmp_path / "x"
+    results = small(duo, out, f"{file}:seed", f"{file}:odd", "report:none", cores=2)
+    assert results.metric("mine.py:seed").tolist() == [0.0, 10.0]
+    assert list(results.errors) == ["s0000"]
+    assert "ZeroDivisionError" in results.errors["s0000"]["mine.py:odd"]
+    assert list(results.unreported()) == ["report:none"]
+    again = load_results(out)
+    assert again.metrics[-3:] == ("mine.py:seed", "mine.py:odd", "report:none")
+    assert again.errors == results.errors
+    assert [one.unit for one in map(again.about, again.metrics[-3:])] == ["m", "", ""]
+    manifest = read_manifest(out)
+    assert set(manifest.plugins) >= {f"{file}:seed", f"{file}:odd"}
+    assert warnings(out) == []
+    file.write_text(FILE.replace("10 *", "20 *"))
+    with pytest.raises(ConfigError, match=r"mine\.py:odd has changed"):
+        small(duo, out, f"{file}:seed", f"{file}:odd", "report:none")
+
+
+def test_traces_are_measured_later_and_again_by_changed_code(
+    duo: Path, file: Path, tmp_path: Path
+) -> None:
+    results = small(duo, tmp_path / "x", f"{file}:odd")
+    assert results.metric(f"{file}:seed").tolist() == [0.0, 10.0]
+    file.write_text(FILE.replace("1 /", "1 + 0 *"))
+    asked = results.asked("mine.py:odd")
+    np.testing.assert_array_equal(results.metric("mine.py:odd"), [np.nan, 1.0])
+    assert results.metric(asked).tolist() == [1.0, 1.0]
+    assert results.errors == {"s0000": {}}
+    (difference,) = compare(
+        Side("a", results, ""), Side("b", results, ""), [results.asked(f"{file}:seed")]
+    )
+    assert (difference.unit, difference.mean_a) == ("m", 5.0)
+    file.unlink()
+    assert results.asked("mine.py:odd").name == "mine.py:odd"
+    with pytest.raises(ConfigError, match="none"):
+        results.metric("report:none")
+
+
+def test_without_traces_a_metric_that_was_not_measured_is_refused(
+    duo: Path, tmp_path: Path
+) -> None:
+    results = small(duo, tmp_path / "x", traces=False)
+    with pytest.raises(SwarmError, match="--metrics report:state=wait"):
+        results.metric("report:state=wait")
+
+
+def test_two_metrics_of_one_name_are_refused(duo: Path, file: Path, tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    other = tmp_path / "b" / "mine.py"
+    other.write_text(FILE)
+    with pytest.raises(ConfigError, match=r"two metrics are named mine\.py:seed"):
+        small(duo, tmp_path / "x", f"{file}:seed", f"{other}:seed")
+    assert not (tmp_path / "x").exists()
