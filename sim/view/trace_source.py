@@ -229,9 +229,9 @@ class _ShownRun:
         if trace.requested is not None and np.isfinite(trace.requested[at, i]).all():
             row["requested"] = _rounded(trace.requested[at, i])
         if trace.active is not None and state == "running":
-            row["protection"] = "limits" if trace.active[at, i] else "passes"
+            row["protection"] = "active" if trace.active[at, i] else "clear"
         if trace.recovering is not None and trace.recovering[at, i]:
-            row["protection"] = "recovers"
+            row["protection"] = "recovering"
         row["near"] = None
         if trace.gap is not None and np.isfinite(trace.gap[at, i]):
             row["near"] = round(float(trace.gap[at, i]), 3)

@@ -87,6 +87,8 @@ def web_options(function: Callable[..., R]) -> Callable[..., R]:
         tls: tuple[Path, Path] | None,
         **kwargs: Any,
     ) -> R:
+        if viewer_token and not token:
+            token = "-"  # else a page without a token would command
         web = WebOptions(bind, port, _token(token), _token(viewer_token), tls)
         return function(*args, page=web, **kwargs)
 
@@ -101,7 +103,8 @@ def check_web(web: WebOptions) -> None:
         raise PluginError(
             "a web page needs websockets, which is not installed; run: pip install 'swarmd[web]'"
         )
-    from swarmd.view.server import Access, check_address
+    from swarmd.view.access import Access
+    from swarmd.view.server import check_address
 
     check_address(web.bind, web.port, Access(web.token, web.viewer_token))
     web.context()
@@ -171,13 +174,16 @@ async def _started(
     source: Source, commander: Commander | None, web: WebOptions, on_address: Callable[[str], None]
 ) -> ViewServer:
     """A server that listens; `on_address` takes a line for each address of its page."""
-    from swarmd.view.server import Access, ViewServer
+    from swarmd.view.access import Access, is_loopback
+    from swarmd.view.server import ViewServer
 
     server = ViewServer(source, commander, Access(web.token, web.viewer_token))
     address = await server.start(web.bind, web.port, web.context())
     for role, secret in (("page", web.token), ("read only", web.viewer_token)):
         if secret or role == "page":
             on_address(f"{role}: {address}{f'?token={secret}' if secret else ''}")
+    if web.tls is None and not is_loopback(web.bind):
+        warn("without --tls others in this network can read the tokens and what the page shows")
     return server
 
 

@@ -6,18 +6,20 @@ import contextlib
 import math
 import threading
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from msgspec.structs import astuple
+from msgspec.structs import astuple, replace
 
+from swarmd.cli.describe import sections
+from swarmd.cli.explain import why
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import ConfigError
 from swarmd.core.messages import Motion, Presence, Status
 from swarmd.core.values import Array, Platform, Scan
 from swarmd.driver_api.hw_codec import decode_scan
-from swarmd.network.discovery import MembersView, SeenMember
+from swarmd.network.discovery import Contact, MembersView, SeenMember
 from swarmd.network.operator import Operator
 from swarmd.settings.platforms import load_platform
 from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of
@@ -25,6 +27,10 @@ from swarmd.view.swarm_watch import SwarmWatch
 
 PLAIN = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 """The footprint of a robot whose platform is not known here, in m."""
+
+MAX_ROBOTS = 1024
+GONE = {Presence.LEFT: "left in order", Presence.FAILED: "silent: it may move"}
+"""Why a robot that is not alive is shown so."""
 
 _motion = Decoder(Motion)
 
@@ -42,6 +48,7 @@ class LiveSource:
         self._robots: list[ShownRobot] = []
         self._operator = operator
         self._index: dict[str, int] = {}
+        self._revision = 0
         self._lock = threading.Lock()
         self._motions: dict[str, Motion] = {}
         self._scans: dict[str, Scan] = {}
@@ -82,19 +89,17 @@ class LiveSource:
 
     @property
     def revision(self) -> int:
-        """The number of robots."""
-        return len(self._robots)
+        """Changes when a robot is found, or its platform."""
+        return self._revision
 
     def frame(self) -> tuple[float, Array]:
         """The last pose of each robot."""
         with self._lock:
             motions = list(self._motions.values())
-        self._add(one.robot for one in motions)
-        rows = [
-            (self._index[one.robot], one.x, one.y, one.yaw)
-            for one in motions
-            if one.robot in self._index
-        ]
+        index = self._index
+        if any(one.robot not in index for one in motions):
+            self._add((one.robot for one in motions), self.statuses())
+        rows = [(index[m.robot], m.x, m.y, m.yaw) for m in motions if m.robot in index]
         return time.monotonic(), np.array(rows, dtype=np.float64).reshape(-1, 4)
 
     def rows(self) -> Mapping[str, Mapping[str, Any]]:
@@ -102,8 +107,9 @@ class LiveSource:
         statuses = self.statuses()
         with self._lock:
             motions = dict(self._motions)
-        members = self.view.members
-        self._add(sorted(members.keys() | statuses.keys()))
+        view = self.view
+        members = view.members
+        self._add(sorted(members.keys() | statuses.keys() | view.roster), statuses)
         rows: dict[str, dict[str, Any]] = {}
         for robot in self._robots:
             name = robot.name
@@ -124,9 +130,10 @@ class LiveSource:
             if platform is not None:
                 limits = platform.limits
                 row["limits"] = [limits.linear, limits.angular, limits.lateral]
-            row["age"] = round(age, 1)
+            row["age"] = age
+            row["labels"] = list(status.labels)
             if member is not None and member.presence is not Presence.ALIVE:
-                row |= {"presence": member.presence.value, "why": f"{member.presence.value}"}
+                row |= {"presence": member.presence.value, "why": GONE[member.presence]}
         return rows
 
     def scan(self, name: str) -> Array | None:
@@ -147,37 +154,20 @@ class LiveSource:
         return ()
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
-        """What `describe` tells."""
-        known = self.statuses().get(name)
-        if known is None:
+        """What `swarmctl describe` tells."""
+        known, member = self.statuses().get(name), self.view.members.get(name)
+        if known is None or member is None:
             return None
         status, age = known
-        health, decision = status.health, status.decision
-        values = [
-            ["Platform", f"{status.platform}, driver {status.driver}"],
-            ["Pattern", status.pattern or "-"],
-            ["Parameters", _assignments({k: v.value for k, v in status.params.items()}) or "-"],
-            ["Report", _assignments(status.report) or "-"],
-            ["Protection", f"{decision.mode}, limits {decision.duty:.0%} of decisions"],
-            ["Labels", ", ".join(status.labels) or "-"],
-            ["Changed by", status.changed_by],
-            ["Scans", f"{health.scan_rate:.1f} Hz"],
-            ["Driver", health.driver],
-            ["Network", health.network],
-            [
-                "Latches",
-                "; ".join(f"{x.issuer}: {x.reason}" for x in status.latches.values()) or "-",
+        *rest, _ = sections(member, status)
+        return {
+            "why": why(replace(member, status=status)),
+            "sections": [[title, rows] for title, rows in rest if rows],
+            "events": [
+                [f"{max(status.uptime - one.at, 0.0) + age:.0f} s ago", one.text]
+                for one in reversed(status.events)
             ],
-            ["Peers", "; ".join(f"{x.robot}: {x.text}" for x in status.peers) or "-"],
-            ["Version", f"{status.version}, kernels {status.kernels}"],
-        ]
-        if decision.speed_share < 1.0:
-            values.insert(5, ["Speed", f"{decision.speed_share:.0%}: an assumption was violated"])
-        events = [
-            [f"{max(status.uptime - one.at, 0.0) + age:.0f} s ago", one.text]
-            for one in reversed(status.events)
-        ]
-        return {"values": values, "events": events}
+        }
 
     def select(self, names: Sequence[str]) -> None:
         """Watch the scans of these robots and of no others."""
@@ -205,20 +195,23 @@ class LiveSource:
         if platform is not None:
             self._scans[robot] = decode_scan(payload, platform.scan)
 
-    def _add(self, names: Any) -> None:
-        new = [name for name in names if name not in self._index]
-        statuses = self.statuses() if new else {}
-        for name in new:
-            known = statuses.get(name)
-            if known is None and name not in self.view.members:
-                continue
+    def _add(self, names: Iterable[str], statuses: Mapping[str, tuple[Status, float]]) -> None:
+        """List robots; one that never answered keeps a plain footprint until its status comes."""
+        for name in names:
+            index, known = self._index.get(name), statuses.get(name)
             platform = "" if known is None else known[0].platform
-            if not platform:
-                continue  # until its status comes
-            self._index[name] = len(self._robots)
-            found = self._platform(platform)
+            if index is not None and (not platform or self._robots[index].platform == platform):
+                continue
+            if index is None and len(self._robots) >= MAX_ROBOTS:
+                continue
+            found = self._platform(platform) if platform else None
             shape = PLAIN if found is None else found.footprint
-            self._robots.append(ShownRobot(name, self._index[name], platform, shape))
+            self._revision += 1
+            if index is None:
+                self._index[name] = index = len(self._robots)
+                self._robots.append(ShownRobot(name, index, platform, shape))
+            else:
+                self._robots[index] = ShownRobot(name, index, platform, shape)
 
     def _platform(self, name: str) -> Platform | None:
         """The platform of that name; None if it is not known on this machine."""
@@ -230,10 +223,13 @@ class LiveSource:
 
 
 def _unanswered(member: SeenMember | None) -> dict[str, Any]:
-    presence = "?" if member is None else member.presence.value
-    return {"presence": presence, "state": "", "why": "does not answer", "report": {}}
-
-
-def _assignments(values: Mapping[str, object]) -> str:
-    shown = (f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in values.items())
-    return ", ".join(shown)
+    """The row of a robot without a status."""
+    row: dict[str, Any] = {"state": "", "report": {}, "presence": "expected"}
+    if member is None:
+        return row | {"why": "expected, and never heard", "age": math.inf}
+    row |= {"presence": member.presence.value, "state": member.state, "age": member.age}
+    if member.contact is Contact.OTHER_VERSION:
+        return row | {"why": f"speaks another version: {member.version or '?'}"}
+    if member.contact is Contact.UNREACHABLE:
+        return row | {"why": f"alive by the word of {member.by}; not reachable from here"}
+    return row | {"why": "heard, without a status" if row["presence"] == "alive" else "silent"}

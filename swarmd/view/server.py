@@ -1,24 +1,26 @@
-"""Serves the page of a swarm: static files and one WebSocket for each page that is open.
+"""Serves the page of a swarm: static files, and one WebSocket for each page that is open.
 
-A page gets a frame only while it has acknowledged all but MAX_UNACKED of those before: a slow page
-gets fewer frames, and nothing ever waits in a queue for it.
+To the page: `hello`, `rows`, `detail`, `boxes`, `links`, `playback`, `notice`, `answer` and `estop`
+as JSON, frames and scans as bytes (see `source.pack_frame`). From the page: `ack` of a frame,
+`select`, `play`, `seek`, `choose` and `act`, a command. The server keeps the emergency stop that
+lacks acknowledgements, so that a page which opens later shows it too.
 """
 
 from __future__ import annotations
 
 import asyncio
 import errno
-import hmac
 import http
 import json
 import logging
+import math
 import mimetypes
 import os
 import socket
 import ssl
+from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
-from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any, Protocol
 from urllib.parse import parse_qs, urlsplit
@@ -28,42 +30,28 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from swarmd.core.errors import ConfigError, NetworkError, SwarmError
+from swarmd.core.errors import NetworkError, SwarmError
+from swarmd.view.access import HEADERS, Access
+from swarmd.view.client import Client, Rows
 from swarmd.view.playback import Playback
-from swarmd.view.source import Answer, Source, pack_frame, pack_scan
+from swarmd.view.source import Answer, Source, pack_frame
 
 log = logging.getLogger(__name__)
 
 FRAME_PERIOD = 0.1
 ROWS_PERIOD = 0.5
-DETAIL_PERIOD = 1.0
-MAX_UNACKED = 2
-MAX_MESSAGE = 64 * 1024
-MAX_CLIENTS = 64
+FEW_ROBOTS, FEW_ROWS_PERIOD = 50, 0.2
+MAX_MESSAGE = 256 * 1024
+MAX_PAGES = {"operator": 16, "viewer": 100}
+"""Open pages by role: many who look keep out no operator."""
+MAX_LATENESS = 3.0
+"""Age in s of the frame that a page had when it sent a command that starts or changes motion."""
 WRONG_TOKEN, ENDED = 4401, 4410
 """Codes with which a connection is closed; the page shows the reason."""
+STOPS = ("stop", "estop", "end_estop")
 PAGE = "page"
-
-
-@dataclass(frozen=True, slots=True)
-class Access:
-    """Tokens of pages: that of an operator, and that of one who only looks.
-
-    Without tokens each page may command, so a server without them listens on loopback only.
-    """
-
-    operator: str = ""
-    viewer: str = ""
-
-    def role(self, token: str) -> str:
-        """`operator`, `viewer`, or empty for a wrong token."""
-        if not self.operator and not self.viewer:
-            return "operator"
-        if self.operator and hmac.compare_digest(token, self.operator):
-            return "operator"
-        if self.viewer and hmac.compare_digest(token, self.viewer):
-            return "viewer"
-        return ""
+# Keys of rows that only the details of a selected robot show.
+DETAIL_KEYS = frozenset({"requested", "safe", "rows", "limits"})
 
 
 class Commander(Protocol):
@@ -72,22 +60,21 @@ class Commander(Protocol):
     async def act(self, verb: str, fields: Mapping[str, Any], tell: Any) -> None:
         """Carry a command out; `tell(answer)` is called as answers come, the last one final."""
 
+    def end_estop(self) -> None:
+        """Repeat the emergency stop no longer."""
+
 
 def check_address(host: str, port: int, access: Access) -> None:
     """ConfigError if the address needs a token, NetworkError if it cannot be used."""
-    if host not in ("127.0.0.1", "::1", "localhost") and not access.operator:
-        raise ConfigError(
-            f"--bind {host}: other machines could command the robots; expected a token"
-            " (--token), or 127.0.0.1"
-        )
+    access.check_bind(host)
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         socket.create_server((host, port), family=family).close()
     except OSError as error:
-        raise _refused(host, port, error) from error
+        raise _in_use(host, port, error) from error
 
 
-def _refused(host: str, port: int, error: OSError) -> NetworkError:
+def _in_use(host: str, port: int, error: OSError) -> NetworkError:
     why = (
         "is in use"
         if error.errno == errno.EADDRINUSE
@@ -97,16 +84,24 @@ def _refused(host: str, port: int, error: OSError) -> NetworkError:
 
 
 class ViewServer:
-    """The server of one source."""
+    """The server of one source; `frame_period` in s."""
 
-    def __init__(self, source: Source, commander: Commander | None, access: Access) -> None:
+    def __init__(
+        self,
+        source: Source,
+        commander: Commander | None,
+        access: Access,
+        *,
+        frame_period: float = FRAME_PERIOD,
+    ) -> None:
         self.source = source
-        self._commander = commander
-        self._access = access
-        self._clients: set[_Client] = set()
+        self.frames = 0
+        self._commander, self._access, self._period = commander, access, frame_period
+        self._clients: set[Client] = set()
         self._tasks: set[asyncio.Task[None]] = set()
         self._server: Server | None = None
-        self.frames = 0
+        self._sent_at: deque[tuple[int, float]] = deque(maxlen=round(60.0 / frame_period))
+        self._estop: dict[str, Any] | None = None
 
     async def start(self, host: str, port: int, tls: ssl.SSLContext | None = None) -> str:
         """Listen, and return the address of the page. Raises as `check_address`."""
@@ -123,17 +118,18 @@ class ViewServer:
                 logger=log,
             )
         except OSError as error:
-            raise _refused(host, port, error) from error
-        self._tasks.add(asyncio.create_task(self._send_frames()))
+            raise _in_use(host, port, error) from error
+        self._begin(self._send_frames())
         bound = next(iter(self._server.sockets)).getsockname()
         scheme = "https" if tls is not None else "http"
-        name = f"[{bound[0]}]" if ":" in bound[0] else bound[0]
-        return f"{scheme}://{name}:{bound[1]}/"
+        name = _own_address() if bound[0] in ("0.0.0.0", "::") else bound[0]
+        return f"{scheme}://{f'[{name}]' if ':' in name else name}:{bound[1]}/"
 
     async def close(self, reason: str = "") -> None:
         """End the server; its pages show `reason` why it has ended, at most 120 bytes of it."""
+        text = reason.encode()[:120].decode(errors="ignore")
         for client in list(self._clients):
-            text = reason.encode()[:120].decode(errors="ignore")
+            client.end()
             with suppress(ConnectionClosed, TimeoutError):
                 await asyncio.wait_for(client.connection.close(ENDED, text), 1.0)
         for task in self._tasks:
@@ -151,10 +147,10 @@ class ViewServer:
     # Files
 
     def _static(self, connection: ServerConnection, request: Request) -> Response | None:
+        if not self._access.allows(request.headers):
+            return connection.respond(http.HTTPStatus.FORBIDDEN, "a page of another site\n")
         path = urlsplit(request.path).path
         if path == "/socket":
-            if not _is_own_origin(request.headers):
-                return connection.respond(http.HTTPStatus.FORBIDDEN, "a page of another site\n")
             return None
         name = "index.html" if path == "/" else path[1:]
         file = files("swarmd.view").joinpath(PAGE, name)
@@ -162,19 +158,8 @@ class ViewServer:
             return connection.respond(http.HTTPStatus.NOT_FOUND, "there is no such page\n")
         kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
         body = file.read_bytes()
-        headers = Headers(
-            {
-                "Content-Type": f"{kind}; charset=utf-8",
-                "Content-Length": str(len(body)),
-                "Cache-Control": "no-cache",
-                "Content-Security-Policy": (
-                    "default-src 'self'; img-src 'self' data:; style-src 'self' 'unsafe-inline'"
-                ),
-                "X-Content-Type-Options": "nosniff",
-                "Referrer-Policy": "no-referrer",
-            }
-        )
-        return Response(200, "OK", headers, body)
+        about = {"Content-Type": f"{kind}; charset=utf-8", "Content-Length": str(len(body))}
+        return Response(200, "OK", Headers(about | HEADERS), body)
 
     # Pages
 
@@ -186,226 +171,174 @@ class ViewServer:
             text = "The token in the address is missing or wrong; ask for the whole address."
             await connection.close(WRONG_TOKEN, text)
             return
-        if len(self._clients) >= MAX_CLIENTS:
-            await connection.close(WRONG_TOKEN, f"{MAX_CLIENTS} pages are open already.")
+        if sum(one.role == role for one in self._clients) >= MAX_PAGES[role]:
+            await connection.close(WRONG_TOKEN, f"{MAX_PAGES[role]} pages are open already.")
             return
-        client = _Client(connection, role)
+        client = Client(connection, role)
         self._clients.add(client)
         try:
             await client.send_hello(self.source)
+            if self._estop is not None:
+                client.tell(self._estop)
             async for received in connection:
-                await self._take(client, received)
+                self._take(client, received)
         except ConnectionClosed:
             pass
         finally:
+            client.end()
             self._clients.discard(client)
             self._tell_selection()
 
-    async def _take(self, client: _Client, text: str | bytes) -> None:
+    def _take(self, client: Client, text: str | bytes) -> None:
         try:
             message = json.loads(text)
             kind = message["kind"]
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             return
         if kind == "ack":
-            client.unacked = max(0, client.unacked - 1)
-        elif kind == "select":
-            names = message.get("names")
+            client.on_ack()
+        elif kind == "select" and isinstance(names := message.get("names"), list):
             known = {robot.name for robot in self.source.robots}
-            client.selected = [name for name in names or () if name in known][:20]
-            client.detail_at = 0.0
+            client.select([name for name in names if isinstance(name, str) and name in known])
             self._tell_selection()
-        elif kind in ("play", "seek", "choose") and self.source.playback is not None:
-            if client.role == "operator":
-                with suppress(TypeError, ValueError):
-                    await self._play(client, self.source.playback, kind, message)
+        elif kind in ("play", "seek", "choose") and client.role == "operator":
+            if (playback := self.source.playback) is not None:
+                self._begin(self._play(client, playback, kind, message))
         elif kind == "act":
-            task = asyncio.create_task(self._act(client, message))
-            self._tasks.add(task)
-            task.add_done_callback(self._tasks.discard)
+            self._begin(self._act(client, message))
 
     async def _play(
-        self, client: _Client, playback: Playback, kind: str, message: Mapping[str, Any]
+        self, client: Client, playback: Playback, kind: str, message: Mapping[str, Any]
     ) -> None:
-        if kind == "play":
-            speed = float(message.get("speed", 1.0))
-            playback.play(is_playing=bool(message.get("is_playing")), speed=speed)
-        elif kind == "seek":
-            playback.seek(float(message.get("time", 0.0)))
-        elif message.get("run") in playback.runs:
-            text = ""
-            try:
-                await asyncio.to_thread(playback.choose, message["run"])
-            except SwarmError as error:
-                text = str(error)
-            client.tell({"kind": "notice", "text": text})
+        with suppress(TypeError, ValueError):
+            if kind == "play":
+                speed = float(message.get("speed", 1.0))
+                playback.play(is_playing=bool(message.get("is_playing")), speed=speed)
+            elif kind == "seek":
+                playback.seek(float(message.get("time", 0.0)))
+            elif message.get("run") in playback.runs:
+                text = ""
+                try:
+                    await asyncio.to_thread(playback.choose, message["run"])
+                except SwarmError as error:
+                    text = str(error)
+                client.tell({"kind": "notice", "text": text})
 
-    async def _act(self, client: _Client, message: Mapping[str, Any]) -> None:
+    async def _act(self, client: Client, message: Mapping[str, Any]) -> None:
         id, verb = str(message.get("id"))[:64], str(message.get("verb"))[:32]
 
         def tell(answer: Answer) -> None:
-            client.tell(
-                {
-                    "kind": "answer",
-                    "id": id,
-                    "line": answer.line,
-                    "replies": answer.replies,
-                    "missing": answer.missing,
-                    "is_good": answer.is_good,
-                    "is_final": answer.is_final,
-                }
-            )
+            client.tell({"kind": "answer", "id": id, **answer.plain()})
+            if verb == "estop":
+                self._show_estop(id, answer)
 
         if client.role != "operator":
-            tell(Answer(f"{verb}: this page may only look", is_final=True))
+            client.tell(_refusal(id, f"{verb}: this page may only look"))
         elif self._commander is None:
-            tell(Answer(f"{verb}: a recorded run takes no commands", is_final=True))
+            client.tell(_refusal(id, f"{verb}: a recorded run takes no commands"))
+        elif verb not in STOPS and self._is_late(message.get("seen")):
+            text = f"{verb}: not carried out: it came too late; look at the robots and repeat it"
+            client.tell(_refusal(id, text))
+        elif verb == "end_estop":
+            self._commander.end_estop()
         else:
+            if verb == "estop":
+                self._show_estop(id, Answer("estop: sent"))
             await self._commander.act(verb, message, tell)
+
+    def _is_late(self, seen: Any) -> bool:
+        """True if the page sent a command long ago: it quotes the frame that it had drawn."""
+        now = asyncio.get_running_loop().time()
+        return not any(seen == number and now - at < MAX_LATENESS for number, at in self._sent_at)
+
+    def _show_estop(self, id: str, answer: Answer) -> None:
+        """Show the emergency stop on all pages; of two, the one that was begun last."""
+        current = self._estop
+        is_new = answer.line == "estop: sent"
+        if not is_new and (current is None or current["id"] != id):
+            return
+        message = {"kind": "estop", "id": id, **answer.plain()}
+        self._estop = None if answer.is_final else message
+        for client in self._clients:
+            client.tell(message)
 
     def _tell_selection(self) -> None:
         names = {name for client in self._clients for name in client.selected}
         self.source.select(sorted(names))
 
     async def _send_frames(self) -> None:
-        """Every 0.1 s a frame, every 0.5 s what has changed in the rows."""
+        """Send frames with their period, and rows less often."""
         loop = asyncio.get_running_loop()
         due, rows_at = loop.time(), 0.0
         while True:
-            due = max(due + FRAME_PERIOD, loop.time())
+            due = max(due + self._period, loop.time())
             await asyncio.sleep(due - loop.time())
             if not self._clients:
                 continue
             time, places = self.source.frame()
             self.frames += 1
+            self._sent_at.append((self.frames, due))
             frame = pack_frame(self.frames, time, places)
-            has_rows = due - rows_at >= ROWS_PERIOD
-            rows, more = (self._rows(), self._more()) if has_rows else ({}, [])
-            rows_at = due if has_rows else rows_at
+            is_few = len(self.source.robots) <= FEW_ROBOTS
+            rows = None
+            if due - rows_at >= (FEW_ROWS_PERIOD if is_few else ROWS_PERIOD) - 1e-3:
+                rows, rows_at = self._rows(), due
             for client in list(self._clients):
-                client.advance(self.source, frame, rows if has_rows else None, more, due)
+                client.advance(self.source, frame, rows, due)
 
-    def _rows(self) -> dict[str, str]:
-        """The row of each robot as JSON."""
-        return {
-            name: json.dumps(row, separators=(",", ":"), allow_nan=False)
-            for name, row in self.source.rows().items()
-        }
-
-    def _more(self) -> list[str]:
+    def _rows(self) -> Rows:
+        selected = {name for client in self._clients for name in client.selected}
+        short, whole = {}, {}
+        rows = self.source.rows()
+        ages = [0.0] * len(self.source.robots)
+        index = {robot.name: robot.index for robot in self.source.robots}
+        for name, row in rows.items():
+            ages[index[name]] = float(row.get("age", 0.0))
+            fields = {key: value for key, value in row.items() if key != "age"}
+            if name in selected:
+                whole[name] = _json(fields)
+            short[name] = _json({k: v for k, v in fields.items() if k not in DETAIL_KEYS})
+        others = [_json({"kind": "links", "links": list(self.source.links())})]
         boxes = [{"shape": shape.tolist(), "pose": pose} for shape, pose in self.source.boxes()]
-        links = json.dumps(list(self.source.links()), separators=(",", ":"))
-        found = [f'{{"kind":"rows","rows":{{}},"links":{links}}}']
-        found.append(json.dumps({"kind": "boxes", "boxes": boxes}))
+        others.append(_json({"kind": "boxes", "boxes": boxes}))
         if self.source.playback is not None:
-            found.append(json.dumps({"kind": "playback", **self.source.playback.plain()}))
-        return found
+            others.append(_json({"kind": "playback", **self.source.playback.plain()}))
+        return Rows(short, whole, ages, others)
+
+    def _begin(self, work: Any) -> None:
+        task = asyncio.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._on_done)
+
+    def _on_done(self, task: asyncio.Task[None]) -> None:
+        self._tasks.discard(task)
+        if not task.cancelled() and (error := task.exception()) is not None:
+            log.error("the page's server failed", exc_info=error)
 
 
-class _Client:
-    """One page."""
-
-    def __init__(self, connection: ServerConnection, role: str) -> None:
-        self.connection = connection
-        self.role = role
-        self.selected: list[str] = []
-        self.unacked = 0
-        self.detail_at = 0.0
-        self._rows: dict[str, str] = {}
-        self._known = -1
-        self._more: list[str] = []
-        self._sending: asyncio.Task[None] | None = None
-        self._answers: list[str] = []
-
-    async def send_hello(self, source: Source) -> None:
-        """Tell the page what it shows."""
-        self._known = source.revision
-        self._rows.clear()
-        await self.connection.send(json.dumps(_hello(source, self.role)))
-
-    def tell(self, message: Mapping[str, Any]) -> None:
-        """Send an answer with the next turn, whatever the page has acknowledged."""
-        self._answers.append(json.dumps(message))
-        del self._answers[:-100]
-        if self._sending is None or self._sending.done():
-            self._sending = asyncio.create_task(self._send(None, [], []))
-
-    def advance(
-        self,
-        source: Source,
-        frame: bytes,
-        rows: Mapping[str, str] | None,
-        more: list[str],
-        now: float,
-    ) -> None:
-        """Send what is due, unless the page is behind."""
-        if self._sending is not None and not self._sending.done():
-            return
-        texts: list[str] = []
-        if source.revision != self._known:
-            self._known = source.revision
-            self._rows.clear()
-            self._more = []
-            texts.append(json.dumps(_hello(source, self.role)))
-        is_behind = self.unacked >= MAX_UNACKED
-        if rows is not None and not is_behind:
-            # Also unchanged rows: the page counts the time since it heard of a robot.
-            changed = [f"{json.dumps(n)}:{r}" for n, r in rows.items() if self._rows.get(n) != r]
-            same = [
-                f"{json.dumps(name)}:{{}}"
-                for name, row in rows.items()
-                if self._rows.get(name) == row
-            ]
-            self._rows = dict(rows)
-            texts.append('{"kind":"rows","rows":{' + ",".join(changed + same) + "}}")
-            texts += [text for text in more if text not in self._more]
-            self._more = more
-        scans: list[bytes] = []
-        if not is_behind:
-            scans = self._scans(source)
-            texts += self._details(source, now)
-        self.unacked += not is_behind
-        self._sending = asyncio.create_task(self._send(None if is_behind else frame, texts, scans))
-
-    def _scans(self, source: Source) -> list[bytes]:
-        index = {robot.name: robot.index for robot in source.robots}
-        found = ((index[name], source.scan(name)) for name in self.selected if name in index)
-        return [pack_scan(one, points) for one, points in found if points is not None]
-
-    def _details(self, source: Source, now: float) -> list[str]:
-        if not self.selected or now - self.detail_at < DETAIL_PERIOD:
-            return []
-        self.detail_at = now
-        name = self.selected[-1]
-        detail = source.detail(name)
-        return [] if detail is None else [json.dumps({"kind": "detail", "name": name, **detail})]
-
-    async def _send(self, frame: bytes | None, texts: list[str], scans: list[bytes]) -> None:
-        answers, self._answers = self._answers, []
-        with suppress(ConnectionClosed):
-            for text in (*answers, *texts):
-                await self.connection.send(text)
-            for scan in scans:
-                await self.connection.send(scan)
-            if frame is not None:
-                await self.connection.send(frame)
+def _refusal(id: str, text: str) -> dict[str, Any]:
+    return {"kind": "answer", "id": id, **Answer(text, is_final=True).plain()}
 
 
-def _hello(source: Source, role: str) -> dict[str, Any]:
-    return {
-        "kind": "hello",
-        "swarm": source.swarm,
-        "source": source.kind,
-        "role": role,
-        "robots": [robot.plain() for robot in source.robots],
-        "arena": None if source.arena is None else source.arena.plain(),
-        "patterns": list(source.patterns),
-        "runs": [] if source.playback is None else list(source.playback.runs),
-        "playback": None if source.playback is None else source.playback.plain(),
-    }
+def _json(value: Any) -> str:
+    """JSON without NaN and infinity, which browsers refuse: they become null."""
+    try:
+        return json.dumps(value, separators=(",", ":"), allow_nan=False)
+    except ValueError:
+        return json.dumps(_finite(value), separators=(",", ":"))
 
 
-def _is_own_origin(headers: Headers) -> bool:
-    """False for a page of another site, which a browser would let connect with this address."""
-    origin, host = headers.get("Origin"), headers.get("Host")
-    return origin is None or urlsplit(origin).netloc == host
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _own_address() -> str:
+    """The address of this machine in its network, for pages on others; else its name."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.connect(("192.0.2.1", 9))  # sends nothing
+        return str(probe.getsockname()[0])
+    return socket.gethostname()

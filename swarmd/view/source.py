@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,6 +15,7 @@ from swarmd.view.playback import Playback
 
 FRAME, SCAN = 1, 2
 """Kinds of binary messages to the page."""
+PLACE = np.dtype([("index", "<u4"), ("x", "<f4"), ("y", "<f4"), ("yaw", "<f4")])
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,6 +70,10 @@ class Answer:
     is_good: bool = False
     is_final: bool = False
 
+    def plain(self) -> dict[str, Any]:
+        """As JSON."""
+        return asdict(self)
+
 
 class Source(Protocol):
     """A fleet, a simulated world or a recorded run. All methods run on the server's loop."""
@@ -110,7 +115,10 @@ class Source(Protocol):
         """Pairs of indices of robots that hear each other."""
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
-        """`values`: pairs of name and text, `events`: pairs of age and text."""
+        """`sections`: titles with pairs of name and text; `events`: pairs of age and text.
+
+        `values`: pairs without a title, `why`: one sentence; each may be missing.
+        """
 
     def select(self, names: Sequence[str]) -> None:
         """The robots that any page has selected: whose scans and details are wanted."""
@@ -119,10 +127,10 @@ class Source(Protocol):
 def pack_frame(sequence: int, time: float, places: Array) -> bytes:
     """A frame as the page reads it."""
     head = struct.pack("<IIdI", FRAME, sequence & 0xFFFFFFFF, time, len(places))
-    body = bytearray(16 * len(places))
-    for at, (index, x, y, yaw) in enumerate(places.tolist()):
-        struct.pack_into("<Ifff", body, 16 * at, int(index), x, y, yaw)
-    return head + bytes(body)
+    body = np.empty(len(places), dtype=PLACE)
+    for name, column in zip(PLACE.names or (), places.T, strict=True):
+        body[name] = column
+    return head + body.tobytes()
 
 
 def pack_scan(index: int, points: Array) -> bytes:
@@ -142,9 +150,9 @@ def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Ar
 def row_of(status: Status) -> dict[str, Any]:
     """The row of a status."""
     decision = status.decision
-    protection = "limits" if decision.is_active else "passes"
+    protection = "active" if decision.is_active else "clear"
     if decision.is_recovering:
-        protection = "recovers"
+        protection = "recovering"
     row: dict[str, Any] = {
         "presence": "alive",
         "state": status.state.value,

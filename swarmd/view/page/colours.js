@@ -16,6 +16,7 @@ export class Colouring {
 
   value(robot) {
     if (this.key === 'state') return robot.row.state;
+    if (this.key === 'labels') return (robot.row.labels || []).join(', ');
     if (this.key === 'platform') return robot.platform;
     const [kind, name] = this.key.split(/:(.*)/); // pattern, or report:opinion
     return name === undefined ? robot.row[kind] : (robot.row[kind] || {})[name];

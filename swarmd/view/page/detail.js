@@ -2,99 +2,128 @@
 
 import { stateColour } from './colours.js';
 
+const PERIOD = 200; // ms between two updates
+const LIMIT = '#d55e00';
+
 export class Detail {
   constructor(model) {
     this.model = model;
     this.dial = document.getElementById('dial');
+    this.closed = new Set(['Robot', 'Health', 'Dropped', 'Peers']); // titles of folded sections
     for (const news of ['selection', 'rows', 'detail', 'hello']) model.addEventListener(news, () => this.wake());
   }
 
   wake() {
     if (this.isWaiting) return;
     this.isWaiting = true;
-    setTimeout(() => { this.isWaiting = false; this.draw(); }, 100);
+    setTimeout(() => { this.isWaiting = false; this.draw(); }, PERIOD);
   }
 
   draw() {
     const { selected, robots } = this.model;
     const name = [...selected].at(-1);
     const robot = robots.get(name);
-    const title = document.getElementById('detail-name');
-    const why = document.getElementById('detail-why');
-    const values = document.getElementById('detail-values');
-    const events = document.getElementById('events');
+    const set = (id, text) => { document.getElementById(id).textContent = text; };
+    document.getElementById('detail-pane').classList.toggle('empty', !robot);
     if (!robot) {
-      title.textContent = 'No robot selected';
-      why.textContent = 'Select one on the map or in the list.';
-      values.replaceChildren();
-      events.replaceChildren();
+      set('detail-name', 'No robot selected');
+      set('detail-why', 'Select a robot on the map or in the list.');
+      for (const id of ['detail-values', 'events']) document.getElementById(id).replaceChildren();
       this.dial.hidden = true;
+      this.shown = null;
       return;
     }
-    title.textContent = selected.size > 1 ? `${name}, and ${selected.size - 1} more` : name;
-    const [, sign] = stateColour(robot.row.state);
-    why.textContent = `${sign} ${robot.row.state || '?'}${robot.row.why ? `: ${robot.row.why}` : ''}${robot.row.touches ? `; touches ${robot.row.touches}` : ''}`;
-    const detail = robot.detail || {};
-    values.replaceChildren(...(detail.values || []).flatMap(([key, value]) => {
-      const [dt, dd] = [document.createElement('dt'), document.createElement('dd')];
-      dt.textContent = key;
-      dd.textContent = value;
-      return [dt, dd];
+    set('detail-name', selected.size > 1 ? `${name}, and ${selected.size - 1} more` : name);
+    const { row } = robot, detail = robot.detail || {};
+    const isHeard = this.model.isHeard(robot, performance.now());
+    const short = `${row.state || '?'}${row.why ? `: ${row.why}` : ''}${row.touches ? `; touches ${row.touches}` : ''}`;
+    const age = this.model.age(robot, performance.now());
+    const old = isHeard ? '' : `Not heard ${Number.isFinite(age) ? `for ${age.toFixed(0)} s` : 'at all'}; before that: `;
+    set('detail-why', `${stateColour(row.state)[1]} ${old}${detail.why || short}`);
+    if (this.shown !== detail) this.drawValues(detail);
+    this.shown = detail;
+    this.drawDial(robot);
+  }
+
+  drawValues(detail) {
+    const sections = [...(detail.values ? [['', detail.values]] : []), ...(detail.sections || [])];
+    document.getElementById('detail-values').replaceChildren(...sections.map(([title, rows]) => {
+      const list = document.createElement('dl');
+      for (const [key, value] of rows) {
+        const [dt, dd] = [document.createElement('dt'), document.createElement('dd')];
+        dt.textContent = key;
+        dd.textContent = value;
+        list.append(dt, dd);
+      }
+      if (!title) return list;
+      const [fold, head] = [document.createElement('details'), document.createElement('summary')];
+      head.textContent = title;
+      fold.open = !this.closed.has(title);
+      fold.addEventListener('toggle', () => (fold.open ? this.closed.delete(title) : this.closed.add(title)));
+      fold.append(head, list);
+      return fold;
     }));
-    events.replaceChildren(...(detail.events || []).map(([age, text]) => {
+    document.getElementById('events').replaceChildren(...(detail.events || []).map(([age, text]) => {
       const item = document.createElement('li');
       item.textContent = `${age}: ${text}`;
       return item;
     }));
-    this.drawDial(robot);
   }
 
-  // Ahead is up. Grey: requested, coloured: safe; the arc is the turn. A bar: the obstacle that limits.
+  // Ahead is up. Wide and grey: requested; narrow and coloured: safe. The arc outside is the turn.
   drawDial(robot) {
     const { requested, safe, limits, rows } = robot.row;
-    this.dial.hidden = !requested;
-    if (!requested) return;
-    const ctx = this.dial.getContext('2d'), middle = this.dial.width / 2, reach = middle - 34;
+    this.dial.hidden = !requested || !limits;
+    if (this.dial.hidden) return;
+    const size = 220, ratio = Math.min(window.devicePixelRatio || 1, 2);
+    if (this.dial.width !== size * ratio) this.dial.width = this.dial.height = size * ratio;
+    const ctx = this.dial.getContext('2d'), middle = size / 2, reach = middle - 36;
+    ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     const style = getComputedStyle(document.documentElement);
     const [text, dim, line] = ['--text', '--dim', '--line'].map((key) => style.getPropertyValue(key));
-    ctx.clearRect(0, 0, this.dial.width, this.dial.height);
-    ctx.strokeStyle = line;
-    ctx.lineWidth = 1;
-    for (const share of [0.5, 1]) {
-      ctx.beginPath();
-      ctx.arc(middle, middle, share * reach, 0, 2 * Math.PI);
-      ctx.stroke();
-    }
-    const draw = (twist, colour, width) => {
-      ctx.strokeStyle = ctx.fillStyle = colour;
+    ctx.clearRect(0, 0, size, size);
+    const arc = (radius, from, to, colour, width) => {
+      ctx.strokeStyle = colour;
       ctx.lineWidth = width;
       ctx.beginPath();
-      ctx.moveTo(middle, middle);
-      ctx.lineTo(middle - reach * (twist[2] / (limits[2] || 1)), middle - reach * (twist[0] / limits[0]));
-      ctx.stroke();
-      const turn = Math.max(-1, Math.min(1, twist[1] / limits[1])) * Math.PI * 0.75;
-      ctx.beginPath();
-      ctx.arc(middle, middle, reach + 6 + width / 2, -Math.PI / 2 - Math.max(turn, 0), -Math.PI / 2 - Math.min(turn, 0));
+      ctx.arc(middle, middle, radius, from, to);
       ctx.stroke();
     };
-    draw(requested, dim, 9);
-    draw(safe, stateColour(robot.row.state)[0], 4);
-    ctx.fillStyle = text;
-    ctx.strokeStyle = '#d55e00';
-    ctx.lineWidth = 5;
-    for (const [bearing, gap, cap] of (rows || []).slice(0, 3)) {
-      const angle = -Math.PI / 2 - bearing;
+    for (const share of [0.5, 1]) arc(share * reach, 0, 2 * Math.PI, line, 1);
+    const draw = (twist, colour, width) => {
+      const [ahead, aside] = [twist[0] / limits[0], twist[2] / (limits[2] || 1)];
+      ctx.strokeStyle = colour;
+      ctx.lineWidth = width;
+      ctx.lineCap = 'round';
       ctx.beginPath();
-      ctx.arc(middle, middle, reach + 16, angle - 0.22, angle + 0.22);
+      ctx.moveTo(middle, middle);
+      ctx.lineTo(middle - reach * aside, middle - reach * ahead);
       ctx.stroke();
-      ctx.font = '11px system-ui, sans-serif';
-      ctx.textAlign = 'center';
-      const [x, y] = [middle + (reach + 27) * Math.cos(angle), middle + (reach + 27) * Math.sin(angle)];
-      ctx.fillText(`${gap.toFixed(2)} m`, Math.min(Math.max(x, 20), 200), y + 4);
-      if (rows[0][0] === bearing) this.dial.title = `limited to ${cap.toFixed(2)} m/s towards an obstacle ${gap.toFixed(2)} m away`;
+      ctx.lineCap = 'butt';
+      const turn = Math.max(-1, Math.min(1, twist[1] / limits[1])) * Math.PI * 0.75;
+      arc(reach + 9, -Math.PI / 2 - Math.max(turn, 0), -Math.PI / 2 - Math.min(turn, 0), colour, width);
+    };
+    draw(requested, dim, 10);
+    draw(safe, stateColour(robot.row.state)[0], 5);
+    ctx.font = '13px system-ui, sans-serif';
+    ctx.textAlign = 'center';
+    for (const [bearing, gap] of (rows || []).slice(0, 3)) {
+      const angle = -Math.PI / 2 - bearing;
+      arc(reach + 18, angle - 0.22, angle + 0.22, LIMIT, 5);
+      const [x, y] = [middle + (reach + 28) * Math.cos(angle), middle + (reach + 28) * Math.sin(angle)];
+      ctx.fillStyle = text;
+      ctx.fillText(`${gap.toFixed(2)} m`, Math.min(Math.max(x, 22), size - 22), Math.min(Math.max(y + 4, 11), size - 4));
     }
+    this.tell(requested, safe, rows || []);
+  }
+
+  tell(requested, safe, rows) {
     const words = (twist) => `${twist[0].toFixed(2)} m/s, ${twist[1].toFixed(2)} rad/s`;
-    this.dial.setAttribute('aria-label', `requested ${words(requested)}; safe ${words(safe)}`
-      + ((rows || []).length ? `; limited by an obstacle ${rows[0][1].toFixed(2)} m away, ${Math.round(rows[0][0] * 57.3)} degrees to the left` : ''));
+    const limit = rows.length
+      ? `Limited to ${rows[0][2].toFixed(2)} m/s towards an obstacle ${rows[0][1].toFixed(2)} m away, ${Math.abs(Math.round(rows[0][0] * 57.3))} degrees to the ${rows[0][0] > 0 ? 'left' : 'right'}.`
+      : 'No obstacle limits it.';
+    const text = `Requested ${words(requested)}. Safe ${words(safe)}. ${limit}`;
+    document.getElementById('dial-text').textContent = text;
+    this.dial.setAttribute('aria-label', text);
   }
 }

@@ -6,21 +6,24 @@ const ROW = 30; // px
 const PERIOD = 250; // ms between two updates
 const number = (value, digits, unit) => (Number.isFinite(value) ? `${value.toFixed(digits)}${unit}` : '-');
 
+const { compare } = new Intl.Collator(undefined, { numeric: true });
+const heard = (age) => (Number.isFinite(age) ? `${age.toFixed(age < 10 ? 1 : 0)} s ago` : 'never');
+
 export const COLUMNS = [
   ['name', 'Name', (robot) => robot.name],
-  ['state', 'State', (robot) => robot.row.state || robot.row.presence || '?'],
+  ['state', 'State', (robot, now, model) => (model.isHeard(robot, now) ? robot.row.state || '?' : `silent${robot.row.state ? `, was ${robot.row.state}` : ''}`)],
   ['why', 'Why', (robot) => robot.row.why || ''],
   ['pattern', 'Pattern', (robot) => robot.row.pattern || ''],
   ['protection', 'Protection', (robot) => robot.row.protection || ''],
-  ['near', 'Near', (robot) => number(robot.row.near, 2, ' m')],
   ['battery', 'Battery', (robot) => (robot.row.battery === undefined ? '-' : number(100 * robot.row.battery, 0, ' %'))],
-  ['age', 'Heard', (robot, now) => (robot.heard ? `${((now - robot.heard) / 1000 + (robot.row.age || 0)).toFixed(1)} s ago` : 'never')],
+  ['age', 'Heard', (robot, now, model) => heard(model.age(robot, now))],
+  ['near', 'Near', (robot) => number(robot.row.near, 2, ' m')],
   ['x', 'x', (robot) => number(robot.x, 2, ' m')],
   ['y', 'y', (robot) => number(robot.y, 2, ' m')],
 ];
 const NUMBERS = {
   near: (robot) => robot.row.near ?? Infinity, battery: (robot) => robot.row.battery ?? Infinity,
-  age: (robot) => -robot.heard, x: (robot) => robot.x, y: (robot) => robot.y,
+  age: (robot, now, model) => model.age(robot, now), x: (robot) => robot.x, y: (robot) => robot.y,
 };
 
 export class RobotList {
@@ -52,6 +55,7 @@ export class RobotList {
       head.scope = 'col';
       head.tabIndex = 0;
       head.dataset.key = key;
+      head.className = key;
       const sort = () => {
         this.direction = this.sort === key ? -this.direction : 1;
         this.sort = key;
@@ -74,16 +78,17 @@ export class RobotList {
   chosen() {
     const now = performance.now();
     const matches = (robot) => {
-      const text = `${robot.name} ${robot.row.state || ''} ${robot.row.why || ''} ${robot.row.pattern || ''}`.toLowerCase();
+      const { row } = robot;
+      const text = [robot.name, row.state, row.why, row.pattern, row.protection, row.presence, ...(row.labels || [])].join(' ').toLowerCase();
       return this.words.every((word) => text.includes(word));
     };
     const robots = [...this.model.robots.values()].filter(matches);
     const column = COLUMNS.find(([key]) => key === this.sort);
-    const of = NUMBERS[this.sort] || ((robot) => column[2](robot, now));
-    const keys = new Map(robots.map((robot) => [robot, of(robot)]));
+    const of = NUMBERS[this.sort] || column[2];
+    const keys = new Map(robots.map((robot) => [robot, of(robot, now, this.model)]));
     robots.sort((one, other) => {
       const a = keys.get(one), b = keys.get(other);
-      const order = typeof a === 'number' ? a - b : a.localeCompare(b, undefined, { numeric: true });
+      const order = typeof a === 'number' ? a - b : compare(a, b);
       return this.direction * (order || 0);
     });
     return robots;
@@ -94,24 +99,26 @@ export class RobotList {
     this.shown = robots;
     const first = Math.max(0, Math.floor(this.pane.scrollTop / ROW) - 3);
     const last = Math.min(robots.length, first + Math.ceil(this.pane.clientHeight / ROW) + 6);
-    const parts = [spacer(first * ROW)];
-    for (const robot of robots.slice(first, last)) parts.push(this.row(robot, now));
+    const parts = [spacer(first * ROW)]; // only what is seen
+    robots.slice(first, last).forEach((robot, i) => parts.push(this.row(robot, now, first + i)));
     parts.push(spacer((robots.length - last) * ROW));
     this.body.replaceChildren(...parts);
-    this.body.parentElement.setAttribute('aria-rowcount', robots.length);
+    this.body.parentElement.setAttribute('aria-rowcount', robots.length + 1);
   }
 
-  row(robot, now) {
+  row(robot, now, index) {
     const row = document.createElement('tr');
     row.dataset.name = robot.name;
     row.setAttribute('aria-selected', this.model.selected.has(robot.name));
+    row.setAttribute('aria-rowindex', index + 2);
     if (!this.model.isHeard(robot, now)) row.className = 'stale';
     for (const [key, , text] of COLUMNS) {
       const cell = row.insertCell();
-      const value = text(robot, now);
+      const value = text(robot, now, this.model);
+      cell.className = key;
       if (key === 'state') {
         const mark = document.createElement('i');
-        const [colour, sign] = stateColour(robot.row.state);
+        const [colour, sign] = stateColour(row.className ? '' : robot.row.state);
         mark.style.background = colour;
         cell.append(mark, `${sign} ${value}`);
       } else cell.textContent = value;
@@ -135,13 +142,18 @@ export class RobotList {
 
   key(event) {
     const step = { ArrowDown: 1, ArrowUp: -1 }[event.key];
-    if (!step || !this.shown || !this.shown.length) return;
-    event.preventDefault();
+    if (!this.shown || !this.shown.length) return;
     const names = this.shown.map((robot) => robot.name);
+    if (event.key === 'a' && (event.ctrlKey || event.metaKey)) {
+      event.preventDefault();
+      this.model.select(names);
+    }
+    if (!step) return;
+    event.preventDefault();
     const at = names.indexOf(this.anchor) + step;
     const next = Math.min(Math.max(at, 0), names.length - 1);
     this.anchor = names[next];
-    this.model.select([this.anchor]);
+    this.model.select([this.anchor], event.shiftKey);
     const top = next * ROW;
     if (top < this.pane.scrollTop) this.pane.scrollTop = top;
     if (top > this.pane.scrollTop + this.pane.clientHeight - 3 * ROW) this.pane.scrollTop = top - this.pane.clientHeight + 3 * ROW;

@@ -14,15 +14,18 @@ const list = new RobotList(model);
 new Detail(model);
 const banner = element('banner');
 
+const actions = new Actions(model, (message) => link.send(message));
 const link = new Link(model, {
-  connected() { banner.hidden = true; },
+  connected() { banner.hidden = true; actions.connected(); choose(); },
   lost(why) {
     banner.textContent = why || 'No link to the server: what is shown is old. Connecting again ...';
     banner.hidden = false;
+    actions.lost();
   },
   message(message, now) {
     if (message.kind === 'hello') model.hello(message);
     else if (message.kind === 'rows') model.rows(message, now);
+    else if (message.kind === 'links') { model.links = message.links; map.wake(); }
     else if (message.kind === 'detail') {
       const robot = model.robots.get(message.name);
       if (robot) robot.detail = message;
@@ -30,14 +33,18 @@ const link = new Link(model, {
     } else if (message.kind === 'boxes') model.boxes = message.boxes;
     else if (message.kind === 'playback') { model.playback = message; model.tell('playback'); }
     else if (message.kind === 'answer') actions.answer(message);
+    else if (message.kind === 'estop') actions.estopped(message);
     else if (message.kind === 'notice') {
       banner.textContent = message.text;
       banner.hidden = !message.text;
     }
   },
 });
-const actions = new Actions(model, (message) => link.send(message));
+const choose = () => link.send({ kind: 'select', names: [...model.selected].slice(-20) });
 const timeline = new Timeline(model, (message) => link.send(message));
+
+// A text that did not change is not read out again.
+function show(id, text) { if (element(id).textContent !== text) element(id).textContent = text; }
 
 function counts() {
   const states = new Map();
@@ -49,47 +56,57 @@ function counts() {
   }
   const parts = [...states].map(([state, count]) => `${count} ${state}`);
   if (silent) parts.push(`${silent} not heard`);
-  element('counts').textContent = `${model.robots.size} robots: ${parts.join(', ') || '-'}`;
-  element('clock').textContent = model.source === 'live' ? '' : `${model.time.toFixed(1)} s`;
+  show('counts', `${model.robots.size} robots: ${parts.join(', ') || '-'}`);
+  show('clock', model.source === 'live' ? '' : `${model.time.toFixed(1)} s`);
   legend();
 }
 
 function legend() {
-  element('legend').replaceChildren(...map.legend().map(([colour, text]) => {
-    const item = document.createElement('span');
-    const mark = document.createElement('i');
+  const entries = map.legend(), text = JSON.stringify(entries);
+  if (text === legend.text) return;
+  legend.text = text;
+  element('legend').replaceChildren(...entries.map(([colour, name]) => {
+    const item = document.createElement('span'), mark = document.createElement('i');
     mark.style.background = colour;
-    item.append(mark, text);
+    item.append(mark, name);
     return item;
   }));
 }
 
-function colours() {
-  const keys = new Set(['state', 'pattern', 'protection', 'platform']);
+// What robots report may be chosen as their colour, and a label selects its robots.
+function choices() {
+  const keys = new Set(['state', 'pattern', 'protection', 'platform']), labels = new Set();
   for (const { row } of model.robots.values()) {
     for (const kind of ['report', 'readings']) for (const key of Object.keys(row[kind] || {})) keys.add(`${kind}:${key}`);
+    for (const label of row.labels || []) labels.add(label);
   }
-  const select = element('colour');
-  if ([...select.options].map((one) => one.value).join() === [...keys].join()) return;
-  const chosen = select.value || 'state';
-  select.replaceChildren(...[...keys].map((key) => new Option(key, key)));
-  select.value = keys.has(chosen) ? chosen : 'state';
+  if (labels.size) keys.add('labels');
+  fill(element('colour'), [...keys].map((key) => [key, key.replace(/^\w+:/, '')]));
+  element('label-choice').hidden = !labels.size;
+  fill(element('label'), [['', 'select ...'], ...[...labels].sort().map((one) => [one, one])]);
+}
+
+function fill(select, entries) {
+  if ([...select.options].map((one) => one.value).join() === entries.map(([key]) => key).join()) return;
+  const chosen = select.value;
+  select.replaceChildren(...entries.map(([key, text]) => new Option(text, key)));
+  if (entries.some(([key]) => key === chosen)) select.value = chosen;
 }
 
 model.addEventListener('hello', () => {
   element('title').textContent = `${model.swarm || 'swarmd'}${model.role === 'viewer' ? ' (read only)' : ''}`;
   document.title = element('title').textContent;
-  document.body.classList.toggle('viewer', model.role === 'viewer');
-  document.body.classList.toggle('recorded', model.source === 'run');
+  document.body.classList.toggle('operator', model.role === 'operator' && model.source !== 'run');
   element('align').hidden = model.source !== 'live';
   const fields = Object.keys((model.arena || {}).fields || {});
   element('fields').hidden = !fields.length;
-  element('field').replaceChildren(new Option('none', ''), ...fields.map((name) => new Option(name)));
+  fill(element('field'), [['', 'none'], ...fields.map((one) => [one, one])]);
   map.showField(fields[0] || '');
   element('field').value = map.field;
+  element('links-label').hidden = model.source === 'run';
 });
-model.addEventListener('selection', () => link.send({ kind: 'select', names: [...model.selected] }));
-setInterval(() => { counts(); colours(); }, 500);
+model.addEventListener('selection', choose);
+setInterval(() => { counts(); choices(); }, 500);
 
 element('fit').addEventListener('click', () => map.fit());
 const press = (id, set) => element(id).addEventListener('click', () => {
@@ -99,8 +116,25 @@ const press = (id, set) => element(id).addEventListener('click', () => {
   map.wake();
 });
 press('follow', (isOn) => { map.isFollowing = isOn; });
-press('measure', (isOn) => { map.mode = isOn ? 'measure' : ''; if (!isOn) map.ruler = null; });
-press('align', (isOn) => { map.mode = isOn ? 'align' : ''; });
+const HINTS = {
+  measure: 'Drag from one place to another.',
+  align: 'Odometry knows no common origin. Drag a robot to its place; drag beside the selected robots to turn them.',
+};
+function mode(name, isOn) { // one at a time
+  for (const other of Object.keys(HINTS)) element(other).setAttribute('aria-pressed', isOn && other === name);
+  map.mode = isOn ? name : '';
+  map.ruler = null;
+  show('hint', HINTS[map.mode] || '');
+  element('hint').hidden = !map.mode;
+  element('forget').hidden = map.mode !== 'align';
+}
+for (const name of Object.keys(HINTS)) press(name, (isOn) => mode(name, isOn));
+element('forget').addEventListener('click', () => { model.keepOffsets(true); map.hasFitted = false; });
+element('label').addEventListener('change', (event) => {
+  const label = event.target.value;
+  model.select([...model.robots.values()].filter(({ row }) => (row.labels || []).includes(label)).map((one) => one.name));
+  event.target.value = '';
+});
 for (const name of ['trails', 'links', 'names']) {
   element(name).addEventListener('change', (event) => { map.shows[name] = event.target.checked; map.wake(); });
 }
@@ -109,13 +143,17 @@ element('colour').addEventListener('change', (event) => { map.colouring = new Co
 element('all').addEventListener('click', () => model.select(list.chosen().map((robot) => robot.name)));
 element('none').addEventListener('click', () => model.select([]));
 
-const dark = element('dark');
-dark.checked = (localStorage.getItem('dark') ?? String(matchMedia('(prefers-color-scheme: dark)').matches)) === 'true';
-const paint = () => { document.documentElement.classList.toggle('dark', dark.checked); map.wake(); };
-dark.addEventListener('change', () => { localStorage.setItem('dark', dark.checked); paint(); });
-paint();
+const kept = (key, value) => { try { if (value !== undefined) localStorage.setItem(key, value); return localStorage.getItem(key); } catch { return null; } };
+for (const [name, usual] of [['dark', matchMedia('(prefers-color-scheme: dark)').matches], ['large', false]]) {
+  const box = element(name);
+  box.checked = (kept(name) ?? String(usual)) === 'true';
+  const paint = () => { document.documentElement.classList.toggle(name, box.checked); map.resize(); map.wake(); };
+  box.addEventListener('change', () => { kept(name, box.checked); paint(); });
+  paint();
+}
 
 document.addEventListener('keydown', (event) => {
+  if (event.key === 'Escape' && event.shiftKey && document.body.matches('.operator')) { actions.estop(); return; }
   if (event.target.matches('input, select, textarea') || event.ctrlKey || event.metaKey || event.altKey) return;
   const keys = { f: 'fit', o: 'follow', m: 'measure', a: 'align', ' ': 'play' };
   if (keys[event.key] && !element(keys[event.key]).hidden) {

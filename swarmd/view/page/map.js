@@ -2,7 +2,9 @@
 
 import { Colouring, scale } from './colours.js';
 
-const NAME_SCALE = 30; // pixels a metre from which on names are drawn
+const LIMIT = '#d55e00'; // of an obstacle that limits a robot
+
+const MAX_NAMES = 60; // drawn at a time
 const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at least
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
 const EDGE = 0.6; // m around what is shown by Fit
@@ -32,7 +34,7 @@ export class SwarmMap {
     canvas.addEventListener('wheel', (event) => this.wheel(event), { passive: false });
     canvas.addEventListener('keydown', (event) => this.key(event));
     for (const news of ['frame', 'rows', 'selection', 'hello']) model.addEventListener(news, () => this.wake());
-    model.addEventListener('hello', () => { this.hasFitted = false; });
+    model.addEventListener('hello', () => { if (!this.isTouched) this.hasFitted = false; });
   }
 
   // Draw with the next picture of the screen, however much has changed until then.
@@ -63,7 +65,7 @@ export class SwarmMap {
 
   // Colours and what they mean.
   legend() {
-    const found = this.colouring.legend(this.model.robots.values());
+    const found = this.colouring.legend([...this.model.robots.values()]);
     if ([...this.model.robots.values()].some((robot) => robot.row.touches)) found.push([CONTACT, 'in contact']);
     if (this.fieldPicture) {
       const [low, high] = this.fieldRange;
@@ -105,12 +107,12 @@ export class SwarmMap {
     const { clientWidth: w, clientHeight: h } = this.canvas;
     this.scale = Math.min(w / (right - left + 2 * EDGE), h / (top - bottom + 2 * EDGE), 400);
     this.hasFitted = true;
+    this.isTouched = false; // until then, robots that join move the view
     this.wake();
   }
 
   follow() {
-    const chosen = [...this.model.selected].map((name) => this.model.robots.get(name));
-    const known = chosen.filter((robot) => robot && robot.x === robot.x);
+    const known = this.chosen();
     if (!known.length) return;
     this.centre = [known.reduce((sum, one) => sum + one.x, 0) / known.length,
       known.reduce((sum, one) => sum + one.y, 0) / known.length];
@@ -137,9 +139,10 @@ export class SwarmMap {
     if (this.shows.links) this.drawLinks(dim, zoom);
     if (this.shows.trails) this.drawTrails(robots, zoom);
     for (const robot of robots) if (model.selected.has(robot.name) && robot.scan) this.drawScan(robot, zoom);
+    for (const robot of robots) if (model.selected.has(robot.name)) this.drawLimits(robot, zoom);
     for (const robot of robots) this.drawRobot(robot, model.isHeard(robot, now), zoom, text, world);
     ctx.setTransform(1, 0, 0, 1, 0, 0);
-    if (this.shows.names && (this.scale >= NAME_SCALE || robots.length < 40)) this.drawNames(robots, text, dim);
+    if (this.shows.names) this.drawNames(this.named(robots), text, dim);
     if (this.ruler) this.drawRuler(text);
   }
 
@@ -240,6 +243,25 @@ export class SwarmMap {
     }
   }
 
+  // The obstacles that limit a robot: where they were seen, and a line to them.
+  drawLimits(robot, zoom) {
+    const { ctx } = this;
+    ctx.strokeStyle = LIMIT;
+    for (const [bearing, gap] of robot.row.rows || []) {
+      const far = edge(robot.footprint, bearing) + Math.max(gap, 0), angle = robot.yaw + bearing;
+      const [x, y] = [robot.x + far * Math.cos(angle), robot.y + far * Math.sin(angle)];
+      ctx.lineWidth = 1.5 * this.ratio / zoom;
+      ctx.beginPath();
+      ctx.moveTo(robot.x, robot.y);
+      ctx.lineTo(x, y);
+      ctx.stroke();
+      ctx.lineWidth = 5 * this.ratio / zoom;
+      ctx.beginPath();
+      ctx.arc(robot.x, robot.y, far, angle - 0.25, angle + 0.25);
+      ctx.stroke();
+    }
+  }
+
   drawRobot(robot, isHeard, zoom, text, world) {
     const { ctx } = this;
     ctx.translate(robot.x, robot.y);
@@ -250,12 +272,18 @@ export class SwarmMap {
     ctx.beginPath();
     robot.footprint.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
     ctx.closePath();
-    ctx.globalAlpha = isHeard ? 1 : 0.3;
-    ctx.fillStyle = this.colouring.of(robot);
-    ctx.fill();
+    ctx.globalAlpha = isHeard ? 1 : 0.6;
     ctx.lineWidth = this.ratio / zoom;
     ctx.strokeStyle = text;
-    ctx.stroke();
+    if (isHeard) {
+      ctx.fillStyle = this.colouring.of(robot);
+      ctx.fill();
+      ctx.stroke();
+    } else { // an empty outline where it was last
+      ctx.setLineDash([4 * this.ratio / zoom, 4 * this.ratio / zoom]);
+      ctx.stroke();
+      ctx.setLineDash([]);
+    }
     ctx.beginPath(); // the heading
     ctx.moveTo(0, 0);
     ctx.lineTo(1.6 * robot.radius, 0);
@@ -276,6 +304,13 @@ export class SwarmMap {
     }
     ctx.globalAlpha = 1;
     world();
+  }
+
+  // The robots in view if they are few, else the selected ones.
+  named(robots) {
+    const [w, h] = [this.canvas.clientWidth / this.scale / 2, this.canvas.clientHeight / this.scale / 2];
+    const seen = robots.filter((one) => Math.abs(one.x - this.centre[0]) < w && Math.abs(one.y - this.centre[1]) < h);
+    return seen.length <= MAX_NAMES ? seen : seen.filter((one) => this.model.selected.has(one.name)).slice(0, MAX_NAMES);
   }
 
   drawNames(robots, text, dim) {
@@ -333,34 +368,53 @@ export class SwarmMap {
     this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
     if (this.pointers.size === 2) this.pinch(event, last);
     else if (this.mode === 'measure') this.ruler[1] = this.toWorld(event);
-    else if (this.grabbed) this.drag(dx / this.scale, -dy / this.scale, event.shiftKey);
-    else this.centre = [this.centre[0] - dx / this.scale, this.centre[1] + dy / this.scale];
+    else if (this.grabbed) this.drag(dx / this.scale, -dy / this.scale);
+    else if (this.mode === 'align' && this.model.selected.size) this.turn(last, event);
+    else {
+      this.centre = [this.centre[0] - dx / this.scale, this.centre[1] + dy / this.scale];
+      this.isTouched = true;
+    }
     this.wake();
   }
 
-  // Move or, with shift, turn the frame of the selected robots' odometry.
-  drag(dx, dy, turns) {
-    const chosen = this.model.selected.has(this.grabbed.name) ? this.model.selected : new Set([this.grabbed.name]);
-    for (const name of chosen) {
-      const robot = this.model.robots.get(name), frame = robot.offset;
-      if (!turns) {
-        robot.x += dx; robot.y += dy; frame[0] += dx; frame[1] += dy;
-      } else { // about the robot
-        const angle = 2 * dx, c = Math.cos(angle), s = Math.sin(angle);
-        const [u, v] = [frame[0] - robot.x, frame[1] - robot.y];
-        frame[0] = robot.x + c * u - s * v;
-        frame[1] = robot.y + s * u + c * v;
-        frame[2] += angle;
-        robot.yaw += angle;
-      }
+  // Move the frame of the selected robots' odometry.
+  drag(dx, dy) {
+    const isSelected = this.model.selected.has(this.grabbed.name);
+    for (const robot of isSelected ? this.chosen() : [this.grabbed]) {
+      robot.x += dx; robot.y += dy;
+      robot.offset = [robot.offset[0] + dx, robot.offset[1] + dy, robot.offset[2]];
       robot.trail.length = 0;
     }
+  }
+
+  // Turn the selected robots together, by a drag around their middle.
+  turn(last, event) {
+    const robots = this.chosen();
+    if (!robots.length) return;
+    const mean = (key) => robots.reduce((sum, one) => sum + one[key], 0) / robots.length;
+    const [mx, my] = [mean('x'), mean('y')];
+    const bearing = (x, y) => Math.atan2(y - my, x - mx);
+    const angle = bearing(...this.toWorld(event)) - bearing(...this.toWorld({ clientX: last[0], clientY: last[1] }));
+    const c = Math.cos(angle), s = Math.sin(angle);
+    const turned = (x, y) => [mx + c * (x - mx) - s * (y - my), my + s * (x - mx) + c * (y - my)];
+    for (const robot of robots) {
+      robot.offset = [...turned(robot.offset[0], robot.offset[1]), robot.offset[2] + angle];
+      [robot.x, robot.y] = turned(robot.x, robot.y);
+      robot.yaw += angle;
+      robot.trail.length = 0;
+    }
+  }
+
+  // The selected robots with a known place.
+  chosen() {
+    return [...this.model.selected].map((name) => this.model.robots.get(name)).filter((one) => one && one.x === one.x);
   }
 
   pinch(event, last) {
     const other = [...this.pointers].find(([id]) => id !== event.pointerId)[1];
     const before = Math.hypot(last[0] - other[0], last[1] - other[1]);
     const after = Math.hypot(event.clientX - other[0], event.clientY - other[1]);
+    this.isTouched = true;
     if (before > 0) this.scale = Math.min(Math.max(this.scale * after / before, 1), 2000);
   }
 
@@ -371,6 +425,7 @@ export class SwarmMap {
       if (robot) this.model.select([robot.name], adds);
       else if (!adds) this.model.select([]);
     }
+    if (this.mode === 'align' && this.hasMoved) this.model.keepOffsets();
     this.pointers.delete(event.pointerId);
     this.grabbed = null;
   }
@@ -381,6 +436,7 @@ export class SwarmMap {
     this.scale = Math.min(Math.max(this.scale * Math.exp(-event.deltaY / 500), 1), 2000);
     const after = this.toWorld(event);
     this.centre = [this.centre[0] + before[0] - after[0], this.centre[1] + before[1] - after[1]];
+    this.isTouched = true;
     this.wake();
   }
 
@@ -392,6 +448,21 @@ export class SwarmMap {
     else if (event.key === '-') this.scale /= 1.25;
     else return;
     event.preventDefault();
+    this.isTouched = true;
     this.wake();
   }
+}
+
+// m from the axle to the outline of a footprint in a direction.
+function edge(footprint, bearing) {
+  const [c, s] = [Math.cos(bearing), Math.sin(bearing)];
+  let far = 0;
+  footprint.forEach(([x1, y1], i) => {
+    const [x2, y2] = footprint[(i + 1) % footprint.length];
+    const [a, b] = [c * y1 - s * x1, c * y2 - s * x2]; // to the left of the ray
+    if ((a > 0) === (b > 0) || a === b) return;
+    const t = a / (a - b);
+    far = Math.max(far, c * (x1 + t * (x2 - x1)) + s * (y1 + t * (y2 - y1)));
+  });
+  return far;
 }

@@ -1,6 +1,6 @@
 // The robots as the server tells of them, and the selection that map and list share.
 
-export const STALE = 3000; // ms without news after which a robot is shown as not heard
+export const STALE = 5; // s without news after which a robot is shown as not heard
 const TRAIL = 300; // places kept for each robot
 const TRAIL_STEP = 0.02; // m between two of them
 
@@ -18,6 +18,7 @@ export class Model extends EventTarget {
     this.runs = [];
     this.playback = null; // of recorded runs
     this.time = 0;
+    this.sequence = 0; // of the last frame
     this.links = [];
     this.isConnected = false;
     this.boxes = [];
@@ -29,13 +30,13 @@ export class Model extends EventTarget {
     const { run } = this.playback || {};
     const isOther = message.playback && message.playback.run !== run;
     const before = isOther ? new Map() : this.robots;
+    this.swarm = message.swarm;
     this.robots = new Map();
     this.byIndex = [];
     for (const one of message.robots) this.add(one, before.get(one.name));
     this.arena = message.arena;
     this.source = message.source;
     this.role = message.role;
-    this.swarm = message.swarm;
     this.patterns = message.patterns || [];
     this.runs = message.runs;
     this.playback = message.playback;
@@ -46,7 +47,7 @@ export class Model extends EventTarget {
   }
 
   add(one, before) {
-    const robot = before || { trail: [], row: {}, detail: null, scan: null, heard: 0, offset: [0, 0, 0] };
+    const robot = before || { trail: [], row: {}, detail: null, scan: null, heard: 0, age: Infinity, offset: this.offset(one.name) };
     robot.name = one.name;
     robot.platform = one.platform;
     robot.footprint = one.footprint;
@@ -63,13 +64,21 @@ export class Model extends EventTarget {
       if (!robot) continue;
       Object.assign(robot.row, row);
       robot.heard = now;
+      robot.age = 0;
     }
+    (message.ages || []).forEach((age, index) => { // of each robot, also of an unchanged one
+      const robot = this.byIndex[index];
+      if (!robot) return;
+      robot.heard = now;
+      robot.age = age ?? Infinity;
+    });
     if (message.links) this.links = message.links;
     this.tell('rows');
   }
 
   // A frame: kind 1, sequence, time, then index, x, y, yaw of each robot that was heard.
   frame(view, now) {
+    this.sequence = view.getUint32(4, true);
     this.time = view.getFloat64(8, true);
     const count = view.getUint32(16, true);
     for (let i = 0, at = 20; i < count; i++, at += 16) {
@@ -103,9 +112,27 @@ export class Model extends EventTarget {
 
   forgetTrails() { for (const robot of this.robots.values()) robot.trail.length = 0; }
 
+  // Seconds since the robot told something; Infinity if it never did.
+  age(robot, now) { return this.source === 'run' ? 0 : robot.age + (now - robot.heard) / 1000; }
+
   isHeard(robot, now) {
-    if (!this.isConnected || robot.row.presence !== 'alive') return false;
-    return this.source === 'run' || now - robot.heard < STALE;
+    return this.isConnected && robot.row.presence === 'alive' && this.age(robot, now) < STALE;
+  }
+
+  // The operator's alignment of a robot's odometry: x, y and yaw of its frame on the map.
+  offset(name) { return this.offsets()[name] || [0, 0, 0]; }
+
+  offsets() {
+    try { return JSON.parse(localStorage.getItem(`frames of ${this.swarm}`)) || {}; } catch { return {}; }
+  }
+
+  keepOffsets(isForgotten) {
+    const offsets = isForgotten ? {} : this.offsets();
+    for (const robot of this.robots.values()) {
+      if (isForgotten) { robot.offset = [0, 0, 0]; robot.trail.length = 0; }
+      else if (robot.offset.some((one) => one !== 0)) offsets[robot.name] = robot.offset;
+    }
+    try { localStorage.setItem(`frames of ${this.swarm}`, JSON.stringify(offsets)); } catch { /* not kept */ }
   }
 
   select(names, adds = false) {

@@ -11,14 +11,14 @@ export class Link {
     this.tries = 0;
     this.heard = 0;
     this.reason = '';
+    this.token = ownToken();
     this.open();
     setInterval(() => this.watch(), 500);
   }
 
   open() {
-    const token = new URLSearchParams(location.search).get('token') || '';
     const scheme = location.protocol === 'https:' ? 'wss' : 'ws';
-    const socket = new WebSocket(`${scheme}://${location.host}/socket?token=${encodeURIComponent(token)}`);
+    const socket = new WebSocket(`${scheme}://${location.host}/socket?token=${encodeURIComponent(this.token)}`);
     socket.binaryType = 'arraybuffer';
     this.socket = socket;
     socket.onopen = () => { this.heard = performance.now(); };
@@ -66,7 +66,22 @@ export class Link {
     setTimeout(() => this.open(), wait);
   }
 
+  // False if there is no link: what could not be sent is not sent later.
   send(message) {
-    if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify(message));
+    if (this.socket.readyState !== WebSocket.OPEN || !this.model.isConnected) return false;
+    this.socket.send(JSON.stringify(message));
+    return true;
   }
+}
+
+// The token leaves the address, which a projector shows, and stays with this tab.
+function ownToken() {
+  const query = new URLSearchParams(location.search);
+  try {
+    if (query.has('token')) {
+      sessionStorage.setItem('token', query.get('token'));
+      history.replaceState(null, '', location.pathname);
+    }
+    return sessionStorage.getItem('token') || '';
+  } catch { return query.get('token') || ''; }
 }

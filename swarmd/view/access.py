@@ -1,0 +1,92 @@
+"""Which pages may look and which may command: tokens, hosts, and headers against other sites."""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+from dataclasses import dataclass
+from urllib.parse import urlsplit
+
+from websockets.datastructures import Headers
+
+from swarmd.core.errors import ConfigError
+
+LEAST_TOKEN = 8
+"""Characters of a token, at least."""
+
+HEADERS = {
+    "Cache-Control": "no-cache",
+    "Content-Security-Policy": (
+        "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:;"
+        " connect-src 'self'; base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+    ),
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+}
+"""Headers of each file: only scripts of this server run, and no other site can embed the page."""
+
+
+@dataclass(frozen=True, slots=True)
+class Access:
+    """Tokens of pages: that of an operator, and that of one who only looks.
+
+    Without tokens each page may command, so a server without them listens on loopback only.
+    ConfigError for tokens that protect nothing.
+    """
+
+    operator: str = ""
+    viewer: str = ""
+
+    def __post_init__(self) -> None:
+        for name, token in (("--token", self.operator), ("--viewer-token", self.viewer)):
+            if token and (len(token) < LEAST_TOKEN or not token.isascii() or " " in token):
+                raise ConfigError(
+                    f"{name}: expected at least {LEAST_TOKEN} ASCII characters without blanks,"
+                    " or - for a new one"
+                )
+        if self.viewer and not self.operator:
+            raise ConfigError("--viewer-token: expected --token too, or pages without one command")
+        if self.viewer and self.viewer == self.operator:
+            raise ConfigError("--viewer-token is that of --token; expected another one")
+
+    def role(self, token: str) -> str:
+        """`operator`, `viewer`, or empty for a wrong token."""
+        if not self.operator:
+            return "operator"
+        given = token.encode()
+        if hmac.compare_digest(given, self.operator.encode()):
+            return "operator"
+        if self.viewer and hmac.compare_digest(given, self.viewer.encode()):
+            return "viewer"
+        return ""
+
+    def check_bind(self, host: str) -> None:
+        """ConfigError if other machines could command without a token."""
+        if not self.operator and not is_loopback(host):
+            raise ConfigError(
+                f"--bind {host}: other machines could command the robots; expected a token"
+                " (--token), or 127.0.0.1"
+            )
+
+    def allows(self, headers: Headers) -> bool:
+        """False for the script of another site, which a browser lets connect to this address.
+
+        Its origin differs from the host that it asks for. A site may also point a name of its own
+        at loopback; without a token a name other than `localhost` is therefore refused.
+        """
+        origin, host = headers.get("Origin"), headers.get("Host", "")
+        if origin is not None and urlsplit(origin).netloc != host:
+            return False
+        return bool(self.operator) or is_loopback(urlsplit(f"//{host}").hostname or "")
+
+
+def is_loopback(host: str) -> bool:
+    """True for `localhost` and for loopback addresses."""
+    if host == "localhost":
+        return True
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return False

@@ -1,0 +1,157 @@
+"""One open page: what it has acknowledged, what it knows, and what is sent to it next.
+
+A page gets a frame only while it has acknowledged all but MAX_UNACKED of those before, and only
+once the last message has left: a slow page gets fewer frames, and nothing waits in a queue for it.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import math
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any
+
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
+
+from swarmd.view.source import Source, pack_scan
+
+DETAIL_PERIOD = 1.0
+MAX_UNACKED = 2
+MAX_SELECTED = 20
+"""Robots of which a page gets scans and commands."""
+MAX_ANSWERS = 100
+
+
+@dataclass(frozen=True, slots=True)
+class Rows:
+    """The rows of all robots as JSON, and the age in s of each by index (inf: never
+    heard).
+
+    `whole`: those of selected robots, with what only their details show.
+    """
+
+    short: Mapping[str, str]
+    whole: Mapping[str, str]
+    ages: Sequence[float]
+    others: Sequence[str] = field(default_factory=tuple)
+    """Messages of links and boxes."""
+
+
+class Client:
+    """One page; `role` is `operator` or `viewer`."""
+
+    def __init__(self, connection: ServerConnection, role: str) -> None:
+        self.connection = connection
+        self.role = role
+        self.selected: list[str] = []
+        self.sent = 0
+        """Frames that were sent."""
+        self._unacked = 0
+        self._detail_at = 0.0
+        self._rows: dict[str, str] = {}
+        self._known = -1
+        self._others: Sequence[str] = ()
+        self._sending: asyncio.Task[None] | None = None
+        self._answers: list[str] = []
+
+    def on_ack(self) -> None:
+        """The page has drawn a frame."""
+        self._unacked = max(0, self._unacked - 1)
+
+    def select(self, names: Sequence[str]) -> None:
+        """The robots that the page shows in detail, the last one first of all."""
+        self.selected = list(names)[-MAX_SELECTED:]
+        self._detail_at = 0.0
+
+    async def send_hello(self, source: Source) -> None:
+        """Tell the page what it shows."""
+        await self.connection.send(self._hello(source))
+
+    def tell(self, message: Mapping[str, Any]) -> None:
+        """Send an answer as soon as the last message has left, whatever the page acknowledged."""
+        self._answers.append(json.dumps(message))
+        del self._answers[:-MAX_ANSWERS]
+        if not self._is_sending:
+            self._sending = asyncio.create_task(self._send([], [], None))
+
+    def advance(self, source: Source, frame: bytes, rows: Rows | None, now: float) -> None:
+        """Send what is due, unless the page is behind."""
+        if self._is_sending:
+            return
+        texts: list[str] = []
+        if source.revision != self._known:
+            texts.append(self._hello(source))
+        if self._unacked >= MAX_UNACKED:
+            if texts or self._answers:
+                self._sending = asyncio.create_task(self._send(texts, [], None))
+            return
+        if rows is not None:
+            texts += self._changes(rows)
+        texts += self._details(source, now)
+        self._unacked += 1
+        self.sent += 1
+        self._sending = asyncio.create_task(self._send(texts, self._scans(source), frame))
+
+    def end(self) -> None:
+        """Send nothing more."""
+        if self._sending is not None:
+            self._sending.cancel()
+
+    @property
+    def _is_sending(self) -> bool:
+        return self._sending is not None and not self._sending.done()
+
+    def _hello(self, source: Source) -> str:
+        self._known = source.revision
+        self._rows, self._others = {}, ()
+        return json.dumps(
+            {
+                "kind": "hello",
+                "swarm": source.swarm,
+                "source": source.kind,
+                "role": self.role,
+                "robots": [robot.plain() for robot in source.robots],
+                "arena": None if source.arena is None else source.arena.plain(),
+                "patterns": list(source.patterns),
+                "runs": [] if source.playback is None else list(source.playback.runs),
+                "playback": None if source.playback is None else source.playback.plain(),
+            }
+        )
+
+    def _changes(self, rows: Rows) -> list[str]:
+        """The rows that changed, the ages of all, and what else changed."""
+        mine = {**rows.short, **{n: rows.whole[n] for n in self.selected if n in rows.whole}}
+        changed = (f"{json.dumps(n)}:{r}" for n, r in mine.items() if self._rows.get(n) != r)
+        ages = ",".join(f"{age:.1f}" if age < math.inf else "null" for age in rows.ages)
+        text = f'{{"kind":"rows","rows":{{{",".join(changed)}}},"ages":[{ages}]}}'
+        others = [one for one in rows.others if one not in self._others]
+        self._rows, self._others = mine, rows.others
+        return [text, *others]
+
+    def _scans(self, source: Source) -> list[bytes]:
+        index = {robot.name: robot.index for robot in source.robots}
+        found = ((index[name], source.scan(name)) for name in self.selected if name in index)
+        return [pack_scan(one, points) for one, points in found if points is not None]
+
+    def _details(self, source: Source, now: float) -> list[str]:
+        if not self.selected or now - self._detail_at < DETAIL_PERIOD:
+            return []
+        self._detail_at = now
+        name = self.selected[-1]
+        detail = source.detail(name)
+        return [] if detail is None else [json.dumps({"kind": "detail", "name": name, **detail})]
+
+    async def _send(self, texts: list[str], scans: list[bytes], frame: bytes | None) -> None:
+        with suppress(ConnectionClosed):
+            while self._answers:
+                await self.connection.send(self._answers.pop(0))
+            for text in texts:
+                await self.connection.send(text)
+            for scan in scans:
+                await self.connection.send(scan)
+            if frame is not None:
+                await self.connection.send(frame)
