@@ -21,6 +21,7 @@ pytestmark = [
 ]
 
 STALE = "document.querySelector('tr[data-name=\"tb3-01\"]').className === 'stale'"
+ANSWER = "document.querySelector('.answer')"
 LAST = "document.querySelector('.answer[data-final=\"true\"]')"
 
 
@@ -48,7 +49,7 @@ def shown(page: Page, name: str, state: str) -> None:
 
 def answered(page: Page, verb: str) -> str:
     """The final answer to a command."""
-    page.until(f"{LAST} && {LAST}.querySelector('.what').textContent.startsWith('{verb}:')", verb)
+    page.until(f"{LAST}.querySelector('summary').textContent.startsWith('{verb}:')", verb)
     return str(page.evaluate(f"{LAST}.textContent"))
 
 
@@ -80,7 +81,10 @@ def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, page: Pag
         shown(page, "tb3-01", "stopped")
         assert swarm.status("tb3-02").state is State.RUNNING
 
+        page.click("#param")
+        assert "1 targeted" in answered(page, "param")
         page.click("#estop")
+        page.until("document.getElementById('estop-state').className === 'good'", "all stopped")
         assert "2 applied" in answered(page, "estop")
         for name in names:
             shown(page, name, "estopped")
@@ -97,6 +101,8 @@ def test_a_lost_server_is_told_and_found_again(swarm: Swarm, page: Page) -> None
         shown(page, "tb3-01", "idle")
     page.until("!document.getElementById('banner').hidden", "the banner")
     page.until(STALE, "a stale row")
+    page.click("#stop")
+    page.until(f"{ANSWER}.textContent.includes('not sent')", "not sent")
     port = re.search(r":(\d+)/", address)
     assert port is not None
     process = swarm.begin("view", "--web", "--port", port[1])
@@ -134,6 +140,7 @@ def test_tokens_decide_who_may_command(swarm: Swarm, page: Page) -> None:
         assert "this page may only look" in answered(page, "run")
         assert swarm.status("tb3-01").state is State.IDLE
 
+        page.evaluate("sessionStorage.clear()")  # else the tab keeps its token
         page.open(whole.partition("?")[0])
         page.until("document.getElementById('banner').textContent.includes('token')", "refused")
         page.open(whole)

@@ -1,0 +1,179 @@
+"""The page in a real browser with many robots, whose messages are fed to the server."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator
+from contextlib import contextmanager
+from typing import Any, cast
+
+import pytest
+
+from swarmd.cli.web import WebOptions, served
+from swarmd.core.messages import State
+from swarmd.network.operator import Operator
+from swarmd.view.commander import LiveCommander
+from swarmd.view.live import LiveSource
+from tests.support.chromium import FOUND, Page
+from tests.support.fed_swarm import PATTERNS, FedOperator, FedSwarm
+from tests.support.processes import wait_until
+
+pytestmark = [
+    pytest.mark.integration,
+    pytest.mark.skipif(FOUND is None, reason="no Chromium here"),
+]
+
+ANSWER = "document.querySelector('.answer[data-final=\"true\"]').textContent"
+ESTOP = "document.getElementById('estop-state')"
+
+
+@contextmanager
+def shown(
+    count: int,
+    capsys: pytest.CaptureFixture[str],
+    silent: Collection[str] = (),
+    tokens: tuple[str, str] = ("", ""),
+) -> Iterator[tuple[FedSwarm, list[str]]]:
+    """A fed swarm and the addresses of its page."""
+    with FedSwarm(count, silent) as swarm:
+        make = cast("Callable[[], Operator]", lambda: FedOperator(swarm))
+        source = LiveSource(make(), PATTERNS)
+        commander = LiveCommander(make, source.expected)
+        source.start()
+        try:
+            with served(source, commander, WebOptions("127.0.0.1", 0, *tokens)):
+                lines = capsys.readouterr().err.splitlines()
+                yield swarm, [line.partition(": ")[2] for line in lines]
+        finally:
+            commander.close()
+            source.close()
+
+
+def ready(page: Page, address: str, count: int) -> None:
+    """Open a page, and wait until it knows the state and place of each robot."""
+    page.open(address)
+    known = "[...swarm.model.robots.values()].filter((one) => one.row.state && one.x === one.x)"
+    page.until(f"{known}.length === {count}", f"{count} robots")
+
+
+def rows(page: Page) -> Any:
+    return page.evaluate(
+        "[...document.querySelectorAll('tr[data-name]')].map((r) => r.dataset.name)"
+    )
+
+
+def test_commands_to_500_robots_are_counted(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
+    with shown(500, capsys) as (swarm, (address,)):
+        ready(page, address, 500)
+        assert len(rows(page)) < 60  # only what is seen
+        page.type("#pattern", "drive")
+        page.click("#run")
+        page.until(f"{ANSWER}.startsWith('run: 500 targeted, 499 applied, 1 refused')", "counted")
+        first = "document.querySelector('.answer li').textContent"
+        assert page.evaluate(first) == "tb3-500: refused: busy"
+        page.click("#estop")
+        page.until(f"{ESTOP}.className === 'good' || {ESTOP}.className === 'bad'", "acknowledged")
+        assert set(swarm.states.values()) == {State.ESTOPPED}
+        page.click("#reset")
+        page.click("#reset")
+        page.until(f"{ANSWER}.startsWith('reset: 500 targeted')", "reset")
+        assert page.errors == []
+
+
+def test_an_estop_is_shown_on_all_pages_until_all_have_acknowledged(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tokens = ("operator-token", "viewer-token")
+    with shown(7, capsys, ["tb3-003"], tokens) as (swarm, (whole, read_only)):
+        ready(page, whole, 7)
+        page.click("#estop")
+        missing = f"{ESTOP}.textContent.includes('tb3-003') && !{ESTOP}.hidden"
+        page.until(missing, "the robot that lacks an acknowledgement")
+        page.open(whole.partition("?")[0])  # the tab keeps its token
+        page.until(missing, "the same after a reload")
+        page.open(read_only)
+        page.until(missing, "the same on a page that only looks")
+        assert page.evaluate("document.getElementById('estop-end').hidden") is True
+        swarm.silent.clear()
+        page.until(f"{ESTOP}.className === 'good'", "all have acknowledged")
+
+
+def test_an_estop_can_be_ended_and_begun_again(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys, ["tb3-003"]) as (_, (address,)):
+        ready(page, address, 3)
+        for _ in range(2):
+            page.evaluate("document.activeElement.blur()")
+            page.evaluate("swarm.actions.hideEstop()")
+            page.call("Input.dispatchKeyEvent", type="keyDown", key="Escape", modifiers=8)
+            page.until(f"!{ESTOP}.hidden && {ESTOP}.textContent.includes('tb3-003')", "waits")
+        page.click("#estop-end")
+        page.until(f"{ANSWER}.includes('no answer (tb3-003)')", "it names the robot")
+
+
+def test_a_command_of_an_old_picture_starts_nothing(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(2, capsys) as (swarm, (address,)):
+        ready(page, address, 2)
+        page.click("#stop")
+        wait_until(lambda: set(swarm.states.values()) == {State.STOPPED}, "both stopped")
+        page.evaluate("swarm.actions.act('run', {seen: 0, targets: ['tb3-001'], pattern: 'drive'})")
+        page.until(f"{ANSWER}.includes('came too late')", "refused")
+        assert set(swarm.states.values()) == {State.STOPPED}
+
+
+def test_list_and_map_share_one_selection(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
+    with shown(7, capsys, ["tb3-005"]) as (_, (address,)):
+        ready(page, address, 7)
+        page.until("document.querySelectorAll('tr.stale').length === 1", "one is silent")
+        page.type("#filter", "silent")
+        page.until("document.querySelectorAll('tr[data-name]').length === 1", "filtered")
+        page.click("tr[data-name='tb3-005'] td")
+        assert page.evaluate("[...swarm.model.selected]") == ["tb3-005"]
+        page.evaluate(
+            "const f = document.getElementById('filter'); f.value = '';"
+            " f.dispatchEvent(new Event('input'))"
+        )
+        page.click("th[data-key='name']")
+        page.until("document.querySelector('tr[data-name]').dataset.name === 'tb3-007'", "sorted")
+        x, y = place(page, "tb3-002")
+        page.mouse(x, y)
+        page.until("swarm.model.selected.has('tb3-002')", "selected on the map")
+        page.until(
+            "document.querySelector(\"tr[data-name='tb3-002']\").ariaSelected === 'true'",
+            "selected in the list",
+        )
+        page.until("document.querySelectorAll('#detail-values dt').length > 10", "details")
+        page.until("document.getElementById('dial-text').textContent.includes('Requested')", "dial")
+
+
+def test_odometry_is_aligned_by_drag_and_kept(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(2, capsys) as (_, (address,)):
+        ready(page, address, 2)
+        page.click("#stop")
+        page.until("[...swarm.model.robots.values()].every((r) => r.row.state === 'stopped')", "-")
+        before = page.evaluate("[swarm.model.robots.get('tb3-001').x, swarm.map.scale]")
+        page.click("#align")
+        start = place(page, "tb3-001")
+        page.drag(start, (start[0] + 60, start[1]))
+        moved = "swarm.model.robots.get('tb3-001').x"
+        page.until(f"Math.abs({moved} - {before[0] + 60 / before[1]}) < 0.02", "dragged")
+        page.evaluate("swarm.model.select(['tb3-001'])")
+        x, y = place(page, "tb3-001")
+        page.drag((x + 80, y), (x + 80, y - 80))
+        page.until("swarm.model.robots.get('tb3-001').offset[2] > 0.6", "turned")
+        ready(page, address, 2)
+        assert page.evaluate("swarm.model.robots.get('tb3-001').offset[2]") > 0.6
+
+
+def place(page: Page, name: str) -> tuple[float, float]:
+    """Where on the screen the map shows a robot."""
+    x, y = page.evaluate(
+        f"(() => {{ const r = swarm.model.robots.get('{name}'), m = swarm.map;"
+        " const b = m.canvas.getBoundingClientRect(), [x, y] = m.toScreen(r.x, r.y);"
+        " return [b.x + x / m.ratio, b.y + y / m.ratio]; })()"
+    )
+    return x, y

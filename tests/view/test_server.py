@@ -1,0 +1,237 @@
+"""The page's server without a browser: who may connect, and what a slow page gets."""
+
+from __future__ import annotations
+
+import asyncio
+import base64
+import json
+import os
+from collections.abc import Mapping, Sequence
+from http.client import HTTPConnection
+from typing import Any
+
+import numpy as np
+import pytest
+from websockets.asyncio.client import ClientConnection, connect
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.values import Array
+from swarmd.view.access import Access
+from swarmd.view.client import MAX_UNACKED
+from swarmd.view.server import ViewServer
+from swarmd.view.source import Answer, ShownRobot
+
+FRAMES = 150
+CAP = 60.0
+ROW = 400_000
+"""Characters of a row: a few of them fill the buffers of a connection."""
+
+
+class OneRobot:
+    """A source of one robot with a large row, so that a page that reads nothing is soon full."""
+
+    kind, swarm, arena, playback, revision = "live", "one", None, None, 1
+    patterns: Sequence[str] = ()
+
+    def __init__(self) -> None:
+        self.robots = [ShownRobot("r1", 0, "burger", np.ones((4, 2)))]
+        self.count = 0
+
+    def frame(self) -> tuple[float, Array]:
+        return 0.0, np.zeros((1, 4))
+
+    def rows(self) -> Mapping[str, Mapping[str, Any]]:
+        self.count += 1
+        return {
+            "r1": {"presence": "alive", "near": float("nan"), "text": f"{self.count % 10}" * ROW}
+        }
+
+    def scan(self, name: str) -> Array | None:
+        return None
+
+    def boxes(self) -> Sequence[Any]:
+        return ()
+
+    def links(self) -> Sequence[Any]:
+        return ()
+
+    def detail(self, name: str) -> None:
+        return None
+
+    def select(self, names: Sequence[str]) -> None:
+        """Nothing is watched."""
+
+
+class SilentRobots:
+    """A commander whose emergency stops wait for r2 until they are ended."""
+
+    def __init__(self) -> None:
+        self.verbs: list[str] = []
+        self.ended = asyncio.Event()
+
+    async def act(self, verb: str, fields: Mapping[str, Any], tell: Any) -> None:
+        self.verbs.append(verb)
+        if verb == "estop":
+            tell(Answer("estop: 1 not acknowledged", missing=["r2"]))
+            await self.ended.wait()
+        tell(Answer(f"{verb}: done", is_final=True))
+
+    def end_estop(self) -> None:
+        self.ended.set()
+
+
+async def message(page: ClientConnection, kind: str) -> dict[str, Any]:
+    """The next message of a kind; frames are acknowledged meanwhile."""
+    async with asyncio.timeout(CAP):
+        async for one in page:
+            if isinstance(one, bytes):
+                await page.send('{"kind":"ack"}')
+            elif (found := json.loads(one))["kind"] == kind:
+                return dict(found)
+    raise AssertionError(f"no {kind}")
+
+
+async def frame(page: ClientConnection) -> None:
+    """Read and acknowledge the next frame."""
+    async with asyncio.timeout(CAP):
+        async for one in page:
+            if isinstance(one, bytes):
+                await page.send('{"kind":"ack"}')
+                return
+
+
+def socket_of(address: str, token: str = "") -> str:
+    return f"{address.replace('http', 'ws', 1)}socket?token={token}"
+
+
+@pytest.mark.parametrize("acks", [False, True], ids=["silent", "acknowledges-all"])
+async def test_a_page_that_reads_nothing_gets_few_frames_and_holds_up_no_other(acks: bool) -> None:
+    server = ViewServer(OneRobot(), None, Access(), frame_period=0.01)
+    address = await server.start("127.0.0.1", 0)
+    host, port = address.removeprefix("http://").rstrip("/").split(":")
+    reader, writer = await asyncio.open_connection(host, int(port), limit=1024)
+    try:
+        key = base64.b64encode(os.urandom(16)).decode()
+        writer.write(
+            f"GET /socket HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\n"
+            f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\n"
+            "Sec-WebSocket-Version: 13\r\n\r\n".encode()
+        )
+        await reader.readuntil(b"\r\n\r\n")
+        (slow,) = await _clients(server, 1)
+        async with connect(socket_of(address), max_size=None) as page:
+            for _ in range(FRAMES):
+                await frame(page)
+                if acks:
+                    writer.write(b"\x81\x8e\0\0\0\0" + b'{"kind":"ack"}')
+            (fast,) = [one for one in server._clients if one is not slow]
+        assert fast.sent >= FRAMES
+        if not acks:
+            assert slow.sent <= MAX_UNACKED
+        assert slow.connection.transport.get_write_buffer_size() < 3 * ROW
+    finally:
+        writer.close()
+        await server.close()
+
+
+async def _clients(server: ViewServer, count: int) -> set[Any]:
+    async with asyncio.timeout(CAP):
+        while server.clients < count:
+            await asyncio.sleep(0.01)
+    return set(server._clients)
+
+
+async def test_an_emergency_stop_is_kept_for_pages_that_open_later() -> None:
+    commander = SilentRobots()
+    server = ViewServer(OneRobot(), commander, Access())
+    address = await server.start("127.0.0.1", 0)
+    try:
+        async with connect(socket_of(address), max_size=None) as first:
+            await first.send('{"kind":"act","id":"a","verb":"estop"}')
+            await message(first, "answer")
+        async with connect(socket_of(address), max_size=None) as second:
+            assert (await message(second, "estop"))["missing"] == ["r2"]
+            await second.send('{"kind":"act","id":"b","verb":"end_estop"}')
+            while not (await message(second, "estop"))["is_final"]:
+                pass
+        async with connect(socket_of(address), max_size=None) as third:
+            await third.send('{"kind":"act","id":"c","verb":"stop"}')
+            assert (await message(third, "answer"))["line"] == "stop: done"
+            await third.send('{"kind":"act","id":"d","verb":"run","seen":1000}')
+            assert "too late" in (await message(third, "answer"))["line"]
+        assert commander.verbs == ["estop", "stop"]
+    finally:
+        await server.close()
+
+
+async def test_nonsense_of_a_page_is_ignored() -> None:
+    server = ViewServer(OneRobot(), None, Access())
+    address = await server.start("127.0.0.1", 0)
+    try:
+        async with connect(socket_of(address), max_size=None) as page:
+            for text in (
+                "[]",
+                "{}",
+                "1",
+                "x",
+                '{"kind":"select","names":[{}, 1, "r9"]}',
+                "[" * 9999,
+            ):
+                await page.send(text)
+            await page.send('{"kind":"act","id":[],"verb":{}}')
+            assert "takes no commands" in (await message(page, "answer"))["line"]
+            assert (await message(page, "rows"))["rows"]["r1"]["near"] is None
+    finally:
+        await server.close()
+
+
+@pytest.mark.parametrize(
+    ("host", "origin", "token", "code"),
+    [
+        ("127.0.0.1", None, "", 200),
+        ("localhost", "http://localhost", "", 200),
+        ("127.0.0.1", "http://evil.example", "", 403),
+        ("evil.example", "http://evil.example", "", 403),  # its name leads to loopback
+        ("robots.example", "http://robots.example", "operator-token", 200),
+        ("robots.example", "http://evil.example", "operator-token", 403),
+    ],
+)
+async def test_other_sites_reach_nothing(
+    host: str, origin: str | None, token: str, code: int
+) -> None:
+    server = ViewServer(OneRobot(), None, Access(token))
+    address = await server.start("127.0.0.1", 0)
+
+    def ask() -> tuple[int, str | None]:
+        link = HTTPConnection(address.removeprefix("http://").rstrip("/"), timeout=CAP)
+        headers = {"Host": host} | ({} if origin is None else {"Origin": origin})
+        link.request("GET", "/", headers=headers)
+        answer = link.getresponse()
+        link.close()
+        return answer.status, answer.getheader("Content-Security-Policy")
+
+    try:
+        status, policy = await asyncio.to_thread(ask)
+    finally:
+        await server.close()
+    assert status == code
+    assert code == 403 or (policy is not None and "script-src 'self'" in policy)
+
+
+@pytest.mark.parametrize(
+    ("operator", "viewer"),
+    [("short", ""), ("", "viewer-token"), ("same-token", "same-token"), ("a token of words", "")],
+)
+def test_tokens_that_protect_nothing_are_refused(operator: str, viewer: str) -> None:
+    with pytest.raises(ConfigError):
+        Access(operator, viewer)
+
+
+def test_a_role_follows_from_the_token() -> None:
+    access = Access("operator-token", "viewer-token")
+    given = ("operator-token", "viewer-token", "", "other-token", "\u00e9")
+    assert [access.role(one) for one in given] == ["operator", "viewer", "", "", ""]
+    assert Access().role("") == "operator"
+    with pytest.raises(ConfigError):
+        Access().check_bind("0.0.0.0")
+    access.check_bind("0.0.0.0")
