@@ -8,10 +8,10 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import Counter, deque
-from collections.abc import Mapping
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from msgspec import Meta, Struct
 
@@ -19,8 +19,9 @@ from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, Sink
-from swarmd.driver_api.hw_codec import INPUTS, decode_input, deliver
-from swarmd.driver_api.recording import Entry, Recording, named_file, read_recording
+from swarmd.driver_api.hw_codec import Input, deliver
+from swarmd.recording import messages
+from swarmd.recording.reader import RecordedMessage, read_file
 from swarmd.settings.layered import Layered
 
 log = logging.getLogger(__name__)
@@ -32,8 +33,30 @@ LOOP_PAUSE = 1.0
 MAX_COMMANDS = 100
 
 
+@dataclass(frozen=True, slots=True)
+class _BaseState:
+    """The base was connected or lost."""
+
+    is_up: bool
+    text: str
+
+
+@dataclass(frozen=True, slots=True)
+class _Recording:
+    """Inputs with their times in s since the first one. `fault`: what is missing or damaged."""
+
+    about: Mapping[str, str]
+    entries: tuple[tuple[float, Input | _BaseState], ...]
+    fault: str
+
+    @property
+    def duration(self) -> float:
+        """Seconds from the first to the last input."""
+        return self.entries[-1][0] if self.entries else 0.0
+
+
 class ReplayOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """`file`: a recording. `speed`: 1 is real time. `loop`: play it again and again."""
+    """`file`: a recording (.mcap). `speed`: 1 is real time. `loop`: play it again and again."""
 
     file: str
     speed: Annotated[float, Meta(ge=0.05, le=100.0)] = 1.0
@@ -50,20 +73,17 @@ class ReplayDriver:
     ) -> None:
         """Not playing yet; ConfigError if an option or the recording is wrong."""
         self._options = Layered(("driver replay", options)).build(ReplayOptions)
-        self._path = named_file(self._options.file, "driver replay: file")
-        self._spec = platform.scan
-        self._recording = read_recording(self._path)
-        self._after, self._span = _extent(self._path, self._recording, platform)
+        self._path = _named(self._options.file)
+        self._recording = _read(self._path)
+        self._after, self._span = _extent(self._recording)
         self._gate = CommandGate()
         self._commands: Counter[str] = Counter()
         self.taken: deque[Twist] = deque(maxlen=MAX_COMMANDS)
 
     async def run(self, sink: Sink) -> None:
         """Play it, once or in a loop, until cancelled."""
-        if self._recording.cut:
-            log.warning(
-                "%s is %s; what came before that is played", self._path, self._recording.cut
-            )
+        if self._recording.fault:
+            log.warning("%s: %s; what is whole is played", self._path, self._recording.fault)
         try:
             sink.state(False, f"{self._path.name} is about to begin")
             await asyncio.sleep(START_DELAY)
@@ -93,44 +113,42 @@ class ReplayDriver:
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """The recording's length and the inputs in it."""
-        recording, header = self._recording, self._recording.header
-        kinds = Counter[str](entry.kind for entry in recording.entries)
+        recording, about = self._recording, self._recording.about
+        kinds = Counter[type](type(value) for _, value in recording.entries)
         length = max(recording.duration, 1e-9)
-        text = f"{recording.duration:.1f} s of {header.robot} ({header.platform}, {header.driver})"
-        findings = [Finding("recording", True, f"{text}, {recording.cut or 'whole'}")]
-        for kind, is_needed in (("scan", True), ("odometry", True), ("neighbors", False)):
+        names = ", ".join(about.get(key, "unknown") for key in ("platform", "driver"))
+        text = f"{recording.duration:.1f} s of {about.get('robot', 'an unknown robot')} ({names})"
+        findings = [Finding("recording", True, f"{text}, {recording.fault or 'whole'}")]
+        needed = (("scan", Scan, True), ("odometry", Odometry, True), ("neighbors", tuple, False))
+        for name, kind, is_needed in needed:
             count = kinds[kind]
             rate = f"{count} at {count / length:.1f} Hz"
             missing = f"none in {self._path}; record a robot that has it"
             if count or is_needed:
-                findings.append(Finding(kind, bool(count), rate if count else missing))
+                findings.append(Finding(name, bool(count), rate if count else missing))
         return tuple(findings)
 
     async def _play(self, sink: Sink, rounds: int) -> None:
         """One round; stamps and sequences of later rounds continue those of the one before."""
         loop, speed = asyncio.get_running_loop(), self._options.speed
         begin, shift = loop.time(), rounds * (self._span + LOOP_PAUSE)
-        if not any(entry.kind == "state" for entry in self._recording.entries):
-            self._connect(sink)
-        for entry in self._recording.entries:
+        for at, value in self._recording.entries:
             # Also when late: playback that is behind must not block the loop.
-            await asyncio.sleep(max(begin + entry.at / speed - loop.time(), 0.0))
-            self._deliver(sink, entry, shift, rounds * self._after)
+            await asyncio.sleep(max(begin + at / speed - loop.time(), 0.0))
+            self._deliver(sink, value, shift, rounds * self._after)
 
-    def _deliver(self, sink: Sink, entry: Entry, shift: float, ahead: int) -> None:
-        if entry.kind in INPUTS:
-            value = decode_input(entry.kind, entry.payload, self._spec)
-            if isinstance(value, Scan):
-                value = replace(value, seq=value.seq + ahead, stamp=value.stamp + shift)
-            elif isinstance(value, Odometry):
-                value = Odometry(value.stamp + shift, value.pose, value.twist)
-            deliver(sink, value)
-        elif entry.kind == "state":
-            text = entry.payload[1:].decode(errors="replace")
-            if entry.payload[:1] == b"1":
+    def _deliver(self, sink: Sink, value: Input | _BaseState, shift: float, ahead: int) -> None:
+        if isinstance(value, _BaseState):
+            if value.is_up:
                 self._connect(sink)
             else:
-                self._lose(sink, f"as recorded: {text}")
+                self._lose(sink, f"as recorded: {value.text}")
+            return
+        if isinstance(value, Scan):
+            value = replace(value, seq=value.seq + ahead, stamp=value.stamp + shift)
+        elif isinstance(value, Odometry):
+            value = Odometry(value.stamp + shift, value.pose, value.twist)
+        deliver(sink, value)
 
     def _connect(self, sink: Sink) -> None:
         if not self._gate.is_open:
@@ -147,21 +165,74 @@ class ReplayDriver:
         self.taken.append(twist)
 
 
-def _extent(path: Path, recording: Recording, platform: Platform) -> tuple[int, float]:
-    """The sequence after its last scan's, and the span of its stamps in s.
+def _named(name: str) -> Path:
+    """The file that option `file` names; ConfigError if no file can have that name."""
+    try:
+        path = Path(name).expanduser()
+    except RuntimeError:
+        raise ConfigError(
+            f"driver replay: file is {name!r}: there is no such user; expected a recording (.mcap)"
+        ) from None
+    if not path.name or "\0" in name:
+        raise ConfigError(f"driver replay: file is {name!r}; expected a recording (.mcap)")
+    return path
 
-    ConfigError if an entry cannot be read, before the playback begins.
-    """
-    sequences, stamps = [0], []
-    for entry in recording.entries:
-        if entry.kind not in INPUTS:
+
+def _read(path: Path) -> _Recording:
+    """The inputs of a recording; ConfigError if there are none, before the playback begins."""
+    found = read_file(path)
+    timed = [(one.at, value) for one, value in _inputs(path, found.messages)]
+    if not timed:
+        raise ConfigError(
+            f"{path}: no inputs of a driver are in it ({found.fault or 'whole'}); record it again"
+        )
+    # A robot whose driver measures no neighbors was given all members, which are no measurement.
+    neighbors = (one for _, value in timed if isinstance(value, tuple) for one in value)
+    is_measured = any(one.distance is not None for one in neighbors)
+    begin = min(at for at, _ in timed)
+    entries = [
+        ((at - begin) * 1e-9, value)
+        for at, value in sorted(timed, key=lambda one: one[0])
+        if is_measured or not isinstance(value, tuple)
+    ]
+    first = next((n for n, (_, value) in enumerate(entries) if isinstance(value, Scan)), 0)
+    if not any(isinstance(value, _BaseState) for _, value in entries[:first]):
+        entries.insert(0, (0.0, _BaseState(True, "")))  # it was connected before
+    return _Recording(found.about, tuple(entries), found.fault)
+
+
+def _inputs(
+    path: Path, recorded: list[RecordedMessage]
+) -> Iterator[tuple[RecordedMessage, Input | _BaseState]]:
+    geometry: Any = None
+    for one in recorded:
+        if one.topic not in (*_READERS, "/scan", "/scan/geometry"):
             continue
         try:
-            value = decode_input(entry.kind, entry.payload, platform.scan)
+            message = messages.deserialize(one.kind, one.payload)
         except CodecError as error:
-            raise ConfigError(
-                f"{path}: damaged {entry.at:.1f} s after it began: {error}; record it again"
-            ) from error
+            raise ConfigError(f"{path}: {one.topic}: {error}; record it again") from error
+        if one.topic == "/scan/geometry":
+            geometry = message
+        elif one.topic == "/scan":
+            yield one, messages.scan_of(message, one.sequence, geometry)
+        else:
+            yield one, _READERS[one.topic](message)
+
+
+_READERS: Mapping[str, Callable[[Any], Input | _BaseState]] = {
+    "/odometry": messages.odometry_of,
+    "/neighbors": messages.neighbors_of,
+    "/pose": messages.pose_of,
+    "/readings": messages.readings_of,
+    "/driver": lambda message: _BaseState(message.is_up, message.text),
+}
+
+
+def _extent(recording: _Recording) -> tuple[int, float]:
+    """The sequence after its last scan's, and the span of its stamps in s."""
+    sequences, stamps = [0], []
+    for _, value in recording.entries:
         if isinstance(value, Scan):
             sequences.append(value.seq + 1)
         if isinstance(value, Scan | Odometry):

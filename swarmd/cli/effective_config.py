@@ -33,6 +33,7 @@ def effective_config(settings: DaemonSettings) -> str:
         "accepts_faster": dict(settings.accepts.faster),
         "state_dir": str(settings.state_dir.absolute()),
         "plugin_dir": str(settings.plugin_dir.absolute()) if settings.plugin_dir else None,
+        "recording": to_builtins(settings.recording),
     }
     lines = [
         _line(f"{key}: {_flow(value)}", settings.provenance[key]) for key, value in keys.items()

@@ -113,7 +113,7 @@ class Daemon:
         self._has_joined = False
         self._recording = RecordingService(
             settings.id,
-            settings.state_dir / settings.network.swarm / settings.id / "recordings",
+            settings.recording,
             partial(_head, settings, self._instance, self._seed, boottime()),
             self._on_network_event,
             self._network.drop,
@@ -178,6 +178,7 @@ class Daemon:
     # Start and end
 
     async def _live(self) -> None:
+        self._recording.start_if_wanted()  # before any input, so that a replay has all of them
         await self._join()
         gc.collect()
         gc.freeze()

@@ -1,4 +1,4 @@
-"""Makes the driver that a daemon's settings name, with recording and watchdog where needed."""
+"""Makes the driver that a daemon's settings name, with a watchdog where needed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from swarmd.settings.settings import DaemonSettings
 
 
 def make_driver(settings: DaemonSettings) -> Driver:
-    """The daemon's driver, not yet connected, recorded and watched as its options say.
+    """The daemon's driver, not yet connected, watched as its options say.
 
     Raises SwarmError if the driver or its options are wrong.
     """
@@ -25,14 +25,8 @@ def make_driver(settings: DaemonSettings) -> Driver:
         platform=settings.platform,
         options={k: v for k, v in settings.driver_options.items() if k not in common},
     )
-    recorded = driver
-    if base.record is not None:
-        from swarmd.driver_api.recording import RecordedDriver, named_file
-
-        head = {"robot": settings.id, "platform": settings.platform.name, "driver": name}
-        recorded = RecordedDriver(driver, named_file(base.record, f"driver {name}: record"), head)
     if effective_command_timeout(base, driver) != "none":
-        return recorded
+        return driver
     if base.idle_output == "silent":
         raise ConfigError(
             f"driver {name}: idle_output is silent, but command_timeout counts as none where it"
@@ -45,8 +39,8 @@ def make_driver(settings: DaemonSettings) -> Driver:
         )
     spec = driver.zero_sender()
     if spec is None:
-        return recorded
+        return driver
     from swarmd.driver_api.watchdog_client import WatchedDriver
 
     watchdog = watchdog_name(settings.network.swarm, settings.id)
-    return WatchedDriver(recorded, spec, name=watchdog, tie=settings.die_with_parent)
+    return WatchedDriver(driver, spec, name=watchdog, tie=settings.die_with_parent)

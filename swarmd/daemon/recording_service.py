@@ -28,6 +28,7 @@ from swarmd.daemon.recorder import Recorder
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import clock_of
+from swarmd.settings.swarmfile import RecordingSection
 
 log = logging.getLogger(__name__)
 
@@ -37,17 +38,19 @@ _fetch = Decoder(FetchQuery)
 
 
 class RecordingService:
-    """The recordings of one robot, in `folder`. `on_event` takes lines for its log."""
+    """The recordings of one robot, as its settings say. `on_event` takes lines for its log."""
 
     def __init__(
         self,
         robot: str,
-        folder: Path,
+        section: RecordingSection,
         head: Callable[[], RecordingHead],
         on_event: Callable[[str], None],
         drop: Callable[[str], None],
     ) -> None:
-        self._robot, self._folder, self._head = robot, folder, head
+        self._robot, self._section, self._head = robot, section, head
+        self._folder = Path(section.folder or "recordings")
+        self._on_event = on_event
         self._loop = asyncio.get_running_loop()
         self._drop = drop
         self._tasks: set[asyncio.Task[None]] = set()
@@ -72,7 +75,7 @@ class RecordingService:
             text = "records already"
         elif request.action == "start":
             try:
-                recorder.start(self._folder, self._robot, self._head().texts())
+                self._start()
                 text = f"records to {self._folder}"
             except (OSError, PluginError) as error:
                 code, refusal = Code.FAILED, Refusal.INVALID_REQUEST
@@ -85,6 +88,24 @@ class RecordingService:
         else:
             text = "did not record"
         return Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text[:300])
+
+    def start_if_wanted(self) -> None:
+        """Record from the start of the daemon if its settings say so; a failure is an event."""
+        if self._section.from_start:
+            try:
+                self._start()
+            except (OSError, PluginError) as error:
+                self._on_event(f"cannot record: {error}")
+
+    def _start(self) -> None:
+        self.recorder.start(
+            self._folder,
+            self._robot,
+            self._head().texts(),
+            max_bytes=self._section.file_bytes,
+            max_seconds=self._section.file_seconds,
+            keep_bytes=self._section.keep_bytes,
+        )
 
     # Recordings for operators
 

@@ -35,12 +35,10 @@ class BaseOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
       is lost drives on for longer than assumed.
     - `idle_output`: `zeros` are sent to an idle robot at every tick, or it is left `silent` so that
       a joystick can drive it; then nothing stops it while it is idle.
-    - `record`: a file for all inputs and commands of the driver; it grows while the daemon runs.
     """
 
     command_timeout: Timeout | Literal["base", "none"] | None = None
     idle_output: Literal["zeros", "silent"] = "zeros"
-    record: str | None = None
 
 
 class IdleOutputFilter:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import cast
 
 import msgspec
+from msgspec import structs
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.host_messages import Layers
@@ -25,7 +26,14 @@ from swarmd.network.settings import NetworkSettings
 from swarmd.protection.compatibility import Accepts
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform, platform_names
-from swarmd.settings.swarmfile import DEFAULT, DaemonFile, ParametersSection, check, layered
+from swarmd.settings.swarmfile import (
+    DEFAULT,
+    DaemonFile,
+    ParametersSection,
+    RecordingSection,
+    check,
+    layered,
+)
 from swarmd.settings.yamlfile import shown
 
 __all__ = ["DaemonSettings", "load_daemon_settings", "load_platform", "platform_names"]
@@ -39,8 +47,8 @@ class DaemonSettings:
 
     `platform_name` is the configured name, or the absolute path of a file. `labels` are those of
     this robot, `label_members` the robots of every label. All daemons of a user share `state_dir`;
-    `<state_dir>/<swarm>/<id>` belongs to this one. `provenance`: key -> file, `--option`,
-    `$VARIABLE`, `host name` or `default`.
+    `<state_dir>/<swarm>/<id>` belongs to this one. `recording` names its folder. `provenance`:
+    key -> file, `--option`, `$VARIABLE`, `host name` or `default`.
     """
 
     id: str
@@ -57,6 +65,7 @@ class DaemonSettings:
     roster: tuple[str, ...]
     state_dir: Path
     plugin_dir: Path | None
+    recording: RecordingSection
     die_with_parent: int | None = None
     provenance: Mapping[str, str] = field(default_factory=dict)
 
@@ -97,6 +106,10 @@ def load_daemon_settings(
     near = config.parent if config is not None and "platform" not in given else Path()
     platform = load_platform(file.platform, near)
     robot = file.id or _host_id()
+    state_dir = _path(layers, "state_dir", file.state_dir, config) or _state_dir(environ)
+    recordings = _path(layers, "recording", file.recording.folder, config) or (
+        state_dir / file.swarm / robot / "recordings"
+    )
     return DaemonSettings(
         id=robot,
         network=msgspec.convert(file, NetworkSettings, from_attributes=True),
@@ -110,8 +123,9 @@ def load_daemon_settings(
         touch=file.touch,
         accepts=Accepts.of(file.accepts_unseen, file.accepts_faster),
         roster=tuple(file.roster),
-        state_dir=_path(layers, "state_dir", file.state_dir, config) or _state_dir(environ),
+        state_dir=state_dir,
         plugin_dir=_path(layers, "plugin_dir", file.plugin_dir, config),
+        recording=structs.replace(file.recording, folder=str(recordings.absolute())),
         die_with_parent=cast("int | None", parent),
         provenance=_provenance(layers, file, platform),
     )

@@ -58,6 +58,22 @@ class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unkno
     accepts_faster: PlatformGrants = []
 
 
+class RecordingSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """How a robot records.
+
+    - `from_start`: record as soon as the daemon starts, without `swarmctl record start`.
+    - `folder`: where to, by default `recordings` beside the robot's state.
+    - `keep_bytes`: of all recordings of this robot; the oldest are removed beyond it.
+    - `file_bytes`, `file_seconds`: a new file begins after that size or time.
+    """
+
+    from_start: bool = False
+    folder: str | None = None
+    keep_bytes: Annotated[int, Meta(ge=2**20)] = 2**30
+    file_bytes: Annotated[int, Meta(ge=2**16)] = 2**26
+    file_seconds: Annotated[float, Meta(ge=1.0, le=86400.0)] = 600.0
+
+
 class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The keys of the file of one daemon: those of swarm.yaml and its own.
 
@@ -67,6 +83,7 @@ class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     - `state_dir`: folder for what survives a restart, such as the estop latch; on a memory disk a
       reboot clears a latched estop.
     - `plugin_dir`: folder of patterns and missions of your own.
+    - `recording`: whether the robot records from the start, where to and how much.
     """
 
     swarm_file: str | None = None
@@ -76,6 +93,7 @@ class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=Tru
     driver_options: Options = {}
     state_dir: str | None = None
     plugin_dir: str | None = None
+    recording: RecordingSection = RecordingSection()
 
 
 def load_swarm(
@@ -107,6 +125,9 @@ def check(file: Any, _: Keys) -> Iterator[Fault]:
     if isinstance(file, DaemonFile):
         yield from file.faults()
         yield from _check_names(file)
+        if file.recording.keep_bytes < 2 * file.recording.file_bytes:
+            text = f"is {file.recording.keep_bytes}; expected at least two files of file_bytes"
+            yield fault_at(("recording", "keep_bytes"), text)
 
 
 def _included(config: Path, own: Data) -> list[tuple[str, Data]]:

@@ -3,35 +3,23 @@
 from __future__ import annotations
 
 import asyncio
-import errno
-import io
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import cast
 
 import numpy as np
 import pytest
 
-from swarmd.core.errors import ConfigError, DriverError
+from swarmd.core.errors import ConfigError
 from swarmd.core.messages import Reason
-from swarmd.core.values import Array, Odometry, Pose, Scan, Twist, Value
-from swarmd.daemon.driver_factory import make_driver
+from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver, NullSink
-from swarmd.driver_api.hw_codec import MAX_RAYS, decode_command, encode_odometry, encode_scan
-from swarmd.driver_api.recording import (
-    MAGIC,
-    RecordedDriver,
-    Recorder,
-    RecordingSink,
-    read_recording,
-)
 from swarmd.drivers.replay import ReplayDriver
+from swarmd.recording.frames import Begin, DriverEntry, NeighborsEntry, OdometryEntry, scan_entry
+from swarmd.recording.process import Converter
 from swarmd.settings.platforms import load_platform
-from swarmd.settings.settings import load_daemon_settings
 from swarmd.testing.driver_contract import CollectingSink, DriverContract, running_driver
 from tests.support import hand_clock as handclock
-from tests.support.wire import Good, Wire
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan
@@ -51,14 +39,29 @@ def odometry(seq: int) -> Odometry:
     return Odometry(0.2 * seq, Pose(0.1 * seq, 0.0, 0.5), Twist(0.1))
 
 
-def record(path: Path, times: Sequence[float]) -> Path:
+def record(
+    folder: Path,
+    times: Sequence[float],
+    *,
+    lost_at: float | None = None,
+    neighbors: tuple[Neighbor, ...] = (),
+) -> Path:
     """A recording with a scan and an odometry at each of these times, in s, without waiting."""
-    recorder = Recorder(path, HEAD)
+    converter = Converter(Begin(0.0, str(folder), "a", HEAD, 1e9, 2**26, 600.0, 2**30))
+    last = None
+    if not times:
+        converter.add(DriverEntry(0.0, True, "", "", False))
     for seq, time in enumerate(times):
-        recorder.add("scan", encode_scan(scan(seq)), time)
-        recorder.add("odometry", encode_odometry(odometry(seq)), time)
-    recorder.close()
-    return path
+        converter.add(scan_entry(scan(seq), time, last))
+        last = scan(seq)
+        if lost_at is not None and seq == 1:
+            converter.add(DriverEntry(lost_at, False, "unplugged", "", False))
+        converter.add(OdometryEntry(time, odometry(seq)))
+        if neighbors:
+            converter.add(NeighborsEntry(time, neighbors))
+    converter.writer.close()
+    assert converter.writer.path is not None
+    return converter.writer.path
 
 
 def make(path: Path, **options: Value) -> ReplayDriver:
@@ -110,24 +113,9 @@ class TestContract(DriverContract):
 
 
 @pytest.mark.parametrize("name", ["", "~unknown-user/x.rec", "x\0.rec", "/"])
-def test_an_impossible_file_is_refused_before_the_start(tmp_path: Path, name: str) -> None:
-    for driver, option in (("replay", "file"), ("simulated", "record")):
-        options: dict[str, Value] = {option: name}
-        values: dict[str, Value] = {
-            "id": "r",
-            "driver": driver,
-            "driver_options": options,
-            "state_dir": str(tmp_path),
-        }
-        with pytest.raises(ConfigError, match=f"^driver {driver}: {option} is .*expected a file"):
-            make_driver(load_daemon_settings(None, values))
-
-
-def test_a_file_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
-    (tmp_path / "taken").touch()
-    for path in (tmp_path / f"{'x' * 255}.rec", tmp_path / "taken" / "x.rec"):
-        with pytest.raises(DriverError, match=r"^record: .* cannot be written: "):
-            Recorder(path, HEAD)
+def test_an_impossible_file_is_refused_before_the_start(name: str) -> None:
+    with pytest.raises(ConfigError, match=r"^driver replay: file is .*expected a recording"):
+        make(Path("x"), file=name)
 
 
 class Timed(CollectingSink):
@@ -182,7 +170,7 @@ def same_ages(one: Array | None, other: Array | None) -> bool:
 @pytest.mark.parametrize("speed", [1.0, 4.0])
 def test_the_same_scans_in_order_and_at_their_pace(tmp_path: Path, speed: float) -> None:
     at = [0.0, 0.1, 0.4, 0.5, 1.0]
-    replayed = played(record(tmp_path / "a.rec", at), 5, speed=speed)
+    replayed = played(record(tmp_path / "a", at), 5, speed=speed)
     assert all(same(scan(i), one) for i, one in enumerate(replayed.scans))
     assert replayed.odometries == [odometry(i) for i in range(5)]
     assert replayed.order[:3] == ["lost", "up", "scan"]
@@ -190,47 +178,18 @@ def test_the_same_scans_in_order_and_at_their_pace(tmp_path: Path, speed: float)
 
 
 def test_in_a_loop_stamps_and_sequences_continue(tmp_path: Path) -> None:
-    replayed = played(record(tmp_path / "a.rec", [0.0, 0.1]), 4, loop=True)
+    replayed = played(record(tmp_path / "a", [0.0, 0.1]), 4, loop=True)
     assert [one.seq for one in replayed.scans][:4] == [0, 1, 2, 3]
     stamps = [one.stamp for one in replayed.scans]
     assert stamps == sorted(set(stamps))
     assert [state for state, _ in replayed.states][:4] == [False, True, False, True]
 
 
-def test_a_recording_holds_what_the_driver_delivered(tmp_path: Path) -> None:
-    path, delivered = tmp_path / "body.rec", CollectingSink()
-
-    class Body(Wire):
-        def make(self, options: Mapping[str, Value]) -> Driver:
-            return RecordedDriver(super().make(options), path, HEAD)
-
-    async def run() -> None:
-        async with running_driver(Body(Good)) as harness:
-            await harness.until(lambda: len(harness.sink.scans) >= 8, publishing=True)
-            harness.driver.send(Twist(0.1), 3, 2)
-            harness.driver.send(Twist(0.2), 4, 3)
-            await harness.end()
-            delivered.scans, delivered.states = harness.sink.scans, harness.sink.states
-
-    asyncio.run(run())
-    recording = read_recording(path)
-    assert (recording.header.robot, recording.cut) == ("r", "")
-    commands = [decode_command(e.payload) for e in recording.entries if e.kind == "command"]
-    assert [(c.linear, c.scan_seq, c.requested_scan_seq) for c in commands] == [
-        (0.1, 3, 2),
-        (0.2, 4, 3),
-    ]
-    replayed = played(path, len(delivered.scans))
-    assert len(replayed.scans) == len(delivered.scans)
-    assert all(same(one, other) for one, other in zip(delivered.scans, replayed.scans, strict=True))
-    assert [is_up for is_up, _ in replayed.states] == [False, False, True, False]
-
-
 def test_commands_are_taken_and_counted(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level("INFO")
 
     async def run() -> None:
-        async with running_driver(Deck(tmp_path / "a.rec")) as harness:
+        async with running_driver(Deck(tmp_path / "a")) as harness:
             await harness.connect()
             for _ in range(3):
                 harness.driver.send(Twist(0.1), 0, 0)
@@ -242,63 +201,38 @@ def test_commands_are_taken_and_counted(tmp_path: Path, caplog: pytest.LogCaptur
 def test_a_recording_that_is_cut_off_is_played_up_to_there(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    whole = record(tmp_path / "a.rec", [0.0, 0.1, 0.2])
+    whole = record(tmp_path / "a", [0.0, 0.1, 2.2, 2.3])
     data = whole.read_bytes()
-    whole.write_bytes(data[:-40])
-    replayed = played(whole, 3)
-    assert (len(replayed.scans), len(replayed.odometries)) == (3, 2)
+    whole.write_bytes(data[: len(data) // 2])
+    replayed = played(whole, 2)
+    assert len(replayed.scans) == 2  # of the chunk that was written when it was 2 s old
     (line,) = (r.getMessage() for r in caplog.records if r.levelname == "WARNING")
-    assert f"cut off at byte {read_at(data)} of {len(data) - 40}, 0.2 s after it began" in line
-    findings = asyncio.run(make(whole).check(1.0))
-    assert "cut off at byte" in findings[0].text
+    assert "cut off at byte" in line
+    assert "cut off at byte" in asyncio.run(make(whole).check(1.0))[0].text
 
 
-def read_at(data: bytes) -> int:
-    """Where the last frame of a whole recording begins."""
-    at = last = len(MAGIC)
-    while at < len(data):
-        last, at = at, at + 4 + int.from_bytes(data[at : at + 4], "little")
-    return last
+def test_a_file_without_inputs_is_one_clear_line(tmp_path: Path) -> None:
+    path = tmp_path / "a.mcap"
+    for data, fault in ((b"", "no inputs"), (b"PK\x03\x04", "not a recording; expected")):
+        path.write_bytes(data)
+        with pytest.raises(ConfigError, match=fault) as caught:
+            make(path)
+        assert str(caught.value).startswith(f"{path}: ")
+        assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    ("data", "fault"),
-    [
-        (b"", "not a recording; expected a file that option record wrote"),
-        (b"PK\x03\x04 a trace of a world", "not a recording; expected"),
-        (MAGIC, "cut off before its first frame; record it again"),
-        (MAGIC + b"\x05\x00\x00\x00\x01", "cut off before its first frame"),
-        (MAGIC + b"\xff\xff\xff\x7f" + b"x" * 9, "damaged at byte 19: a frame of 2147483647 byt"),
-        (MAGIC + b"\x03\x00\x00\x00\x01zz", "damaged at byte 19: "),
-    ],
-)
-def test_a_file_that_is_no_recording_is_one_clear_line(
-    tmp_path: Path, data: bytes, fault: str
-) -> None:
-    path = tmp_path / "a.rec"
-    path.write_bytes(data)
-    with pytest.raises(ConfigError) as caught:
-        make(path)
-    assert str(caught.value).startswith(f"{path}: {fault}")
-    assert "\n" not in str(caught.value)
+def test_the_base_is_lost_and_back_as_recorded(tmp_path: Path) -> None:
+    replayed = played(record(tmp_path / "a", [0.0, 0.1, 0.2], lost_at=0.15), 2)
+    assert replayed.states[1:3] == [
+        (True, f"plays {next(tmp_path.glob('a/*.mcap'))}"), (False, "as recorded: unplugged")
+    ]  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    ("entries", "fault"),
-    [
-        ([(0.0, b"\x01 no scan")], "damaged 0.0 s after it began: "),
-        ([(0.2, encode_scan(scan(1))), (0.1, encode_scan(scan(2)))], "times that go back"),
-    ],
-)
-def test_damage_in_the_middle_is_found_before_it_begins(
-    tmp_path: Path, entries: list[tuple[float, bytes]], fault: str
-) -> None:
-    recorder = Recorder(tmp_path / "a.rec", HEAD)
-    for time, payload in entries:
-        recorder.add("scan", payload, time)
-    recorder.close()
-    with pytest.raises(ConfigError, match=f"{fault}.*; record it again"):
-        make(tmp_path / "a.rec")
+def test_members_are_no_measured_neighbors(tmp_path: Path) -> None:
+    for number, (distance, count) in enumerate(((None, 0), (1.0, 1))):
+        neighbors = (Neighbor("b", 0.0, distance),)
+        path = record(tmp_path / str(number), [0.0], neighbors=neighbors)
+        assert len(played(path, 1).neighborhoods) == count
 
 
 @pytest.mark.parametrize(
@@ -308,96 +242,19 @@ def test_damage_in_the_middle_is_found_before_it_begins(
         ({"sped": 2.0}, "driver replay: no key 'sped'; did you mean 'speed'?"),
         ({"file": 1}, "driver replay: file is 1; expected text"),
         (
-            {"file": "nowhere.rec"},
-            "nowhere.rec: cannot be read: No such file or directory; expected",
+            {"file": "nowhere.mcap"},
+            "nowhere.mcap: cannot be read: No such file or directory; expected",
         ),
     ],
 )
 def test_refuses_options(tmp_path: Path, options: Mapping[str, Value], fault: str) -> None:
     with pytest.raises(ConfigError) as caught:
-        make(record(tmp_path / "a.rec", [0.0]), **options)
+        make(record(tmp_path / "a", [0.0]), **options)
     assert str(caught.value).startswith(fault)
 
 
-def test_an_earlier_recording_is_kept(tmp_path: Path) -> None:
-    first = record(tmp_path / "a.rec", [0.0]).read_bytes()
-    record(tmp_path / "a.rec", [0.0, 0.1, 0.2])
-    assert (tmp_path / "a.rec").read_bytes() == first
-    assert len(read_recording(tmp_path / "a-2.rec").entries) == 6
-
-
-def test_option_record_is_for_every_driver(tmp_path: Path) -> None:
-    values: dict[str, object] = {
-        "id": "r",
-        "state_dir": str(tmp_path),
-        "driver_options": {"record": str(tmp_path / "x.rec")},
-    }
-    assert isinstance(make_driver(load_daemon_settings(None, values)), RecordedDriver)
-
-
-def test_a_disk_that_is_full_ends_the_recording_and_nothing_else(
-    tmp_path: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    class Full(io.BytesIO):
-        def write(self, data: object) -> int:
-            raise OSError(errno.ENOSPC, "No space left on device")
-
-    recorder, full = Recorder(tmp_path / "a.rec", HEAD), Full()
-    recorder.close()
-    recorder._file = full
-    for time in (0.0, 0.1):
-        recorder.add("scan", encode_scan(scan(1)), time)
-    assert full.closed
-    assert "ends here: No space left on device" in caplog.text
-    assert caplog.text.count("ends here") == 1
-
-
-NOW = 1_767_225_600.25
-"""A stamp of ROS: s since 1970."""
-
-
-def real_scan(seq: int, rays: int = 360) -> Scan:
-    bearings = np.sin(np.arange(rays, dtype=np.float64))
-    return Scan(seq, NOW + seq, np.full(rays, 1.5), bearings, SPEC.range_min, SPEC.range_max)
-
-
-def real_odometry(x: float = 0.0, speed: float = 0.1) -> Odometry:
-    return Odometry(NOW, Pose(x, 0.0, 0.5), Twist(speed))
-
-
-def test_a_recording_with_wall_clock_stamps_and_map_coordinates_plays(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "a.rec", {})
-    sink = RecordingSink(NullSink(), recorder)
-    sink.scan(real_scan(1))
-    sink.odometry(real_odometry(x=5_400_000.0))  # in UTM
-    recorder.close()
-    replayed = played(tmp_path / "a.rec", 1)
-    assert [one.stamp for one in replayed.scans] == [NOW + 1]
-    assert replayed.odometries == [real_odometry(x=5_400_000.0)]
-
-
-def test_values_that_cannot_be_decoded_are_left_out_and_counted(tmp_path: Path) -> None:
-    recorder, counted = Recorder(tmp_path / "a.rec", {}), CollectingSink()
-    sink = RecordingSink(counted, recorder)
-    sink.scan(real_scan(1, rays=MAX_RAYS))
-    sink.odometry(real_odometry(speed=1e30))
-    sink.readings({"battery_voltage": 1e38})
-    sink.scan(real_scan(2))
-    sink.odometry(real_odometry())
-    sink.readings({"battery_voltage": 12.0})
-    recorder.close()
-    assert counted.lost == ["record/scan", "record/odometry", "record/readings"]
-    replayed = played(tmp_path / "a.rec", 1)
-    assert [one.seq for one in replayed.scans] == [2]
-    assert replayed.odometries == [real_odometry()]
-    assert replayed.values == [{"battery_voltage": 12.0}]
-
-
 def test_a_replay_that_is_behind_leaves_the_loop_to_others(tmp_path: Path) -> None:
-    recorder = Recorder(tmp_path / "a.rec", {})
-    for seq in range(100):
-        recorder.add("scan", encode_scan(real_scan(seq)), 0.0)
-    recorder.close()
+    path = record(tmp_path / "a", [0.0] * 100)
     turns: list[int] = []
     before: list[int] = []
 
@@ -407,7 +264,7 @@ def test_a_replay_that_is_behind_leaves_the_loop_to_others(tmp_path: Path) -> No
             asyncio.get_running_loop().call_soon(turns.append, scan.seq)
 
     async def story() -> None:
-        task = asyncio.create_task(make(tmp_path / "a.rec").run(Busy()))
+        task = asyncio.create_task(make(path).run(Busy()))
         while len(turns) < 100:
             await asyncio.sleep(0.1)
         task.cancel()
@@ -415,32 +272,3 @@ def test_a_replay_that_is_behind_leaves_the_loop_to_others(tmp_path: Path) -> No
 
     handclock.run(story())
     assert before[-1] > 50, "other tasks ran in between"
-
-
-def test_a_recorded_driver_is_told_that_its_robot_must_stand(tmp_path: Path) -> None:
-    marks: list[bool] = []
-
-    class Marked:
-        is_simulated = True
-
-        def send(self, *command: object, is_stopped: bool = False) -> None:
-            marks.append(is_stopped)
-
-    driver = RecordedDriver(cast("Driver", Marked()), tmp_path / "r.rec", HEAD)
-    driver.send(Twist(), 1, 1, is_stopped=True)
-    driver.send(Twist(), 1, 1)
-    assert marks == [True, False]
-
-
-def test_a_recorded_state_is_passed_on_whole(tmp_path: Path) -> None:
-    sink = CollectingSink()
-    recorder = Recorder(tmp_path / "r.rec", HEAD)
-    RecordingSink(sink, recorder).state(
-        False, "someone else drives", hold=Reason.SCAN_CONFLICT, gets_zero=True
-    )
-    recorder.close()
-    assert (sink.states, sink.hold, sink.gets_zero) == (
-        [(False, "someone else drives")],
-        Reason.SCAN_CONFLICT,
-        True,
-    )

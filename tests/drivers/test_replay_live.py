@@ -7,10 +7,10 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.values import Value
-from swarmd.driver_api.hw_codec import decode_command
-from swarmd.driver_api.recording import read_recording
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
+from swarmd.recording import messages
+from swarmd.recording.reader import read_file
 from swarmd.settings.settings import load_platform
 from tests.support.drive_daemon import ROBOT, drive, is_running
 from tests.support.fake_body import Body
@@ -20,17 +20,17 @@ pytestmark = pytest.mark.integration
 
 
 def test_the_recording_of_a_daemon_drives_another(tmp_path: Path) -> None:
-    swarm, file = unique_swarm(), tmp_path / "run.rec"
+    swarm, folder = unique_swarm(), tmp_path / "recordings"
     platform = load_platform("waffle_pi")
     with Body(platform, swarm=swarm, robot=ROBOT) as body:
-        options: dict[str, Value] = {"endpoint": body.endpoint, "record": str(file)}
+        recording: dict[str, Value] = {"from_start": True, "folder": str(folder)}
         with (
             DaemonProcess(
                 tmp_path / "first",
                 swarm=swarm,
                 robot=ROBOT,
                 endpoint=body.endpoint,
-                options={"driver_options": options},
+                options={"recording": recording},
             ) as daemon,
             Operator(NetworkSettings(swarm=swarm), name="zoe@test") as operator,
         ):
@@ -39,10 +39,15 @@ def test_the_recording_of_a_daemon_drives_another(tmp_path: Path) -> None:
             moving = body.wait_stepped()
             body.wait(lambda one: one.at > moving.at + 2.0)
             assert daemon.terminate() == 0
-    recording = read_recording(file)
-    assert (recording.cut, recording.header.robot) == ("", ROBOT)
-    commands = [decode_command(e.payload) for e in recording.entries if e.kind == "command"]
-    assert any(command.linear > 0.0 for command in commands)
+    (file,) = folder.glob("*.mcap")
+    recorded = read_file(file)
+    assert (recorded.fault, recorded.about["robot"]) == ("", ROBOT)
+    decisions = [
+        messages.deserialize(one.kind, one.payload)
+        for one in recorded.messages
+        if one.topic == "/decision"
+    ]
+    assert any(one.safe.linear.x > 0.0 for one in decisions)
 
     replay: dict[str, Value] = {"file": str(file), "loop": True}
     with (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import subprocess
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -36,9 +37,13 @@ def folder_of(swarm: Swarm, robot: str) -> Path:
     return swarm.folder / "state" / swarm.name / robot / "recordings"
 
 
-def pairs_in(folder: Path) -> int:
+def has_pairs(folder: Path) -> bool:
     messages = [one for path in folder.glob("*.mcap") for one in read_file(path).messages]
-    return sum(one.topic == "/clock/pair" for one in messages)
+    return sum(one.topic == "/clock/pair" for one in messages) >= 2
+
+
+def has_index(folder: Path) -> bool:
+    return bool(list(folder.glob("*.index.json")))
 
 
 def test_robots_whose_clocks_are_three_hours_apart_share_a_timeline(
@@ -53,10 +58,10 @@ def test_robots_whose_clocks_are_three_hours_apart_share_a_timeline(
     assert swarm.ctl("record", "start", "--all").code == 0
     swarm.ctl("stop", "--all")
     for robot in ("tb3-01", "tb3-02"):
-        wait_until(lambda r=robot: pairs_in(folder_of(swarm, r)) >= 2, f"{robot} has noted clocks")
+        wait_until(partial(has_pairs, folder_of(swarm, robot)), f"{robot} has noted clocks")
     assert swarm.ctl("record", "stop", "--all").code == 0
     for robot in ("tb3-01", "tb3-02"):
-        wait_until(lambda r=robot: bool(list(folder_of(swarm, r).glob("*.index.json"))), "finished")
+        wait_until(partial(has_index, folder_of(swarm, robot)), "finished")
     here, merged = tmp_path / "here", tmp_path / "all.mcap"
     assert swarm.ctl("record", "fetch", "--all", "-d", str(here)).code == 0
     (here / "clocks.jsonl").unlink()  # the robots' own exchanges must do
