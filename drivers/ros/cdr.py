@@ -66,7 +66,8 @@ def type_hash(kind: type) -> str:
 def known_hashes(kind: type) -> frozenset[str]:
     """The hashes that the type has in any distribution from Humble on."""
     name = name_of(kind)
-    return frozenset(store(distro).hash_rihs01(name) for distro in DISTROS)
+    known = (store(distro) for distro in DISTROS)
+    return frozenset(one.hash_rihs01(name) for one in known if name in one.types)
 
 
 @lru_cache(maxsize=len(Stores))

@@ -255,7 +255,8 @@ class Report:
 
     `connection_fault` is empty if the hub answers. `has_subscriber`: whether any node subscribes to
     the commands. `foreign_commands`: commands of other nodes that arrived. `is_exclusive`: whether
-    another publisher of commands is a fault although it publishes nothing.
+    another publisher of commands is a fault although it publishes nothing. `now`: the time in s on
+    the clock of arrivals.
     """
 
     graph: Graph
@@ -268,6 +269,7 @@ class Report:
     has_subscriber: bool
     foreign_commands: int = 0
     foreign_publishers: Collection[str] = ()
+    now: float
     is_exclusive: bool = False
 
     def findings(self) -> tuple[Finding, ...]:
@@ -280,7 +282,8 @@ class Report:
         middleware = self.graph.middleware
         yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
         for stats in self.subscriptions.topics.values():
-            if stats.is_needed or stats.count or stats.name in ("imu", "battery"):
+            is_named = stats.is_reading or stats.name in ("imu", "battery")
+            if stats.is_needed or stats.count or is_named:
                 yield self._topic(stats)
         fault = self.graph.no_subscriber(
             self.cmd_vel, self.command_type, has_subscriber=self.has_subscriber
@@ -303,13 +306,18 @@ class Report:
     def _topic(self, stats: TopicStats) -> Finding:
         fault = self._fault(stats)
         if fault:
-            is_fault = stats.is_needed or stats.count or stats.faults
+            is_fault = stats.is_needed or stats.is_reading or stats.count or stats.faults
             text = fault if is_fault else f"no message, and not needed to drive: {fault}"
             return Finding(stats.name, not is_fault, text)
         by_stamp, by_clock = stats.elapsed()
         kind = self.graph.middleware.type_name(stats.message_type)
         rate = f"{stats.rate():.1f} Hz" if stats.rate() else ""
         clock = f"stamps advanced by {by_stamp:.1f} s in {by_clock:.1f} s" if rate else ""
+        age = self.now - stats.last_arrival()
+        if stats.is_reading and age > stats.stale_after:
+            text = f"{stats.topic}: the last message is {age:.1f} s old, stale after"
+            return Finding(stats.name, False, f"{text} {stats.stale_after:g} s; look at the sensor")
+        clock = f"{age:.1f} s ago" if stats.is_reading else clock
         details = ", ".join(part for part in (rate, stats.summary, clock) if part)
         return Finding(stats.name, True, f"{stats.topic} ({kind}): {details}".rstrip(": "))
 

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, TypeVar
 
 import msgspec
 from msgspec import Meta, Struct
+from rosbags.typesys import Stores
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Value
@@ -19,6 +20,7 @@ from swarmd.drivers.ros.messages import (
     Twist,
     TwistStamped,
 )
+from swarmd.drivers.ros.topic_readings import ReadingOptions, TopicReading, topic_reading
 from swarmd.network.settings import parse_endpoint
 from swarmd.settings.layered import Layered
 
@@ -47,8 +49,11 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     other way round. `shared_pose`: a topic with the pose of the base's axle in a frame that all
     robots share, of the class that `shared_pose_type` names; its errors are `shared_pose_error` m
     and `shared_pose_error_deg`, or three standard deviations by the covariance, if that is more.
-    `cmd_vel_frame` is the frame of stamped commands.
+    `cmd_vel_frame` is the frame of stamped commands. `readings`: numbers of any topics, by name.
     """
+
+    distro = Stores.ROS2_JAZZY
+    """The definitions of the message types."""
 
     namespace: str = ""
     scan: Name = "scan"
@@ -66,6 +71,7 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     scan_upside_down: bool = False
     # Unbounded here: msgspec 0.22 crashes on a union of a bounded number and a tuple of such.
     ranges: dict[str, float | tuple[float, float]] = {}
+    readings: dict[str, ReadingOptions] = {}
 
     @property
     def command_type(self) -> type:
@@ -84,6 +90,13 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
         if name.startswith("/") or not namespace:
             return f"/{name.strip('/')}"
         return f"/{namespace}/{name}"
+
+    def topic_readings(self) -> dict[str, TopicReading]:
+        """The readings by name; ConfigError names the key that is wrong."""
+        return {
+            name: topic_reading(name, one, self.topic(one.topic), self.distro)
+            for name, one in self.readings.items()
+        }
 
     def ring(self) -> tuple[tuple[str, float, float], ...]:
         """Topic, bearing in rad and distance in m of each sensor of `ranges`."""
@@ -115,6 +128,8 @@ class Ros1Options(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields
     shared_cmd_vel: bool = False
     python: Name = "/usr/bin/python3"
 
+    distro = Stores.ROS1_NOETIC
+
     @property
     def master_uri(self) -> str:
         """Where the master is."""
@@ -142,6 +157,10 @@ def read_options(kind: type[O], options: Mapping[str, Value], driver: str, robot
         parse_endpoint(filled.endpoint, f"driver {driver}: endpoint is ", DEFAULT_ENDPOINT)
     for fault in _faults(filled):
         raise ConfigError(f"driver {driver}: {fault}")
+    try:
+        filled.topic_readings()
+    except ConfigError as error:
+        raise ConfigError(f"driver {driver}: {error}") from None
     return filled
 
 
@@ -167,6 +186,7 @@ def _faults(options: TopicOptions) -> Iterator[str]:
         "battery": options.battery,
         "shared_pose": options.shared_pose,
         **{f"ranges.{name}": name for name in options.ranges},
+        **{f"readings.{name}": one.topic for name, one in options.readings.items()},
     }
     owners: dict[str, str] = {}
     for option, name in names.items():
@@ -181,8 +201,14 @@ def _faults(options: TopicOptions) -> Iterator[str]:
             continue
         topic = options.topic(name)
         owner = owners.setdefault(topic, option)  # a topic carries one type
-        if owner != option:
+        if owner != option and not _share(options, owner, option):
             yield f"{owner} and {option} are both {topic}; expected a topic each"
+
+
+def _share(options: TopicOptions, one: str, other: str) -> bool:
+    """True for two readings of one topic that name the same type."""
+    kinds = {f"readings.{name}": reading.type for name, reading in options.readings.items()}
+    return one in kinds and kinds[one] == kinds.get(other)
 
 
 def _place(place: float | tuple[float, float]) -> tuple[float, float]:

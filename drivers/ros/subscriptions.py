@@ -20,7 +20,8 @@ from swarmd.drivers.ros.messages import (
     Range,
 )
 from swarmd.drivers.ros.options import TopicOptions
-from swarmd.drivers.ros.topic_stats import TopicStats
+from swarmd.drivers.ros.topic_readings import Readings
+from swarmd.drivers.ros.topic_stats import READING, TopicStats
 
 Deliver = Callable[[Sink], None]
 Decode = Callable[[type, bytes], Any]
@@ -48,7 +49,11 @@ class Subscriptions:
         self.scan: Scan | None = None
         self._laser: LaserScan | None = None
         self.last_arrival = -math.inf
-        self._readings: dict[str, float] = {}
+        readings = options.topic_readings()
+        self._readings = Readings(readings)
+        self._readings_of: dict[str, list[str]] = {}
+        for name, reading in readings.items():
+            self._readings_of.setdefault(reading.topic, []).append(name)
         ring = options.ring()
         self._ring = from_ros.RangeRing(
             [bearing for _, bearing, _ in ring], [away for _, _, away in ring], platform.scan
@@ -62,12 +67,33 @@ class Subscriptions:
         """Decode one message; how to deliver it once the base is connected. Raises CodecError."""
         stats = self.topics[name]
         message = self._decode(stats.message_type, payload)
+        if stats.is_reading:
+            return self._read_readings(stats, message, now)
         stamp = from_ros.stamp_of(message.header.stamp)
-        deliver, summary = self._value(stats, message)
+        deliver, summary = self._value(stats, message, now)
         stats.record(now, stamp, summary)
         if stats.message_type in _SIGNS_OF_LIFE:
             self.last_arrival = now
         return deliver
+
+    def _read_readings(self, stats: TopicStats, message: Any, now: float) -> Deliver:
+        """The readings of a message; one that repeats a stamp is as old as its first copy.
+
+        Standard messages have no stamp, and many publishers fill in none: then the arrival counts.
+        """
+        header = getattr(message, "header", None)
+        stamp = 0.0 if header is None else from_ros.stamp_of(header.stamp)
+        summary = stats.summary
+        if not (stamp and stats.stamps and stamp == stats.stamps[-1]):
+            names = self._readings_of[stats.topic]
+            summary = ", ".join(self._readings.take(name, message, now) for name in names)
+        stats.record(now, stamp or now, summary)
+        return self._deliver_readings(now)
+
+    def stale_readings(self, now: float) -> Deliver | None:
+        """How to deliver that a reading has become stale; None without news."""
+        changed = self._readings.changed(now)
+        return None if changed is None else lambda sink: sink.readings(changed)
 
     def silent(self, now: float, timeout: float) -> tuple[TopicStats, ...]:
         """The needed topics without a message for longer than `timeout` s."""
@@ -83,7 +109,7 @@ class Subscriptions:
             return None
         return from_ros.sweep_finding(self._laser, self._spec, is_upside_down=self._is_upside_down)
 
-    def _value(self, stats: TopicStats, message: Any) -> tuple[Deliver, str]:
+    def _value(self, stats: TopicStats, message: Any, now: float) -> tuple[Deliver, str]:
         if stats.message_type is LaserScan:
             self._scan_seq += 1
             self._laser = message
@@ -103,9 +129,13 @@ class Subscriptions:
             return lambda sink: sink.pose(pose), f"frame {pose.frame}"
         is_imu = stats.message_type is Imu
         values = (from_ros.imu_readings if is_imu else from_ros.battery_readings)(message)
-        self._readings = readings = {**self._readings, **values}
+        self._readings.take_own(values)
         summary = ", ".join(f"{name} {value:.3g}" for name, value in values.items())
-        return lambda sink: sink.readings(readings), summary
+        return self._deliver_readings(now), summary
+
+    def _deliver_readings(self, now: float) -> Deliver:
+        values = self._readings.at(now)
+        return lambda sink: sink.readings(values)
 
 
 def _deliver_scan(scan: Scan | None, sink: Sink) -> None:
@@ -130,7 +160,13 @@ def _topics(options: TopicOptions, platform: Platform) -> list[TopicStats]:
     ):
         if given is not None:
             found.append(TopicStats(name, name, topic(given), message_type))
-    return found
+    of_readings: dict[str, TopicStats] = {}
+    for reading in options.topic_readings().values():
+        name = f"{READING}{reading.name}"
+        one = TopicStats(name, name, reading.topic, reading.message_type)
+        one.stale_after = reading.stale_after
+        of_readings.setdefault(reading.topic, one)
+    return [*found, *of_readings.values()]
 
 
 def _range_name(topic: str) -> str:

@@ -13,6 +13,9 @@ FAULT_TIMEOUT = 2.0
 SETBACK_WINDOW = 10.0
 """Seconds within which stamps that go back twice count as those of two publishers."""
 
+READING = "readings."
+"""Begins the option of a reading."""
+
 _STAMP_WINDOW = 8  # messages over which stamps must advance; some sensors publish one stamp twice
 
 
@@ -22,7 +25,8 @@ class TopicStats:
 
     `topic` is the full name and `option` the driver option that names it. `times` are arrivals in
     s on the loop's clock and `stamps` those of the sender. Both begin again when stamps go back, as
-    they do when a robot restarts; `setbacks` holds the last two times of that.
+    they do when a robot restarts; `setbacks` holds the last two times of that. `stale_after` s: of
+    a reading.
     """
 
     name: str
@@ -38,6 +42,7 @@ class TopicStats:
     fault: str = ""
     fault_at: float = -math.inf
     faults: int = 0
+    stale_after: float = math.inf
 
     def record(self, now: float, stamp: float, summary: str = "") -> None:
         """Count a message that could be read; `summary` describes its content briefly."""
@@ -74,6 +79,11 @@ class TopicStats:
     def pairs(self) -> list[tuple[float, float]]:
         """Arrivals with their stamps."""
         return list(zip(self.times, self.stamps, strict=True))
+
+    @property
+    def is_reading(self) -> bool:
+        """True for a topic of the option `readings`."""
+        return self.option.startswith(READING)
 
     @property
     def is_scan(self) -> bool:

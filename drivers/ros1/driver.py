@@ -168,6 +168,7 @@ class Ros1Driver:
             has_subscriber=bool(state.listeners),
             foreign_commands=self._foreign_commands,
             foreign_publishers=state.others,
+            now=asyncio.get_running_loop().time(),
             is_exclusive=self._master.blocks,
         )
 
@@ -283,6 +284,8 @@ class Ros1Driver:
         """Open or close the gate, and report it when that or the reason has changed."""
         if self._sink is None or self._child is None:
             return
+        if stale := self._subscriptions.stale_readings(asyncio.get_running_loop().time()):
+            stale(self._sink)
         state = self._master.state
         self._hears_motion &= bool(state and state.others)
         fault = self._end or self._fault(asyncio.get_running_loop().time())

@@ -125,6 +125,7 @@ class RosDriver:
             has_subscriber=self._has_subscriber(),
             foreign_commands=self._foreign_commands,
             foreign_publishers=[end.owner for end in graph.publishers(self._cmd_vel)],
+            now=asyncio.get_running_loop().time(),
         )
 
     def _reset(self) -> None:
@@ -320,6 +321,8 @@ class RosDriver:
             self._gate.repeat_zero(now)
             if before:
                 self._query_graph(session, asyncio.get_running_loop())
+        if stale := self._subscriptions.stale_readings(now):
+            stale(sink)
         was_linked, self._was_linked = self._was_linked, bool(hubs)
         conflict, self._conflict = self._conflict, self._scan_conflict()
         if self._gate.is_open and not hubs:

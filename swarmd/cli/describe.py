@@ -53,11 +53,17 @@ def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, 
         ("Peers", [(f.robot, f"{'holds it: ' * f.holds}{f.text}") for f in status.peers]),
         ("Parameters", _parameters(status)),
         (_report_title(status), [(name, number(value)) for name, value in status.report.items()]),
-        ("Readings", [(name, number(value)) for name, value in status.readings.items()]),
+        ("Readings", _readings(status)),
         ("Health", _health(status)),
         ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
         ("Events", [(f"{seconds(status.uptime - e.at)} ago", e.text) for e in status.events[-10:]]),
     ]
+
+
+def _readings(status: Status) -> list[tuple[str, str]]:
+    stale = "stale: no fresh value; patterns get none"
+    found = {name: number(value) for name, value in status.readings.items()}
+    return sorted({**found, **dict.fromkeys(status.stale_readings, stale)}.items())
 
 
 def _report_title(status: Status) -> str:

@@ -445,7 +445,8 @@ class Param(Struct, frozen=True, kw_only=True):
 class Status(Struct, frozen=True, kw_only=True):
     """The published status of a robot: on each change and at 1 Hz.
 
-    `readings`: the latest values of its scalar sensors, such as `battery` from 0 to 1. `version`:
+    `readings`: the latest values of its scalar sensors, such as `battery` from 0 to 1;
+    `stale_readings`: those without a fresh value. `version`:
     of the daemon's package. `kernels`: which code decides, see `describe_kernels`. `body`: what its
     beacons tell of it. `peers`: those that it may not see, or that are faster than it assumes.
     `passage`: what protection lets it through; None if its mode has no such width.
@@ -474,6 +475,7 @@ class Status(Struct, frozen=True, kw_only=True):
     health: Health
     uptime: Seconds
     readings: dict[Word, BoundedScalar] = {}
+    stale_readings: tuple[Word, ...] = ()
     events: tuple[LoggedEvent, ...] = ()
     version: Word = ""
     kernels: Word = ""

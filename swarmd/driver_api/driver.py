@@ -40,7 +40,7 @@ class Sink(Protocol):
         """The robot's own pose in a frame that robots share, if something measures it."""
 
     def readings(self, values: Mapping[str, float]) -> None:
-        """All present scalar sensors by name: a name that is left out has no value any more."""
+        """All scalar sensors by name; NaN: the sensor is known, and has no fresh value."""
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
         """A pattern's message that the base's own radio received; see `MessageCarrier`."""

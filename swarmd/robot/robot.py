@@ -174,8 +174,8 @@ class Robot:
         return self._sensors.peers.pose_to_tell(now)
 
     def on_readings(self, readings: Mapping[str, float]) -> None:
-        """Scalar sensor readings by name."""
-        self._sensors.readings = readings
+        """Scalar sensor readings by name; NaN for one without a fresh value."""
+        self._sensors.on_readings(readings)
 
     def on_message(self, sender: str, name: str, value: Value, now: float) -> bool:
         """A message on `<pattern>/<channel>` arrived; False if its sender is no neighbour.

@@ -75,6 +75,7 @@ class Sensors:
         self.scan: Scan | None = None
         self.odometry: Odometry | None = None
         self.readings: Mapping[str, float] = {}
+        self.stale_readings: tuple[str, ...] = ()
         self.is_driver_up = False
         self.driver_text = "not connected yet"
         self.driver_hold: Reason | None = None
@@ -164,10 +165,20 @@ class Sensors:
             self.overflowed += 1
         return True
 
+    def on_readings(self, values: Mapping[str, float]) -> None:
+        """Take in all scalar sensors; NaN: the sensor is known, and has no fresh value."""
+        self.readings = {name: v for name, v in values.items() if math.isfinite(v)}
+        self.stale_readings = tuple(sorted(values.keys() - self.readings.keys()))
+
     def on_driver(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
-        """Take in whether the driver is connected, and why not; see `Sink.state`."""
+        """Take in whether the driver is connected, and why not; see `Sink.state`.
+
+        Without a driver no reading has a value.
+        """
+        if not is_up:
+            self.on_readings(dict.fromkeys((*self.readings, *self.stale_readings), math.nan))
         self.is_driver_up = is_up
         self.driver_text = text
         self.driver_hold = hold

@@ -79,6 +79,7 @@ def make_status(
         ),
         uptime=max(now - lifecycle.born, 0.0),
         readings=_clean(sensors.readings),
+        stale_readings=tuple(name[:MAX_NAME] for name in sensors.stale_readings[:MAX_REPORTED]),
         events=tuple(lifecycle.events),
         version=settings.version,
         kernels=settings.kernels,

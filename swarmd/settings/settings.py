@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import socket
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import cast
 
@@ -110,13 +110,18 @@ def load_daemon_settings(
     recordings = _path(layers, "recording", file.recording.folder, config) or (
         state_dir / file.swarm / robot / "recordings"
     )
+    options = _driver_options(platform, file)
+    readings = options.get("readings")
+    if isinstance(readings, dict):  # what a driver reads, patterns may need
+        named = {f"reading:{name}" for name in readings}
+        platform = replace(platform, provides=platform.provides | named)
     return DaemonSettings(
         id=robot,
         network=msgspec.convert(file, NetworkSettings, from_attributes=True),
         platform=platform,
         platform_name=_absolute(file.platform, near),
         driver=file.driver,
-        driver_options=_driver_options(platform, file),
+        driver_options=options,
         labels=tuple(label for label, robots in file.labels.items() if robot in robots),
         label_members={label: tuple(robots) for label, robots in file.labels.items()},
         parameters=file.parameters,

@@ -48,6 +48,12 @@ def test_shows_the_status_in_groups() -> None:
     assert shown(ESTOPPED)["Emergency stops"] == {"e1": "by bob@desk, for swarm: smoke"}
 
 
+def test_shows_that_a_reading_is_stale() -> None:
+    member = make_member(readings={"light": 0.5}, stale_readings=("temperature",))
+    assert shown(member)["Readings"]["light"] == "0.5"
+    assert shown(member)["Readings"]["temperature"].startswith("stale")
+
+
 def test_shows_each_obstacle_that_limits_the_command() -> None:
     rows = (
         LimitingObstacle(math.radians(-30.4), 0.208, 0.0),

@@ -80,7 +80,19 @@ def test_status_reports_finite_readings(harness: RobotHarness) -> None:
     readings = {"battery": 0.71, "yaw": -1.5, "odd": math.nan}
     harness.robot.on_readings(readings)
     assert harness.status.readings == {"battery": 0.71, "yaw": -1.5}
+    assert harness.status.stale_readings == ("odd",)
     assert decode(encode(harness.status)).readings == harness.status.readings
+
+
+def test_readings_are_stale_while_the_base_is_lost(harness: RobotHarness) -> None:
+    harness.robot.on_readings({"light": 0.5})
+    harness.robot.on_driver(False, "lost", harness.now)
+    assert harness.robot.readings == {}
+    assert harness.status.stale_readings == ("light",)
+    harness.robot.on_driver(True, "back", harness.now)
+    harness.robot.on_readings({"light": 0.6})
+    assert harness.status.readings == {"light": 0.6}
+    assert not harness.status.stale_readings
 
 
 def test_an_obstacle_that_odometry_has_put_far_away_leaves_a_status_that_peers_can_read(

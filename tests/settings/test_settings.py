@@ -129,6 +129,12 @@ def test_driver_options_add_up_from_platform_file_and_command_line(folder: Path)
     assert settings.driver_options == {"endpoint": "file", "a": 1, "b": 2, "deep": {"x": 1, "y": 3}}
 
 
+def test_patterns_may_need_what_a_driver_reads(folder: Path) -> None:
+    reading = "{topic: /temp, type: sensor_msgs/Temperature, field: temperature}"
+    text = f"driver: ros2dds\ndriver_options: {{readings: {{temperature: {reading}}}}}"
+    assert "reading:temperature" in load(text).platform.provides
+
+
 def test_pattern_parameters_come_in_layers_weakest_first(folder: Path) -> None:
     (folder / "mine.yaml").write_text("extends: burger\npatterns: {drive: {linear: 0.1}}")
     settings = load(

@@ -57,6 +57,7 @@ def found(
         cmd_vel="/cmd_vel",
         command_type=messages.Twist,
         has_subscriber=has_subscriber,
+        now=0.0,
         **others,
     )
     return {finding.subject: finding for finding in report.findings()}

@@ -112,3 +112,25 @@ def test_a_scan_of_another_type_is_named_and_nothing_moves(roscore: RosCore) -> 
         assert not harness.sink.scans
 
     play(RosRobot(roscore, "--scan-type", "Range"), story, connected=False)
+
+
+def test_a_field_of_any_topic_is_a_reading_until_it_is_stale(roscore: RosCore) -> None:
+    share: Value = {
+        "topic": "battery",
+        "type": "sensor_msgs/BatteryState",
+        "field": "percentage",
+        "stale_after": 0.3,
+    }
+
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        sink = harness.sink
+
+        def is_read() -> bool:
+            body.do("extras")
+            return bool(sink.values) and sink.values[-1] == {"share": 0.75}
+
+        await harness.until(is_read, publishing=True)
+        await harness.until(lambda: math.isnan(sink.values[-1]["share"]), publishing=True)
+        assert sink.is_up
+
+    play(RosRobot(roscore), story, readings={"share": share})

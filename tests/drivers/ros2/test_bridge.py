@@ -15,12 +15,12 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from swarmd.core.values import Twist
+from swarmd.core.values import Twist, Value
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.key_scheme import TopicEnd
 from swarmd.testing.driver_contract import TIMEOUT, DriverContract, DriverHarness, play
-from tests.drivers.ros2.dds_rig import DdsRobot
+from tests.drivers.ros2.dds_rig import SENSES, DdsRobot
 from tests.drivers.ros2.harness import check, reported
 from tests.drivers.ros2.robots import open_session
 from tests.support import ros2_types as dds
@@ -285,3 +285,17 @@ def test_check_of_a_robot_that_is_off_asks_to_start_it() -> None:
     found = check(robot, seconds=2.0)
     assert "start the robot" in found["scan"].text
     assert "no node subscribes to /cmd_vel" in found["cmd_vel"].text
+
+
+def test_a_field_of_any_topic_is_a_reading() -> None:
+    robot = DdsRobot(published={**SENSES, "temp": dds.Temperature})
+    heat: Value = {"topic": "temp", "type": "sensor_msgs/Temperature", "field": "temperature"}
+
+    async def story(harness: DriverHarness) -> None:
+        def is_read() -> bool:
+            robot.put("temp", dds.Temperature(temperature=21.5))
+            return harness.sink.values[-1:] == [{"heat": 21.5}]
+
+        await harness.until(is_read, publishing=True)
+
+    play(robot, story, readings={"heat": heat})
