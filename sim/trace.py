@@ -102,6 +102,15 @@ class Trace:
         """The (k, 2) footprint of robot `robot` in its base frame."""
         return self.footprints[self.platforms[robot]]
 
+    def frame(self) -> Any:
+        """A pandas DataFrame with a row for each instant and robot; see docs/trace.md.
+
+        SwarmError if pandas is not installed.
+        """
+        from swarmd.sim.trace_frame import frame_of
+
+        return frame_of(self)
+
     def save(self, path: Path) -> None:
         """Write an .npz file atomically."""
         arrays = {f.name: getattr(self, f.name) for f in fields(self)}

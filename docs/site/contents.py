@@ -25,6 +25,7 @@ CONTENTS = {
     "How to": [
         "docs/operating",
         "docs/experiments",
+        "docs/trace",
         "docs/patterns",
         "docs/missions",
         "docs/configuration",

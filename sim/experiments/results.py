@@ -26,6 +26,7 @@ from swarmd.sim.experiments.store import (
 from swarmd.sim.metrics.catalog import METRICS, Metric, check_has_value, measure, metric_of
 from swarmd.sim.metrics.own import MetricError
 from swarmd.sim.trace import Trace, load_trace
+from swarmd.sim.trace_frame import pandas
 
 YES_OR_NO = "0 or 1"
 """The unit of metrics that are true or false for a run."""
@@ -97,6 +98,12 @@ class Results:
     def rows(self) -> list[dict[str, Any]]:
         """A mapping for each run, as pandas takes them: names, swept values, seed and metrics."""
         return [row.plain() for row in self._rows]
+
+    def frame(self) -> Any:
+        """`rows` as a pandas DataFrame; SwarmError without pandas."""
+        table = pandas().DataFrame(self.rows)
+        numbers = [*self.metrics, "wall"]
+        return table.astype(dict.fromkeys(numbers, float)) if len(table) else table
 
     @property
     def runs(self) -> tuple[Run, ...]:

@@ -1,0 +1,154 @@
+"""An experiment for other programs: tables as CSV or Parquet, and runs as MCAP."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal, TypeAlias
+
+import numpy as np
+
+from swarmd.core.errors import SwarmError
+from swarmd.core.values import Array, Odometry, Pose, Twist
+from swarmd.sim.experiments.plan import Run
+from swarmd.sim.experiments.results import Results
+from swarmd.sim.trace import Trace, partial_path
+
+Form: TypeAlias = Literal["csv", "parquet", "mcap"]
+
+
+def export(results: Results, form: Form, out: Path, *, traces: bool = True) -> Iterator[Path]:
+    """Write the finished runs of an experiment into `out`; each file as it is written.
+
+    CSV and Parquet: `results` with a row for each run, and `traces/RUN` with a row for each instant
+    and robot. MCAP: `RUN.mcap`. Without `traces` only the results. A file appears whole or not at
+    all. SwarmError if a trace is missing, or a file cannot be written.
+    """
+    if form != "mcap":
+        yield _written(out / f"results.{form}", partial(_save, results.frame(), form))
+    for number, run in enumerate(results.runs if traces else ()):
+        trace = results.traces[number]
+        if form == "mcap":
+            yield _written(out / f"{run.id}.mcap", partial(write_mcap, trace))
+        else:
+            table = _long(trace, run)
+            yield _written(out / "traces" / f"{run.id}.{form}", partial(_save, table, form))
+
+
+def _long(trace: Trace, run: Run) -> Any:
+    """The table of a trace, with the run's name, variant and seed, so that tables can be joined."""
+    table = trace.frame()
+    about = {"run": run.id, "variant": run.variant.name, "seed": run.seed}
+    for place, (name, value) in enumerate(about.items()):
+        table.insert(place, name, value)
+    return table
+
+
+def _save(table: Any, form: Form, path: Path) -> None:
+    if form == "csv":
+        table.to_csv(path, index=False)
+    else:
+        table.to_parquet(path, index=False)
+
+
+def _written(path: Path, write: Callable[[Path], None]) -> Path:
+    """The path, once `write` has written the file."""
+    unfinished = partial_path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write(unfinished)
+        unfinished.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            unfinished.unlink()
+        text = f"{path}: cannot be written: {error.strerror or error}"
+        raise SwarmError(f"{text}; make room or name another place") from error
+    except ImportError as error:  # pyarrow, which pandas imports for Parquet
+        text = f"{path.suffix[1:]} needs {error.name or 'pyarrow'}"
+        raise SwarmError(f"{text}: pip install 'swarmd[table]'") from error
+    return path
+
+
+def write_mcap(trace: Trace, path: Path) -> None:
+    """Write a run as MCAP with the ROS 2 messages of a robot's recording.
+
+    Topics of each robot: `ground_truth` (Odometry: true pose and speed in the frame odom, which is
+    that of the arena), `command/safe` and `command/requested`, `report` (numbers by name) and
+    `status` (JSON: state, reason and reported texts, where they change). Time begins at 0.
+    """
+    from mcap.writer import CompressionType, Writer
+
+    from swarmd.recording.messages import definition
+
+    schemas: dict[str, int] = {}
+    channels: dict[str, int] = {}
+    with path.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start("ros2", "swarmd")
+        about = {"ids": trace.ids, "platforms": trace.platforms, "meta": dict(trace.meta)}
+        writer.add_metadata("swarmd", {"trace": json.dumps(about)})
+        for at, topic, (kind, payload) in _messages(trace):
+            if kind not in schemas:
+                schemas[kind] = writer.register_schema(kind, "ros2msg", definition(kind))
+            if topic not in channels:
+                channels[topic] = writer.register_channel(topic, "cdr", schemas[kind])
+            writer.add_message(channels[topic], at, payload, at)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def _messages(trace: Trace) -> Iterator[tuple[int, str, tuple[str, bytes]]]:
+    """Time in ns, topic and message, in the order of time; a robot without a pose has none."""
+    from swarmd.recording import messages
+
+    speeds = _speeds(trace)
+    last: dict[int, str] = {}
+    for k, t in enumerate(trace.t.tolist()):
+        at = round(1e9 * (t - float(trace.t[0])))
+        stamp = 1e-9 * at
+        for i, robot in enumerate(trace.ids):
+            if not np.isfinite(trace.pose[k, i]).all():
+                continue
+            odometry = Odometry(stamp, _pose(trace.pose[k, i]), _twist(speeds[k, i]))
+            yield at, f"/{robot}/ground_truth", messages.odometry_message(odometry)
+            safe = messages.requested_message(_twist(trace.safe[k, i]), k, stamp)
+            yield at, f"/{robot}/command/safe", safe
+            if trace.requested is not None:
+                requested = messages.requested_message(_twist(trace.requested[k, i]), k, stamp)
+                yield at, f"/{robot}/command/requested", requested
+            numbers = {name: float(values[k, i]) for name, values in trace.report.items()}
+            known = {name: value for name, value in numbers.items() if not np.isnan(value)}
+            if known:
+                yield at, f"/{robot}/report", messages.readings_message(known, stamp)
+            text = json.dumps(_status(trace, k, i))
+            if text != last.get(i):
+                last[i] = text
+                yield at, f"/{robot}/status", messages.text_message(text, stamp)
+
+
+def _status(trace: Trace, k: int, i: int) -> dict[str, str]:
+    """The words of a robot at an instant."""
+    own = {"state": trace.state, "reason": trace.reason}
+    found = {name: str(words[k, i]) for name, words in own.items() if words is not None}
+    return found | {f"report:{name}": str(words[k, i]) for name, words in trace.words.items()}
+
+
+def _speeds(trace: Trace) -> Array:
+    """(T, n, 3) the true speeds: linear, angular, lateral, by central differences."""
+    if len(trace.t) < 2:
+        return np.zeros_like(trace.pose)
+    step = np.gradient(trace.pose, trace.t, axis=0)
+    cos, sin = np.cos(trace.pose[..., 2]), np.sin(trace.pose[..., 2])
+    ahead = step[..., 0] * cos + step[..., 1] * sin
+    aside = step[..., 1] * cos - step[..., 0] * sin
+    return np.stack((ahead, step[..., 2], aside), axis=-1)
+
+
+def _pose(values: Array) -> Pose:
+    return Pose(*map(float, values))
+
+
+def _twist(values: Array) -> Twist:
+    return Twist(*map(float, values))

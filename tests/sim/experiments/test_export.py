@@ -1,0 +1,140 @@
+"""Experiments as tables and as MCAP, read again by other programs' libraries."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas
+import pytest
+from mcap.reader import make_reader
+from mcap_ros2.decoder import DecoderFactory
+
+from swarmd.core.errors import SwarmError
+from swarmd.core.values import Array
+from swarmd.sim.experiments.export import export, write_mcap
+from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.trace import Trace
+from swarmd.sim.trace_frame import COLUMNS
+
+SPEED = "groups.all.parameters.speed"
+
+
+@pytest.fixture
+def results(duo: Path, tmp_path: Path) -> Results:
+    sweep = {SPEED: [0.1, 0.2]}
+    return simulate(duo, 1, set={"duration": 0.5}, sweep=sweep, out=tmp_path / "x")
+
+
+def test_results_are_a_table_of_runs_and_traces_of_instants_and_robots(results: Results) -> None:
+    table = results.frame()
+    assert table[["run", "variant", SPEED]].values.tolist() == [
+        ["speed=0.1_s0000", "speed=0.1", 0.1],
+        ["speed=0.2_s0000", "speed=0.2", 0.2],
+    ]
+    np.testing.assert_array_equal(table["path_length"], results.metric("path_length"))
+    assert table["consensus_time"].isna().all()
+    trace = results.traces[0]
+    long = trace.frame()
+    assert len(long) == len(trace.t) * len(trace.ids)
+    assert [name for name in COLUMNS if name in long] == [
+        name for name in long if not name.startswith("report:")
+    ]
+    last = long[(long["robot"] == trace.ids[1]) & (long["t"] == trace.t[-1])].iloc[0]
+    assert (last["x"], last["y"]) == tuple(trace.pose[-1, 1, :2])
+    assert last["state"] == trace.state[-1, 1]  # type: ignore[index]
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+def test_tables_are_read_again(results: Results, form: str, tmp_path: Path) -> None:
+    read = {"csv": pandas.read_csv, "parquet": pandas.read_parquet}[form]
+    names = [f"results.{form}", *(f"traces/{run.id}.{form}" for run in results.runs)]
+    files = [*export(results, form, tmp_path / "out")]  # type: ignore[arg-type]
+    assert [str(path.relative_to(tmp_path / "out")) for path in files] == names
+    np.testing.assert_array_equal(read(files[0])["path_length"], results.metric("path_length"))
+    table = read(files[2])
+    assert set(table["variant"]) == {"speed=0.2"}
+    np.testing.assert_array_equal(table["x"], results.traces[1].pose[..., 0].ravel())
+
+
+def trace_of(pose: Array, **parts: Any) -> Trace:
+    """A trace of poses (T, n, 3) at 10 Hz that holds nothing else but `parts`."""
+    n = pose.shape[1]
+    return Trace(
+        ids=tuple(f"r{i}" for i in range(n)),
+        t=np.arange(len(pose)) / 10.0,
+        pose=pose,
+        safe=np.zeros_like(pose),
+        contact_t=np.zeros(0),
+        contact_pair=np.zeros((0, 2), dtype=np.int64),
+        contact_speed=np.zeros((0, 2)),
+        platforms=("dot",) * n,
+        footprints={"dot": np.zeros((3, 2))},
+        **parts,
+    )
+
+
+def test_a_run_as_mcap_is_read_by_a_ros_decoder(tmp_path: Path) -> None:
+    pose = np.zeros((3, 2, 3))
+    pose[:, 0, 1] = 0.1, 0.2, 0.3  # along y, with heading pi / 2: ahead
+    pose[:, 0, 2] = np.pi / 2
+    pose[2, 1] = np.nan  # taken out of the arena
+    words = np.array([["a", "b"], ["a", "b"], ["c", "b"]], dtype="U24")
+    value = np.array([[1.0, np.nan]] * 3)
+    trace = trace_of(pose, report={"value": value}, words={"state": words})
+    write_mcap(trace, tmp_path / "run.mcap")
+    found: dict[str, list[tuple[int, Any]]] = {}
+    with (tmp_path / "run.mcap").open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        for _, channel, message, decoded in reader.iter_decoded_messages():
+            found.setdefault(channel.topic, []).append((message.log_time, decoded))
+    truth = [one for _, one in found["/r0/ground_truth"]]
+    assert [at for at, _ in found["/r0/ground_truth"]] == [0, 10**8, 2 * 10**8]
+    assert [one.pose.pose.position.y for one in truth] == [0.1, 0.2, 0.3]
+    assert truth[1].twist.twist.linear.x == pytest.approx(1.0)
+    assert len(found["/r1/ground_truth"]) == 2
+    assert len(found["/r0/command/safe"]) == 3
+    assert "/r0/command/requested" not in found
+    assert "/r1/report" not in found
+    (_, report) = found["/r0/report"][0]
+    assert (report.names, list(report.values)) == (["value"], [1.0])
+    states = [json.loads(one.json) for _, one in found["/r0/status"]]
+    assert states == [{"report:state": "a"}, {"report:state": "c"}]
+
+
+def test_each_run_is_a_file_and_a_missing_trace_leaves_nothing(
+    results: Results, tmp_path: Path
+) -> None:
+    out = tmp_path / "out"
+    assert [path.name for path in export(results, "mcap", out)] == [
+        "speed=0.1_s0000.mcap",
+        "speed=0.2_s0000.mcap",
+    ]
+    for path in (results.folder / "traces").iterdir():
+        path.unlink()
+    with pytest.raises(SwarmError, match="no trace"):
+        list(export(results, "mcap", tmp_path / "other"))
+    assert not (tmp_path / "other").exists()
+    (only,) = export(results, "csv", tmp_path / "other", traces=False)
+    assert only.name == "results.csv"
+
+
+def test_a_file_that_cannot_be_written_is_one_line_and_leaves_nothing(
+    results: Results, tmp_path: Path
+) -> None:
+    (tmp_path / "out").write_text("")
+    with pytest.raises(SwarmError, match="out"):
+        next(export(results, "csv", tmp_path / "out"))
+    assert (tmp_path / "out").read_text() == ""
+
+
+def test_without_pandas_the_command_that_installs_it_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(SwarmError, match=r"swarmd\[table\]"):
+        trace_of(np.zeros((1, 1, 3))).frame()
