@@ -10,7 +10,15 @@ from msgspec import to_builtins
 from swarmd.cli.arguments import check_known
 from swarmd.cli.explain import activity, obstacles, why
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import NOTHING, number, print_json, print_section, printable, seconds
+from swarmd.cli.output import (
+    NOTHING,
+    megabytes,
+    number,
+    print_json,
+    print_section,
+    printable,
+    seconds,
+)
 from swarmd.cli.send import exit_code_of, known_members
 from swarmd.core.messages import (
     Body,
@@ -173,6 +181,11 @@ def _health(status: Status) -> list[tuple[str, str]]:
         ("loop p99", seconds(health.loop_p99)),
         ("loop stalls", str(health.loop_stalls)),
         ("host restarts", str(health.host_restarts)),
+        *(
+            (name, f"{usage.cpu:.0%} of a core, {megabytes(usage.memory)}")
+            for name, usage in (("daemon", health.usage), ("pattern host", health.pattern_usage))
+            if usage is not None
+        ),
         ("driver", health.driver or NOTHING),
         ("network", health.network or NOTHING),
     ]

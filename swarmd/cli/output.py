@@ -34,14 +34,29 @@ def print_json(kind: str, content: Mapping[str, Any]) -> None:
     click.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
 
 
+def print_line(kind: str, content: Mapping[str, Any]) -> None:
+    """Print a JSON document on one line, for verbs that follow (NDJSON)."""
+    document = {"apiVersion": API_VERSION, "kind": kind, **content}
+    click.echo(json.dumps(document, ensure_ascii=False, allow_nan=False))
+
+
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print aligned columns; states in colour on a terminal, unless NO_COLOR is set."""
+    is_coloured = has_colour(sys.stdout is not None and sys.stdout.isatty())
+    for line in table_lines(header, rows, is_coloured=is_coloured):
+        click.echo(line, color=is_coloured)
+
+
+def table_lines(
+    header: Sequence[str], rows: Sequence[Sequence[str]], *, is_coloured: bool = False
+) -> list[str]:
+    """Aligned columns."""
     rows = [[printable(text) for text in row] for row in rows]
     widths = [max(map(len, column)) for column in zip(header, *rows, strict=True)]
-    is_coloured = has_colour(sys.stdout is not None and sys.stdout.isatty())
-    for row in (header, *rows):
-        cells = [_cell(text, width, is_coloured) for text, width in zip(row, widths, strict=True)]
-        click.echo("  ".join(cells).rstrip(), color=is_coloured)
+    return [
+        "  ".join(map(_cell, row, widths, [is_coloured] * len(widths))).rstrip()
+        for row in (header, *rows)
+    ]
 
 
 def print_section(title: str, rows: Sequence[tuple[str, str]]) -> None:
@@ -77,6 +92,11 @@ def seconds(value: float) -> str:
     if value < 99.95:
         return f"{value:.1f} s"
     return f"{value / 60:.0f} min" if value < 5400 else f"{value / 3600:.0f} h"
+
+
+def megabytes(value: int) -> str:
+    """An amount of memory in short: `68 MB`."""
+    return f"{value / 1e6:.0f} MB"
 
 
 def number(value: object) -> str:

@@ -37,6 +37,8 @@ VERBS = {
         "Measure brakes, delays and scales of a robot by a few short drives.",
     ),
     "view": ("swarmd.cli.view:view", "Show a living swarm: map, list, details and commands."),
+    "top": ("swarmd.cli.top:top", "Show the robots by load."),
+    "events": ("swarmd.cli.events:events", "Print what happened to robots, and follow it."),
     "record": ("swarmd.cli.record:record", "Record robots, and fetch their recordings."),
     "replay": (
         "swarmd.cli.replay:replay",

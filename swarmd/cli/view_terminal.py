@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import os
+import signal
 import sys
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import click
@@ -19,6 +22,21 @@ def need_terminal(verb: str, instead: str) -> None:
         raise click.UsageError(f"{verb} needs a terminal; {instead}")
     if os.environ.get("TERM", "dumb") == "dumb":
         raise click.UsageError(f"{verb} needs a terminal whose cursor moves (TERM); {instead}")
+
+
+@contextlib.contextmanager
+def signals_end() -> Iterator[None]:
+    """SIGTERM and SIGHUP raise SystemExit within, with 128 and their number."""
+
+    def end(number: int, _: object) -> None:
+        raise SystemExit(128 + number)
+
+    before = {number: signal.signal(number, end) for number in (signal.SIGTERM, signal.SIGHUP)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def show(options: CommonOptions) -> int:

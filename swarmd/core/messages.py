@@ -30,6 +30,10 @@ BoundedScalar = (
 )
 
 
+MAX_EVENTS = 10
+"""Events that a robot keeps and tells."""
+
+
 class State(StrEnum):
     """The state of a robot; `robot/state_machine.py` has the transitions."""
 
@@ -377,10 +381,18 @@ class NarrowestPassage(Struct, frozen=True):
     meeting: Metres
 
 
+class ProcessUsage(Struct, frozen=True, kw_only=True):
+    """Of a process: `cpu`, the share of one core over the last second, and `memory` in bytes."""
+
+    cpu: Annotated[float, Meta(ge=0.0, le=1e4)]
+    memory: Count
+
+
 class Health(Struct, frozen=True, kw_only=True):
     """Measurements of the daemon itself. Rates in Hz, times in s.
 
-    `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`.
+    `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`. `usage` of the daemon,
+    `pattern_usage` of its pattern host; None in the first second.
     """
 
     scan_rate: Rate = 0.0
@@ -391,6 +403,8 @@ class Health(Struct, frozen=True, kw_only=True):
     driver: Line = ""
     driver_up: bool = False
     network: Line = ""
+    usage: ProcessUsage | None = None
+    pattern_usage: ProcessUsage | None = None
 
 
 class Latch(Struct, frozen=True, kw_only=True):

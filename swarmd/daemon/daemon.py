@@ -10,6 +10,7 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
+import os
 import secrets
 import signal
 import socket
@@ -35,6 +36,7 @@ from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.request_server import RequestServer
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
+from swarmd.daemon.usage import UsageMeter
 from swarmd.driver_api.driver import Driver, check_protected, message_carrier
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.bus import ZenohBus
@@ -55,6 +57,7 @@ log = logging.getLogger(__name__)
 
 DRIVER_RETRY_PERIOD = 1.0
 NEIGHBORS_PERIOD = 10  # ticks
+USAGE_PERIOD = 20  # ticks
 MOTION_PERIOD = 2  # ticks
 
 
@@ -125,6 +128,7 @@ class Daemon:
             forget=self._network.forget,
             record=self._recording.answer,
         )
+        self._usage, self._pattern_usage = UsageMeter(), UsageMeter()
         self._ticks = 0
         self._shown_scan = -1  # sequence of the last scan for viewers
         self._robot = RecordedRobot(
@@ -326,6 +330,9 @@ class Daemon:
             self._network.publish_pose(*told)
         if self._ticks % MOTION_PERIOD == 0:
             self._publish_motion()
+        if self._ticks % USAGE_PERIOD == 0:
+            self._usage.measure(os.getpid(), boottime())
+            self._pattern_usage.measure(self._runner.pid, boottime())
         if self._ticks % NEIGHBORS_PERIOD == 0:
             self._update_neighbors()
             if self._notify.pings:
@@ -390,6 +397,8 @@ class Daemon:
             loop_stalls=self._timer.stalls,
             dropped=dropped,
             network=self._network.interface_text,
+            usage=self._usage.usage,
+            pattern_usage=self._pattern_usage.usage,
         )
         return replace(status, health=health, recording=self._recording.summary)
 

@@ -29,6 +29,7 @@ from swarmd.core.host_messages import (
     Stepped,
 )
 from swarmd.core.messages import (
+    MAX_EVENTS,
     Code,
     Epoch,
     Latch,
@@ -61,7 +62,6 @@ from swarmd.robot.pattern_run import (
 from swarmd.robot.state_machine import StateMachine, Trigger
 
 MAX_HOLD_TIME = 2.0  # s after which a hold ends the run
-MAX_EVENTS = 10  # kept for `describe`
 MAX_TEXT = 300  # characters
 _ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL, Trigger.NETWORK})
 

@@ -30,6 +30,7 @@ class Screen:
         self._console = Console(file=self._output, highlight=False)
         self._before: list[Any] | None = None
         self._painted: list[Text] = []
+        self._size = (0, 0)
 
     def __enter__(self) -> Self:
         self.resume()
@@ -62,11 +63,14 @@ class Screen:
             termios.tcsetattr(self.input, termios.TCSAFLUSH, before)
 
     def forget(self) -> None:
-        """Paint everything anew at the next `paint`: the terminal has another size or content."""
+        """Paint everything anew at the next `paint`."""
         self._painted = []
 
     def paint(self, lines: Sequence[Text]) -> None:
-        """Show these lines; writes those that have changed."""
+        """Show these lines; writes those that have changed, all if the terminal has a new size."""
+        if self.size != self._size:
+            self._size = self.size
+            self.forget()
         changes = [] if self._painted else ["\x1b[2J"]
         for number, line in enumerate(lines):
             if number >= len(self._painted) or line != self._painted[number]:

@@ -65,7 +65,7 @@ class TerminalView:
         loop = asyncio.get_running_loop()
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
             loop.add_signal_handler(number, self._end, 128 + number)
-        loop.add_signal_handler(signal.SIGWINCH, self._redraw)
+        loop.add_signal_handler(signal.SIGWINCH, self._changed.set)
         loop.add_signal_handler(signal.SIGTSTP, self._stop_process)
         loop.add_reader(self._screen.input, self._on_input)
         try:
@@ -105,7 +105,7 @@ class TerminalView:
     def _on_keys(self, keys: Sequence[str]) -> None:
         for key in keys:
             if key == "ctrl-l":
-                self._redraw()
+                self._screen.forget()
                 continue
             command = self._controls.on_key(key, self._robots, self._known)
             if command is not None:
@@ -152,10 +152,6 @@ class TerminalView:
 
     def _end(self, code: int) -> None:
         self._code = code
-        self._changed.set()
-
-    def _redraw(self) -> None:
-        self._screen.forget()
         self._changed.set()
 
     def _stop_process(self) -> None:

@@ -1,0 +1,135 @@
+"""`swarmctl events`: what happened to robots, and with -f what happens."""
+
+from __future__ import annotations
+
+import queue
+import time
+from collections.abc import Sequence
+from datetime import datetime
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from swarmd.cli.arguments import Duration, Targets, takes_targets
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.output import print_json, print_line, printable, seconds, warn
+from swarmd.cli.send import exit_code_of, known_members
+from swarmd.cli.view_terminal import signals_end
+from swarmd.core.messages import MAX_EVENTS, Status
+
+if TYPE_CHECKING:
+    from swarmd.network.discovery import MembersView
+    from swarmd.network.operator import Operator
+    from swarmd.view.event_feed import EventFeed, EventLine
+
+PERIOD = 0.5
+NAME_WIDTH = 10
+
+
+@click.command()
+@takes_targets(is_required=False)
+@click.option("-f", "--follow", is_flag=True, help="Go on with new events until Ctrl-C.")
+@click.option("--since", type=Duration(), help="Only events of this last time, such as 5m.")
+@common_options
+def events(options: CommonOptions, targets: Targets, follow: bool, since: float | None) -> None:
+    """Print what happened to TARGETS, or to all robots: states, requests, holds, faults, drivers.
+
+    Each robot keeps its last 10 events. With -f also holds as they begin and end, and robots that
+    fall silent and return; with -o json then one document a line.
+    """
+    from swarmd.view.event_feed import EventFeed
+
+    feed = EventFeed(float("inf") if since is None else since)
+    with options.operator() as operator:
+        if follow:
+            with signals_end():
+                _follow(operator, feed, targets, is_json=options.is_json)
+        view = known_members(options, operator)
+        names = targets.select(view.members.keys() | view.roster)
+        lines = _of_look(feed, view, names)
+        if options.is_json:
+            found = [_record(line) for line in lines]
+            missing = [name for name in view.missing if name in names]
+            print_json("Events", {"events": found, "missing": missing})
+        else:
+            for line in lines:
+                _print(line)
+            if not lines:
+                last = "" if since is None else f" of the last {seconds(since)}"
+                warn(f"no event{last} is known; each robot keeps its last {MAX_EVENTS}")
+        click.get_current_context().exit(exit_code_of(view, names))
+
+
+def _of_look(feed: EventFeed, view: MembersView, names: Sequence[str]) -> list[EventLine]:
+    """The lines of one look, in the order of time."""
+    now, lines = time.monotonic(), []
+    for name in names:
+        member = view.members.get(name)
+        if member is not None and member.status is not None:
+            lines += feed.on_status(member.status, now - member.age)
+    return sorted([*lines, *feed.on_view(view, now)])
+
+
+def _follow(operator: Operator, feed: EventFeed, targets: Targets, *, is_json: bool) -> None:
+    """Print events until a signal; those before the first look in the order of time."""
+    from swarmd.view.swarm_watch import SwarmWatch
+
+    news: queue.SimpleQueue[Status | MembersView] = queue.SimpleQueue()
+    watch = SwarmWatch(operator, on_status=news.put, on_view=news.put)
+    watch.start()
+    early: list[EventLine] | None = []
+    try:
+        while True:
+            one = _next(news)
+            now = time.monotonic()
+            lines = _lines_of(feed, one, now) + feed.advance(now)
+            if early is not None:
+                early += lines
+                if one is None or isinstance(one, Status):
+                    continue
+                if not one.members:
+                    warn("no robot is heard yet")
+                lines, early = sorted(early), None
+            for line in lines:
+                if targets.matching([line.robot]):
+                    (_print_record if is_json else _print)(line)
+    finally:
+        watch.close()
+
+
+def _next(news: queue.SimpleQueue[Status | MembersView]) -> Status | MembersView | None:
+    """The next status or look; None if none came within the period."""
+    try:
+        return news.get(timeout=PERIOD)
+    except queue.Empty:
+        return None
+
+
+def _lines_of(feed: EventFeed, one: Status | MembersView | None, now: float) -> list[EventLine]:
+    if one is None:
+        return []
+    return feed.on_status(one, now) if isinstance(one, Status) else feed.on_view(one, now)
+
+
+def _print(line: EventLine) -> None:
+    at = _time(line)
+    shown = f"{at:%H:%M:%S}" if at.date() == datetime.now().date() else f"{at:%m-%d %H:%M:%S}"
+    click.echo(printable(f"{shown}  {line.robot.ljust(NAME_WIDTH)}  {line.text}"))
+
+
+def _print_record(line: EventLine) -> None:
+    print_line("Event", _record(line))
+
+
+def _record(line: EventLine) -> dict[str, Any]:
+    return {
+        "time": _time(line).astimezone().isoformat(timespec="milliseconds"),
+        "age": round(max(time.monotonic() - line.at, 0.0), 3),
+        "robot": line.robot,
+        "event": line.kind,
+        "text": line.text,
+    }
+
+
+def _time(line: EventLine) -> datetime:
+    return datetime.fromtimestamp(time.time() - (time.monotonic() - line.at))

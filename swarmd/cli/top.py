@@ -1,0 +1,211 @@
+"""`swarmctl top`: the robots by load."""
+
+from __future__ import annotations
+
+import os
+import select
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from swarmd.cli.arguments import Targets, takes_targets
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.output import (
+    NOTHING,
+    megabytes,
+    print_json,
+    print_line,
+    print_table,
+    seconds,
+    table_lines,
+)
+from swarmd.cli.send import exit_code_of, gap, known_members
+from swarmd.cli.view_terminal import need_terminal, signals_end
+from swarmd.core.messages import Presence, ProcessUsage, Status
+
+if TYPE_CHECKING:
+    from rich.text import Text
+
+    from swarmd.network.discovery import MembersView
+    from swarmd.view.swarm_watch import SwarmWatch
+
+HEADER = (
+    *("NAME", "STATE", "CPU", "P-CPU", "MEM", "P-MEM", "LOOP99", "SCAN", "DELAY", "DROPS"),
+    *("SEEN", "PATTERN"),
+)
+SORTS = {"c": "cpu", "m": "memory", "l": "loop", "d": "delay", "p": "drops", "a": "age",
+         "s": "scan", "n": "name"}  # fmt: skip
+PERIOD = 1.0
+SILENCE = 3.0
+"""A status older than this, in s, is not shown as the present one."""
+
+Known = Mapping[str, tuple[Status, float]]
+"""The statuses of robots, with their ages in s."""
+
+
+@click.command()
+@takes_targets(is_required=False)
+@click.option("--sort", type=click.Choice([*SORTS.values()]), default="cpu", help="Order [cpu].")
+@click.option("--once", is_flag=True, help="Print the figures once and end.")
+@common_options
+def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None:
+    """Show the robots by load: processor, memory, lateness of the loop, rate and delay of scans.
+
+    CPU and MEM are those of the daemon, P-CPU and P-MEM of its pattern host; 100% is one core. On
+    a terminal until q; with -o json a line for each robot and second, until Ctrl-C.
+    """
+    if once:
+        with options.operator() as operator:
+            view = known_members(options, operator)
+            names = targets.select(view.members.keys() | view.roster)
+            known = {n: (m.status, m.age) for n, m in view.members.items() if m.status is not None}
+            if options.is_json:
+                print_json("Load", {"robots": list(records(view, names, known))})
+            else:
+                print_table(HEADER, rows(view, names, known, sort))
+            click.get_current_context().exit(exit_code_of(view, names))
+    if not options.is_json:
+        need_terminal("top", "add --once or -o json")
+    from swarmd.view.swarm_watch import SwarmWatch
+
+    with options.operator() as operator, signals_end():
+        watch = SwarmWatch(operator)
+        watch.start()
+        try:
+            follow = _print_records if options.is_json else _show
+            follow(watch, targets, sort)
+        finally:
+            watch.close()
+
+
+def records(view: MembersView, names: Sequence[str], known: Known) -> Iterator[dict[str, Any]]:
+    """The figures of each robot for programs; times in s, memory in bytes."""
+    for name in names:
+        if not _is_present(view, name, known):
+            yield {"robot": name, "answered": False, "text": gap(view, name)}
+            continue
+        status, age = known[name]
+        health, delay = status.health, status.scan_delay
+        yield {
+            "robot": name,
+            "answered": True,
+            "state": status.state,
+            "pattern": status.pattern,
+            **_usage("", health.usage),
+            **_usage("pattern_", health.pattern_usage),
+            "loop_p99": health.loop_p99,
+            "loop_stalls": health.loop_stalls,
+            "scan_rate": health.scan_rate,
+            "scan_delay": None if delay is None else delay.declared + delay.added,
+            "dropped": sum(health.dropped.values()),
+            "age": round(age, 3),
+            "uptime": status.uptime,
+        }
+
+
+def rows(view: MembersView, names: Sequence[str], known: Known, sort: str) -> list[list[str]]:
+    """The table: the highest figure first, the lowest for scan rates; silent robots at the end."""
+    ranked, silent = [], []
+    for one in records(view, names, known):
+        if not one["answered"]:
+            silent.append([one["robot"], "silent", *[NOTHING] * (len(HEADER) - 3), one["text"]])
+        else:
+            ranked.append((_rank(one, sort), one["robot"], _row(one)))
+    return [row for _, _, row in sorted(ranked)] + silent
+
+
+def _row(one: Mapping[str, Any]) -> list[str]:
+    cpu = [NOTHING if one[key] is None else f"{one[key]:.0%}" for key in ("cpu", "pattern_cpu")]
+    memory = [
+        NOTHING if one[key] is None else megabytes(one[key]) for key in ("memory", "pattern_memory")
+    ]
+    return [
+        one["robot"],
+        one["state"],
+        *cpu,
+        *memory,
+        seconds(one["loop_p99"]),
+        f"{one['scan_rate']:.1f} Hz",
+        NOTHING if one["scan_delay"] is None else seconds(one["scan_delay"]),
+        str(one["dropped"]),
+        "now" if one["age"] < 1.5 else f"{seconds(one['age'])} ago",
+        one["pattern"] or NOTHING,
+    ]
+
+
+def _rank(one: Mapping[str, Any], sort: str) -> float:
+    """Low for what is shown first."""
+    if sort == "name":
+        return 0.0
+    if sort == "scan":
+        return float(one["scan_rate"])
+    if sort in ("cpu", "memory"):
+        return -float((one[sort] or 0.0) + (one[f"pattern_{sort}"] or 0.0))
+    key = {"loop": "loop_p99", "delay": "scan_delay", "drops": "dropped"}.get(sort, sort)
+    return -float(one[key] or 0.0)
+
+
+def _usage(prefix: str, usage: ProcessUsage | None) -> dict[str, Any]:
+    cpu, memory = (None, None) if usage is None else (round(usage.cpu, 4), usage.memory)
+    return {f"{prefix}cpu": cpu, f"{prefix}memory": memory}
+
+
+def _is_present(view: MembersView, name: str, known: Known) -> bool:
+    """True if the robot's figures are those of now."""
+    member = view.members.get(name)
+    is_gone = member is None or member.presence is not Presence.ALIVE
+    return name in known and not is_gone and known[name][1] <= SILENCE
+
+
+def _names(view: MembersView, targets: Targets) -> tuple[str, ...]:
+    return targets.matching(view.members.keys() | view.roster | set(targets.full_names))
+
+
+def _print_records(watch: SwarmWatch, targets: Targets, sort: str) -> None:
+    del sort  # programs sort by themselves
+    while True:
+        time.sleep(PERIOD)
+        view = watch.view
+        for one in records(view, _names(view, targets), watch.statuses()):
+            print_line("Load", {"time": round(time.time(), 3), **one})
+
+
+def _show(watch: SwarmWatch, targets: Targets, sort: str) -> None:
+    """Draw the table each second until `q`; letters choose the order."""
+    from swarmd.view.keys import KeyDecoder
+    from swarmd.view.screen import Screen
+
+    keys = KeyDecoder()
+    with Screen() as screen:
+        while True:
+            screen.paint(_lines(watch, targets, sort, screen.size))
+            if not select.select([screen.input], [], [], PERIOD)[0]:
+                continue
+            data = os.read(screen.input, 4096)
+            for key in keys.feed(data):
+                sort = SORTS.get(key, sort)
+                if key == "q":
+                    return
+            if not data:  # the terminal is gone
+                return
+
+
+def _lines(watch: SwarmWatch, targets: Targets, sort: str, size: tuple[int, int]) -> list[Text]:
+    from rich.text import Text
+
+    view, known = watch.view, watch.statuses()
+    names = _names(view, targets)
+    table = table_lines(HEADER, rows(view, names, known, sort))
+    answered = sum(_is_present(view, name, known) for name in names)
+    title = f"{len(names)} robots, {answered} answer, by {sort}"
+    letters = "  ".join(f"{letter} {name}" for letter, name in SORTS.items())
+    room = max(size[1] - 3, 1)
+    rest = len(table) - room
+    shown = table[:room] if rest <= 0 else [*table[: room - 1], f"... and {rest + 1} more"]
+    texts = [(title, "bold"), (shown[0], "bold"), *((line, "") for line in shown[1:])]
+    lines = [Text(text, style) for text, style in [*texts, (f"{letters}  q quit", "dim")]]
+    for line in lines:
+        line.truncate(size[0], overflow="ellipsis")
+    return lines

@@ -1,0 +1,142 @@
+"""What happened to robots, as lines, from statuses and looks as they come. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from swarmd.core.messages import MAX_EVENTS, LoggedEvent, Presence, Reason, State, Status
+from swarmd.core.token_bucket import TokenBucket
+from swarmd.network.discovery import MembersView, SeenMember
+
+SILENCE = 3.0
+"""A robot without a status for this time, in s, counts as silent: robots send one each second."""
+RATE, BURST = 2.0, 20.0
+"""Lines of one robot per second, and at once; others are counted."""
+_NO_HOLD = (None, Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION)
+
+
+@dataclass(frozen=True, slots=True, order=True)
+class EventLine:
+    """An event: `at` in s on the clock of the caller. `kind`: event, hold, watch or gap.
+
+    `event`: by the robot's own log. `hold`: by its statuses. `watch`: it appeared, fell silent or
+    returned. `gap`: events are not known.
+    """
+
+    at: float
+    robot: str
+    kind: str
+    text: str
+
+
+class EventFeed:
+    """Turns statuses and looks into lines; times in s on one clock.
+
+    Events that are older than `since` s at the first status of a robot are left out.
+    """
+
+    def __init__(self, since: float = float("inf")) -> None:
+        self._since = since
+        self._last: dict[str, tuple[Status, float]] = {}
+        self._absent: dict[str, str] = {}
+        self._budgets: dict[str, TokenBucket] = {}
+        self._left_out: dict[str, int] = {}
+        self._has_looked = False
+
+    def on_status(self, status: Status, now: float) -> list[EventLine]:
+        """The lines that follow from a status."""
+        name, known = status.robot, self._last.get(status.robot)
+        self._last[name] = status, now
+        lines = []
+        if self._absent.pop(name, ""):
+            lines.append(EventLine(now, name, "watch", "answers again"))
+        elif known is None and self._has_looked:
+            lines.append(EventLine(now, name, "watch", "joined"))
+        before = None if known is None else known[0]
+        if before is not None and before.instance != status.instance:
+            lines.append(EventLine(now, name, "watch", "its daemon was started anew"))
+            before = None
+        lines += self._limited(name, self._logged(before, status, now), now)
+        return lines
+
+    def on_view(self, view: MembersView, now: float) -> list[EventLine]:
+        """The lines that follow from a look: robots that are gone, or were never heard."""
+        lines = []
+        self._has_looked = True
+        for name in sorted(view.members.keys() | view.roster):
+            text = _absence(view.members.get(name))
+            if text and self._absent.get(name) != text:
+                self._absent[name] = text
+                age = view.members[name].age if name in view.members else 0.0
+                lines.append(EventLine(now - age, name, "watch", text))
+        return lines
+
+    def advance(self, now: float) -> list[EventLine]:
+        """The lines that follow from the time: robots that fell silent, and what was left out."""
+        lines = []
+        for name, (_, at) in self._last.items():
+            if now - at > SILENCE and name not in self._absent:
+                self._absent[name] = "silent"
+                text = f"silent: no status for {now - at:.0f} s"
+                lines.append(EventLine(now, name, "watch", text))
+        for name, count in list(self._left_out.items()):
+            if self._budgets[name].take(1.0, now):
+                del self._left_out[name]
+                lines.append(EventLine(now, name, "gap", f"{count} more events were left out here"))
+        return lines
+
+    def _logged(self, before: Status | None, status: Status, now: float) -> list[EventLine]:
+        """The events of a status that the one before did not have, and a change of its hold."""
+        name, events = status.robot, status.events
+        new = events if before is None else _new(before.events, events)
+        lines = [
+            EventLine(now - max(status.uptime - one.at, 0.0), name, "event", one.text)
+            for one in new
+        ]
+        if before is None:
+            lines = [line for line in lines if now - line.at <= self._since]
+            if len(lines) == len(events) == MAX_EVENTS:
+                text = f"events before this one are not known: a robot keeps {MAX_EVENTS}"
+                lines.insert(0, EventLine(lines[0].at, name, "gap", text))
+        elif before.events and len(new) == len(events) == MAX_EVENTS:
+            text = "events before this one may be missing: more came than a robot keeps"
+            lines.insert(0, EventLine(lines[0].at, name, "gap", text))
+        hold, earlier = _hold(status), None if before is None else _hold(before)
+        if hold != earlier and hold is not None:
+            detail = f": {status.detail}" if status.detail else ""
+            lines.append(EventLine(now, name, "hold", f"held by {hold}{detail}"))
+        elif hold != earlier and status.state is State.RUNNING:
+            lines.append(EventLine(now, name, "hold", f"no longer held by {earlier}"))
+        return lines
+
+    def _limited(self, name: str, lines: list[EventLine], now: float) -> list[EventLine]:
+        budget = self._budgets.setdefault(name, TokenBucket(RATE, BURST))
+        passed = [line for line in lines if budget.take(1.0, now)]
+        if len(passed) < len(lines):
+            self._left_out[name] = self._left_out.get(name, 0) + len(lines) - len(passed)
+        return passed
+
+
+def _new(
+    before: tuple[LoggedEvent, ...], events: tuple[LoggedEvent, ...]
+) -> tuple[LoggedEvent, ...]:
+    """The events after those that both have: the later list begins with the end of the earlier."""
+    for shared in range(min(len(before), len(events)), 0, -1):
+        if before[-shared:] == events[:shared]:
+            return events[shared:]
+    return events
+
+
+def _hold(status: Status) -> Reason | None:
+    is_held = status.state is State.RUNNING and status.reason not in _NO_HOLD
+    return status.reason if is_held else None
+
+
+def _absence(member: SeenMember | None) -> str:
+    if member is None:
+        return "on the roster, and not seen by any robot"
+    if member.presence is Presence.LEFT:
+        return "left in order"
+    if member.presence is Presence.FAILED:
+        return "failed: it is no longer heard"
+    return ""
