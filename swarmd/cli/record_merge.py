@@ -57,7 +57,7 @@ def merge(
         raise click.UsageError(f"{target} exists; give another name, or remove it")
     if not target.parent.is_dir():
         raise click.UsageError(f"{target.parent}: no such folder; make it first")
-    found = survey(_parts(files))
+    found = survey(parts_of(files))
     if not found.sources:
         raise click.UsageError(f"{files[0]}: no messages in this recording")
     for fault in found.faults:
@@ -83,7 +83,8 @@ def merge(
     click.echo(f"{count} messages of {len({one['robot'] for one in table})} robots in {target}")
 
 
-def _parts(files: tuple[Path, ...]) -> list[Path]:
+def parts_of(files: tuple[Path, ...]) -> list[Path]:
+    """The recordings in files and folders; UsageError for a folder without any."""
     parts: dict[Path, None] = {}
     for one in files:
         inside = sorted([*one.rglob("*.mcap"), *one.rglob("*.mcap.partial")])

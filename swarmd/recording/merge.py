@@ -119,7 +119,7 @@ def write_merged(placed: Sequence[Placed], path: Path) -> int:
     """
     partial = path.with_name(f"{path.name}.partial")
     reference = placed[0].source.about
-    streams = [_messages(one, reference) for one in placed]
+    streams = [messages_of(one, reference) for one in placed]
     try:
         with partial.open("wb") as file:
             writer = Writer(file, compression=CompressionType.ZSTD)
@@ -137,11 +137,11 @@ def write_merged(placed: Sequence[Placed], path: Path) -> int:
     return count
 
 
-_Timed = tuple[int, str, str, int, bytes]
+Timed = tuple[int, str, str, int, bytes]
 """Time in ns since 1970, topic, type, sequence and bytes of a message."""
 
 
-def _write(writer: Writer, messages: Iterable[_Timed]) -> int:
+def _write(writer: Writer, messages: Iterable[Timed]) -> int:
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
     count = 0
@@ -155,8 +155,11 @@ def _write(writer: Writer, messages: Iterable[_Timed]) -> int:
     return count
 
 
-def _messages(placed: Placed, reference: Mapping[str, str]) -> Iterator[_Timed]:
-    """The messages of a source; one file at a time is in memory."""
+def messages_of(placed: Placed, reference: Mapping[str, str]) -> Iterator[Timed]:
+    """The messages of a source on the timeline of `reference`, with its name in their topics.
+
+    One file at a time is in memory.
+    """
     wall, boot = int(reference["wall_ns"]), int(reference["boot_ns"])
     alignment, robot = placed.alignment, placed.source.robot
     for _, path in placed.source.files:

@@ -37,10 +37,14 @@ class RecordedMessage:
 
 @dataclass(frozen=True, slots=True)
 class RecordedFile:
-    """What a file holds. `fault`: what is missing or damaged, with its place; empty if whole."""
+    """What a file holds. `fault`: what is missing or damaged, with its place; empty if whole.
+
+    `about`: texts on its robot, or of a merged file on all; then `robots` are those on each robot.
+    """
 
     path: Path
     about: Mapping[str, str]
+    robots: Mapping[str, Mapping[str, str]]
     messages: list[RecordedMessage]
     fault: str
 
@@ -57,7 +61,7 @@ def read_file(path: Path) -> RecordedFile:
         raise ConfigError(f"{path}: not a recording; expected an MCAP file")
     reader = _Reader(data)
     reader.read()
-    return RecordedFile(path, reader.about, reader.messages(), reader.fault)
+    return RecordedFile(path, reader.about, reader.robots, reader.messages(), reader.fault)
 
 
 class _Reader:
@@ -67,6 +71,7 @@ class _Reader:
         self._channels: dict[int, tuple[str, int]] = {}
         self._found: list[tuple[int, int, int, bytes]] = []
         self.about: dict[str, str] = {}
+        self.robots: dict[str, dict[str, str]] = {}
         self.fault = ""
 
     def read(self) -> None:
@@ -134,6 +139,8 @@ class _Reader:
             name, place = _string(body, 0)
             if name == "swarmd":
                 self.about.update(_map(body, place))
+            elif name.startswith("swarmd/"):
+                self.robots.setdefault(name.partition("/")[2], {}).update(_map(body, place))
 
     def _next_chunk(self, at: int) -> int:
         """The first byte from `at` on where a whole chunk begins; the end if there is none."""

@@ -96,14 +96,14 @@ function fill(select, entries) {
 model.addEventListener('hello', () => {
   element('title').textContent = `${model.swarm || 'swarmd'}${model.role === 'viewer' ? ' (read only)' : ''}`;
   document.title = element('title').textContent;
-  document.body.classList.toggle('operator', model.role === 'operator' && model.source !== 'run');
-  element('align').hidden = model.source !== 'live';
+  document.body.classList.toggle('operator', model.role === 'operator' && !model.playback);
+  element('align').hidden = !['live', 'recording'].includes(model.source); // by odometry
   const fields = Object.keys((model.arena || {}).fields || {});
   element('fields').hidden = !fields.length;
   fill(element('field'), [['', 'none'], ...fields.map((one) => [one, one])]);
   map.showField(fields[0] || '');
   element('field').value = map.field;
-  element('links-label').hidden = model.source === 'run';
+  element('links-label').hidden = model.source === 'recording';
 });
 model.addEventListener('selection', choose);
 setInterval(() => { counts(); choices(); }, 500);

@@ -113,7 +113,7 @@ export class Model extends EventTarget {
   forgetTrails() { for (const robot of this.robots.values()) robot.trail.length = 0; }
 
   // Seconds since the robot told something; Infinity if it never did.
-  age(robot, now) { return this.source === 'run' ? 0 : robot.age + (now - robot.heard) / 1000; }
+  age(robot, now) { return this.playback ? 0 : robot.age + (now - robot.heard) / 1000; }
 
   isHeard(robot, now) {
     return this.isConnected && robot.row.presence === 'alive' && this.age(robot, now) < STALE;
