@@ -8,6 +8,7 @@ import click
 
 from swarmd.cli.options import CommonOptions, local_options
 from swarmd.cli.output import print_json, print_table, warn
+from swarmd.core.errors import ConfigError
 from swarmd.network.outcome import FAILED
 
 _LEAST_SHARE = 0.999
@@ -38,14 +39,14 @@ def replay(
 ) -> None:
     """Repeat a recorded run without a robot, and compare its commands with the recorded ones.
 
-    FILE: a recording (.mcap), its parts in their order, or the folder of one robot. `safe` compares
-    what protection commanded, `requested` what the pattern asked for. The exit code is 1 if fewer
-    than 99.9 % of them are equal.
+    FILE: a recording (.mcap), its parts in their order, or the folder of one robot. Recordings of
+    several lives of a daemon are repeated one after the other; one that begins in a run is left
+    out. `safe` compares what protection commanded, `requested` what the pattern asked for. The exit
+    code is 1 if fewer than 99.9 % of them are equal.
     """
     from swarmd.plugins import check_single, pattern_names
-    from swarmd.recording.head import head_of
     from swarmd.recording.reader import read_file
-    from swarmd.replay.replay import TOLERANCE, Replay, check_begins_idle
+    from swarmd.replay.replay import TOLERANCE, recordings_of, repeat, total
     from swarmd.settings.platforms import load_platform
 
     paths = [
@@ -57,18 +58,27 @@ def replay(
     for one in found:
         if one.fault:
             warn(f"{one.path}: {one.fault}; what is whole is repeated")
-    recorded = [message for one in found for message in one.messages]
-    where = str(paths[0])
-    head = head_of(found[0].about, where)
-    if any(one.about.get("head") != found[0].about.get("head") for one in found):
-        raise click.UsageError(f"{where}: the files are of several robots, or lives of a daemon")
-    check_begins_idle(recorded, where)
+    parts = recordings_of(found)
+    names = {one[0].about.get("robot") for one in parts}
+    if len(names) > 1:
+        raise click.UsageError(f"the files are of {len(names)} robots; give those of one")
     origins = {}
     for name, origin in pattern_names(plugin_dir).items():
         check_single(name, origin)
         origins[name] = (origin.value, origin.is_file)
     other = None if platform is None else load_platform(platform)
-    parity = Replay(head, found[0].about, origins, other).run(recorded)
+    done = []
+    refusal: ConfigError | None = None
+    for files_of_one in parts:
+        try:
+            done.append(repeat(files_of_one, origins, other))
+        except ConfigError as error:
+            refusal = error
+            if len(parts) > 1:
+                warn(f"{error}; it is left out")
+    if refusal is not None and not done:
+        raise refusal
+    head, parity = done[0][0], total(parity for _, parity in done)
     rows = (("safe", parity.safe), ("requested", parity.requested))
     is_equal = all(one.share >= _LEAST_SHARE for _, one in rows)
     if options.is_json:

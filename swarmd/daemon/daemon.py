@@ -15,7 +15,6 @@ import secrets
 import signal
 import socket
 from collections.abc import Callable, Mapping
-from functools import partial
 from importlib.metadata import version
 from typing import Any
 
@@ -117,7 +116,7 @@ class Daemon:
         self._recording = RecordingService(
             settings.id,
             settings.recording,
-            partial(_head, settings, self._instance, self._seed, boottime()),
+            self._head,
             self._on_network_event,
             self._network.drop,
         )
@@ -402,26 +401,30 @@ class Daemon:
         )
         return replace(status, health=health, recording=self._recording.summary)
 
-
-def _head(settings: DaemonSettings, instance: str, seed: int, now: float) -> RecordingHead:
-    """What recordings tell of this robot."""
-    layers = {name: settings.pattern_layers(name) for name in pattern_names(settings.plugin_dir)}
-    return RecordingHead(
-        robot=settings.id,
-        swarm=settings.network.swarm,
-        driver=settings.driver,
-        clock=clock_id(),
-        instance=instance,
-        seed=seed,
-        version=version("swarmd"),
-        kernels=describe_kernels(),
-        born=now,
-        platform=settings.platform,
-        labels=settings.labels,
-        layers={name: values for name, values in layers.items() if values},
-        touch=settings.touch_zones,
-        accepts=settings.accepts,
-    )
+    def _head(self) -> RecordingHead:
+        """What recordings tell of this robot."""
+        settings = self._settings
+        layers = {
+            name: settings.pattern_layers(name) for name in pattern_names(settings.plugin_dir)
+        }
+        return RecordingHead(
+            robot=settings.id,
+            swarm=settings.network.swarm,
+            driver=settings.driver,
+            clock=clock_id(),
+            instance=self._instance,
+            seed=self._seed,
+            version=version("swarmd"),
+            kernels=describe_kernels(),
+            platform=settings.platform,
+            labels=settings.labels,
+            layers={name: values for name, values in layers.items() if values},
+            touch=settings.touch_zones,
+            accepts=settings.accepts,
+            revision=self._robot.epoch.revision,
+            generation=self._robot.generation,
+            latches=self._robot.latches,
+        )
 
 
 async def _end(task: asyncio.Task[Any]) -> None:

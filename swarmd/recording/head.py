@@ -12,15 +12,17 @@ from msgspec import Struct
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.host_messages import Layers
+from swarmd.core.messages import Latch
 from swarmd.core.values import Array, Platform, TouchZone
 from swarmd.protection.compatibility import Accepts
 
 
 class RecordingHead(Struct, frozen=True, kw_only=True):
-    """The robot, and the settings that decide what it does. `born` in s on its clock.
+    """The robot, and the settings that decide what it does.
 
-    `born`: when its daemon started. `clock`: which clock, see `core/clock.py`. `layers`: parameters
-    by pattern and source, weakest first.
+    `clock`: which clock, see `core/clock.py`. `layers`: parameters
+    by pattern and source, weakest first. `revision`, `generation`, `latches`: of the robot
+    when the recording began.
     """
 
     robot: str
@@ -31,12 +33,14 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     seed: int
     version: str
     kernels: str
-    born: float
     platform: Platform
     labels: tuple[str, ...]
     layers: Mapping[str, Layers]
     touch: Mapping[str, TouchZone]
     accepts: Accepts
+    revision: int
+    generation: int
+    latches: Mapping[str, Latch]
 
     def texts(self) -> dict[str, str]:
         """The head as texts for a file: the main ones readable, all of them in `head`."""

@@ -196,8 +196,11 @@ def messages_of(files: list[RecordedFile]) -> Iterator[RecordedMessage]:
 
 
 def clock_of(about: Mapping[str, str], at: int) -> float:
-    """The time on the robot's clock in s of a time `at` in ns of its recording."""
-    return (at - int(about["wall_ns"])) * 1e-9 + int(about["boot_ns"]) * 1e-9
+    """The time on the robot's clock in s of a time `at` in ns of its recording.
+
+    To the bit what `boottime` gave: a deadline of the robot falls into the same tick again.
+    """
+    return (at - int(about["wall_ns"]) + int(about["boot_ns"])) / 1e9
 
 
 def crc_of(path: Path) -> int:

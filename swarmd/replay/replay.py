@@ -29,16 +29,19 @@ from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.recording import messages
 from swarmd.recording.frames import decode_host
-from swarmd.recording.head import RecordingHead
-from swarmd.recording.reader import RecordedMessage, clock_of
+from swarmd.recording.head import RecordingHead, head_of
+from swarmd.recording.reader import RecordedFile, RecordedMessage, clock_of
 from swarmd.robot.actions import Actions
+from swarmd.robot.latches import LatchRecord
 from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
 
 TOLERANCE = 1e-6
 """m/s and rad/s: two commands that differ by less are equal."""
 
-_SKIPPED = frozenset({"/scan/geometry", "/command/requested", "/status", "/event", "/clock/pair"})
+_SKIPPED = frozenset(
+    {"/scan/geometry", "/command/requested", "/status", "/event", "/clock/pair", "/dropped"}
+)
 
 
 @dataclass(slots=True)
@@ -68,6 +71,13 @@ class Compared:
             self.equal += 1
         elif self.first is None:
             self.first = at
+
+    def include(self, other: Compared) -> None:
+        """Add what another recording gave."""
+        self.count += other.count
+        self.equal += other.equal
+        self.largest = max(self.largest, other.largest)
+        self.first = other.first if self.first is None else self.first
 
     @property
     def share(self) -> float:
@@ -102,24 +112,8 @@ class Replay:
         platform: Platform | None = None,
     ) -> None:
         self._about = about
-        layers = head.layers
-        settings = RobotSettings(
-            driver=head.driver,
-            layers=lambda pattern: layers.get(pattern, ()),
-            version=head.version,
-            kernels=head.kernels,
-            labels=head.labels,
-            touch=head.touch,
-            accepts=head.accepts,
-        )
-        self._robot = Robot(
-            head.robot,
-            platform or head.platform,
-            settings,
-            seed=head.seed,
-            instance=head.instance,
-            now=head.born,
-        )
+        self._head, self._platform = head, platform or head.platform
+        self._robot: Robot
         self._loader = PatternLoader({})
         self._origins = origins
         self._executor = PatternExecutor(self._loader)
@@ -130,13 +124,36 @@ class Replay:
         self._notes: dict[str, None] = {}
         self.safe, self.requested = Compared(), Compared()
 
+    def _make_robot(self, now: float) -> Robot:
+        head = self._head
+        settings = RobotSettings(
+            driver=head.driver,
+            layers=lambda pattern: head.layers.get(pattern, ()),
+            version=head.version,
+            kernels=head.kernels,
+            labels=head.labels,
+            touch=head.touch,
+            accepts=head.accepts,
+        )
+        return Robot(
+            head.robot,
+            self._platform,
+            settings,
+            seed=head.seed,
+            instance=head.instance,
+            now=now,
+            latches=LatchRecord(held=dict(head.latches)),
+            revision=head.revision,
+            generation=head.generation,
+        )
+
     def run(self, recorded: Iterable[RecordedMessage]) -> Parity:
         """Repeat all messages, in the order in which they were recorded."""
         last = 0.0
         for one in recorded:
             now = clock_of(self._about, one.at)
             if self._begin is None:
-                self._begin = now
+                self._begin, self._robot = now, self._make_robot(now)
             last = max(last, now - self._begin)
             try:
                 self._take(one, now)
@@ -147,6 +164,9 @@ class Replay:
     def _take(self, one: RecordedMessage, now: float) -> None:
         if one.topic == "/scan/geometry":
             self._geometry = messages.deserialize(one.kind, one.payload)
+        if one.topic == "/dropped":
+            at = now - (self._begin or now)
+            self._note(f"at {at:.3f} s entries were dropped; commands after it may differ")
         if one.topic in _SKIPPED:
             return
         message = messages.deserialize(one.kind, one.payload)
@@ -234,12 +254,12 @@ class Replay:
         if self._actions is None:
             return
         at = now - (self._begin or now)
-        if self._robot.state != State(message.state):
+        if (self._robot.state is State.RUNNING) != (message.state == State.RUNNING):
             self._note(
                 f"at {at:.3f} s the recorded robot is {message.state}, the replayed one"
                 f" {self._robot.state}: the recording begins in a run, or settings differ"
             )
-        self.safe.add(self._actions.twist, messages.twist_of(message.safe), at)
+        self.safe.add(self._actions.decision.safe, messages.twist_of(message.safe), at)
 
     def _note(self, text: str) -> None:
         if len(self._notes) < 20:
@@ -248,6 +268,42 @@ class Replay:
 
 def _is_loaded(event: SentEvent) -> bool:
     return type(event).__name__ == "Loaded"
+
+
+def recordings_of(files: Iterable[RecordedFile]) -> list[list[RecordedFile]]:
+    """The files by recording: each begins anew with another life of the daemon, or after a stop."""
+    found: dict[tuple[str | None, ...], list[RecordedFile]] = {}
+    for one in files:
+        key = tuple(one.about.get(name) for name in ("head", "wall_ns", "boot_ns"))
+        found.setdefault(key, []).append(one)
+    return list(found.values())
+
+
+def repeat(
+    files: list[RecordedFile],
+    origins: Mapping[str, tuple[str, bool]],
+    platform: Platform | None = None,
+) -> tuple[RecordingHead, Parity]:
+    """Repeat the files of one recording, in their order; ConfigError if that cannot be done."""
+    where, about = str(files[0].path), files[0].about
+    if about.get("kind") == "merged":
+        raise ConfigError(f"{where}: merged; expected the robot's own recording")
+    head = head_of(about, where)
+    recorded = [message for one in files for message in one.messages]
+    check_begins_idle(recorded, where)
+    return head, Replay(head, about, origins, platform).run(recorded)
+
+
+def total(parities: Iterable[Parity]) -> Parity:
+    """The parity of several recordings together; `first` is that of the first that differs."""
+    safe, requested, seconds = Compared(), Compared(), 0.0
+    notes: dict[str, None] = {}
+    for one in parities:
+        safe.include(one.safe)
+        requested.include(one.requested)
+        seconds += one.seconds
+        notes |= dict.fromkeys(one.notes)
+    return Parity(safe, requested, seconds, tuple(notes))
 
 
 def check_begins_idle(recorded: list[RecordedMessage], where: str) -> None:

@@ -45,6 +45,7 @@ class Robot:
 
     `seed` makes the random choices of its patterns repeatable, `instance` identifies this life of
     the daemon, `now` is in s on a monotonic clock, `latches` were written by an earlier instance.
+    `revision`, `generation`: of the epoch and of the last pattern, to continue from.
     """
 
     def __init__(
@@ -57,6 +58,8 @@ class Robot:
         instance: str,
         now: float,
         latches: LatchRecord | None = None,
+        revision: int = 0,
+        generation: int = 0,
     ) -> None:
         self.id = id
         self.platform = platform
@@ -73,6 +76,8 @@ class Robot:
         self._protection = Protection(platform, f"{seed}/{id}")
         identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
         self._lifecycle = Lifecycle(identity, latches, now)
+        self._lifecycle.revision = revision
+        self._lifecycle.pattern_run.generation = generation
         self._events = EventLimit(self._lifecycle.log)
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._requests = RequestHandler(id, self._lifecycle, self._stop_text)
@@ -102,6 +107,11 @@ class Robot:
     def epoch(self) -> Epoch:
         """The epoch that a request must quote to change the robot."""
         return self._lifecycle.epoch
+
+    @property
+    def generation(self) -> int:
+        """How many patterns were loaded so far."""
+        return self._lifecycle.pattern_run.generation
 
     @property
     def latches(self) -> Mapping[str, Latch]:

@@ -60,6 +60,7 @@ class RobotHarness:
         latches: LatchRecord | None = None,
         instance: str = "boot1",
         touch: Mapping[str, TouchZone] | None = None,
+        make: Callable[..., Robot] = Robot,
     ) -> None:
         self.platform = load_platform(platform)
         self.now = 1000.0
@@ -76,7 +77,7 @@ class RobotHarness:
         self._runner = InlineRunner(lambda: PatternExecutor(self._find))
         self._ticks = 0
         self._requests = 0
-        self.robot = Robot(
+        self.robot = make(
             "tb3-01",
             self.platform,
             RobotSettings(driver="story", layers=lambda name: (), touch=touch or {}),
@@ -107,7 +108,7 @@ class RobotHarness:
             return
         per_scan = max(round(1.0 / (self.platform.scan.rate * TICK)), 1)
         for _ in range(round(seconds / TICK)):
-            begin, self.now = self.now, self.now + TICK
+            begin, self.now = self.now, round(self.now + TICK, 9)  # as a clock that counts ns
             wake_at = self.robot.wake_at(begin)
             while wake_at is not None and wake_at < self.now:
                 self.carry_out(self.robot.tick(wake_at), wake_at)

@@ -1,0 +1,196 @@
+"""Recorded runs of a robot in simulated time are repeated command by command."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import pytest
+from msgspec import structs
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.messages import Latch, State
+from swarmd.core.values import Scan
+from swarmd.daemon.recorded_robot import RecordedRobot
+from swarmd.daemon.recorder import Recorder
+from swarmd.kit.behavior import Pattern
+from swarmd.patterns.drive import Drive
+from swarmd.patterns.random_walk import RandomWalk
+from swarmd.plugins import pattern_names
+from swarmd.protection.compatibility import ACCEPTS_NONE
+from swarmd.recording import frames
+from swarmd.recording.head import RecordingHead
+from swarmd.recording.process import Converter
+from swarmd.recording.reader import RecordedFile, read_file
+from swarmd.replay.replay import Parity, recordings_of, repeat, total
+from swarmd.robot.latches import LatchRecord
+from swarmd.testing.scans import empty_scan
+from tests.support.robot_harness import RobotHarness
+
+PATTERNS: Mapping[str, type[Pattern[Any]]] = {"drive": Drive, "random_walk": RandomWalk}
+ORIGINS = {name: (one.value, one.is_file) for name, one in pattern_names(None).items()}
+
+
+class FileRecorder(Recorder):
+    """A recorder that writes in this process, at the times that the robot is given."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(cast("object", None), lambda text: None)  # type: ignore[arg-type]
+        self._folder = folder
+        self._converter: Converter | None = None
+
+    @property
+    def is_on(self) -> bool:
+        return self._converter is not None
+
+    def scan(self, scan: Scan, now: float) -> None:
+        self.add(frames.scan_entry(scan, now, None))
+
+    def text(self, topic: str, value: object, now: float) -> None:
+        self.add(frames.TextEntry(now, topic, frames.as_json(value)))
+
+    def add(self, entry: frames.Entry) -> None:
+        if self._converter is not None:
+            (copy,) = frames.decode_batch(frames.batch([frames.encode_entry(entry)]))
+            self._converter.add(copy)
+
+    def begin(self, robot: RobotHarness) -> None:
+        head = head_at(robot)
+        begin = frames.Begin(
+            robot.now, str(self._folder), robot.robot.id, head.texts(), 1.7e9, 2**26, 600.0, 2**30
+        )
+        self._converter = Converter(begin)
+        for entry in self._latest.values():
+            self.add(structs.replace(entry, at=robot.now))
+
+    def finish(self) -> RecordedFile:
+        assert self._converter is not None
+        self._converter.writer.close()
+        assert self._converter.writer.path is not None
+        return read_file(self._converter.writer.path)
+
+
+def head_at(robot: RobotHarness) -> RecordingHead:
+    return RecordingHead(
+        robot=robot.robot.id,
+        swarm="s",
+        driver="story",
+        clock="c",
+        instance="boot1",
+        seed=1,
+        version="",
+        kernels="",
+        platform=robot.platform,
+        labels=(),
+        layers={},
+        touch={},
+        accepts=ACCEPTS_NONE,
+        revision=robot.epoch.revision,
+        generation=robot.robot.generation,
+        latches=robot.robot.latches,
+    )
+
+
+class Story:
+    """A robot between obstacles that come nearer, and its recorder."""
+
+    def __init__(self, folder: Path, latches: Mapping[str, Latch] | None = None) -> None:
+        self.recorder = FileRecorder(folder)
+        record = LatchRecord(held=dict(latches or {}))
+        make = partial(RecordedRobot, recorder=self.recorder)
+        self.robot = RobotHarness(patterns=PATTERNS, make=make, latches=record)
+        self.robot.scans = self._scan
+
+    def _scan(self, seq: int, now: float) -> Scan:
+        scan = empty_scan(self.robot.platform, seq, now)
+        ahead = np.abs(np.angle(np.exp(1j * scan.bearings))) < 0.4
+        distance = 0.4 + 0.3 * np.cos(now)
+        return replace(scan, ranges=np.where(ahead, np.float32(distance), scan.ranges))
+
+    def run(self, pattern: str, seconds: float = 3.0, **params: float) -> None:
+        self.robot.ask("run", pattern=pattern, params=params)
+        self.robot.advance(seconds)
+        assert self.robot.robot.state is State.RUNNING
+
+    def replayed(self) -> Parity:
+        return repeat([self.recorder.finish()], ORIGINS)[1]
+
+
+def assert_equal(parity: Parity, least: int) -> None:
+    assert parity.notes == ()
+    assert parity.safe.count > least
+    assert parity.safe.largest <= 1e-6
+    assert parity.requested.count > least / 10
+    assert parity.requested.largest <= 1e-6
+
+
+def test_a_change_of_pattern_parameters_and_an_estop_are_repeated(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    story.recorder.begin(story.robot)
+    story.robot.advance(1.0)
+    story.run("drive", speed=0.1)
+    story.robot.ask("param", params={"speed": 0.2})
+    story.robot.advance(2.0)
+    story.run("random_walk")
+    story.robot.applied("estop", id="e1", reason="a chair")
+    story.robot.advance(1.0)
+    story.robot.ask("reset", ids=("e1",))
+    story.robot.advance(0.5)
+    story.run("drive", speed=0.15)
+    assert_equal(story.replayed(), 300)
+
+
+def test_a_recording_that_begins_after_earlier_runs_and_a_latch_is_repeated(
+    tmp_path: Path,
+) -> None:
+    story = Story(tmp_path)
+    story.robot.advance(1.0)
+    story.run("random_walk")
+    story.robot.applied("estop", id="e1", reason="a chair")
+    story.robot.advance(1.0)
+    story.recorder.begin(story.robot)
+    story.robot.advance(1.0)
+    story.robot.ask("reset", ids=("e1",))
+    story.robot.advance(1.0)
+    story.run("drive", speed=0.1)
+    assert_equal(story.replayed(), 80)
+
+
+def test_a_recording_that_begins_in_a_run_is_refused(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    story.robot.advance(1.0)
+    story.run("drive", speed=0.1)
+    story.recorder.begin(story.robot)
+    story.robot.advance(1.0)
+    with pytest.raises(ConfigError, match="begins in a run"):
+        story.replayed()
+
+
+def test_another_speed_limit_is_a_difference(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    story.recorder.begin(story.robot)
+    story.robot.advance(1.0)
+    story.run("drive", speed=0.2)
+    found = story.recorder.finish()
+    slow = replace(story.robot.platform, limits=replace(story.robot.platform.limits, linear=0.1))
+    _, parity = repeat([found], ORIGINS, slow)
+    assert parity.safe.first is not None
+    assert parity.safe.largest > 0.05
+
+
+def test_two_lives_of_a_daemon_are_repeated_one_after_the_other(tmp_path: Path) -> None:
+    files = []
+    for life in range(2):
+        story = Story(tmp_path)
+        story.robot.advance(life)
+        story.recorder.begin(story.robot)
+        story.robot.advance(1.0)
+        story.run("drive", speed=0.1 + 0.05 * life)
+        files.append(story.recorder.finish())
+    parts = recordings_of(files)
+    assert [len(part) for part in parts] == [1, 1]
+    assert_equal(total(repeat(part, ORIGINS)[1] for part in parts), 160)
