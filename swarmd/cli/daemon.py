@@ -61,7 +61,12 @@ Exit codes:
     help="Folder for latches [~/.local/state/swarmd].",
 )
 @click.option("--plugin-dir", type=click.Path(file_okay=False), help="Folder of one-file patterns.")
-@click.option("--log-level", type=click.Choice(["debug", "info", "warning"]), default="info")
+@click.option(
+    "--log-level",
+    type=click.Choice(["debug", "info", "warning"]),
+    default="info",
+    help="The least level that is logged [info].",
+)
 @click.option("--die-with-parent", type=int, metavar="PID", hidden=True)
 @click.version_option(package_name="swarmd", prog_name="swarmd", message="%(prog)s %(version)s")
 @click.option("--check", is_flag=True, help="Check everything, move nothing, and exit.")
