@@ -30,10 +30,7 @@ FILE = re.compile(r"# (\w+\.(?:py|yaml))\n")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 EXAMPLE = "udp"  # the driver in examples/
 NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
-GROUPS = (
-    *("swarmd.patterns", "swarmd.drivers", "swarmd.emulators", "swarmd.commands"),
-    "swarmd.metrics",
-)
+GROUPS = [f"swarmd.{name}" for name in ("patterns", "drivers", "emulators", "commands", "metrics")]
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
