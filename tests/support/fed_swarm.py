@@ -35,7 +35,7 @@ from swarmd.core.messages import (
 )
 from swarmd.core.values import Scan
 from swarmd.driver_api.hw_codec import encode_scan
-from swarmd.network.discovery import MembersView
+from swarmd.network.discovery import MembersView, SeenMember
 from swarmd.network.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.view.commander import LiveCommander
@@ -58,6 +58,7 @@ class FedSwarm:
         self.patterns = {name: PATTERNS[i % 3] for i, name in enumerate(self.names)}
         self.watched: dict[tuple[str, str], Callable[[str, bytes], object]] = {}
         self._ending = threading.Event()
+        self._made: dict[tuple[str, State, bool], tuple[SeenMember, bytes]] = {}
         self._motions = [[encode(one) for one in self._lap(i)] for i in range(count)]
         self._thread = threading.Thread(target=self._feed, name="feed", daemon=True)
 
@@ -94,6 +95,18 @@ class FedSwarm:
             ),
         )
 
+    def member(self, name: str) -> tuple[SeenMember, bytes]:
+        """What an operator sees of the robot, and its status as it is published."""
+        key = name, self.states[name], name in self.silent
+        if key not in self._made:
+            if key[2]:
+                member, seen = make_member(name, Presence.FAILED, age=20.0), self.status(name)
+            else:
+                seen = self.status(name)
+                member = make_member(name, **{k: getattr(seen, k) for k in CHANGING})
+            self._made[key] = member, encode(seen)
+        return self._made[key]
+
     def _lap(self, index: int) -> Sequence[Motion]:
         columns = math.ceil(math.sqrt(len(self.names)))
         middle = 1.2 * (index % columns), 1.2 * (index // columns)
@@ -128,7 +141,7 @@ class FedSwarm:
                     moves = self.states[name] is State.RUNNING
                 self._publish("motion", name, self._motions[i][step % LAP if moves else 0])
                 if step % 10 == i % 10:
-                    self._publish("status", name, encode(self.status(name)))
+                    self._publish("status", name, self.member(name)[1])
             if step % 2 == 0:
                 for _, name in [key for key in self.watched if key[0] == "scan"]:
                     scan = Scan(step, step * PERIOD, ranges, bearings, 0.12, 3.5)
@@ -167,13 +180,7 @@ class FedOperator:
 
     def members(self, *, timeout: float | None = None, needs_status: bool = True) -> MembersView:
         swarm = self._swarm
-        found = {}
-        for name in swarm.names:
-            if name in swarm.silent:
-                found[name] = make_member(name, Presence.FAILED, age=20.0)
-            else:
-                seen = swarm.status(name)
-                found[name] = make_member(name, **{k: getattr(seen, k) for k in CHANGING})
+        found = {name: swarm.member(name)[0] for name in swarm.names}
         return MembersView(found, answered=frozenset(set(found) - swarm.silent))
 
     def request(

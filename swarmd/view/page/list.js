@@ -7,7 +7,7 @@ const PERIOD = 250; // ms between two updates
 const number = (value, digits, unit) => (Number.isFinite(value) ? `${value.toFixed(digits)}${unit}` : '-');
 
 const { compare } = new Intl.Collator(undefined, { numeric: true });
-const heard = (age) => (Number.isFinite(age) ? `${age.toFixed(age < 10 ? 1 : 0)} s ago` : 'never');
+const heard = (age) => (age < 2 ? 'now' : Number.isFinite(age) ? `${age.toFixed(0)} s ago` : 'never');
 
 export const COLUMNS = [
   ['name', 'Name', (robot) => robot.name],
@@ -32,6 +32,8 @@ export class RobotList {
     this.sort = 'name';
     this.direction = 1;
     this.words = [];
+    this.pool = []; // rows that are used again
+    [this.before, this.after] = [spacer(), spacer()];
     this.pane = document.getElementById('rows');
     this.body = document.getElementById('body');
     this.heads();
@@ -94,37 +96,40 @@ export class RobotList {
     return robots;
   }
 
+  // Only the rows that are seen, and of those only the cells that changed.
   draw() {
     const robots = this.chosen(), now = performance.now();
     this.shown = robots;
     const first = Math.max(0, Math.floor(this.pane.scrollTop / ROW) - 3);
     const last = Math.min(robots.length, first + Math.ceil(this.pane.clientHeight / ROW) + 6);
-    const parts = [spacer(first * ROW)]; // only what is seen
-    robots.slice(first, last).forEach((robot, i) => parts.push(this.row(robot, now, first + i)));
-    parts.push(spacer((robots.length - last) * ROW));
-    this.body.replaceChildren(...parts);
+    while (this.pool.length < last - first) this.pool.push(emptyRow());
+    robots.slice(first, last).forEach((robot, i) => this.fill(this.pool[i], robot, now, first + i));
+    this.before.firstChild.style.height = `${first * ROW}px`;
+    this.after.firstChild.style.height = `${(robots.length - last) * ROW}px`;
+    const rows = [this.before, ...this.pool.slice(0, last - first), this.after];
+    if (rows.length !== this.body.children.length) this.body.replaceChildren(...rows);
     this.body.parentElement.setAttribute('aria-rowcount', robots.length + 1);
   }
 
-  row(robot, now, index) {
-    const row = document.createElement('tr');
-    row.dataset.name = robot.name;
-    row.setAttribute('aria-selected', this.model.selected.has(robot.name));
-    row.setAttribute('aria-rowindex', index + 2);
-    if (!this.model.isHeard(robot, now)) row.className = 'stale';
-    for (const [key, , text] of COLUMNS) {
-      const cell = row.insertCell();
-      const value = text(robot, now, this.model);
-      cell.className = key;
-      if (key === 'state') {
-        const mark = document.createElement('i');
-        const [colour, sign] = stateColour(row.className ? '' : robot.row.state);
-        mark.style.background = colour;
-        cell.append(mark, `${sign} ${value}`);
-      } else cell.textContent = value;
-      cell.title = value;
+  fill(row, robot, now, index) {
+    const isHeard = this.model.isHeard(robot, now);
+    set(row.dataset, 'name', robot.name);
+    set(row, 'className', isHeard ? '' : 'stale');
+    for (const [key, value] of [['aria-selected', this.model.selected.has(robot.name)], ['aria-rowindex', index + 2]]) {
+      if (row.getAttribute(key) !== String(value)) row.setAttribute(key, value);
     }
-    return row;
+    COLUMNS.forEach(([key, , text], i) => {
+      const cell = row.children[i], value = text(robot, now, this.model);
+      if (key !== 'state') {
+        if (cell.firstChild.data !== value) { cell.firstChild.data = value; cell.title = value; }
+        return;
+      }
+      const [colour, sign] = stateColour(isHeard ? robot.row.state : '');
+      if (cell.dataset.shown === value) return;
+      cell.dataset.shown = cell.title = value;
+      cell.firstChild.style.background = colour;
+      cell.lastChild.data = `${sign} ${value}`;
+    });
   }
 
   click(event) {
@@ -160,12 +165,23 @@ export class RobotList {
   }
 }
 
-function spacer(height) {
+function set(object, key, value) { if (object[key] !== value) object[key] = value; }
+
+function emptyRow() {
+  const row = document.createElement('tr');
+  for (const [key] of COLUMNS) {
+    const cell = row.insertCell();
+    cell.className = key;
+    if (key === 'state') cell.append(document.createElement('i'));
+    cell.append('');
+  }
+  return row;
+}
+
+function spacer() {
   const row = document.createElement('tr');
   row.className = 'space';
   row.setAttribute('aria-hidden', 'true');
-  const cell = row.insertCell();
-  cell.colSpan = COLUMNS.length;
-  cell.style.height = `${height}px`;
+  row.insertCell().colSpan = COLUMNS.length;
   return row;
 }

@@ -81,6 +81,7 @@ function choices() {
     for (const label of row.labels || []) labels.add(label);
   }
   if (labels.size) keys.add('labels');
+  element('links-label').hidden = !model.links.length;
   fill(element('colour'), [...keys].map((key) => [key, key.replace(/^\w+:/, '')]));
   element('label-choice').hidden = !labels.size;
   fill(element('label'), [['', 'select ...'], ...[...labels].sort().map((one) => [one, one])]);
@@ -103,7 +104,6 @@ model.addEventListener('hello', () => {
   fill(element('field'), [['', 'none'], ...fields.map((one) => [one, one])]);
   map.showField(fields[0] || '');
   element('field').value = map.field;
-  element('links-label').hidden = model.source === 'recording';
 });
 model.addEventListener('selection', choose);
 setInterval(() => { counts(); choices(); }, 500);

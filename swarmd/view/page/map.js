@@ -129,9 +129,8 @@ export class SwarmMap {
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     ctx.fillStyle = back;
     ctx.fillRect(0, 0, this.canvas.width, this.canvas.height);
-    const world = () => ctx.setTransform(zoom, 0, 0, -zoom,
+    ctx.setTransform(zoom, 0, 0, -zoom,
       this.canvas.width / 2 - this.centre[0] * zoom, this.canvas.height / 2 + this.centre[1] * zoom);
-    world();
     this.grid(line, zoom);
     this.walls(text, dim, zoom);
     const now = performance.now();
@@ -140,7 +139,7 @@ export class SwarmMap {
     if (this.shows.trails) this.drawTrails(robots, zoom);
     for (const robot of robots) if (model.selected.has(robot.name) && robot.scan) this.drawScan(robot, zoom);
     for (const robot of robots) if (model.selected.has(robot.name)) this.drawLimits(robot, zoom);
-    for (const robot of robots) this.drawRobot(robot, model.isHeard(robot, now), zoom, text, world);
+    this.drawRobots(robots, now, zoom, text);
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     if (this.shows.names) this.drawNames(this.named(robots), text, dim);
     if (this.ruler) this.drawRuler(text);
@@ -262,48 +261,45 @@ export class SwarmMap {
     }
   }
 
-  drawRobot(robot, isHeard, zoom, text, world) {
-    const { ctx } = this;
-    ctx.translate(robot.x, robot.y);
-    ctx.rotate(robot.yaw);
-    const grown = Math.max(1, LEAST * this.ratio / (robot.radius * zoom)); // far away: larger than it is
-    if (grown > 1) ctx.scale(grown, grown);
-    zoom *= grown;
-    ctx.beginPath();
-    robot.footprint.forEach(([x, y], i) => (i ? ctx.lineTo(x, y) : ctx.moveTo(x, y)));
-    ctx.closePath();
-    ctx.globalAlpha = isHeard ? 1 : 0.6;
-    ctx.lineWidth = this.ratio / zoom;
-    ctx.strokeStyle = text;
-    if (isHeard) {
-      ctx.fillStyle = this.colouring.of(robot);
-      ctx.fill();
-      ctx.stroke();
-    } else { // an empty outline where it was last
-      ctx.setLineDash([4 * this.ratio / zoom, 4 * this.ratio / zoom]);
-      ctx.stroke();
-      ctx.setLineDash([]);
+  // One path for each colour: a path for each robot takes longer to draw.
+  drawRobots(robots, now, zoom, text) {
+    const { ctx, model } = this, filled = new Map(), silent = new Path2D(), heads = new Path2D();
+    const touched = new Path2D(), chosen = new Path2D();
+    const ring = (path, x, y, radius) => { path.moveTo(x + radius, y); path.arc(x, y, radius, 0, 2 * Math.PI); };
+    for (const robot of robots) {
+      const { x, y, radius } = robot, isHeard = model.isHeard(robot, now);
+      const grown = Math.max(1, LEAST * this.ratio / (radius * zoom)); // far away: larger than it is
+      const c = grown * Math.cos(robot.yaw), s = grown * Math.sin(robot.yaw);
+      let path = silent;
+      if (isHeard) {
+        const colour = this.colouring.of(robot);
+        path = filled.get(colour);
+        if (!path) filled.set(colour, path = new Path2D());
+      }
+      robot.footprint.forEach(([u, v], i) => path[i ? 'lineTo' : 'moveTo'](x + c * u - s * v, y + s * u + c * v));
+      path.closePath();
+      const head = isHeard ? heads : silent;
+      head.moveTo(x, y);
+      head.lineTo(x + 1.6 * radius * c, y + 1.6 * radius * s);
+      if (model.selected.has(robot.name)) ring(chosen, x, y, 1.5 * radius * grown);
+      if (robot.row.touches) ring(touched, x, y, 1.25 * radius * grown);
     }
-    ctx.beginPath(); // the heading
-    ctx.moveTo(0, 0);
-    ctx.lineTo(1.6 * robot.radius, 0);
-    ctx.lineWidth = 2 * this.ratio / zoom;
-    ctx.stroke();
-    if (this.model.selected.has(robot.name)) {
-      ctx.beginPath();
-      ctx.arc(0, 0, 1.5 * robot.radius, 0, 2 * Math.PI);
-      ctx.lineWidth = 3 * this.ratio / zoom;
-      ctx.stroke();
+    const stroke = (path, width, colour) => {
+      ctx.lineWidth = width * this.ratio / zoom;
+      ctx.strokeStyle = colour;
+      ctx.stroke(path);
+    };
+    for (const [colour, path] of filled) {
+      ctx.fillStyle = colour;
+      ctx.fill(path);
+      stroke(path, 1, text);
     }
-    if (robot.row.touches) {
-      ctx.beginPath();
-      ctx.arc(0, 0, 1.25 * robot.radius, 0, 2 * Math.PI);
-      ctx.lineWidth = 4 * this.ratio / zoom;
-      ctx.strokeStyle = CONTACT;
-      ctx.stroke();
-    }
-    ctx.globalAlpha = 1;
-    world();
+    stroke(heads, 2, text);
+    ctx.setLineDash([4 * this.ratio / zoom, 4 * this.ratio / zoom]);
+    stroke(silent, 1, text); // an empty outline where it was last
+    ctx.setLineDash([]);
+    stroke(chosen, 3, text);
+    stroke(touched, 4, CONTACT);
   }
 
   // The robots in view if they are few, else the selected ones.
