@@ -21,6 +21,7 @@ from benchmarks import (
     startup,
     steps,
     switch,
+    view,
     world,
 )
 from benchmarks.compare import compare
@@ -40,6 +41,7 @@ ALL: Mapping[str, Callable[[], None]] = {
     "ros1": lambda: ros1.main([]),
     "ros2": lambda: ros2.main([]),
     "switch": lambda: switch.main([]),
+    "view": lambda: view.main([]),
 }
 
 

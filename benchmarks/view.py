@@ -59,10 +59,11 @@ def measure(browser: Browser, count: int, seconds: float) -> Iterator[Row]:
         page.until(f"{known} === {count}", f"{count} robots")
         page.evaluate("swarm.model.select(['tb3-001'])")
         time.sleep(START)
-        before = cpu_seconds(pid), page.evaluate("performance.now()")
+        page.call("Performance.enable", timeDomain="threadTicks")
+        before = cpu_seconds(pid), page.evaluate("performance.now()"), busy(page)
         watch_tasks(page)
         time.sleep(seconds)
-        after = cpu_seconds(pid), page.evaluate("performance.now()")
+        after = cpu_seconds(pid), page.evaluate("performance.now()"), busy(page)
         passed = (after[1] - before[1]) / 1e3
         frames = page.evaluate("window.arrivals.length") / passed
         tasks = [one / 1e3 for one in page.evaluate("window.tasks")]
@@ -78,8 +79,16 @@ def measure(browser: Browser, count: int, seconds: float) -> Iterator[Row]:
     )
     yield Row(f"page, {count} robots: from frame to frame", [gap / 1e3 for gap in gaps])
     yield Row(f"page, {count} robots: frames a second", [frames], ">= 9 x", unit="x")
+    share = 100.0 * (after[2] - before[2]) / passed
+    yield Row(f"page, {count} robots: CPU of the main thread", [share], unit="%")
     used = 100.0 * (after[0] - before[0]) / passed
     yield Row(f"server, {count} robots: CPU", [used], CPU_BUDGET, "of one core, with decoding", "%")
+
+
+def busy(page: Page) -> float:
+    """Processor time in s that tasks of the page's main thread have taken."""
+    metrics = page.call("Performance.getMetrics")["metrics"]
+    return next(float(one["value"]) for one in metrics if one["name"] == "TaskDuration")
 
 
 def watch_tasks(page: Page) -> None:
