@@ -5,6 +5,7 @@ from __future__ import annotations
 import ast
 import contextlib
 import re
+import runpy
 import shlex
 from importlib import import_module
 from importlib.metadata import entry_points
@@ -93,6 +94,13 @@ def test_links_lead_to_files_and_headings(page: Path) -> None:
     links = [(page.parent / to if to else page, anchor) for to, anchor in outgoing(page)]
     assert [to for to, _ in links if not to.exists()] == []
     assert [f"{to}#{anchor}" for to, anchor in links if anchor and anchor not in anchors(to)] == []
+
+
+def test_each_page_has_its_place_on_the_site() -> None:
+    """In docs/site/contents.py."""
+    contents = runpy.run_path(str(ROOT / "docs" / "site" / "contents.py"))["CONTENTS"]
+    listed = [f"{page}.md" for pages in contents.values() for page in pages]
+    assert sorted(["docs/README.md", *listed]) == sorted(map(name_of, PAGES))
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
