@@ -63,9 +63,12 @@ class EmulatedRobots:
         _check_distinct(spec, read)
         cdr.warm(ros.LaserScan, ros.Range, ros.Odometry, ros.Twist, ros.TwistStamped)
         self._hub, self.endpoint = open_listening(endpoint, _OPTIONS, f"the robots' {spec.driver}")
+        kinds = {platform.name: platform for platform in robots.values()}
+        readings = {name for kind in kinds.values() for name in emulated_readings(kind)}
         self.driver_options: Mapping[str, Value] = {
             "endpoint": self.endpoint,
             "namespace": NAMESPACE,
+            "readings": {name: _reading(name) for name in sorted(readings)},
         }
         try:
             self._robots = {
@@ -83,6 +86,10 @@ class EmulatedRobots:
     def odometry(self, robot: str, odometry: Odometry) -> None:
         """Publish a robot's pose and twist."""
         self._robots[robot].odometry(odometry)
+
+    def readings(self, robot: str, values: Mapping[str, float]) -> None:
+        """Publish the readings of the option `readings` as `std_msgs/Float64`."""
+        self._robots[robot].readings(values)
 
     def close(self) -> None:
         """End the session."""
@@ -124,9 +131,15 @@ class _Robot:
             for topic, message_type in self._encoder.topics
         ]
         topic = options.topic(options.odometry)
-        published.append(
-            TopicEnd(topic, ros.Odometry, is_publisher=True, is_reliable=True, depth=10)
-        )
+        odometry = TopicEnd(topic, ros.Odometry, is_publisher=True, is_reliable=True, depth=10)
+        published.append(odometry)
+        readings = options.topic_readings()
+        self._readings = {name: len(published) + i for i, name in enumerate(readings)}
+        published += [
+            TopicEnd(one.topic, one.message_type, is_publisher=True, is_reliable=False, depth=1)
+            for one in readings.values()
+        ]
+        self._odometry = published.index(odometry)
         tokens = scheme.tokens(str(hub.info.zid()), [*published, command])
         self._announced = [hub.liveliness().declare_token(token) for token in tokens]
         self._tokens = tokens[-1 - len(published) :]
@@ -139,7 +152,12 @@ class _Robot:
             self._put(index, message)
 
     def odometry(self, odometry: Odometry) -> None:
-        self._put(len(self._publishers) - 1, odometry_message(odometry))
+        self._put(self._odometry, odometry_message(odometry))
+
+    def readings(self, values: Mapping[str, float]) -> None:
+        for name, index in self._readings.items():
+            if name in values:
+                self._put(index, ros.Float64(values[name]))
 
     def _put(self, index: int, message: object) -> None:
         attachment = self._scheme.attachment(self._tokens[index])
@@ -147,11 +165,22 @@ class _Robot:
             self._publishers[index].put(cdr.encode(message), attachment=attachment)
 
 
+def emulated_readings(platform: Platform) -> dict[str, Value]:
+    """The option `readings` of a robot's driver: a topic for each reading that it provides."""
+    words = (word.partition(":") for word in sorted(platform.provides))
+    return {name: _reading(name) for kind, colon, name in words if kind == "reading" and colon}
+
+
+def _reading(name: str) -> dict[str, Value]:
+    return {"topic": f"readings/{name}", "type": "std_msgs/Float64", "field": "data"}
+
+
 def _options(spec: EmulatorSpec, robot: str, platform: Platform) -> RosOptions:
     """The options of the robot's driver, in the robot's own namespace."""
     common = BaseOptions.__struct_fields__
     given = platform.drivers.get(spec.driver, {})
     own = {name: value for name, value in given.items() if name not in common}
+    own["readings"] = emulated_readings(platform)
     return read_options(spec.options, {**own, "namespace": NAMESPACE}, spec.driver, robot)
 
 

@@ -61,7 +61,8 @@ class EmulatorTransport:
         """Ignored: emulated robots do not publish poses in a shared frame."""
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        """Ignored: no topic carries readings."""
+        """Publish scalar readings."""
+        self.side.readings(robot, values)
 
     def take_commands(self) -> Mapping[str, Command]:
         """The newest command of each robot since the last call."""

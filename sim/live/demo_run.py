@@ -114,21 +114,25 @@ class DemoRun:
         """Run all events from start to end; `began` is when the command did (boot time)."""
         view = await_robots(self._operator, self._fleet)
         wall_start = time.monotonic()
-        self._watcher.begin(self._world.ask("start").state)
+        start = self._world.ask("start").state
+        self._watcher.begin(start)
         first, later = _split(self._settings.events)
         started = joined(start_pattern(self._operator, view, run) for run in first)
         self._timeline = LiveTimeline(later, self._fleet, self._operator, self._world)
         before = statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
-        self._follow(before)
+        self._follow(before, start.time)
         wall = time.monotonic() - wall_start
         after = statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
         end = self._world.ask("finish").state
         stopped = self._timeline.send_stop("stop", self._fleet.robots)
         return self._summary(trace, began, end.recorded / wall, started, before, after, stopped)
 
-    def _follow(self, statuses: dict[str, Status]) -> None:
-        """Show the robots until the world has recorded enough."""
-        state = self._watcher.wait()
+    def _follow(self, statuses: dict[str, Status], since: float) -> None:
+        """Carry out events and show the robots until the world has recorded enough.
+
+        An older state than that at `since` s may count a recording of before the start.
+        """
+        state = self._watcher.wait(since=since)
         next_round = 0.0
         while state.is_recording and state.recorded < self._settings.seconds:
             self._timeline.apply(state.recorded)

@@ -82,8 +82,6 @@ def _impossible(scenario: Scenario, most: int, emulator: str | None) -> Iterator
         yield "groups", f"{text}: lower the counts with --set, or use swarmctl exp run"
     if emulator is None:
         return
-    if scenario.fields:
-        yield "fields", f"emulated robots ({emulator}) publish no readings; leave --emulate out"
     default = RadioSettings()
     for key in RadioSettings.__struct_fields__:
         if getattr(scenario.radio, key) != getattr(default, key):

@@ -31,6 +31,9 @@ class Emulator(Protocol):
     def odometry(self, robot: str, odometry: Odometry) -> None:
         """Publish a measured pose and twist; never blocks."""
 
+    def readings(self, robot: str, values: Mapping[str, float]) -> None:
+        """Publish those readings that the robot's driver reads from topics; never blocks."""
+
     def close(self) -> None:
         """Close all connections."""
 

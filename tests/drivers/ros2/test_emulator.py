@@ -27,7 +27,7 @@ from swarmd.drivers.ros2.session import open_session
 from swarmd.plugins import load_driver, load_emulator
 from swarmd.settings.driver_options import BaseOptions, stops_after
 from swarmd.settings.platforms import load_platform
-from swarmd.testing.driver_contract import CollectingSink
+from swarmd.testing.driver_contract import TIMEOUT, CollectingSink
 from tests.drivers.ros2.robots import HASHES
 from tests.support import ros2_types as dds
 from tests.support.processes import wait_until
@@ -252,3 +252,26 @@ def test_a_base_stops_by_itself_as_its_platform_declares(
         stops_after({} if command_timeout is None else {"command_timeout": command_timeout}, "x")
         == seconds
     )
+
+
+@pytest.mark.parametrize("scheme", ["ros2dds", "rmw_zenoh"])
+def test_readings_of_the_platform_reach_the_driver_by_topics(scheme: str) -> None:
+    stage = Stage(scheme, replace(BURGER, provides=BURGER.provides | {"reading:light"}))
+
+    async def story() -> None:
+        sink = CollectingSink()
+        task = asyncio.create_task(stage.driver("r-1").run(sink))
+        async with asyncio.timeout(TIMEOUT):
+            while not (sink.values and sink.values[-1].get("light") == 0.25):
+                stage.side.scan("r-1", varied_scan(BURGER))
+                stage.side.odometry("r-1", odometry())
+                stage.side.readings("r-1", {"light": 0.25})
+                stage.side.readings("r-2", {"light": 0.75})
+                await asyncio.sleep(0.02)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+
+    try:
+        asyncio.run(story())
+    finally:
+        stage.side.close()

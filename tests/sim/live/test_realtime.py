@@ -57,12 +57,16 @@ class Side:
         self.command = on_command
         self.scans: list[tuple[str, Scan]] = []
         self.poses: list[tuple[str, Odometry]] = []
+        self.values: list[tuple[str, Mapping[str, float]]] = []
 
     def scan(self, robot: str, scan: Scan) -> None:
         self.scans.append((robot, scan))
 
     def odometry(self, robot: str, odometry: Odometry) -> None:
         self.poses.append((robot, odometry))
+
+    def readings(self, robot: str, values: Mapping[str, float]) -> None:
+        self.values.append((robot, values))
 
     def close(self) -> None:
         pass
