@@ -15,6 +15,7 @@ from collections.abc import Iterator
 import pytest
 from hypothesis import Phase, settings
 
+from tests.support.chromium import FOUND, Browser, Page, chromium
 from tests.support.examples import FULL
 
 # A machine may be busy: how long an example takes is no property. A property test draws a quarter
@@ -147,3 +148,19 @@ def namespaces() -> Iterator[Namespaces]:
         yield made
     finally:
         made.remove()
+
+
+@pytest.fixture(scope="session")
+def a_browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
+    """One browser for all tests: its start takes longer than most of them."""
+    if FOUND is None:
+        pytest.skip("no Chromium here")
+    with chromium(tmp_path_factory.mktemp("chromium")) as one:
+        yield one
+
+
+@pytest.fixture
+def page(a_browser: Browser) -> Iterator[Page]:
+    """A page without a past."""
+    with a_browser.page() as one:
+        yield one

@@ -140,7 +140,7 @@ def pack_scan(index: int, points: Array) -> bytes:
 
 def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Array:
     """The returns (k, 2) of a scan in the base frame in m; `offset` is that of the sensor."""
-    is_return = np.isfinite(ranges)
+    is_return = np.isfinite(ranges) & (ranges > 0.0)  # drivers mark rays without return by 0
     ranges, bearings = ranges[is_return], bearings[is_return]
     return np.stack(
         (offset[0] + ranges * np.cos(bearings), offset[1] + ranges * np.sin(bearings)), axis=1

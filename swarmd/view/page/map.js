@@ -105,7 +105,7 @@ export class SwarmMap {
     if (left > right) return;
     this.centre = [(left + right) / 2, (bottom + top) / 2];
     const { clientWidth: w, clientHeight: h } = this.canvas;
-    this.scale = Math.min(w / (right - left + 2 * EDGE), h / (top - bottom + 2 * EDGE), 400);
+    this.scale = Math.min(w / (right - left + 2 * EDGE), h / (top - bottom + 2 * EDGE), 160);
     this.hasFitted = true;
     this.isTouched = false; // until then, robots that join move the view
     this.wake();

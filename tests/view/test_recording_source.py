@@ -1,0 +1,141 @@
+"""Recordings on the page: poses, scans, states and events of robots at a time."""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.messages import LimitingObstacle
+from swarmd.core.values import Odometry, Pose, Scan, Twist
+from swarmd.protection.compatibility import ACCEPTS_NONE
+from swarmd.protection.decision import Decision
+from swarmd.recording import frames
+from swarmd.recording.head import RecordingHead
+from swarmd.recording.process import Converter
+from swarmd.settings.platforms import load_platform
+from swarmd.view.recording_source import RecordingSource
+
+BURGER = load_platform("burger")
+SPEED = 0.1
+
+
+def head(robot: str) -> RecordingHead:
+    return RecordingHead(
+        robot=robot,
+        swarm="s",
+        driver="story",
+        clock="c",
+        instance="boot1",
+        seed=1,
+        version="",
+        kernels="",
+        platform=BURGER,
+        labels=(),
+        layers={},
+        touch={},
+        accepts=ACCEPTS_NONE,
+        revision=0,
+        generation=0,
+        latches={},
+    )
+
+
+def recorded(folder: Path, robot: str, begin: float, seconds: float) -> Path:
+    """A robot that drives along x with SPEED, and records until it is stopped at half time."""
+    texts = head(robot).texts()
+    converter = Converter(
+        frames.Begin(begin, str(folder), robot, texts, 1.7e9 + begin, 2**26, 1e3, 2**30)
+    )
+    before: Scan | None = None
+    for k in range(int(10 * seconds) + 1):
+        at, is_running = begin + 0.1 * k, 0.1 * k < seconds / 2
+        pose = Pose(SPEED * 0.1 * k, 0.0, math.pi - 0.01 + 0.1 * k)
+        converter.add(frames.OdometryEntry(at, Odometry(at, pose, Twist(SPEED))))
+        state, reason = ("running", "") if is_running else ("stopped", "operator")
+        twist = Twist(SPEED * is_running)
+        decision = Decision(
+            mode="barrier",
+            requested=twist,
+            safe=twist,
+            reason=None,
+            is_active=is_running,
+            rows=(LimitingObstacle(0.1, 0.3, 0.2),),
+            min_gap=None,
+            scan_age=0.1,
+            scan_seq=k,
+        )
+        converter.add(frames.DecisionEntry(at, "tick", state, reason, decision))
+        ranges = np.full(len(BURGER.scan.bearings), 1.0 + k)
+        scan = Scan(k, at, ranges, BURGER.scan.bearings, 0.1, 3.5)
+        converter.add(frames.scan_entry(scan, at, before))
+        before = scan
+    converter.add(frames.EventEntry(begin + seconds / 2, "stopped by anna"))
+    converter.writer.close()
+    assert converter.writer.path is not None
+    return converter.writer.path
+
+
+def test_shows_each_robot_at_its_time(tmp_path: Path) -> None:
+    paths = [recorded(tmp_path, "tb3-01", 50.0, 4.0), recorded(tmp_path, "tb3-02", 52.0, 10.0)]
+    source = RecordingSource(paths, clock=lambda: 0.0)
+    assert [one.name for one in source.robots] == ["tb3-01", "tb3-02"]
+    assert source.playback.duration == pytest.approx(12.0, abs=0.01)
+    assert source.notes == []
+
+    source.playback.seek(1.05)
+    time, places = source.frame()
+    assert time == pytest.approx(1.05)
+    assert places[:, 0].tolist() == [0]  # the other one is not recorded yet
+    assert places[0, 1] == pytest.approx(SPEED * 1.05, abs=1e-6)
+    rows = source.rows()
+    assert rows["tb3-01"]["state"] == "running"
+    assert rows["tb3-01"]["protection"] == "active"
+    assert rows["tb3-01"]["safe"] == pytest.approx([SPEED, 0.0, 0.0])
+    assert rows["tb3-01"]["rows"] == [[0.1, 0.3, 0.2]]
+    assert rows["tb3-02"]["presence"] == "absent"
+    points = source.scan("tb3-01")
+    assert points is not None
+    assert np.hypot(*(points - BURGER.scan.offset).T) == pytest.approx(1.0 + 10, abs=1e-5)
+
+    source.playback.seek(3.0)
+    assert source.frame()[1][:, 0].tolist() == [0, 1]
+    row = source.rows()["tb3-01"]
+    assert (row["state"], row["why"]) == ("stopped", "operator")
+    detail = source.detail("tb3-01")
+    assert detail is not None
+    assert detail["events"] == [["2.0 s", "stopped by anna"]]
+
+    source.playback.seek(12.0)
+    assert source.rows()["tb3-01"]["presence"] == "absent"
+    assert source.frame()[1][:, 0].tolist() == [1]
+    json.dumps(source.rows(), allow_nan=False)
+
+
+def test_a_turn_through_pi_is_interpolated_the_short_way(tmp_path: Path) -> None:
+    source = RecordingSource([recorded(tmp_path, "tb3-01", 50.0, 4.0)], clock=lambda: 0.0)
+    source.playback.seek(0.05)
+    _, places = source.frame()
+    assert math.remainder(places[0, 3] - (math.pi - 0.01 + 0.05), 2 * math.pi) == pytest.approx(
+        0.0, abs=1e-6
+    )
+
+
+def test_what_is_damaged_is_noted_and_the_rest_shown(tmp_path: Path) -> None:
+    path = recorded(tmp_path, "tb3-01", 50.0, 60.0)
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
+    source = RecordingSource([cut])
+    assert str(cut) in source.notes[0]
+    assert 0.0 < source.playback.duration < 60.0
+
+
+def test_another_file_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "notes.mcap"
+    path.write_text("no recording")
+    with pytest.raises(ConfigError, match=r"notes\.mcap"):
+        RecordingSource([path])
