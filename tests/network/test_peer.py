@@ -10,7 +10,15 @@ from msgspec.structs import replace
 
 from swarmd.core.messages import Latch, Presence, State
 from swarmd.core.values import Pose, SharedPose
-from swarmd.network.datagram import Ack, Beacon, MemberList, Solicit, Stop
+from swarmd.network.datagram import (
+    Ack,
+    Beacon,
+    ClockQuery,
+    ClockReply,
+    MemberList,
+    Solicit,
+    Stop,
+)
 from swarmd.network.peer import BEACON_PERIOD, FASTEST_DATAGRAM
 from tests.network.virtual_network import OPERATOR, VirtualNetwork
 
@@ -397,3 +405,32 @@ def test_places_of_strangers_and_of_the_own_id_are_ignored() -> None:
             body = replace(place, robot=robot)
             told[robot] += len(two.peer.on_datagram(body, one.address, now, two.summary).places)
     assert told == {"r1": 6, "r2": 0, "r9": 0}
+
+
+# Clocks
+
+
+def test_robots_that_record_note_the_clocks_of_a_few_peers_and_others_ask_nothing() -> None:
+    network = VirtualNetwork(16)
+    network.until(lambda: all_know_each_other(network))
+    network.robots["r1"].is_recording = True
+    network.sent_kinds.clear()
+    network.run(60.0)
+    assert 8 * 4 <= network.sent_kinds[ClockQuery] <= 10 * 4  # of r1 alone: 1, 2, 4 and 8 further
+    assert network.sent_kinds[ClockReply] == network.sent_kinds[ClockQuery]
+    clocks = network.robots["r1"].clocks
+    assert len({one.peer for one in clocks}) == 4
+    assert all(one.clock == int(one.peer[1:]).to_bytes(6, "big").hex() for one in clocks)
+    assert all(one.sent < one.answered <= one.returned < one.sent + 0.2 for one in clocks)
+    assert not any(robot.clocks for name, robot in network.robots.items() if name != "r1")
+
+
+def test_an_answer_that_was_not_asked_for_is_no_clock() -> None:
+    network = VirtualNetwork(2)
+    network.robots["r1"].is_recording = True
+    network.run(1.0)
+    before = len(network.robots["r1"].clocks)
+    assert before >= 1
+    network.send(ClockReply(robot="r2", clock=bytes(6), sent=5, answered=7), "r1")
+    network.run(0.1)
+    assert len(network.robots["r1"].clocks) == before

@@ -10,6 +10,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from swarmd.core.clock import ClockSample
 from swarmd.core.messages import Code, Latch, State
 from swarmd.network.datagram import Ack, Address, Datagram, Solicit, Stop, pack, tag_of, unpack
 from swarmd.network.peer import Effects, Peer, Summary
@@ -31,6 +32,8 @@ class Robot:
     stops: list[str] = field(default_factory=list)
     messages: list[bytes] = field(default_factory=list)
     changes: list[str] = field(default_factory=list)
+    clocks: list[ClockSample] = field(default_factory=list)
+    is_recording: bool = False
     is_up: bool = True
 
     @property
@@ -74,6 +77,7 @@ class VirtualNetwork:
             version="1.0",
             roster=(),
             now=self.now,
+            clock=self._lives.to_bytes(6, "big").hex(),
         )
         key = key or name
         number = self._lives
@@ -117,6 +121,9 @@ class VirtualNetwork:
             for name, robot in list(self.robots.items()):
                 if robot.is_up:
                     self._carry_out(name, robot.peer.advance(self.now, robot.summary))
+                if robot.is_up and robot.is_recording:
+                    asked = robot.peer.clock_queries(self.now)
+                    self._carry_out(name, Effects(sends=asked))
 
     def until(self, holds: Callable[[], bool], cap: float = 60.0) -> float:
         """Let time pass until it holds; the seconds it took."""
@@ -170,6 +177,7 @@ class VirtualNetwork:
             robot.state = State.ESTOPPED
         robot.messages.extend(message.payload for message in effects.messages)
         robot.changes.extend(effects.changed)
+        robot.clocks.extend(effects.clocks)
 
     def _send(self, name: str, source: Address, body: Datagram, to: Address | None) -> None:
         payload = pack(TAG, body)

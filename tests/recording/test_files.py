@@ -11,7 +11,7 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -19,9 +19,13 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.host_messages import Loaded
+from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist
+from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages
 from swarmd.recording.cdr import CdrWriter, Message
+from swarmd.recording.process import Converter
 from swarmd.recording.reader import RecordedMessage, read_file
 from swarmd.recording.writer import CHUNK_TIME, RecordingWriter
 
@@ -210,3 +214,67 @@ def test_other_inputs_are_the_same_after_writing_and_reading() -> None:
     assert (told.stamp, told.error, told.yaw_error, told.frame) == (3.0, 0.1, 0.02, "hall")
     values = {"battery": 0.5, "light": -1.0}
     assert messages.readings_of(through(messages.readings_message(values, 1.0))) == values
+
+
+def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Path) -> None:
+    row = LimitingObstacle(0.1, 0.2, 0.3)
+    decision = Decision("barrier", Twist(0.2), Twist(0.1), None, True, (row,), 0.2, None, 3)
+    scan = Scan(7, 2.0, np.array([0.7, math.inf]), np.array([-0.1, 0.3]), 0.12, 3.5)
+    host = frames.encode_host(Loaded(1, 10.0, frozenset(), {}))
+    converter = Converter(
+        frames.Begin(1.0, str(tmp_path), "a", {"robot": "a"}, 9e8, 2**26, 60, 2**30)
+    )
+    entries: tuple[frames.Entry, ...] = (
+        frames.scan_entry(scan, 2.0, None),
+        frames.OdometryEntry(2.0, Odometry(2.0, Pose(1.0), Twist(0.1))),
+        frames.NeighborsEntry(2.0, (Neighbor("b", 0.0, 1.0, None, 0.5), Neighbor("cc", 0.0))),
+        frames.PoseEntry(2.0, SharedPose(2.0, Pose(1.0, 2.0, 0.5), 0.1, 0.02, "hall")),
+        frames.ReadingsEntry(2.0, {"battery": 0.5}),
+        frames.ReadingsEntry(2.0, {}),
+        frames.DriverEntry(2.0, True, "Grüße", "", False),
+        frames.HostEntry(2.0, host),
+        frames.RequestedEntry(2.0, Twist(0.2), 7),
+        frames.DecisionEntry(2.0, "scan", "running", "", decision),
+        frames.MessageEntry(2.0, "b", "vote/opinion", {"value": [1, None]}),
+        frames.MessageEntry(2.0, "a", "vote/opinion", 3),
+        frames.TextEntry(2.0, "/status", b'{"state":"idle"}'),
+        frames.EventEntry(2.0, "a line"),
+        frames.ClockEntry(2.0, "b", "00ff", 1.0, 2.0, 3.0),
+        frames.DroppedEntry(2.0, 4),
+    )
+    assert {type(one) for one in entries} | {frames.Begin} == set(get_args(frames.Entry))
+    for entry in entries:
+        (copy,) = frames.decode_batch(frames.batch([frames.encode_entry(entry)]))
+        converter.add(copy)
+    converter.writer.close()
+    assert converter.writer.path is not None
+    with converter.writer.path.open("rb") as file:
+        reader = make_reader(file, decoder_factories=[DecoderFactory()])
+        found = {c.topic: (s, d) for s, c, _, d in reader.iter_decoded_messages()}
+    assert {topic: one.name for topic, (one, _) in found.items() if one} == {
+        "/scan/geometry": "swarmd_msgs/msg/ScanGeometry",
+        "/scan": "sensor_msgs/msg/LaserScan",
+        "/odometry": "nav_msgs/msg/Odometry",
+        "/neighbors": "swarmd_msgs/msg/Neighbors",
+        "/pose": "swarmd_msgs/msg/SharedPose",
+        "/readings": "swarmd_msgs/msg/Readings",
+        "/driver": "swarmd_msgs/msg/DriverState",
+        "/host": "swarmd_msgs/msg/Bytes",
+        "/command/requested": "swarmd_msgs/msg/Requested",
+        "/decision": "swarmd_msgs/msg/Decision",
+        "/message/received": "swarmd_msgs/msg/Text",
+        "/message/sent": "swarmd_msgs/msg/Text",
+        "/status": "swarmd_msgs/msg/Text",
+        "/event": "rcl_interfaces/msg/Log",
+        "/clock/pair": "swarmd_msgs/msg/ClockPair",
+        "/dropped": "swarmd_msgs/msg/Text",
+    }
+    assert list(found["/scan"][1].ranges) == [np.float32(0.7), math.inf]
+    assert found["/odometry"][1].twist.twist.linear.x == 0.1
+    assert list(found["/odometry"][1].pose.covariance) == [0.0] * 36
+    assert list(found["/neighbors"][1].robots) == ["b", "cc"]
+    assert found["/driver"][1].text == "Grüße"
+    told = found["/decision"][1]
+    assert (told.safe.linear.x, told.scan_seq, list(told.caps)) == (0.1, 3, [0.3])
+    assert (found["/event"][1].level, found["/event"][1].msg) == (20, "a line")
+    assert (found["/clock/pair"][1].peer_clock, found["/clock/pair"][1].returned) == ("00ff", 3.0)

@@ -10,7 +10,8 @@ import pytest
 
 from swarmd.recording import messages
 from swarmd.recording.reader import RecordedFile, read_file
-from tests.support.processes import wait_until
+from swarmd.testing.driver_contract import is_running
+from tests.support.processes import children, wait_until
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
@@ -83,6 +84,23 @@ def test_a_run_is_recorded_listed_and_fetched(swarm: Swarm, tmp_path: Path) -> N
     listed = swarm.ctl("record", "list", "--all", "-o", "json").json["robots"]["tb3-01"]
     assert [one["is_open"] for one in listed] == [False]
     assert listed[0]["end"] > listed[0]["begin"]
+
+
+def test_no_recorder_outlives_a_daemon_that_is_killed(swarm: Swarm) -> None:
+    daemon = swarm.start("tb3-01", options={"recording": {"from_start": True}})
+    status = swarm.await_status("tb3-01", "recording", lambda status: bool(status.recording))
+    assert status.recording is not None
+    folder = swarm.folder / "state" / swarm.name / "tb3-01" / "recordings"
+    (recorder,) = (
+        pid
+        for pid in children(daemon.process.pid)
+        if b"swarmd.recording.process" in Path(f"/proc/{pid}/cmdline").read_bytes()
+    )
+    daemon.kill()
+    wait_until(lambda: not is_running(recorder), "the recorder has ended")
+    (path,) = folder.glob("*.mcap")
+    assert read_file(path).fault == "", "it finished its file"
+    assert path.with_suffix(".index.json").exists()
 
 
 def test_robots_without_an_answer_are_named(swarm: Swarm, tmp_path: Path) -> None:
