@@ -20,6 +20,7 @@ from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.exp_check import check
 from swarmd.sim.cli.exp_export import export
+from swarmd.sim.cli.exp_report import report
 from swarmd.sim.cli.exp_video import video
 from swarmd.sim.cli.exp_view import view
 from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_option
@@ -488,5 +489,6 @@ def _warn_of_few(counts: Iterable[int]) -> None:
 
 exp.add_command(check)
 exp.add_command(export)
+exp.add_command(report)
 exp.add_command(video)
 exp.add_command(view)

@@ -1,0 +1,235 @@
+"""A report of an experiment: one HTML file that needs no network and no other file."""
+
+from __future__ import annotations
+
+import json
+import shlex
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import yaml
+
+from swarmd.core.errors import SwarmError
+from swarmd.sim.experiments.manifest import Manifest, read_manifest
+from swarmd.sim.experiments.results import Results, load_results
+from swarmd.sim.experiments.statistics import FEW, METHOD
+from swarmd.sim.plots.select import primary_metric, typical_first
+from swarmd.sim.report.figures import Figure, figures_of
+from swarmd.sim.report.player import player_of, script
+from swarmd.sim.report.tables import (
+    contacts_table,
+    differences_tables,
+    manifest_table,
+    metrics_table,
+    shown_metrics,
+)
+from swarmd.sim.view.experiment import source_of
+from swarmd.view.source import Source
+
+MAX_FIGURES = 24
+"""Pictures in a report; a sweep of many variants has more."""
+_PLAYER = """
+<p>{what}. Sampled every {period:.2g} s.</p>
+<div id="player">
+<div class="bar">
+<label>Colour <select id="colour"></select></label>
+<label><input type="checkbox" id="trails" checked> Trails</label>
+<label><input type="checkbox" id="names" checked> Names</label>
+<button id="fit" type="button">Fit</button>
+</div>
+<canvas id="map" tabindex="0" aria-label="Map of the robots; the tables hold the results"></canvas>
+<div id="legend"></div>
+<div id="timeline">
+<button id="play" type="button">Play</button>
+<label>Speed <select id="speed"><option>0.5</option><option>1</option><option>2</option>
+<option>5</option><option>10</option><option>30</option></select></label>
+<input id="seek" type="range" min="0" max="1" step="0.01" value="0" aria-label="Time in seconds">
+<output id="at">0.0 s</output>
+<span id="runs" hidden><select id="run-shown"></select><button id="run-before"></button>
+<button id="run-after"></button></span>
+</div>
+</div>
+"""
+
+
+def report_of(
+    folder: Path,
+    metrics: Sequence[str] | None = None,
+    seed: int | None = None,
+    variant: str | None = None,
+) -> str:
+    """The report of the experiment in `folder`, as HTML.
+
+    `metrics` replaces the metrics that are shown first; `seed` and `variant` choose the run that
+    the player plays, by default a typical one. ConfigError if there is no such experiment or run,
+    SwarmError if no run has finished.
+    """
+    results, manifest = load_results(folder), read_manifest(folder)
+    if not results.runs:
+        raise SwarmError(f"{folder}: no run has finished: nothing to report")
+    first, others = shown_metrics(results)
+    if metrics is not None:
+        first, others = list(metrics), [name for name in (*first, *others) if name not in metrics]
+    source = _source(folder, results, metrics, seed, variant)
+    sections = [
+        ("results", "Results", _results(results, first, others)),
+        ("differences", "Differences", differences_tables(results, first)),
+        ("figures", "Figures", _figures(figures_of(folder, metrics))),
+        ("contacts", "Contacts", contacts_table(results)),
+    ]
+    data = _data("summary", json.dumps(results.document(), allow_nan=False))
+    code = ""
+    if source is not None:
+        player = player_of(source)
+        what = escape(f"The run of {source.playback.run if source.playback else ''}")
+        sections.append(("run", "One run", _PLAYER.format(what=what, period=player.period)))
+        data += _data("run-data", player.data)
+        code = f'<script type="module">\n{script()}\n</script>'
+    sections += [
+        ("scenario", "Scenario", _scenario(results, manifest)),
+        ("again", "How to make it again", _again(folder, manifest)),
+        ("manifest", "Made with", manifest_table(manifest)),
+    ]
+    return page(
+        title=Path(results.plan.scenario).stem,
+        question=_question(manifest),
+        summary=_summary(results, manifest),
+        sections=sections,
+        data=data,
+        script=code,
+    )
+
+
+def page(
+    *,
+    title: str,
+    question: str,
+    summary: str,
+    sections: Sequence[tuple[str, str, str]],
+    data: str = "",
+    script: str = "",
+) -> str:
+    """The HTML of a report. `sections` are id, title and HTML; those without HTML are left out."""
+    place = files("swarmd.sim.report") / "page"
+    parts = [
+        f'<section id="{name}"><h2>{escape(head)}</h2>\n{body}\n</section>'
+        for name, head, body in sections
+        if body
+    ]
+    return Template((place / "report.html").read_text(encoding="utf-8")).substitute(
+        title=escape(title),
+        question=escape(question),
+        summary=escape(summary),
+        style=(place / "report.css").read_text(encoding="utf-8"),
+        sections="\n".join(parts),
+        data=data,
+        script=script,
+    )
+
+
+def _source(
+    folder: Path,
+    results: Results,
+    metrics: Sequence[str] | None,
+    seed: int | None,
+    variant: str | None,
+) -> Source | None:
+    """The run to play: the chosen one, else that nearest to the median; None without traces."""
+    if seed is None and variant is None:
+        variant = results.variants[0]
+        seeds = results.seeds(variant)
+        primary = primary_metric(results, metrics)
+        if seeds and primary is not None:
+            seed = seeds[typical_first(results.metric(primary, variant))[0]]
+        try:
+            return source_of(folder, seed, variant or None)
+        except SwarmError:  # traces were not kept
+            return None
+    return source_of(folder, seed, variant)
+
+
+def _question(manifest: Manifest) -> str:
+    text = str(manifest.variants[0].effective.get("description") or "")
+    return " ".join(text.split())
+
+
+def _summary(results: Results, manifest: Manifest) -> str:
+    duration = manifest.variants[0].effective.get("duration", 0.0)
+    many = f"{len(results.variants)} variants, " if len(results.variants) > 1 else ""
+    failed = f", {len(results.failures)} failed" if results.failures else ""
+    runs = f"{many}{len(results.runs)} of {len(results.plan.runs)} runs{failed}"
+    version = manifest.made_with.get("swarmd", "")
+    return f"{runs} of {duration:g} s; made with swarmd {version}, {manifest.created}"
+
+
+def _results(results: Results, first: Sequence[str], others: Sequence[str]) -> str:
+    parts = []
+    fewest = min((len(results.seeds(name)) for name in results.variants), default=0)
+    if fewest < FEW:
+        parts.append(f"<p><b>Only {fewest} runs</b>: intervals of so few are too narrow.</p>")
+    for run, why in list(results.failures.items())[:5]:
+        parts.append(f"<p>Failed: {escape(run)}: {escape(why)}</p>")
+    for name in results.variants:
+        if not results.seeds(name):
+            parts.append(f"<h3>{escape(name)}</h3><p>No run has finished.</p>")
+            continue
+        parts.append(f"<h3>{escape(name)}</h3>" if name else "")
+        parts.append(metrics_table(results, name, first) if first else "")
+        if others:
+            rest = metrics_table(results, name, others)
+            parts.append(f"<details><summary>All other metrics</summary>{rest}</details>")
+    parts.append(
+        '<p class="narrow dim">A wider window shows median, least, largest and runs too.</p>'
+    )
+    parts.append(f'<p class="dim">95 % intervals: {escape(METHOD)}.</p>')
+    return "\n".join(part for part in parts if part)
+
+
+def _figures(found: Sequence[Figure]) -> str:
+    kept = found[:MAX_FIGURES]
+    parts = [
+        f'<figure class="{one.kind}"><img src="{one.source}" alt="{escape(one.caption)}">'
+        f"<figcaption>{escape(one.caption)}</figcaption></figure>"
+        for one in kept
+    ]
+    if len(found) > len(kept):
+        parts.append(f"<p>{len(kept)} of {len(found)} figures; `swarmctl exp plot` draws all.</p>")
+    return f'<div class="pair">{"".join(parts)}</div>' if parts else ""
+
+
+def _scenario(results: Results, manifest: Manifest) -> str:
+    values = _given(dict(manifest.variants[0].effective))
+    text = yaml.safe_dump(values, sort_keys=False, allow_unicode=True, width=90)
+    parts = []
+    if results.plan.sweep:
+        swept = "; ".join(
+            f"{key}: {', '.join(map(str, values))}" for key, values in results.plan.sweep.items()
+        )
+        parts.append(f"<p>Swept: {escape(swept)}. The scenario of the first variant:</p>")
+    parts.append(f"<pre>{escape(text)}</pre>")
+    return "\n".join(parts)
+
+
+def _given(value: Any) -> Any:
+    """The value without keys that are null."""
+    if isinstance(value, dict):
+        return {key: _given(one) for key, one in value.items() if one is not None}
+    return [_given(one) for one in value] if isinstance(value, list) else value
+
+
+def _again(folder: Path, manifest: Manifest) -> str:
+    lines = [f"swarmctl exp rerun {shlex.quote(str(folder))}   # repeats it, bit by bit"]
+    if manifest.command:
+        lines.insert(0, shlex.join(manifest.command))
+    lines.append(f"swarmctl exp report {shlex.quote(str(folder))}   # this report")
+    return f"<pre>{escape(chr(10).join(lines))}</pre>"
+
+
+def _data(name: str, text: str) -> str:
+    """JSON for scripts, which cannot end the element that holds it."""
+    kept = text.replace("</", "<\\/")
+    return f'<script type="application/json" id="{name}">{kept}</script>\n'

@@ -1,0 +1,166 @@
+"""The player of one run in a report: the modules of the page of a swarm, and the run as data.
+
+The run is sampled: poses as 16-bit numbers, and the values of each robot where they change.
+"""
+
+from __future__ import annotations
+
+import base64
+import json
+import math
+import re
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from swarmd.core.values import Array
+from swarmd.view.source import Source
+
+MODULES = ("colours.js", "model.js", "map.js", "timeline.js")
+"""The modules of the page that the player uses, each after those that it imports."""
+MAX_RATE = 10.0  # samples of poses per s
+MAX_POSES = 90_000  # of all robots and boxes together, 6 bytes each
+ROW_PERIOD = 0.5  # s between two samples of values
+MAX_ROWS = 20_000  # of all robots together
+_MAX_LINKED = 50  # robots up to which links are kept
+_KEPT = ("presence", "state", "why", "pattern", "protection", "report", "touches")
+_LARGEST, _ABSENT = 32767, -32768
+_IMPORT = re.compile(r"^import \{ ([\w, ]+) \} from '\./([\w.]+)';$", re.MULTILINE)
+_EXPORT = re.compile(r"^export (?:class|function|const) (\w+)", re.MULTILINE)
+
+
+@dataclass(frozen=True, slots=True)
+class Player:
+    """The data of a player as JSON, and the time in s between its samples of poses."""
+
+    data: str
+    period: float
+
+
+def player_of(source: Source) -> Player:
+    """The run that a source of a recorded run shows; its time is moved."""
+    playback = source.playback
+    assert playback is not None
+    playback.play(is_playing=False, speed=1.0)
+    duration, robots = playback.duration, len(source.robots)
+    playback.seek(0.0)
+    shapes = _box_shapes(source, duration)
+    bodies = robots + len(shapes)
+    count = max(2, min(round(MAX_RATE * duration) + 1, MAX_POSES // max(bodies, 1)))
+    period = duration / (count - 1) if duration > 0.0 else 1.0
+    poses = np.full((count, bodies, 3), np.nan)
+    for k in range(count):
+        playback.seek(k * period)
+        places = source.frame()[1]
+        poses[k, places[:, 0].astype(int)] = places[:, 1:]
+        free = list(range(len(shapes)))
+        for shape, pose in source.boxes():
+            index = next((i for i in free if np.array_equal(shapes[i], shape)), None)
+            if index is not None:
+                free.remove(index)
+                poses[k, robots + index] = pose
+    packed, centre, unit = _packed(poses)
+    row_period, rows, links = _rows(source, duration)
+    playback.seek(0.0)
+    data = {
+        "hello": _hello(source),
+        "period": period,
+        "count": count,
+        "centre": centre,
+        "unit": unit,
+        "poses": packed,
+        "boxes": [shape.tolist() for shape in shapes],
+        "row_period": row_period,
+        "rows": rows,
+        "links": links,
+    }
+    return Player(json.dumps(data, separators=(",", ":"), allow_nan=False), period)
+
+
+def script() -> str:
+    """One module script: the modules of the page and the player, each in a function of its own."""
+    page = files("swarmd.view") / "page"
+    sources = [(name, (page / name).read_text(encoding="utf-8")) for name in MODULES]
+    own = (files("swarmd.sim.report") / "page" / "player.js").read_text(encoding="utf-8")
+    parts = ["const modules = {};"]
+    for name, text in sources:
+        exported = ", ".join(_EXPORT.findall(text))
+        body = re.sub(r"^export ", "", _linked(text), flags=re.MULTILINE)
+        parts.append(f"modules['{name}'] = (() => {{\n{body}\nreturn {{ {exported} }};\n}})();")
+    return "\n".join((*parts, _linked(own)))
+
+
+def _linked(text: str) -> str:
+    """The text with its imports taken from `modules`; ValueError for another kind of import."""
+    found = _IMPORT.sub(r"const { \1 } = modules['\2'];", text)
+    if re.search(r"^import\b", found, re.MULTILINE) or "</script" in found:
+        raise ValueError("a module of the page cannot be put into a report")
+    return found
+
+
+def _hello(source: Source) -> dict[str, Any]:
+    playback = source.playback
+    assert playback is not None
+    return {
+        "swarm": source.swarm,
+        "source": source.kind,
+        "role": "operator",
+        "robots": [robot.plain() for robot in source.robots],
+        "arena": None if source.arena is None else source.arena.plain(),
+        "patterns": [],
+        "runs": [playback.run],
+        "playback": playback.plain(),
+    }
+
+
+def _box_shapes(source: Source, duration: float) -> list[Array]:
+    """The outlines of all movable boxes that are in the arena at any of twenty times."""
+    assert source.playback is not None
+    found: list[Array] = []
+    for k in range(21):
+        source.playback.seek(k * duration / 20.0)
+        there = [shape for shape, _ in source.boxes()]
+        for shape in there:
+            many = sum(np.array_equal(shape, one) for one in there)
+            if sum(np.array_equal(shape, one) for one in found) < many:
+                found.append(shape)
+    return found
+
+
+def _packed(poses: Array) -> tuple[str, list[float], float]:
+    """Poses (count, bodies, 3) as base64 of 16-bit numbers; their centre and unit in m."""
+    places = poses[..., :2].reshape(-1, 2)
+    places = places[np.isfinite(places).all(axis=1)]
+    low, high = (places.min(axis=0), places.max(axis=0)) if len(places) else (np.zeros(2),) * 2
+    centre = (low + high) / 2.0
+    unit = max(float((high - low).max()) / 2.0 / _LARGEST, 1e-4)
+    numbers = np.empty(poses.shape)
+    numbers[..., :2] = (poses[..., :2] - centre) / unit
+    numbers[..., 2] = np.angle(np.exp(1j * poses[..., 2])) * _LARGEST / math.pi
+    numbers = np.where(np.isfinite(poses).all(axis=2, keepdims=True), np.rint(numbers), _ABSENT)
+    packed = base64.b64encode(numbers.astype("<i2").tobytes()).decode()
+    return packed, [float(value) for value in centre], unit
+
+
+def _rows(source: Source, duration: float) -> tuple[float, list[Any], list[Any]]:
+    """The time in s between two samples, and by sample what has changed, and the links."""
+    assert source.playback is not None
+    robots = max(len(source.robots), 1)
+    count = max(1, min(math.floor(duration / ROW_PERIOD + 1e-6) + 1, MAX_ROWS // robots))
+    period = duration / (count - 1) if count > 1 else max(duration, ROW_PERIOD)
+    rows, links = [], []
+    before: dict[str, dict[str, Any]] = {}
+    for k in range(count):
+        source.playback.seek(k * period)
+        changed: dict[str, dict[str, Any]] = {}
+        for name, row in source.rows().items():
+            kept = {key: row[key] for key in _KEPT if key in row}
+            old = before.get(name, {})
+            if new := {key: value for key, value in kept.items() if old.get(key) != value}:
+                changed[name] = new
+            before[name] = kept
+        rows.append(changed)
+        links.append(list(source.links()) if robots <= _MAX_LINKED else [])
+    return period, rows, links

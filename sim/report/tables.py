@@ -1,0 +1,124 @@
+"""The tables of a report, as HTML."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from html import escape
+
+import numpy as np
+
+from swarmd.core.errors import SwarmError
+from swarmd.sim.experiments.compare import Difference, Side, compare
+from swarmd.sim.experiments.manifest import Manifest
+from swarmd.sim.experiments.report import HEADER, interval, number, summary_rows
+from swarmd.sim.experiments.results import Results
+from swarmd.sim.metrics.catalog import METRICS
+from swarmd.sim.metrics.contacts import contact_list
+from swarmd.sim.plots.select import RUN_BY_RUN
+
+MAX_CONTACTS = 30
+_CONTACTS = ("robot_contacts", "arena_contacts", "box_contacts")
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") -> str:
+    """A table of cells that are HTML; the first column is text."""
+    top = "".join(f"<th>{escape(cell)}</th>" for cell in head)
+    body = "\n".join(f"<tr>{''.join(f'<td>{cell}</td>' for cell in row)}</tr>" for row in rows)
+    start = f'<div class="wide"><table class="{kind}"><thead><tr>{top}</tr></thead>'
+    return f"{start}<tbody>\n{body}\n</tbody></table></div>"
+
+
+def metrics_table(results: Results, variant: str, names: Sequence[str]) -> str:
+    """The statistics of metrics, each with its meaning."""
+    rows = summary_rows(results.summary(variant, names))
+    return table(HEADER, [(_meaning(row[0]), *map(escape, row[1:])) for row in rows], "metrics")
+
+
+def shown_metrics(results: Results) -> tuple[list[str], list[str]]:
+    """The metrics to show first, and the others; metrics without any value are left out."""
+    found = [name for name in results.metrics if np.isfinite(results.metric(name)).any()]
+    first = [name for name in found if name in RUN_BY_RUN]
+    return first, [name for name in found if name not in first]
+
+
+def differences_tables(results: Results, names: Sequence[str]) -> str:
+    """How each variant of a sweep differs from the first."""
+    sides = [Side(name, results, name) for name in results.variants if results.seeds(name)]
+    parts = []
+    for side in sides[1:]:
+        found = compare(sides[0], side, names)
+        paired = "paired by seed" if any(one.is_paired for one in found) else "independent samples"
+        parts.append(f"<h3>B: {escape(side.label)}, and A: {escape(sides[0].label)}</h3>")
+        parts.append(f'<p class="dim">{paired}; 95 % bootstrap intervals of B - A</p>')
+        parts.append(_differences(found))
+    return "\n".join(parts)
+
+
+def contacts_table(results: Results) -> str:
+    """The first contacts of all runs; empty if there was none."""
+    rows, count = [], 0
+    touched = {
+        row["run"]
+        for row in results.rows
+        if any((row.get(metric) or 0.0) > 0.0 for metric in _CONTACTS)
+    }
+    for run in results.runs:
+        if run.id not in touched:
+            continue
+        try:
+            trace = results.traces[run.id]
+        except SwarmError:  # not kept
+            continue
+        name = f"{run.variant.name}, seed {run.seed}" if run.variant.name else f"seed {run.seed}"
+        for one in contact_list(trace):
+            count += 1
+            moving = [
+                w for w, is_so in ((one.a, one.is_a_moving), (one.b, one.is_b_moving)) if is_so
+            ]
+            cells = (name, f"{one.start:.1f} s", f"{one.a}, {one.b}", ", ".join(moving) or "-")
+            rows.append((*map(escape, cells), f"{one.closing_speed:.3f} m/s"))
+    if not touched:
+        return ""
+    text = f"{len(touched)} of {len(results.runs)} runs had contacts"
+    text += f"; the first {MAX_CONTACTS} of {count} are listed" if count > MAX_CONTACTS else ""
+    head = ("RUN", "TIME", "BETWEEN", "MOVING", "CLOSING SPEED")
+    return f"<p>{text}.</p>\n{table(head, rows[:MAX_CONTACTS], 'contacts')}"
+
+
+def manifest_table(manifest: Manifest) -> str:
+    """What the runs were made with."""
+    seeds = ", ".join(map(str, manifest.seeds))
+    rows = [("created", manifest.created), ("scenario", manifest.scenario), ("seeds", seeds)]
+    rows += [("part", str(manifest.shard))] if manifest.shard else []
+    for name, state in manifest.git.items():
+        if state is not None:
+            changed = ", with changes that are not committed" if state.is_dirty else ""
+            rows.append((f"git commit of {name}", f"{state.commit}{changed}"))
+    rows += [*manifest.made_with.items()]
+    rows += [(f"plugin {name}", digest) for name, digest in manifest.plugins.items()]
+    body = "".join(
+        f'<tr><td>{escape(name)}</td><td class="long">{escape(value)}</td></tr>'
+        for name, value in rows
+    )
+    return f'<div class="wide"><table class="manifest"><tbody>{body}</tbody></table></div>'
+
+
+def _meaning(name: str) -> str:
+    meaning = METRICS[name].meaning if name in METRICS else ""
+    return f"{_breakable(name)}<small>{escape(meaning)}</small>"
+
+
+def _breakable(name: str) -> str:
+    """A name whose line may break after each underscore."""
+    return escape(name).replace("_", "_<wbr>")
+
+
+def _differences(found: Sequence[Difference]) -> str:
+    head = ("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "RUNS", "RESULT")
+    rows = []
+    for one in found:
+        runs = str(one.n_a) if one.n_a == one.n_b else f"{one.n_a}, {one.n_b}"
+        numbers = number(one.mean_a), number(one.mean_b), number(one.difference)
+        cells = (*numbers, interval(one.interval), runs, one.conclusion)
+        rows.append((_breakable(one.metric), escape(one.unit or "-"), *map(escape, cells)))
+    return table(head, rows, "differences")
