@@ -9,9 +9,6 @@ import click
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import chosen_metrics, need
 
-LARGE = 3e6
-"""Bytes above which a report is large for mail."""
-
 
 @click.command()
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
@@ -34,12 +31,14 @@ def report(
     """
     need("mujoco", "matplotlib")
     from swarmd.sim.experiments.manifest import write_whole
+    from swarmd.sim.experiments.results import load_results
     from swarmd.sim.report.html import report_of
 
     path = folder / "report.html" if out is None else out
     if path.suffix != ".html" or not path.parent.is_dir():
         raise ConfigError(f"{path}: expected a name that ends in .html, in a folder that exists")
-    text = report_of(folder, chosen_metrics(metrics), seed, variant)
+    chosen = chosen_metrics(metrics, load_results(folder).asked)
+    text = report_of(folder, chosen, seed, variant)
     try:
         write_whole(path, text)
     except OSError as error:

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.plots.figures import draw_experiment
 
 _CAPTIONS = (
@@ -30,7 +31,7 @@ class Figure:
     source: str
 
 
-def figures_of(folder: Path, metrics: Sequence[str] | None = None) -> list[Figure]:
+def figures_of(folder: Path, metrics: Sequence[Metric] | None = None) -> list[Figure]:
     """The figures of an experiment; errors as of `draw_experiment`."""
     with TemporaryDirectory(prefix="swarmd-report-") as place:
         return [_figure(path) for path in draw_experiment(folder, Path(place), metrics=metrics)]

@@ -17,6 +17,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.manifest import Manifest, read_manifest
 from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.statistics import FEW, METHOD
+from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.plots.select import primary_metric, typical_first
 from swarmd.sim.report.figures import Figure, figures_of
 from swarmd.sim.report.player import player_of, script
@@ -58,7 +59,7 @@ _PLAYER = """
 
 def report_of(
     folder: Path,
-    metrics: Sequence[str] | None = None,
+    metrics: Sequence[Metric] | None = None,
     seed: int | None = None,
     variant: str | None = None,
 ) -> str:
@@ -73,7 +74,8 @@ def report_of(
         raise SwarmError(f"{folder}: no run has finished: nothing to report")
     first, others = shown_metrics(results)
     if metrics is not None:
-        first, others = list(metrics), [name for name in (*first, *others) if name not in metrics]
+        names = {one.name for one in metrics}
+        first, others = list(metrics), [one for one in (*first, *others) if one.name not in names]
     source = _source(folder, results, metrics, seed, variant)
     sections = [
         ("results", "Results", _results(results, first, others)),
@@ -134,7 +136,7 @@ def page(
 def _source(
     folder: Path,
     results: Results,
-    metrics: Sequence[str] | None,
+    metrics: Sequence[Metric] | None,
     seed: int | None,
     variant: str | None,
 ) -> Source | None:
@@ -166,7 +168,7 @@ def _summary(results: Results, manifest: Manifest) -> str:
     return f"{runs} of {duration:g} s; made with swarmd {version}, {manifest.created}"
 
 
-def _results(results: Results, first: Sequence[str], others: Sequence[str]) -> str:
+def _results(results: Results, first: Sequence[Metric], others: Sequence[Metric]) -> str:
     parts = []
     fewest = min((len(results.seeds(name)) for name in results.variants), default=0)
     if fewest < FEW:

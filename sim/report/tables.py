@@ -14,6 +14,7 @@ from swarmd.sim.experiments.report import HEADER, interval, number, summary_rows
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.metrics.contacts import contact_list
+from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.plots.select import RUN_BY_RUN
 
 MAX_CONTACTS = 30
@@ -28,25 +29,32 @@ def table(head: Sequence[str], rows: Iterable[Sequence[str]], kind: str = "") ->
     return f"{start}<tbody>\n{body}\n</tbody></table></div>"
 
 
-def metrics_table(results: Results, variant: str, names: Sequence[str]) -> str:
+def metrics_table(results: Results, variant: str, metrics: Sequence[Metric]) -> str:
     """The statistics of metrics, each with its meaning."""
-    rows = summary_rows(results.summary(variant, names))
-    return table(HEADER, [(_meaning(row[0]), *map(escape, row[1:])) for row in rows], "metrics")
+    found = results.summary(variant, metrics)
+    rows = summary_rows((one, found[one.name]) for one in metrics)
+    named = zip(metrics, rows, strict=True)
+    return table(HEADER, [(_meaning(one), *map(escape, row[1:])) for one, row in named], "metrics")
 
 
-def shown_metrics(results: Results) -> tuple[list[str], list[str]]:
+def shown_metrics(results: Results) -> tuple[list[Metric], list[Metric]]:
     """The metrics to show first, and the others; metrics without any value are left out."""
-    found = [name for name in results.metrics if np.isfinite(results.metric(name)).any()]
-    first = [name for name in found if name in RUN_BY_RUN]
-    return first, [name for name in found if name not in first]
+    found = [one for one in map(results.about, results.metrics) if _has_value(results, one)]
+    is_first = [one.name in RUN_BY_RUN or one.name not in METRICS for one in found]
+    pairs = list(zip(found, is_first, strict=True))
+    return [one for one, is_so in pairs if is_so], [one for one, is_so in pairs if not is_so]
 
 
-def differences_tables(results: Results, names: Sequence[str]) -> str:
+def _has_value(results: Results, metric: Metric) -> bool:
+    return bool(np.isfinite(results.metric(metric)).any())
+
+
+def differences_tables(results: Results, metrics: Sequence[Metric]) -> str:
     """How each variant of a sweep differs from the first."""
     sides = [Side(name, results, name) for name in results.variants if results.seeds(name)]
     parts = []
     for side in sides[1:]:
-        found = compare(sides[0], side, names)
+        found = compare(sides[0], side, metrics)
         paired = "paired by seed" if any(one.is_paired for one in found) else "independent samples"
         parts.append(f"<h3>B: {escape(side.label)}, and A: {escape(sides[0].label)}</h3>")
         parts.append(f'<p class="dim">{paired}; 95 % bootstrap intervals of B - A</p>')
@@ -103,9 +111,8 @@ def manifest_table(manifest: Manifest) -> str:
     return f'<div class="wide"><table class="manifest"><tbody>{body}</tbody></table></div>'
 
 
-def _meaning(name: str) -> str:
-    meaning = METRICS[name].meaning if name in METRICS else ""
-    return f"{_breakable(name)}<small>{escape(meaning)}</small>"
+def _meaning(metric: Metric) -> str:
+    return f"{_breakable(metric.name)}<small>{escape(metric.meaning)}</small>"
 
 
 def _breakable(name: str) -> str:
