@@ -83,7 +83,7 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
                 f"swarm {spec.swarm!r} already has {', '.join(taken)};"
                 " end those, or use another swarm: swarmctl sim up --swarm NAME"
             )
-        with Fleet(spec) as fleet, world_page(fleet, page) as shown:
+        with Fleet(spec) as fleet, world_page(fleet, page):
             up = statuses_of(await_robots(operator, fleet))
             for robot in spec.robots:
                 if robot not in up or not up[robot].health.driver_up:
@@ -92,8 +92,6 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
             with suppress(KeyboardInterrupt):
                 _report_ends(fleet)
             click.echo("ending all")
-            if shown is not None:
-                shown.reason = "The simulated world has ended, and its robots with it."
 
 
 def _report_ends(fleet: Fleet) -> NoReturn:

@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from swarmd.sim.live.fleet import Fleet
 
 R = TypeVar("R")
+ENDED = "The simulated world has ended, and its robots with it."
 
 
 def page_option(function: Callable[..., R]) -> Callable[..., R]:
@@ -57,4 +58,4 @@ def world_page(fleet: Fleet, web: WebOptions | None) -> Iterator[Served | None]:
         source.start()
         commander = LiveCommander(make, source.expected)
         opened.callback(commander.close)
-        yield opened.enter_context(served(source, commander, web))
+        yield opened.enter_context(served(source, commander, web, ENDED))

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 PORT = 8080
 _START_TIME = 10.0  # s
+ENDED = "The server has ended."
 R = TypeVar("R")
 
 _OPTIONS = (
@@ -126,18 +127,21 @@ async def _serve(source: Source, commander: Commander | None, web: WebOptions) -
     server = await _started(source, commander, web, click.echo)
     warn("Ctrl-C ends it")
     await ending.wait()
-    await server.close("The server has ended.")
+    await server.close(ENDED)
 
 
 class Served:
     """A page that a thread serves while another part of the program runs.
 
-    Its addresses are printed on standard error: standard output is that part's.
+    `reason`: what the page shows when the server has ended. Its addresses are printed on standard
+    error: standard output is that part's.
     """
 
-    def __init__(self, source: Source, commander: Commander | None, web: WebOptions) -> None:
+    def __init__(
+        self, source: Source, commander: Commander | None, web: WebOptions, reason: str = ENDED
+    ) -> None:
         """NetworkError if the port is in use."""
-        self.reason = "The server has ended."
+        self.reason = reason
         self._web = web
         self._loop = asyncio.new_event_loop()
         self._server: ViewServer | None = None
@@ -161,9 +165,11 @@ class Served:
 
 
 @contextmanager
-def served(source: Source, commander: Commander | None, web: WebOptions) -> Iterator[Served]:
+def served(
+    source: Source, commander: Commander | None, web: WebOptions, reason: str = ENDED
+) -> Iterator[Served]:
     """Serve a page in a thread; the server has ended when this returns."""
-    page = Served(source, commander, web)
+    page = Served(source, commander, web, reason)
     try:
         yield page
     finally:
