@@ -2,7 +2,7 @@
 
 The server runs in a process of its own and gets a motion of each robot ten times and a status once
 a second, encoded; it decodes them, as it does those that come by Zenoh. The page is 1400 x 850
-pixels large, with trails, list and one selected robot. A long task is one over 50 ms in the page's
+pixels large, with trails of all robots, and the list. A long task is one over 50 ms in the page's
 main thread, later than START s after it knows all robots.
 """
 
@@ -57,7 +57,6 @@ def measure(browser: Browser, count: int, seconds: float) -> Iterator[Row]:
         page.open(address)
         known = "[...swarm.model.robots.values()].filter((r) => r.row.state && r.x === r.x).length"
         page.until(f"{known} === {count}", f"{count} robots")
-        page.evaluate("swarm.model.select(['tb3-001'])")
         time.sleep(START)
         page.call("Performance.enable", timeDomain="threadTicks")
         before = cpu_seconds(pid), page.evaluate("performance.now()"), busy(page)

@@ -29,7 +29,7 @@ PLAIN = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 """The footprint of a robot whose platform is not known here, in m."""
 
 MAX_ROBOTS = 1024
-GONE = {Presence.LEFT: "left in order", Presence.FAILED: "silent: it may move"}
+GONE = {Presence.LEFT: "left in order", Presence.FAILED: "failed: it may still move"}
 """Why a robot that is not alive is shown so."""
 
 _motion = Decoder(Motion)

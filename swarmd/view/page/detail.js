@@ -77,7 +77,7 @@ export class Detail {
     if (this.dial.hidden) return;
     const size = 220, ratio = Math.min(window.devicePixelRatio || 1, 2);
     if (this.dial.width !== size * ratio) this.dial.width = this.dial.height = size * ratio;
-    const ctx = this.dial.getContext('2d'), middle = size / 2, reach = middle - 36;
+    const ctx = this.dial.getContext('2d'), middle = size / 2, reach = middle - 44;
     ctx.setTransform(ratio, 0, 0, ratio, 0, 0);
     const style = getComputedStyle(document.documentElement);
     const [text, dim, line] = ['--text', '--dim', '--line'].map((key) => style.getPropertyValue(key));
@@ -110,7 +110,7 @@ export class Detail {
     for (const [bearing, gap] of (rows || []).slice(0, 3)) {
       const angle = -Math.PI / 2 - bearing;
       arc(reach + 18, angle - 0.22, angle + 0.22, LIMIT, 5);
-      const [x, y] = [middle + (reach + 28) * Math.cos(angle), middle + (reach + 28) * Math.sin(angle)];
+      const [x, y] = [middle + (reach + 34) * Math.cos(angle), middle + (reach + 32) * Math.sin(angle)];
       ctx.fillStyle = text;
       ctx.fillText(`${gap.toFixed(2)} m`, Math.min(Math.max(x, 22), size - 22), Math.min(Math.max(y + 4, 11), size - 4));
     }

@@ -2,7 +2,7 @@
 
 import { stateColour } from './colours.js';
 
-const ROW = 30; // px
+const ROW = 30; // px, until a row is drawn
 const PERIOD = 250; // ms between two updates
 const number = (value, digits, unit) => (Number.isFinite(value) ? `${value.toFixed(digits)}${unit}` : '-');
 
@@ -11,7 +11,7 @@ const heard = (age) => (age < 2 ? 'now' : Number.isFinite(age) ? `${age.toFixed(
 
 export const COLUMNS = [
   ['name', 'Name', (robot) => robot.name],
-  ['state', 'State', (robot, now, model) => (model.isHeard(robot, now) ? robot.row.state || '?' : `silent${robot.row.state ? `, was ${robot.row.state}` : ''}`)],
+  ['state', 'State', (robot, now, model) => (model.isHeard(robot, now) ? robot.row.state || '?' : 'silent')],
   ['why', 'Why', (robot) => robot.row.why || ''],
   ['pattern', 'Pattern', (robot) => robot.row.pattern || ''],
   ['protection', 'Protection', (robot) => robot.row.protection || ''],
@@ -100,12 +100,14 @@ export class RobotList {
   draw() {
     const robots = this.chosen(), now = performance.now();
     this.shown = robots;
-    const first = Math.max(0, Math.floor(this.pane.scrollTop / ROW) - 3);
-    const last = Math.min(robots.length, first + Math.ceil(this.pane.clientHeight / ROW) + 6);
+    const row = this.pool.length && this.pool[0].isConnected ? this.pool[0].getBoundingClientRect().height : ROW;
+    this.height = row || ROW;
+    const first = Math.max(0, Math.floor(this.pane.scrollTop / this.height) - 3);
+    const last = Math.min(robots.length, first + Math.ceil(this.pane.clientHeight / this.height) + 6);
     while (this.pool.length < last - first) this.pool.push(emptyRow());
     robots.slice(first, last).forEach((robot, i) => this.fill(this.pool[i], robot, now, first + i));
-    this.before.firstChild.style.height = `${first * ROW}px`;
-    this.after.firstChild.style.height = `${(robots.length - last) * ROW}px`;
+    this.before.firstChild.style.height = `${first * this.height}px`;
+    this.after.firstChild.style.height = `${(robots.length - last) * this.height}px`;
     const rows = [this.before, ...this.pool.slice(0, last - first), this.after];
     if (rows.length !== this.body.children.length) this.body.replaceChildren(...rows);
     this.body.parentElement.setAttribute('aria-rowcount', robots.length + 1);
@@ -159,9 +161,9 @@ export class RobotList {
     const next = Math.min(Math.max(at, 0), names.length - 1);
     this.anchor = names[next];
     this.model.select([this.anchor], event.shiftKey);
-    const top = next * ROW;
-    if (top < this.pane.scrollTop) this.pane.scrollTop = top;
-    if (top > this.pane.scrollTop + this.pane.clientHeight - 3 * ROW) this.pane.scrollTop = top - this.pane.clientHeight + 3 * ROW;
+    const { height } = this, top = next * height, { scrollTop, clientHeight } = this.pane;
+    if (top < scrollTop) this.pane.scrollTop = top;
+    if (top > scrollTop + clientHeight - 3 * height) this.pane.scrollTop = top - clientHeight + 3 * height;
   }
 }
 

@@ -4,7 +4,7 @@ import { Colouring, scale } from './colours.js';
 
 const LIMIT = '#d55e00'; // of an obstacle that limits a robot
 
-const MAX_NAMES = 60; // drawn at a time
+const MANY = 60; // robots from which on only some names and trails are drawn
 const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at least
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
 const EDGE = 0.6; // m around what is shown by Fit
@@ -213,22 +213,26 @@ export class SwarmMap {
     ctx.globalAlpha = 1;
   }
 
+  // Of many robots those of the selected ones, or only the last few places.
   drawTrails(robots, zoom) {
-    const { ctx, model } = this;
-    const few = robots.length > 60 && model.selected.size ? robots.filter((one) => model.selected.has(one.name)) : robots;
-    const length = robots.length > 60 && !model.selected.size ? 40 : 600;
-    ctx.lineWidth = 1.5 * this.ratio / zoom;
-    ctx.globalAlpha = 0.6;
-    for (const robot of few) {
+    const { ctx, model } = this, paths = new Map();
+    const isMany = robots.length > MANY, some = isMany && model.selected.size;
+    const length = isMany && !some ? 12 : 600;
+    for (const robot of some ? this.chosen() : robots) {
       const { trail } = robot;
       if (trail.length < 4) continue;
-      ctx.strokeStyle = this.colouring.of(robot);
-      ctx.beginPath();
-      const first = Math.max(0, trail.length - length);
-      ctx.moveTo(trail[first], trail[first + 1]);
-      for (let i = first + 2; i < trail.length; i += 2) ctx.lineTo(trail[i], trail[i + 1]);
-      ctx.lineTo(robot.x, robot.y);
-      ctx.stroke();
+      const colour = this.colouring.of(robot);
+      if (!paths.has(colour)) paths.set(colour, new Path2D());
+      const path = paths.get(colour), first = Math.max(0, trail.length - length);
+      path.moveTo(trail[first], trail[first + 1]);
+      for (let i = first + 2; i < trail.length; i += 2) path.lineTo(trail[i], trail[i + 1]);
+      path.lineTo(robot.x, robot.y);
+    }
+    ctx.lineWidth = 1.5 * this.ratio / zoom;
+    ctx.globalAlpha = 0.6;
+    for (const [colour, path] of paths) {
+      ctx.strokeStyle = colour;
+      ctx.stroke(path);
     }
     ctx.globalAlpha = 1;
   }
@@ -306,7 +310,7 @@ export class SwarmMap {
   named(robots) {
     const [w, h] = [this.canvas.clientWidth / this.scale / 2, this.canvas.clientHeight / this.scale / 2];
     const seen = robots.filter((one) => Math.abs(one.x - this.centre[0]) < w && Math.abs(one.y - this.centre[1]) < h);
-    return seen.length <= MAX_NAMES ? seen : seen.filter((one) => this.model.selected.has(one.name)).slice(0, MAX_NAMES);
+    return seen.length <= MANY ? seen : seen.filter((one) => this.model.selected.has(one.name)).slice(0, MANY);
   }
 
   drawNames(robots, text, dim) {
