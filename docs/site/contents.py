@@ -24,6 +24,7 @@ CONTENTS = {
     ],
     "How to": [
         "docs/operating",
+        "docs/watching",
         "docs/experiments",
         "docs/trace",
         "docs/patterns",

@@ -65,7 +65,8 @@ export class SwarmMap {
 
   // Colours and what they mean.
   legend() {
-    const found = this.colouring.legend([...this.model.robots.values()]);
+    const now = performance.now();
+    const found = this.colouring.legend([...this.model.robots.values()].filter((one) => this.model.isHeard(one, now)));
     if ([...this.model.robots.values()].some((robot) => robot.row.touches)) found.push([CONTACT, 'in contact']);
     if (this.fieldPicture) {
       const [low, high] = this.fieldRange;
