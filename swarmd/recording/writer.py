@@ -84,6 +84,7 @@ class RecordingWriter:
             return
         self._writer.flush()  # type: ignore[no-untyped-call]
         os.fsync(self._file.fileno())
+        self._size = self._file.tell()
         self._written_at, self._pending = at, 0
 
     def close(self) -> None:
@@ -127,8 +128,7 @@ class RecordingWriter:
         return self.total + (0 if self._file is None else self._file.tell())
 
     def _is_full(self, at: int) -> bool:
-        assert self._file is not None
-        size = self._file.tell() + self._pending
+        size = self._size + self._pending
         return size >= self._max_bytes or at - self._begin >= self._max_age
 
     def _open(self, at: int) -> None:
@@ -141,7 +141,7 @@ class RecordingWriter:
         self._schemas: dict[str, int] = {}
         self._counts: dict[str, int] = {}
         self._begin = self._end = self._written_at = at
-        self._pending = 0
+        self._pending = self._size = 0
         self._writer.add_metadata(METADATA, {**self._about, "file": str(self._number)})
         _sync_folder(self._folder)
         for topic, message in self._latched.items():
