@@ -16,6 +16,7 @@ from swarmd.sim.film.film import FilmSettings, make_film
 from swarmd.sim.film.renderer import Camera
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.scenarios.scenariofile import load_scenario
+from swarmd.sim.view.trace_source import RecordedRun
 
 SECONDS = 6.0
 """How long a film is, without its last frame."""
@@ -92,7 +93,7 @@ def shoot(name: str, out: Path) -> Path:
         stop=shot.stop,
     )
     path = out / f"{name}.gif"
-    make_film(simulate_run(scenario, shot.seed), path, shot.title, settings)
+    make_film(RecordedRun(simulate_run(scenario, shot.seed)), path, shot.title, settings)
     return path
 
 

@@ -91,9 +91,11 @@ def demo(
     if video is not None:
         from swarmd.sim.film.film import FilmSettings
         from swarmd.sim.trace import load_trace
+        from swarmd.sim.view.trace_source import RecordedRun
 
         title = f"{summary.pattern}, {len(summary.robots)} {summary.platform}"
-        film(load_trace(folder / "trace.npz"), video, title, FilmSettings(), is_quiet=is_json)
+        run = RecordedRun(load_trace(folder / "trace.npz"))
+        film(run, video, title, FilmSettings(), is_quiet=is_json)
     ctx.exit(0 if summary.is_good else 1)
 
 

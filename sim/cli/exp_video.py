@@ -11,10 +11,10 @@ import click
 from swarmd.cli.output import warn
 from swarmd.core.errors import ConfigError
 from swarmd.sim.cli.options import need
-from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:
     from swarmd.sim.film.film import FilmSettings
+    from swarmd.sim.view.trace_source import RecordedRun
 
 _SIZE = re.compile(r"([0-9]+)x([0-9]+)")
 _SMALLEST, _LARGEST = 160, 4096
@@ -81,8 +81,8 @@ def video(
     The film needs no display. It needs the program ffmpeg, Mesa, and the extra `film`.
     """
     need_film()
-    from swarmd.sim.cli.run_choice import chosen_run
-    from swarmd.sim.film.film import FilmSettings
+    from swarmd.sim.film.film import FilmSettings, title_of
+    from swarmd.sim.view.experiment import runs_of
 
     settings = FilmSettings(
         camera="perspective" if camera == "perspective" else "top",
@@ -93,8 +93,10 @@ def video(
         stop=stop,
         trail=trail,
     )
-    trace, title = chosen_run(place, seed, variant)
-    film(trace, out, title, settings)
+    runs = runs_of(place, seed, variant)
+    run = runs.load(runs.first)
+    of_variant = f", {variant}" if variant else ""
+    film(run, out, f"{title_of(run.trace)}{of_variant}", settings)
 
 
 def need_film() -> None:
@@ -103,7 +105,7 @@ def need_film() -> None:
 
 
 def film(
-    trace: Trace, out: Path, title: str, settings: FilmSettings, *, is_quiet: bool = False
+    run: RecordedRun, out: Path, title: str, settings: FilmSettings, *, is_quiet: bool = False
 ) -> None:
     """Write the film, with progress on stderr, and print its name; on stderr if `is_quiet`."""
     from swarmd.sim.film.film import make_film
@@ -116,7 +118,7 @@ def film(
             shown = 4 * done // of
             warn(f"{done} of {of} frames")
 
-    for note in make_film(trace, out, title, settings, on_progress):
+    for note in make_film(run, out, title, settings, on_progress):
         warn(f"note: {note}")
     click.echo(f"{out}: {out.stat().st_size / 1e6:.2f} MB", err=is_quiet)
 

@@ -11,8 +11,10 @@ from swarmd.sim.film.caption import Caption
 from swarmd.sim.film.colours import colouring_of
 from swarmd.sim.film.encode import Encoder, check_output
 from swarmd.sim.film.renderer import Camera, Renderer
+from swarmd.sim.film.stage import stage_of
 from swarmd.sim.plots.scene import check_drawable
 from swarmd.sim.trace import Trace
+from swarmd.sim.view.trace_source import RecordedRun
 
 RATES = {".mp4": 25, ".gif": 12, ".webp": 12}
 """Frames per s by suffix."""
@@ -38,8 +40,17 @@ class FilmSettings:
     trail: float = 5.0
 
 
+def title_of(trace: Trace) -> str:
+    """What a run was, in a few words."""
+    meta = trace.meta
+    if "scenario" in meta:
+        return f"{meta['scenario']}, seed {meta.get('seed', 0)}"
+    kinds = ", ".join(dict.fromkeys(trace.platforms))
+    return f"{meta.get('pattern', '')} {len(trace.ids)} {kinds}".strip()
+
+
 def make_film(
-    trace: Trace,
+    run: RecordedRun,
     path: Path,
     title: str,
     settings: FilmSettings,
@@ -51,6 +62,7 @@ def make_film(
     OpenGL is missing, SwarmError if the trace is empty or the film cannot be written.
     """
     check_output(path)
+    trace = run.trace
     check_drawable(trace)
     size, rate = settings.size or SIZES[path.suffix], RATES[path.suffix]
     stop = trace.duration if settings.stop is None else min(settings.stop, trace.duration)
@@ -61,9 +73,10 @@ def make_film(
     notes = [f"{settings.speed:.3g}x real time"]
     width, height = size
     bare = Caption(size, title, colouring.key)  # for its height
-    with Renderer(trace, colouring, (width, height - bare.height), settings.camera) as renderer:
-        if renderer.stage.factor > 1.05:
-            notes.append(f"robots enlarged {renderer.stage.factor:.1f}x")
+    stage = stage_of(trace, (width, height - bare.height), run.platforms)
+    with Renderer(trace, stage, colouring, settings.camera) as renderer:
+        if stage.factor > 1.05:
+            notes.append(f"robots enlarged {stage.factor:.1f}x")
         caption = Caption(size, title, colouring.key, notes)
         count = max(round((stop - settings.start) * rate / settings.speed), 1)
         with Encoder(path, size, rate) as encoder:
@@ -75,5 +88,5 @@ def make_film(
                 on_progress(number + 1, count)
             for _ in range(round(_HOLD * rate)):
                 encoder.write(frame)
-    assumed = renderer.stage.assumed
+    assumed = stage.assumed
     return [f"the heights of {name} are assumed: there is no such platform" for name in assumed]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.values import Array
 from swarmd.sim.film.colours import Colouring
-from swarmd.sim.film.stage import Stage, stage_of
+from swarmd.sim.film.stage import Stage
 from swarmd.sim.plots.scene import Extent
 from swarmd.sim.trace import Trace
 
@@ -33,12 +33,10 @@ _MAX_TRAILS = 4000  # segments of all trails
 class Renderer:
     """Draws a run at any time into arrays (height, width, 3) of uint8."""
 
-    def __init__(
-        self, trace: Trace, colouring: Colouring, size: tuple[int, int], camera: Camera
-    ) -> None:
+    def __init__(self, trace: Trace, stage: Stage, colouring: Colouring, camera: Camera) -> None:
         """PluginError if no way of rendering without a display is installed."""
-        self.width, self.height = size
-        self.stage: Stage = stage_of(trace, size)
+        self.stage = stage
+        self.width, self.height = size = stage.size
         self._trace, self._colouring = trace, colouring
         self._t = trace.t - trace.t[0]
         model = self.stage.model

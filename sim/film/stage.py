@@ -7,7 +7,9 @@ large floor MuJoCo's shadows are full of specks.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from types import MappingProxyType
 
 import mujoco
 import numpy as np
@@ -39,7 +41,7 @@ _ASSUMED = "waffle_pi"
 
 @dataclass(frozen=True, slots=True)
 class Stage:
-    """A compiled model, the part of the world to show, and the geoms of each robot.
+    """A compiled model, the size of frames in pixels, what they show, and the geoms of robots.
 
     `bodies` and `housings` are the geoms that have the robot's colour, `parts` all of its visible
     ones. Robots are drawn `factor` times as large as they are. `assumed` names platforms whose
@@ -47,6 +49,7 @@ class Stage:
     """
 
     model: mujoco.MjModel
+    size: tuple[int, int]
     extent: Extent
     bodies: NDArray[np.int64]
     housings: NDArray[np.int64]
@@ -56,13 +59,24 @@ class Stage:
     assumed: tuple[str, ...]
 
 
-def stage_of(trace: Trace, size: tuple[int, int]) -> Stage:
-    """The stage of a run for frames of `size` pixels; ConfigError if its arena is not known."""
+def stage_of(
+    trace: Trace, size: tuple[int, int], platforms: Mapping[str, Platform] = MappingProxyType({})
+) -> Stage:
+    """The stage of a run for frames of `size` pixels; ConfigError if its arena is not known.
+
+    `platforms` by name are those of the scenario.
+    """
     text = str(trace.meta.get("arena", ""))
     if not text:
         raise ConfigError("the trace names no arena, so that it cannot be filmed")
     arena = parse_arena(text)
-    found = {name: _platform(name, trace.footprints[name]) for name in set(trace.platforms)}
+    names = dict.fromkeys(trace.platforms)
+    found = {
+        name: (platforms[name], True)
+        if name in platforms
+        else _platform(name, trace.footprints[name])
+        for name in names
+    }
     robots = {i: found[p][0] for i, p in zip(trace.ids, trace.platforms, strict=True)}
     spec = bodies.build_spec(robots, arena, 0.01)
     for robot, platform in robots.items():
@@ -77,9 +91,9 @@ def stage_of(trace: Trace, size: tuple[int, int]) -> Stage:
     model = spec.compile()
     _paint(model)
     factor = _enlargement(trace, extent, size)
-    names = [model.geom(g).name for g in range(model.ngeom)]
+    geoms = [model.geom(g).name for g in range(model.ngeom)]
     parts = tuple(
-        np.array([g for g, name in enumerate(names) if name.startswith(f"{robot}/")])
+        np.array([g for g, name in enumerate(geoms) if name.startswith(f"{robot}/")])
         for robot in robots
     )
     for own in parts:
@@ -87,6 +101,7 @@ def stage_of(trace: Trace, size: tuple[int, int]) -> Stage:
         model.geom_pos[own] *= factor
     return Stage(
         model=model,
+        size=size,
         extent=extent,
         bodies=np.array([model.geom(f"{robot}/body").id for robot in robots]),
         housings=np.array([model.geom(f"{robot}/housing").id for robot in robots]),

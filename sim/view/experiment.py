@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Platform
@@ -21,11 +21,25 @@ from swarmd.sim.view.trace_source import RecordedRun, TraceSource
 DEMO_TRACE = "trace.npz"
 
 
+class Runs(NamedTuple):
+    """Recorded runs: their names, and `load`, which gives the run of a name."""
+
+    title: str
+    names: Sequence[str]
+    load: Callable[[str], RecordedRun]
+    first: str
+
+
 def source_of(place: Path, seed: int | None = None, variant: str | None = None) -> TraceSource:
+    """The runs of `runs_of` for the page; the first is shown first. Errors as of `runs_of`."""
+    return TraceSource(*runs_of(place, seed, variant))
+
+
+def runs_of(place: Path, seed: int | None = None, variant: str | None = None) -> Runs:
     """The runs of an experiment's folder, or the trace of a demo's folder or in a file.
 
-    The first run shown is that of `seed` and `variant`. ConfigError in one line if there is no
-    trace, such a run is not among them, or the trace is damaged.
+    `first` is the first run of `seed` and `variant`. ConfigError in one line if there is no trace,
+    or such a run is not among them; `load` raises it for a damaged trace.
     """
     if place.is_dir() and (place / MANIFEST).exists():
         return _experiment(place, seed, variant)
@@ -37,10 +51,10 @@ def source_of(place: Path, seed: int | None = None, variant: str | None = None) 
         )
     if seed is not None or variant is not None:
         raise ConfigError(f"{place}: one trace; --seed and --variant are for experiments")
-    return TraceSource(str(place), [file.name], lambda _: RecordedRun(load_trace(file)), file.name)
+    return Runs(str(place), [file.name], lambda _: RecordedRun(load_trace(file)), file.name)
 
 
-def _experiment(folder: Path, seed: int | None, variant: str | None) -> TraceSource:
+def _experiment(folder: Path, seed: int | None, variant: str | None) -> Runs:
     results = load_results(folder)
     kept = [run for run in results.runs if trace_path(folder, run).exists()]
     if not kept:
@@ -66,7 +80,7 @@ def _experiment(folder: Path, seed: int | None, variant: str | None) -> TraceSou
         return RecordedRun(load_trace(trace_path(folder, run)), fields, _platforms(effective))
 
     title = f"{results.plan.scenario}, {len(kept)} run{'s' * (len(kept) > 1)}"
-    return TraceSource(title, list(runs), load, _name(chosen[0]))
+    return Runs(title, list(runs), load, _name(chosen[0]))
 
 
 def _name(run: Run) -> str:

@@ -17,6 +17,7 @@ from swarmd.settings.platforms import load_platform
 from swarmd.sim.film import encode
 from swarmd.sim.film.colours import STATES, colouring_of, rgb_of
 from swarmd.sim.trace import Trace
+from swarmd.sim.view.trace_source import RecordedRun
 
 SIZE = (480, 360)
 PLACES = np.array([[-1.5, 0.0], [0.0, 1.0], [1.5, -0.5]])
@@ -117,7 +118,7 @@ def test_a_film_of_a_second(trace: Trace, tmp_path: Path) -> None:
     settings = FilmSettings(speed=1.0, size=SIZE, trail=0.0)
     gone = trace.pose.copy()
     gone[6:, 2] = np.nan
-    assert make_film(replace(trace, pose=gone), path, "three robots", settings) == []
+    assert make_film(RecordedRun(replace(trace, pose=gone)), path, "three robots", settings) == []
     assert _shape(path) == (*SIZE, 50)  # a second, and another in which the last frame stays
     first, last = _frame(path, 0), _frame(path, 49)
     scale = _scale(first)
