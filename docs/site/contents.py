@@ -25,6 +25,7 @@ CONTENTS = {
     "How to": [
         "docs/operating",
         "docs/watching",
+        "docs/recording",
         "docs/experiments",
         "docs/trace",
         "docs/patterns",

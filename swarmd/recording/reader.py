@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -187,12 +187,6 @@ def _map(body: bytes, place: int) -> Mapping[str, str]:
         key, place = _string(body, place)
         found[key], place = _string(body, place)
     return found
-
-
-def messages_of(files: list[RecordedFile]) -> Iterator[RecordedMessage]:
-    """The messages of several files of one robot, in their order of time."""
-    found = [message for file in files for message in file.messages]
-    return iter(sorted(found, key=lambda message: message.at))
 
 
 def clock_of(about: Mapping[str, str], at: int) -> float:
