@@ -81,7 +81,7 @@ export class RobotList {
     const now = performance.now();
     const matches = (robot) => {
       const { row } = robot;
-      const text = [robot.name, row.state, row.why, row.pattern, row.protection, row.presence, ...(row.labels || [])].join(' ').toLowerCase();
+      const text = [robot.name, row.state, row.why, row.pattern, row.protection, row.presence, this.model.isHeard(robot, now) ? '' : 'silent', ...(row.labels || [])].join(' ').toLowerCase();
       return this.words.every((word) => text.includes(word));
     };
     const robots = [...this.model.robots.values()].filter(matches);

@@ -27,7 +27,7 @@ export class SwarmMap {
     this.fieldRange = [0, 0];
     this.pointers = new Map();
     this.isDue = true;
-    new ResizeObserver(() => { this.resize(); this.draw(); }).observe(canvas);
+    new ResizeObserver(() => { this.resize(); if (this.hasFitted && !this.isTouched) this.fit(); this.draw(); }).observe(canvas);
     canvas.addEventListener('pointerdown', (event) => this.down(event));
     canvas.addEventListener('pointermove', (event) => this.move(event));
     for (const end of ['pointerup', 'pointercancel']) canvas.addEventListener(end, (event) => this.up(event));
