@@ -145,18 +145,19 @@ class RealTimeWorld:
     def _publish_radio(self, radio: Radio) -> None:
         """Carry messages, and tell robots their neighbors: robots whose daemons command them."""
         world, ids = self._world, self._world.ids
-        poses, boxes = world.poses(), transform(world.box_shapes, world.box_poses())
-        for wire in self._link.take_messages():
-            row = self._rows[wire.robot]
-            radio.carry(radio.send(row, wire.channel, wire.payload, world.time, poses, boxes))
+        messages, due = self._link.take_messages(), self._neighbors_due.due(world.time)
+        if messages or len(due):
+            poses, boxes = world.poses(), transform(world.box_shapes, world.box_poses())
+            for wire in messages:
+                row = self._rows[wire.robot]
+                radio.carry(radio.send(row, wire.channel, wire.payload, world.time, poses, boxes))
+            there = self._is_fresh(self._clock())
+            for row in due.tolist():
+                neighbors = radio.neighbors(row, poses, boxes)
+                present = tuple(one for one in neighbors if there[self._rows[one.id]])
+                self._transport.neighbors(ids[row], present)
         for hearer, sender, channel, payload in radio.arrived(world.time):
             self._link.message(ids[hearer], ids[sender], channel, cast(bytes, payload))
-        due = self._neighbors_due.due(world.time)
-        there = self._is_fresh(self._clock()) if len(due) else ()
-        for row in due.tolist():
-            neighbors = radio.neighbors(row, poses, boxes)
-            present = tuple(one for one in neighbors if there[self._rows[one.id]])
-            self._transport.neighbors(ids[row], present)
 
     def _answer(self, pending: PendingRequest) -> None:
         try:
