@@ -18,7 +18,7 @@ BOUND = ("bound_bearing", "bound_gap", "bound_speed")
 _PER_ROBOT = ("state", "reason", "active", "recovering", "decided", "evaded", "gap", "scan_age")
 _COMMON = ("t", "robot", "platform", "x", "y", "heading", "present", *TWIST)
 COLUMNS = (*_COMMON, *(f"requested_{name}" for name in TWIST), *_PER_ROBOT, *BOUND)
-"""The columns of a table besides those of reports, `report:KEY`, in their order."""
+"""The columns of a table besides `report:KEY` and `reading:KEY`, in their order."""
 
 
 def columns_of(trace: Trace) -> dict[str, Any]:
@@ -45,6 +45,7 @@ def columns_of(trace: Trace) -> dict[str, Any]:
     found |= _parted(trace.bound, BOUND)
     found |= {f"report:{name}": values for name, values in trace.report.items()}
     found |= {f"report:{name}": values for name, values in trace.words.items()}
+    found |= {f"reading:{name}": values for name, values in trace.readings.items()}
     return {name: values.reshape(-1) for name, values in found.items() if values is not None}
 
 

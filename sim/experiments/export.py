@@ -118,10 +118,11 @@ def _messages(trace: Trace) -> Iterator[tuple[int, str, tuple[str, bytes]]]:
             if trace.requested is not None:
                 requested = messages.requested_message(_twist(trace.requested[k, i]), k, stamp)
                 yield at, f"/{robot}/command/requested", requested
-            numbers = {name: float(values[k, i]) for name, values in trace.report.items()}
-            known = {name: value for name, value in numbers.items() if not np.isnan(value)}
-            if known:
-                yield at, f"/{robot}/report", messages.readings_message(known, stamp)
+            for topic, named in (("report", trace.report), ("readings", trace.readings)):
+                numbers = {name: float(values[k, i]) for name, values in named.items()}
+                known = {name: value for name, value in numbers.items() if not np.isnan(value)}
+                if known:
+                    yield at, f"/{robot}/{topic}", messages.readings_message(known, stamp)
             text = json.dumps(_status(trace, k, i))
             if text != last.get(i):
                 last[i] = text
