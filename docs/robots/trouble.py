@@ -74,6 +74,7 @@ def check(subject: str, subscriptions: Subscriptions, foreign_commands: int = 0)
         cmd_vel="/cmd_vel",
         command_type=Twist,
         has_subscriber=False,
+        now=0.0,
         foreign_commands=foreign_commands,
     )
     return next(f.text for f in report.findings() if f.subject == subject)
