@@ -70,9 +70,8 @@ static: $(VENV)/tools
 wheel: $(VENV)/tools
 	.ci/try-wheel $(BIN)/python
 
-# A warning, such as a link that leads nowhere, is an error; all pages are read again, since a page may
-# break links of others. The parts of the reference are made from
-# the installed plugins and the YAML files.
+# A warning, such as a link that leads nowhere, is an error. All pages are read again, since a change of
+# one may break links of others. The reference is made from the installed plugins and the YAML files.
 docs: $(VENV)/docs
 	$(BIN)/sphinx-build -q --fail-on-warning --keep-going --fresh-env -c docs -d build/doctrees . build/site
 
