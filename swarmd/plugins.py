@@ -155,6 +155,15 @@ def how_to_install(missing: str, name: str, group: str = COMMANDS) -> str:
     return f"{name!r} needs {missing}, which is not installed; run: pip install {wanted}"
 
 
+def need(*modules: str, extra: str) -> None:
+    """PluginError with the command that installs it, for the first module that is missing."""
+    for module in modules:
+        if find_spec(module) is None:
+            raise PluginError(
+                f"this needs {module}, which is not installed; run: pip install 'swarmd[{extra}]'"
+            )
+
+
 def _installed() -> Iterator[tuple[str, Origin]]:
     for point in _entry_points(group=PATTERNS):
         yield point.name, Origin(point.value, _source(point))

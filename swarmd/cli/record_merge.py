@@ -9,6 +9,7 @@ import click
 
 from swarmd.cli.options import CommonOptions
 from swarmd.cli.output import NOTHING, print_json, print_table, warn
+from swarmd.plugins import need
 
 
 @click.command()
@@ -45,6 +46,7 @@ def merge(
     record; the table states the bound of each error. The topic /scan of tb3-01 becomes
     /tb3-01/scan.
     """
+    need("mcap", "rosbags", extra="record")
     from swarmd.recording.merge import place, rows, survey, write_merged
 
     above = click.get_current_context().find_object(CommonOptions) or CommonOptions()

@@ -44,7 +44,9 @@ def replay(
     out. `safe` compares what protection commanded, `requested` what the pattern asked for. The exit
     code is 1 if fewer than 99.9 % of them are equal.
     """
-    from swarmd.plugins import check_single, pattern_names
+    from swarmd.plugins import check_single, need, pattern_names
+
+    need("mcap", "rosbags", extra="record")
     from swarmd.recording.reader import read_file
     from swarmd.replay.replay import TOLERANCE, recordings_of, repeat, total
     from swarmd.settings.platforms import load_platform

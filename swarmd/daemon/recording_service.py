@@ -26,6 +26,7 @@ from swarmd.core.messages import (
 )
 from swarmd.daemon.recorder import Recorder
 from swarmd.network.bus import Query, ZenohBus
+from swarmd.plugins import need
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import clock_of
 from swarmd.settings.swarmfile import RecordingSection
@@ -98,6 +99,7 @@ class RecordingService:
                 self._on_event(f"cannot record: {error}")
 
     def _start(self) -> None:
+        need("mcap", "rosbags", extra="record")
         self.recorder.start(
             self._folder,
             self._robot,

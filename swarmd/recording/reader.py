@@ -14,8 +14,6 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-import zstandard
-
 from swarmd.core.errors import ConfigError
 
 MAGIC = b"\x89MCAP0\r\n"
@@ -165,6 +163,8 @@ def _chunk_data(body: bytes) -> bytes | None:
     packed = body[40 + length :]
     if size > _MAX_CHUNK or compression not in ("", "zstd"):
         return None
+    import zstandard  # of the extra `record`, which a daemon may lack
+
     try:
         data = packed if not compression else zstandard.decompress(packed, size)
     except zstandard.ZstdError:

@@ -19,12 +19,18 @@ import numpy as np
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import LimitingObstacle
+from swarmd.core.codec import Decoder
+from swarmd.core.messages import LimitingObstacle, RecordingsReply
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.daemon.recorder import Recorder
+from swarmd.daemon.recording_service import RecordingService
+from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages
+from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import RecordedFile, read_file
+from swarmd.settings.platforms import load_platform
+from swarmd.settings.swarmfile import RecordingSection
 
 pytestmark = pytest.mark.integration
 
@@ -161,20 +167,55 @@ def test_a_recorder_process_that_is_killed_is_reported_once(tmp_path: Path) -> N
     assert [m.topic for m in found[-1].messages] == ["/scan/geometry", "/scan"]
 
 
-def test_a_folder_that_cannot_be_written_is_one_event(tmp_path: Path) -> None:
+def test_the_daemon_and_fetch_do_without_the_libraries_of_recordings() -> None:
+    code = (
+        "import sys\n"
+        "for name in ('mcap', 'rosbags', 'zstandard'): sys.modules[name] = None\n"
+        "import swarmd.daemon.daemon, swarmd.cli.record, swarmd.recording.fetch"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_a_folder_that_cannot_be_written_is_an_event_and_stands_in_the_list(
+    tmp_path: Path,
+) -> None:
     (tmp_path / "file").write_text("")
     events: list[str] = []
 
-    async def run() -> None:
-        recorder = Recorder(asyncio.get_running_loop(), events.append)
-        recorder.start(tmp_path / "file" / "folder", "a", {})
-        recorder.scan(scan(1), 0.0)
-        recorder.flush()
+    async def run() -> RecordingsReply:
+        section = RecordingSection(from_start=True, folder=str(tmp_path / "file" / "folder"))
+        service = RecordingService("a", section, head, events.append, lambda kind: None)
+        service.start_if_wanted()
+        service.recorder.scan(scan(1), 0.0)
+        service.recorder.flush()
         await until(lambda: events)
-        recorder.close(WAIT)
+        service.close()
+        return Decoder(RecordingsReply, 10_000)(service._list(b""))
 
-    asyncio.run(run())
+    listed = asyncio.run(run())
     assert events == ["recording ends: no file: Not a directory"]
+    assert (listed.files, listed.fault) == ((), "no file: Not a directory")
+
+
+def head() -> RecordingHead:
+    return RecordingHead(
+        robot="a",
+        swarm="s",
+        driver="d",
+        clock="00ff",
+        instance="i",
+        seed=1,
+        version="",
+        kernels="",
+        platform=load_platform("burger"),
+        labels=(),
+        layers={},
+        touch={},
+        accepts=ACCEPTS_NONE,
+        revision=0,
+        generation=0,
+        latches={},
+    )
 
 
 FULL = """
