@@ -50,6 +50,16 @@ class Page:
                 return message["result"]
         raise AssertionError(f"{method} gave no answer")
 
+    def events_until(self, method: str) -> list[dict[str, Any]]:
+        """The parameters of the events that arrive until one of a name."""
+        found: list[dict[str, Any]] = []
+        while True:
+            message = json.loads(self._socket.recv(timeout=CAP))
+            if message.get("method") == method:
+                return found
+            if "method" in message:
+                found.append(message["params"])
+
     def open(self, address: str) -> None:
         """Load a page."""
         self.call("Page.enable")
