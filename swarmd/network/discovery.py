@@ -556,6 +556,16 @@ class Discovery:
 
     # The result
 
+    def links(self, now: float) -> frozenset[tuple[str, str]]:
+        """Pairs of robots, in order of their names, that report each other as alive."""
+        alive = {
+            (reporter, robot)
+            for robot, reports in self._reports.items()
+            for (reporter, _), some in reports.items()
+            if any(one.presence is Presence.ALIVE and now - one.at <= FRESH_TIME for one in some)
+        }
+        return frozenset(pair for pair in alive if pair[0] < pair[1] and pair[::-1] in alive)
+
     def result(self, now: float) -> MembersView:
         """The members as known so far."""
         members = {robot: self._member(robot, now) for robot in sorted(self._mentioned)}

@@ -232,6 +232,11 @@ class Operator:
         with self._news:
             return (self._discovery or Discovery(now, self._roster)).result(now)
 
+    def links(self) -> frozenset[tuple[str, str]]:
+        """Pairs of robots that reported each other as alive to the last look."""
+        with self._news:
+            return frozenset() if self._discovery is None else self._discovery.links(boottime())
+
     def swarms(self, *, timeout: float = SWARMS_TIME) -> tuple[str, ...]:
         """The names of all swarms within reach, for an operator who finds no member of this one."""
         pace = RepeatTimer(boottime(), ((float("inf"), 0.1),))

@@ -29,6 +29,8 @@ PLAIN = np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]])
 """The footprint of a robot whose platform is not known here, in m."""
 
 MAX_ROBOTS = 1024
+MAX_LINKED = 64
+"""Robots up to which the page shows links: in a room each robot hears each other one."""
 GONE = {Presence.LEFT: "left in order", Presence.FAILED: "failed: it may still move"}
 """Why a robot that is not alive is shown so."""
 
@@ -54,7 +56,8 @@ class LiveSource:
         self._scans: dict[str, Scan] = {}
         self._platforms: dict[str, Platform | None] = {}
         self._watched: frozenset[str] = frozenset()
-        self._watch = SwarmWatch(operator)
+        self._links: frozenset[tuple[str, str]] = frozenset()
+        self._watch = SwarmWatch(operator, on_view=self._on_view)
 
     def start(self) -> None:
         """Begin to look."""
@@ -150,8 +153,9 @@ class LiveSource:
         return ()
 
     def links(self) -> Sequence[tuple[int, int]]:
-        """Not known."""
-        return ()
+        """Pairs that report each other as alive; of a large swarm they are not known."""
+        index = self._index
+        return [(index[a], index[b]) for a, b in self._links if a in index and b in index]
 
     def detail(self, name: str) -> Mapping[str, Any] | None:
         """What `swarmctl describe` tells."""
@@ -180,6 +184,11 @@ class LiveSource:
         self._watched = wanted
 
     # What robots tell
+
+    def _on_view(self, view: MembersView) -> None:
+        """Called after each look, on its thread."""
+        is_few = len(view.members) <= MAX_LINKED
+        self._links = self._operator.links() if is_few else frozenset()
 
     def _on_motion(self, robot: str, payload: bytes) -> None:
         motion = _motion(payload)

@@ -579,3 +579,14 @@ def test_robots_of_an_earlier_look_stay_expected(rig: Rig) -> None:
     later.on_beacon(beacon("a"), address("a"), end)
     later.on_member_list(word("a"), end)
     assert later.known == {"a", "b"}
+
+
+def test_links_are_pairs_that_report_each_other_as_alive(rig: Rig) -> None:
+    rig.hear("a", "b", "c", "d")
+    rig.tell("a", heard("b"), heard("c"), heard("d"))
+    rig.tell("b", heard("a"))
+    rig.tell("c", heard("a", FAILED))
+    assert rig.found.links(0.1) == {("a", "b")}
+    rig.tell("d", heard("a"), at=0.2)
+    assert rig.found.links(0.3) == {("a", "b"), ("a", "d")}
+    assert rig.found.links(60.0) == set()

@@ -178,6 +178,10 @@ class FedOperator:
     def expect(self, names: Collection[str]) -> None:
         """All are known."""
 
+    def links(self) -> frozenset[tuple[str, str]]:
+        """Each robot hears the next one."""
+        return frozenset(itertools.pairwise(self._swarm.names))
+
     def members(self, *, timeout: float | None = None, needs_status: bool = True) -> MembersView:
         swarm = self._swarm
         found = {name: swarm.member(name)[0] for name in swarm.names}

@@ -62,6 +62,7 @@ def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, page: Pag
         page.open(address)
         for name in names:
             shown(page, name, "idle")
+        page.until("swarm.model.links.length === 1", "they hear each other")
         page.type("#pattern", "drive")
         page.type("#params", "speed=0.05")
         page.click("#run")
