@@ -1,4 +1,4 @@
-"""`swarmctl exp report`: one HTML file of an experiment."""
+"""`swarmctl exp report`: one HTML file of an experiment or a recording."""
 
 from __future__ import annotations
 
@@ -11,34 +11,44 @@ from swarmd.sim.cli.options import chosen_metrics, need
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.argument("place", metavar="DIR|FILE.mcap", type=click.Path(path_type=Path))
 @click.option(
     "-o",
     "--out",
     type=click.Path(dir_okay=False, path_type=Path),
     metavar="FILE",
-    help="The report [DIR/report.html].",
+    help="The report [DIR/report.html, or FILE.html].",
 )
 @click.option("--metrics", metavar="A,B,..", help="Show these metrics first, and draw them.")
 @click.option("--seed", type=click.IntRange(min=0), help="The run to play [a typical one].")
 @click.option("--variant", metavar="NAME", help="Of a sweep, the variant of the run to play.")
 def report(
-    folder: Path, out: Path | None, metrics: str | None, seed: int | None, variant: str | None
+    place: Path, out: Path | None, metrics: str | None, seed: int | None, variant: str | None
 ) -> None:
     """Write the experiment in DIR as one HTML file: results, figures, a run to play, the manifest.
 
+    Of a recording, one robot's or that of `record merge`: states, gaps, stops, paths by odometry.
     The file needs no network and no other file, and prints well.
     """
     need("mujoco", "matplotlib")
     from swarmd.sim.experiments.manifest import write_whole
-    from swarmd.sim.experiments.results import load_results
-    from swarmd.sim.report.html import report_of
 
-    path = folder / "report.html" if out is None else out
+    is_recording = place.suffix == ".mcap"
+    path = out or (place.with_suffix(".html") if is_recording else place / "report.html")
     if path.suffix != ".html" or not path.parent.is_dir():
         raise ConfigError(f"{path}: expected a name that ends in .html, in a folder that exists")
-    chosen = chosen_metrics(metrics, load_results(folder).asked)
-    text = report_of(folder, chosen, seed, variant)
+    if is_recording:
+        if any(one is not None for one in (metrics, seed, variant)):
+            raise ConfigError(f"{place}: --metrics, --seed and --variant are for experiments")
+        need("rosbags", extra="sim,plot,record")
+        from swarmd.sim.report.recording_report import recording_report
+
+        text = recording_report(place)
+    else:
+        from swarmd.sim.experiments.results import load_results
+        from swarmd.sim.report.html import report_of
+
+        text = report_of(place, chosen_metrics(metrics, load_results(place).asked), seed, variant)
     try:
         write_whole(path, text)
     except OSError as error:

@@ -179,7 +179,9 @@ def gl_context(width: int, height: int) -> Any:
     problems = []
     for name in (wanted,) if wanted else BACKENDS:
         try:
-            return import_module(f"mujoco.{name}").GLContext(width, height)
+            context = import_module(f"mujoco.{name}").GLContext(width, height)
+            os.environ["MUJOCO_GL"] = name  # where MuJoCo looks for the functions of OpenGL
+            return context
         except Exception as error:  # libraries raise what they like
             problems.append(f"{name}: {' '.join(str(error).split())[:120]}")
             _forget_opengl()

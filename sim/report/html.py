@@ -83,13 +83,13 @@ def report_of(
         ("figures", "Figures", _figures(figures_of(folder, metrics))),
         ("contacts", "Contacts", contacts_table(results)),
     ]
-    data = _data("summary", json.dumps(results.document(), allow_nan=False))
+    data = data_element("summary", json.dumps(results.document(), allow_nan=False))
     code = ""
     if source is not None:
         player = player_of(source)
-        what = escape(f"The run of {source.playback.run if source.playback else ''}")
-        sections.append(("run", "One run", _PLAYER.format(what=what, period=player.period)))
-        data += _data("run-data", player.data)
+        what = f"The run of {source.playback.run if source.playback else ''}"
+        sections.append(("run", "One run", player_section(what, player.period)))
+        data += data_element("run-data", player.data)
         code = f'<script type="module">\n{script()}\n</script>'
     sections += [
         ("scenario", "Scenario", _scenario(results, manifest)),
@@ -131,6 +131,11 @@ def page(
         data=data,
         script=script,
     )
+
+
+def player_section(what: str, period: float) -> str:
+    """The elements that the player needs; `period` in s between two samples."""
+    return _PLAYER.format(what=escape(what), period=period)
 
 
 def _source(
@@ -231,7 +236,7 @@ def _again(folder: Path, manifest: Manifest) -> str:
     return f"<pre>{escape(chr(10).join(lines))}</pre>"
 
 
-def _data(name: str, text: str) -> str:
+def data_element(name: str, text: str) -> str:
     """JSON for scripts, which cannot end the element that holds it."""
     kept = text.replace("</", "<\\/")
     return f'<script type="application/json" id="{name}">{kept}</script>\n'

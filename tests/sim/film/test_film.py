@@ -80,6 +80,24 @@ def test_a_film_without_ffmpeg_gives_one_line(
         encode.check_output(tmp_path / "none" / "a.mp4")
 
 
+def test_a_machine_without_opengl_gives_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    from swarmd.sim.film import renderer
+
+    def missing(name: str) -> None:
+        tried.append(name)
+        raise ImportError("no such library")
+
+    tried: list[str] = []
+    monkeypatch.delenv("MUJOCO_GL", raising=False)
+    monkeypatch.setattr(renderer, "import_module", missing)
+    with pytest.raises(PluginError, match="apt install libegl1"):
+        renderer.gl_context(16, 16)
+    assert tried == ["mujoco.egl", "mujoco.osmesa"]
+    monkeypatch.setenv("MUJOCO_GL", "glfw")
+    with pytest.raises(ConfigError, match="egl or osmesa"):
+        renderer.gl_context(16, 16)
+
+
 needs_ffmpeg = pytest.mark.skipif(shutil.which("ffmpeg") is None, reason="there is no ffmpeg")
 
 

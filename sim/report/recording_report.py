@@ -1,0 +1,247 @@
+"""A report of a recording: what each robot did, when it was held, and the run to play."""
+
+from __future__ import annotations
+
+import base64
+import io
+import itertools
+import json
+import shlex
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from swarmd.core.values import Array
+from swarmd.recording.reader import RecordedFile, read_file
+from swarmd.sim.film.colours import STATES, UNKNOWN
+from swarmd.sim.plots.scene import robot_colour, robot_style
+from swarmd.sim.plots.theme import DPI, new_figure, tidy
+from swarmd.sim.plots.trajectories import MAX_NAMED, trajectories_figure
+from swarmd.sim.report.html import data_element, page, player_section
+from swarmd.sim.report.player import player_of, script
+from swarmd.sim.report.recorded import APART, Recorded, recorded
+from swarmd.sim.report.tables import table
+from swarmd.sim.trace import Trace
+from swarmd.sim.view.trace_source import RecordedRun, TraceSource
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+LEAST_STOP = 1.0
+"""Seconds from which a stop is listed."""
+MOVING = 0.005  # m/s and rad/s
+MAX_STOPS, MAX_EVENTS = 40, 60
+
+
+def recording_report(path: Path) -> str:
+    """The report of a recording, or of a merged one, as HTML; ConfigError if it is none."""
+    file = read_file(path)
+    found = recorded(file)
+    trace = found.trace
+    platforms = {track.platform.name: track.platform for track in found.tracks.values()}
+    run = RecordedRun(trace, platforms=platforms)
+    source = TraceSource(path.stem, [path.name], lambda _: run, path.name)
+    player = player_of(source)
+    where = "Positions are in the shared frame of the robots."
+    if not found.is_shared:
+        where = (
+            "Positions are by odometry, which drifts. The start poses are not known:"
+            f" robots are drawn {APART:g} m apart, and distances between them mean nothing."
+        )
+    stops = _stops(trace)
+    sections = [
+        ("robots", "Robots", f"{_fault(file)}<p>{where}</p>{_robots(found)}"),
+        ("figures", "Figures", _figures(found)),
+        ("stops", "Stops", _listed(stops, ("TIME", "ROBOT", "FOR", "REASON"), MAX_STOPS)),
+        ("run", "The run", player_section("The whole recording", player.period)),
+        ("events", "Events", _listed(_events(found), ("TIME", "ROBOT", "EVENT"), MAX_EVENTS)),
+        ("clocks", "Clocks", _clocks(file.about)),
+        (
+            "again",
+            "How to make it again",
+            f"<pre>swarmctl exp report {shlex.quote(str(path))}</pre>",
+        ),
+        ("manifest", "Made with", _made_with(found)),
+    ]
+    count = len(trace.ids)
+    return page(
+        title=path.stem,
+        question=f"Recording of {count} robot{'s' * (count > 1)}, {trace.duration:.0f} s",
+        summary=str(path.name),
+        sections=sections,
+        data=data_element("run-data", player.data),
+        script=f'<script type="module">\n{script()}\n</script>',
+    )
+
+
+def _robots(found: Recorded) -> str:
+    """What each robot did, in numbers."""
+    trace, rows = found.trace, []
+    assert trace.state is not None
+    assert trace.active is not None
+    assert trace.gap is not None
+    period = trace.duration / max(len(trace.t) - 1, 1)
+    for row, (name, track) in enumerate(found.tracks.items()):
+        is_running = trace.state[:, row] == "running"
+        moves = is_running & (np.abs(trace.safe[:, row]) > MOVING).any(axis=1)
+        steps = np.diff(trace.pose[:, row, :2], axis=0)
+        gaps = trace.gap[:, row]
+        active = trace.active[is_running, row]
+        cells = (
+            name,
+            f"{float(np.nansum(np.hypot(steps[:, 0], steps[:, 1]))):.2f} m",
+            f"{period * float(is_running.sum()):.1f} s",
+            f"{period * float(moves.sum()):.1f} s",
+            f"{100.0 * float(active.mean()):.0f} %" if active.size else "-",
+            f"{float(np.nanmin(gaps)):.2f} m" if np.isfinite(gaps).any() else "-",
+            str(track.dropped or "-"),
+        )
+        rows.append(tuple(map(escape, cells)))
+    head = ("ROBOT", "DISTANCE", "RUNNING", "MOVING", "PROTECTION", "SMALLEST GAP", "LOSSES NOTED")
+    note = (
+        '<p class="dim">Protection: share of the time in state running in which it reduced or'
+        " replaced the command. Gap: to the nearest return of a scan.</p>"
+    )
+    return table(head, rows, "robots") + note
+
+
+def _stops(trace: Trace) -> list[tuple[str, ...]]:
+    """When a running robot that was asked to move stood, and each change to another state."""
+    assert trace.state is not None
+    assert trace.reason is not None
+    assert trace.requested is not None
+    found: list[tuple[float, tuple[str, ...]]] = []
+    for row, name in enumerate(trace.ids):
+        state, reason = trace.state[:, row], trace.reason[:, row]
+        asked = (np.abs(np.nan_to_num(trace.requested[:, row])) > MOVING).any(axis=1)
+        still = (np.abs(trace.safe[:, row]) <= MOVING).all(axis=1)
+        is_held = ((state == "running") & asked & still) | np.isin(state, ("estopped", "faulted"))
+        edges = np.flatnonzero(np.diff(np.concatenate(([False], is_held, [False])).astype(int)))
+        for first, last in zip(edges[::2], edges[1::2] - 1, strict=True):
+            seconds = float(trace.t[last] - trace.t[first])
+            if seconds >= LEAST_STOP:
+                words = [str(word) for word in reason[first : last + 1] if word] or [""]
+                why = max(set(words), key=words.count).replace("_", " ") or str(state[first])
+                at = float(trace.t[first])
+                found.append((at, (f"{at:.1f} s", name, f"{seconds:.1f} s", why)))
+    return [cells for _, cells in sorted(found)]
+
+
+def _events(found: Recorded) -> list[tuple[str, ...]]:
+    events = [(at, name, text) for name, track in found.tracks.items() for at, text in track.events]
+    return [(f"{at:.1f} s", name, text) for at, name, text in sorted(events)]
+
+
+def _listed(rows: list[tuple[str, ...]], head: tuple[str, ...], most: int) -> str:
+    if not rows:
+        return ""
+    note = f"<p>The first {most} of {len(rows)}.</p>" if len(rows) > most else ""
+    return note + table(head, [tuple(map(escape, row)) for row in rows[:most]], "listed")
+
+
+def _figures(found: Recorded) -> str:
+    pictures = [
+        (_states_figure(found.trace), "States over time."),
+        (_gaps_figure(found.trace), "Gap from the footprint to the nearest return over time."),
+        (
+            trajectories_figure(found.trace, "paths"),
+            "Paths: hollow at the start, filled at the end.",
+        ),
+    ]
+    parts = [
+        f'<figure><img src="data:image/png;base64,{_png(figure)}" alt="{text}">'
+        f"<figcaption>{text}</figcaption></figure>"
+        for figure, text in pictures
+    ]
+    return f'<div class="pair">{"".join(parts)}</div>'
+
+
+def _png(figure: Figure) -> str:
+    file = io.BytesIO()
+    figure.savefig(file, format="png", dpi=DPI)
+    return base64.b64encode(file.getvalue()).decode()
+
+
+def _states_figure(trace: Trace) -> Figure:
+    """A bar for each robot, coloured by state."""
+    from matplotlib.patches import Patch
+
+    assert trace.state is not None
+    figure = new_figure(7.5, 1.2 + 0.3 * len(trace.ids))
+    axes = figure.add_subplot()
+    tidy(axes)
+    for row in range(len(trace.ids)):
+        for first, last, state in _spans(trace.state[:, row]):
+            if state:
+                width = float(trace.t[last] - trace.t[first])
+                axes.barh(row, width, left=float(trace.t[first]), color=STATES.get(state, UNKNOWN))
+    axes.set_yticks(range(len(trace.ids)), trace.ids)
+    axes.invert_yaxis()
+    axes.set_xlabel("time [s]")
+    shown = [state for state in STATES if (trace.state == state).any()]
+    handles = [Patch(color=STATES[state], label=state) for state in shown]
+    if handles:
+        figure.legend(
+            handles=handles, loc="outside upper right", ncols=5, frameon=False, fontsize=9
+        )
+    return figure
+
+
+def _spans(words: Any) -> list[tuple[int, int, str]]:
+    """Runs of equal words: first instant, first instant of the next run, word."""
+    edges = [0, *(np.flatnonzero(words[1:] != words[:-1]) + 1).tolist(), len(words) - 1]
+    pairs = itertools.pairwise(edges)
+    return [(first, last, str(words[first])) for first, last in pairs if last > first]
+
+
+def _gaps_figure(trace: Trace) -> Figure:
+    assert trace.gap is not None
+    figure = new_figure(7.5, 4.2)
+    axes = figure.add_subplot()
+    tidy(axes)
+    gap: Array = trace.gap
+    for row, name in enumerate(trace.ids[:MAX_NAMED]):
+        axes.plot(trace.t, gap[:, row], color=robot_colour(row), linestyle=robot_style(row),
+                  linewidth=1.0, label=name)  # fmt: skip
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlabel("time [s]")
+    axes.set_ylabel("gap [m]")
+    figure.legend(loc="outside right upper", frameon=False, fontsize=9)
+    return figure
+
+
+def _fault(file: RecordedFile) -> str:
+    return f"<p><b>The file is not whole</b>: {escape(file.fault)}.</p>" if file.fault else ""
+
+
+def _clocks(about: Mapping[str, str]) -> str:
+    """The estimates of `record merge`; empty for one robot."""
+    if "clocks" not in about:
+        return ""
+    rows = []
+    for one in json.loads(about["clocks"]):
+        known = one["is_aligned"]
+        numbers = (
+            (
+                f"{one['offset']:.6f} s",
+                f"{one['drift_ppm']:+.1f} ppm",
+                f"{1e3 * one['error']:.3f} ms",
+            )
+            if known
+            else ("not aligned", "-", "unknown")
+        )
+        rows.append((one["robot"], *numbers, ", ".join(one["via"]) or "-"))
+    head = ("ROBOT", "OFFSET", "DRIFT", "ERROR AT MOST", "VIA")
+    return table(head, [tuple(map(escape, row)) for row in rows], "clocks")
+
+
+def _made_with(found: Recorded) -> str:
+    keys = ("platform", "driver", "version", "clock", "swarm")
+    rows = [
+        (name, *(track.about.get(key, "-") for key in keys)) for name, track in found.tracks.items()
+    ]
+    head = ("ROBOT", *(key.upper() for key in keys))
+    return table(head, [tuple(map(escape, row)) for row in rows], "manifest")

@@ -1,0 +1,97 @@
+"""Reports of recordings: the trace of a merged recording, and what the page holds."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+
+from swarmd.core.messages import Reason
+from swarmd.core.values import Odometry, Pose, Twist
+from swarmd.protection.decision import Decision
+from swarmd.recording.frames import Begin, ClockEntry, DecisionEntry, OdometryEntry
+from swarmd.recording.merge import place, survey, write_merged
+from swarmd.recording.process import Converter
+from swarmd.recording.reader import read_file
+from swarmd.sim.cli.exp import exp
+from swarmd.sim.report.recorded import recorded
+
+SPEED = 0.1  # m/s
+HELD = (4.0, 7.0)
+"""When robot b stands before an obstacle, in s."""
+
+
+def record(folder: Path, robot: str) -> Path:
+    """Ten seconds at 10 Hz in which a robot drives straight on, and b is held for three."""
+    about = {"robot": robot, "clock": "one", "platform": "burger", "version": "1"}
+    begin = Begin(50.0, str(folder / robot), robot, about, 1.7e9, 2**26, 600.0, 2**30)
+    converter = Converter(begin)
+    if robot == "a":
+        converter.add(ClockEntry(50.0, "b", "one", 50.0, 50.001, 50.002))
+    x = 0.0
+    for k in range(101):
+        time = k / 10.0
+        is_held = robot == "b" and HELD[0] <= time < HELD[1]
+        wanted = Twist(SPEED, 0.0)
+        safe = Twist() if is_held else wanted
+        reason = Reason.PROTECTION if is_held else None
+        decision = Decision("barrier", wanted, safe, reason, is_held, (), 0.3, 0.05, k)
+        pose = Odometry(time, Pose(x, 0.0, 0.0), safe)
+        converter.add(OdometryEntry(50.0 + time, pose))
+        words = "scan", "running", reason.value if reason else ""
+        converter.add(DecisionEntry(50.0 + time, *words, decision))
+        x += safe.linear / 10.0
+    converter.writer.close()
+    assert converter.writer.path is not None
+    return converter.writer.path
+
+
+@pytest.fixture(scope="module")
+def merged(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("recording")
+    paths = [record(folder, "a"), record(folder, "b")]
+    write_merged(place(survey(paths)), folder / "evening.mcap")
+    return folder / "evening.mcap"
+
+
+def test_the_trace_of_a_recording(merged: Path) -> None:
+    found = recorded(read_file(merged))
+    trace = found.trace
+    assert trace.ids == ("a", "b")
+    assert trace.duration == pytest.approx(10.0, abs=0.01)
+    assert not found.is_shared
+    assert trace.pose[-1, 0, 0] - trace.pose[0, 0, 0] == pytest.approx(10.0 * SPEED, abs=0.01)
+    assert trace.pose[-1, 1, 0] - trace.pose[0, 1, 0] == pytest.approx(7.0 * SPEED, abs=0.02)
+    assert trace.pose[0, 1, 1] - trace.pose[0, 0, 1] == pytest.approx(1.0)  # side by side
+    assert trace.active is not None
+    assert trace.reason is not None
+    held = trace.t[trace.active[:, 1]]
+    assert (held[0], held[-1]) == pytest.approx((HELD[0], HELD[1] - 0.1), abs=0.11)
+    assert set(np.unique(trace.reason[:, 1])) == {"", "protection"}
+
+
+def test_the_report_of_a_recording(merged: Path) -> None:
+    done = CliRunner().invoke(exp, ["report", str(merged)], catch_exceptions=False)
+    assert done.exit_code == 0
+    text = merged.with_suffix(".html").read_text()
+    sections = re.findall(r'<section id="(\w+)"', text)
+    assert sections == ["robots", "figures", "stops", "run", "clocks", "again", "manifest"]
+    (stop,) = re.findall(r"<tr><td>(4\.\d) s</td><td>b</td><td>(\S+) s</td><td>protection</td>", text)
+    assert 2.7 <= float(stop[1]) <= 3.1
+    assert "start poses are not known" in text
+    data = re.search(r'id="run-data">(.*?)</script>', text, re.DOTALL)
+    assert data is not None
+    assert [robot["name"] for robot in json.loads(data[1])["hello"]["robots"]] == ["a", "b"]
+    refused = CliRunner().invoke(exp, ["report", str(merged), "--seed", "3"])
+    assert "for experiments" in str(refused.exception)
+
+
+def test_a_file_that_is_no_recording_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"nothing")
+    done = CliRunner().invoke(exp, ["report", str(tmp_path / "a.mcap")])
+    assert "not a recording" in str(done.exception)
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
