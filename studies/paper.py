@@ -22,10 +22,11 @@ from studies import paper_exp2
 from studies.paper_exp2 import out_of, results_of
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
+from swarmd.sim.experiments.compare import Side
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.statistics import median_interval, summarize, wilson
 from swarmd.sim.metrics import aggregation
-from swarmd.sim.plots.bands import Series, series_figure
+from swarmd.sim.plots.figures import Look, compared_over_time
 from swarmd.sim.plots.select import typical_first
 from swarmd.sim.plots.theme import save
 from swarmd.sim.plots.trajectories import trajectories_figure
@@ -194,25 +195,23 @@ def tables(found: Mapping[tuple[str, str, bool], Results]) -> str:
 def draw(found: Mapping[tuple[str, str, bool], Results], out: Path) -> None:
     """The figures: the distance to the centroid over time, and a typical run of each law."""
     out.mkdir(parents=True, exist_ok=True)
+    metric = "mean_distance_to_centroid_late"
     for name in TURTLEBOTS:
-        groups: dict[str, list[Series]] = {}
-        for law in DRAWN:
-            results = found.get((name, law, False))
-            if results is None:
-                continue
-            for run, trace in zip(results.runs, results.traces, strict=True):
-                away = aggregation.distance_to_centroid(trace)
-                label = f"{law}, {run.variant.values['lidar_visibility']}"
-                groups.setdefault(label, []).append((trace.t - trace.t[0], away))
-        if groups:
-            figure = series_figure(groups, label="mean distance to centroid", unit="m",
-                                   title=f"paper_exp1_{name}", target=MDC_LATE[name])  # fmt: skip
+        sides = {
+            f"{law}, {visibility}": Side(law, found[name, law, False], variant_of(visibility))
+            for law in DRAWN
+            if (name, law, False) in found
+            for visibility in VISIBILITIES
+        }
+        if sides:
+            look = Look(targets={metric: MDC_LATE[name]})
+            figure = compared_over_time(sides, metric, look, f"paper_exp1_{name}")
             save(figure, out / f"paper_{name}_mdc.png")
     for law in DRAWN:
         results = found.get(("waffle_pi", law, False))
         if results is not None:
             variant = variant_of("real")
-            values = results.metric("mean_distance_to_centroid_late", variant)
+            values = results.metric(metric, variant)
             runs = [run for run in results.runs if run.variant.name == variant]
             run = runs[typical_first(values)[0]]
             title = f"law {law}, real visibility, seed {run.seed}"

@@ -20,6 +20,7 @@ from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.exp_check import check
 from swarmd.sim.cli.exp_export import export
+from swarmd.sim.cli.exp_plot import plot
 from swarmd.sim.cli.exp_report import report
 from swarmd.sim.cli.exp_video import video
 from swarmd.sim.cli.exp_view import view
@@ -309,29 +310,6 @@ def show(folder: Path, metrics: str | None, is_json: bool) -> None:
     _print_results(results, chosen_metrics(metrics, results.asked), is_json)
 
 
-@exp.command()
-@_folder
-@_out("Folder of the pictures [DIR/plots; with --seeds DIR/plots/seeds-SEEDS].")
-@click.option("--metrics", metavar="A,B,..", help="Draw these metrics over time.")
-@click.option(
-    "--seeds", metavar="SEEDS", help="Draw only the runs of these seeds: 7, 500-519, or 3,5,9."
-)
-def plot(folder: Path, out: Path | None, metrics: str | None, seeds: str | None) -> None:
-    """Draw the experiment in DIR: trajectories, start and end, metrics over time."""
-    need("matplotlib")
-    from swarmd.sim.experiments.arguments import parse_seeds
-    from swarmd.sim.experiments.results import load_results
-    from swarmd.sim.plots.figures import draw_experiment
-
-    if seeds and out is None:  # the pictures of all runs stay
-        out = folder / "plots" / f"seeds-{seeds}"
-    one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
-    chosen = None if one_or_more is None else parse_seeds(one_or_more)
-    names = chosen_metrics(metrics, load_results(folder).asked)
-    for path in draw_experiment(folder, out, metrics=names, seeds=chosen):
-        click.echo(str(path))
-
-
 @exp.command("list")
 @output_option
 def list_scenarios(is_json: bool) -> None:
@@ -490,5 +468,6 @@ def _warn_of_few(counts: Iterable[int]) -> None:
 exp.add_command(check)
 exp.add_command(export)
 exp.add_command(report)
+exp.add_command(plot)
 exp.add_command(video)
 exp.add_command(view)

@@ -4,18 +4,26 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.experiments.statistics import wilson
-from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, tidy
+from swarmd.sim.plots.theme import (
+    GUIDE_COLOUR,
+    NOTE,
+    fit,
+    new_figure,
+    tidy,
+    variant_style,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 Series = tuple[Array, Array]
 """One run: increasing instants (T,) in s and values (T,), NaN without a value."""
@@ -24,7 +32,7 @@ MAX_INSTANTS = 600
 MANY_RUNS = 20
 """From so many runs on, 95 % of the runs are fewer than all."""
 _ROUNDING = 1e-9
-_STYLES = ("-", "--", ":", "-.")
+_TWO_COLUMNS = 5.0  # inches of a figure of a paper in which panels stand side by side
 _MAX_OUTER = 3  # variants up to which wide bands are drawn
 _MAX_INNER = 7
 _PALE = {"facecolor": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0.0}
@@ -39,6 +47,7 @@ def series_figure(
     target: float | None = None,
     events: Sequence[tuple[float, str]] = (),
     smoothing: float = 0.0,
+    width: float | None = None,
 ) -> Figure:
     """A picture of a metric over time.
 
@@ -46,37 +55,141 @@ def series_figure(
     the runs, a pale band 95 % (all, if there are fewer than 20); with many variants there are
     fewer bands. If all values are 0 or 1, the line is the share of runs at 1 and the band its
     95 % interval. `target` is a dashed line, `events` are dotted lines at times in s, with a
-    label. `smoothing`: s over which each run is averaged first. SwarmError without values.
+    label. `smoothing`: s over which each run is averaged first. `width`: in inches, for a paper.
+    SwarmError without values.
     """
-    kept = {name: runs for name, runs in groups.items() if any(len(t) for t, _ in runs)}
-    if not kept:
+    return faceted_series_figure(
+        {"": groups}, label=label, unit=unit, title=title, target=target, events=events,
+        smoothing=smoothing, width=width,
+    )  # fmt: skip
+
+
+def faceted_series_figure(
+    facets: Mapping[str, Mapping[str, Sequence[Series]]],
+    *,
+    label: str,
+    unit: str = "",
+    title: str = "",
+    target: float | None = None,
+    events: Sequence[tuple[float, str]] = (),
+    smoothing: float = 0.0,
+    width: float | None = None,
+) -> Figure:
+    """As `series_figure`, with a panel for each facet; a variant has its colour in all of them."""
+    kept = {panel: _smoothed(groups, smoothing) for panel, groups in facets.items()}
+    kept = {panel: groups for panel, groups in kept.items() if groups}
+    every = [run for groups in kept.values() for runs in groups.values() for run in runs]
+    if not every:
         raise SwarmError(f"{label}: no run has values over time: nothing to draw")
-    if smoothing > 0.0:
-        kept = {name: [smoothed(run, smoothing) for run in runs] for name, runs in kept.items()}
-    is_share = is_yes_or_no([run for runs in kept.values() for run in runs])
-    aside = 0.0 if len(kept) == 1 else 0.9 + 0.07 * max(len(name) + 9 for name in kept)
-    figure = new_figure(7.5 + aside, max(4.2, 0.9 + 0.22 * len(kept)))
-    axes = figure.add_subplot()
-    tidy(axes)
-    for index, (name, runs) in enumerate(kept.items()):
-        bands = shares_of(runs) if is_share else bands_of(runs)
-        _paint_variant(axes, bands, index, len(kept), f"{name} (n = {len(runs)})")
-    if target is not None:
-        paint_target(axes, target)
-    for time, word in events:
-        _paint_event(axes, time, word)
-    axes.margins(x=0.01)
-    if is_count([run for runs in kept.values() for run in runs]) and not is_share:
-        axes.locator_params(axis="y", integer=True)
-    axes.set_xlabel("time [s]")
-    axes.set_ylabel(f"{label}: share of runs" if is_share else f"{label} [{unit or '1'}]")
-    axes.set_title(title, fontsize=11, loc="left")
+    is_share = is_yes_or_no(every)
+    legend = Legend.of(kept)
+    figure, panels = new_series_figure(list(kept), legend, width)
+    for axes, groups in zip(panels, kept.values(), strict=True):
+        for name, runs in groups.items():
+            bands = shares_of(runs) if is_share else bands_of(runs)
+            _paint_variant(axes, bands, legend.index(name), len(groups), legend.text(name))
+        if target is not None:
+            paint_target(axes, target)
+        for time, word in events:
+            _paint_event(axes, time, word)
+        axes.margins(x=0.01)
+        if is_count(every) and not is_share:
+            axes.locator_params(axis="y", integer=True)
     note = f"; running mean over {smoothing:g} s" if smoothing > 0.0 else ""
-    axes.set_title(_reading(kept, is_share=is_share) + note, fontsize=8, loc="right",
-                   color=GUIDE_COLOUR)  # fmt: skip
-    if len(kept) > 1:
-        figure.legend(loc="outside right upper", frameon=False, fontsize=9)
-    return figure
+    reading = _reading([runs for groups in kept.values() for runs in groups.values()],
+                       len(legend.counts), is_share=is_share)  # fmt: skip
+    text = f"{label}: share of runs" if is_share else f"{label} [{unit or '1'}]"
+    return finish_series(figure, panels, text, title, reading + note, legend, width)
+
+
+@dataclass(frozen=True, slots=True)
+class Legend:
+    """The variants of a figure in order, and the number of runs of each in a panel."""
+
+    counts: Mapping[str, int]
+
+    @staticmethod
+    def of(facets: Mapping[str, Mapping[str, Sequence[object]]]) -> Legend:
+        """The variants of all panels."""
+        counts: dict[str, int] = {}
+        for groups in facets.values():
+            for name, runs in groups.items():
+                counts[name] = max(counts.get(name, 0), len(runs))
+        return Legend(counts)
+
+    def index(self, name: str) -> int:
+        """The number of a variant, for its colour."""
+        return list(self.counts).index(name)
+
+    def text(self, name: str) -> str:
+        """A variant's text in the legend."""
+        return f"{name} (n = {self.counts[name]})" if name else f"n = {self.counts[name]}"
+
+
+def new_series_figure(
+    panels: Sequence[str], legend: Legend, width: float | None
+) -> tuple[Figure, list[Axes]]:
+    """A figure of panels over time, and its axes, with room for the legend."""
+    rows = 0 if len(legend.counts) == 1 else len(legend.counts)
+    many = len(panels)
+    columns = many if width is None or width >= _TWO_COLUMNS else 1
+    if width is not None:
+        height = 0.62 * width / columns * -(-many // columns) + 0.15 * rows
+        figure = new_figure(width, height)
+    else:
+        aside = 0.9 + 0.07 * max(map(len, map(legend.text, legend.counts))) if rows else 0.0
+        across = 7.5 if many == 1 else 4.2 * many
+        figure = new_figure(across + aside, max(4.2, 0.9 + 0.22 * rows))
+    grid = figure.subplots(-(-many // columns), columns, squeeze=False, sharex=True, sharey=True)
+    for axes, name in zip(grid.flat, panels, strict=True):
+        tidy(axes)
+        if name:
+            axes.set_title(name, fontsize=9.5)
+    return figure, list(grid.flat)
+
+
+def finish_series(
+    figure: Figure,
+    panels: Sequence[Axes],
+    label: str,
+    title: str,
+    reading: str,
+    legend: Legend,
+    width: float | None,
+) -> Figure:
+    """Name the axes, and add title, legend and how to read the figure."""
+    first = panels[0]
+    for axes in panels:
+        if axes.get_subplotspec().is_last_row():  # type: ignore[union-attr]
+            axes.set_xlabel("time [s]")
+        if axes.get_subplotspec().is_first_col():  # type: ignore[union-attr]
+            axes.set_ylabel(label)
+    if len(panels) == 1:
+        first.set_title(title, fontsize=11, loc="left", gid=NOTE)
+        first.set_title(reading, fontsize=8, loc="right", color=GUIDE_COLOUR, gid=NOTE)
+    else:
+        figure.suptitle(title, fontsize=11, gid=NOTE)
+        figure.supxlabel(reading, fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
+    if len(legend.counts) > 1:
+        lines: dict[str, Line2D] = {}
+        for axes in panels:
+            handles, texts = axes.get_legend_handles_labels()
+            lines |= dict(zip(texts, handles, strict=True))
+        style: Any = {"frameon": False, "fontsize": 9, "borderaxespad": 0.2}
+        where: Any = "outside right upper" if width is None else "outside upper left"
+        kept = [text for text in map(legend.text, legend.counts) if text in lines]
+        figure.legend([lines[text] for text in kept], kept, loc=where, **style)
+    return fit(figure, width)
+
+
+def _smoothed(
+    groups: Mapping[str, Sequence[Series]], seconds: float
+) -> dict[str, Sequence[Series]]:
+    """The variants that have an instant; each run averaged over so many s, with 0 not at all."""
+    kept = {name: runs for name, runs in groups.items() if any(len(t) for t, _ in runs)}
+    if seconds <= 0.0:
+        return kept
+    return {name: [smoothed(run, seconds) for run in runs] for name, runs in kept.items()}
 
 
 def paint_target(axes: Axes, target: float) -> None:
@@ -95,8 +208,7 @@ def _paint_event(axes: Axes, time: float, word: str) -> None:
 
 
 def _paint_variant(axes: Axes, bands: Bands, index: int, variants: int, label: str) -> None:
-    colour = VARIANT_COLOURS[index % len(VARIANT_COLOURS)]
-    style = _STYLES[index // len(VARIANT_COLOURS) % len(_STYLES)]
+    colour, style = variant_style(index)
     if bands.outer is not None and variants <= _MAX_OUTER:
         axes.fill_between(bands.t, *bands.outer, color=colour, alpha=0.14, linewidth=0.0)
     if bands.inner is not None and variants <= _MAX_INNER:
@@ -105,16 +217,16 @@ def _paint_variant(axes: Axes, bands: Bands, index: int, variants: int, label: s
               label=label)  # fmt: skip
 
 
-def _reading(groups: Mapping[str, Sequence[Series]], *, is_share: bool) -> str:
+def _reading(groups: Sequence[Sequence[Series]], variants: int, *, is_share: bool) -> str:
     """A text that explains lines and bands."""
-    counts = [len(runs) for runs in groups.values()]
+    counts = [len(runs) for runs in groups]
     own = f", n = {counts[0]}" if len(groups) == 1 and counts[0] > 1 else ""
     if max(counts) == 1:
         return "one run each" if len(groups) > 1 else "one run"
-    is_wide = len(groups) <= _MAX_OUTER
+    is_wide = variants <= _MAX_OUTER
     if is_share:
         return f"share of the runs{', band: its 95 % interval' if is_wide else ''}{own}"
-    words = ["50 %"] if max(counts) > 2 and len(groups) <= _MAX_INNER else []
+    words = ["50 %"] if max(counts) > 2 and variants <= _MAX_INNER else []
     words += [] if not is_wide else ["95 %"] if min(counts) >= MANY_RUNS else ["all"]
     bands = f", bands: {' and '.join(words)} of the runs" if words else ""
     return f"line: median{bands}{own}"

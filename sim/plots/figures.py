@@ -5,17 +5,23 @@ from __future__ import annotations
 import logging
 import re
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from textwrap import fill
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.values import Array
+from swarmd.settings.layered import Layered
+from swarmd.sim.experiments.compare import Side, compare
 from swarmd.sim.experiments.plan import Run
 from swarmd.sim.experiments.results import YES_OR_NO, Results, load_results
-from swarmd.sim.metrics.catalog import METRICS, Metric
-from swarmd.sim.plots.bands import Series, series_figure
+from swarmd.sim.metrics.catalog import METRICS, Metric, series
+from swarmd.sim.plots.bands import Series, faceted_series_figure, series_figure
+from swarmd.sim.plots.differences import DifferencePanel, differences_figure
+from swarmd.sim.plots.facets import facets_of
 from swarmd.sim.plots.intervals import Panel, intervals_figure
 from swarmd.sim.plots.overview import overview_figure
 from swarmd.sim.plots.select import (
@@ -31,11 +37,32 @@ from swarmd.sim.plots.select import (
     worst_first,
 )
 from swarmd.sim.plots.start_and_end import start_and_end_figure
+from swarmd.sim.plots.survival import Times, survival_figure
 from swarmd.sim.plots.theme import save
 from swarmd.sim.plots.trajectories import trajectories_figure
+from swarmd.sim.scenarios.environment import fields_of
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.scalar_fields import Field
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 _log = logging.getLogger(__name__)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Look:
+    """How the pictures of an experiment are drawn.
+
+    `suffix`: .png, .svg or .pdf. `width` in inches: for a paper, with texts and lines of that size
+    and without titles. `facet`: a swept key, with a panel for each of its values. `targets` are
+    by metric.
+    """
+
+    suffix: str = ".png"
+    width: float | None = None
+    facet: str | None = None
+    targets: Mapping[str, float] = field(default_factory=dict)
 
 
 def draw_experiment(
@@ -44,26 +71,52 @@ def draw_experiment(
     *,
     metrics: Sequence[str | Metric] | None = None,
     seeds: Iterable[int] | None = None,
-    targets: Mapping[str, float] | None = None,
-    suffix: str = ".png",
+    look: Look | None = None,
 ) -> list[Path]:
     """Draw what an experiment's folder holds into `out`, by default its `plots`; the files made.
 
     For each variant: all runs in one picture, and a typical run (nearest to the median) and the
     worst run, with their starts and ends. Where neither direction of the metric is good as such,
-    the least typical run is drawn instead of the worst. For all variants together: metrics over
-    time and run by run.
+    the least typical run is drawn instead of the worst. For all variants together: metrics run by
+    run and over time, times to events as survival curves, and differences from the first variant.
+    What has one value in all runs is not drawn.
 
     `metrics` replaces the default ones; the first of them selects the typical run. `seeds` limits
-    the runs. `targets` are by metric. A trace that is missing or damaged gives one warning.
-    ConfigError for an unknown metric, seed or folder, SwarmError if no run has finished.
+    the runs. A trace that is missing or damaged gives one warning. ConfigError for an unknown
+    metric, seed, facet or folder, SwarmError if no run has finished.
     """
-    gallery = _Gallery(folder, out, metrics, seeds, suffix)
-    made = gallery.intervals(targets or {})
+    gallery = _Gallery(folder, out, metrics, seeds, look or Look())
+    made = gallery.intervals() + gallery.differences() + gallery.survival()
     for variant in gallery.variants:
         made += gallery.overview(variant)
         made += gallery.chosen_runs(variant)
-    return made + gallery.over_time(targets or {})
+    return made + gallery.over_time()
+
+
+def compared_over_time(
+    sides: Mapping[str, Side], metric: str | Metric, look: Look | None = None, title: str = ""
+) -> Figure:
+    """A picture of one metric over time, of variants of several experiments by their labels.
+
+    ConfigError for an unknown metric, or one without values over time; SwarmError if a trace is
+    missing.
+    """
+    look = look or Look()
+    groups: dict[str, list[Series]] = {}
+    found = next(side.results.about(metric) for side in sides.values())
+    for label, side in sides.items():
+        for run, trace in zip(side.results.runs, side.results.traces, strict=True):
+            if run.variant.name == side.variant and (one := series(trace, found)) is not None:
+                groups.setdefault(label, []).append((trace.t - trace.t[0], one))
+    return series_figure(
+        groups,
+        label=label_of(stem_of(found.name)),
+        unit=found.unit,
+        title=title,
+        target=look.targets.get(found.name),
+        smoothing=smoothing_of(found.name),
+        width=look.width,
+    )
 
 
 class _Gallery:
@@ -75,15 +128,16 @@ class _Gallery:
         out: Path | None,
         metrics: Sequence[str | Metric] | None,
         seeds: Iterable[int] | None,
-        suffix: str,
+        look: Look,
     ) -> None:
         self._results = load_results(folder)
         self._metrics = None if metrics is None else [*map(self._results.asked, metrics)]
         self._out = folder / "plots" if out is None else out
-        self._suffix = suffix
+        self._look = look
         self._runs = _chosen(self._results, folder, seeds)
         self._primary = primary_metric(self._results, self._metrics)
         self._scenario = Path(self._results.plan.scenario).stem
+        self._facets = facets_of(self._results.plan, look.facet, self._scenario)
         self._warned: set[str] = set()
         names = {run.variant.name for run in self._runs}
         self.variants = [name for name in self._results.variants if name in names]
@@ -91,20 +145,68 @@ class _Gallery:
         if not self._has_traces:
             _log.warning("%s: no traces were kept; what needs them is not drawn", folder)
 
-    def intervals(self, targets: Mapping[str, float]) -> list[Path]:
+    def intervals(self) -> list[Path]:
         """Metrics run by run."""
         panels = []
         for one in self._asked(RUN_BY_RUN):
-            values = {v or self._scenario: self._values(one, v) for v in self.variants}
-            if any(np.isfinite(column).any() for column in values.values()):
+            for panel, variants in self._by_panel().items():
+                shown = {self._facets[v].label: self._values(one, v) for v in variants}
+                if not self._has_spread(one, panel, list(shown.values())):
+                    continue
                 panels.append(
-                    Panel(label=label_of(one.name), unit=one.unit, values=values,
-                          is_share=one.unit == YES_OR_NO, target=targets.get(one.name),
+                    Panel(label=_joined(label_of(one.name), panel), unit=one.unit, values=shown,
+                          is_share=one.unit == YES_OR_NO,
+                          target=self._look.targets.get(one.name),
                           is_time_to_event=one.is_time_to_event)
                 )  # fmt: skip
         if not panels:
             return []
-        return [save(intervals_figure(panels, self._scenario), self._path("intervals"))]
+        return [self._save(intervals_figure(panels, self._scenario, width=self._look.width),
+                           "intervals")]  # fmt: skip
+
+    def differences(self) -> list[Path]:
+        """The difference of each variant from the first, by metric."""
+        if len(self._runs) < len(self._results.runs):  # of some seeds there are few
+            return []
+        panels = []
+        for one in self._asked(RUN_BY_RUN):
+            for panel, (first, *others) in self._by_panel().items():
+                found = {
+                    f"{self._facets[v].label} - {self._facets[first].label}": compare(
+                        Side(first, self._results, first), Side(v, self._results, v), [one]
+                    )[0]
+                    for v in others
+                }
+                if any(d.interval and d.interval != (0.0, 0.0) for d in found.values()):
+                    label = _joined(label_of(one.name), panel)
+                    panels.append(DifferencePanel(label, one.unit, found))
+        if not panels:
+            return []
+        figure = differences_figure(panels, self._scenario, width=self._look.width)
+        return [self._save(figure, "differences")]
+
+    def survival(self) -> list[Path]:
+        """Times to an event, as the share of runs that have not had it yet."""
+        made = []
+        for one in self._asked(OVER_TIME):
+            facets: dict[str, dict[str, Times]] = {}
+            for panel, variants in self._by_panel().items():
+                for v in variants:
+                    duration = float(self._of(v)[0].variant.effective["duration"])
+                    values = self._values(one, v)
+                    times = Times(values, np.full(len(values), duration))
+                    facets.setdefault(panel, {})[self._facets[v].label] = times
+            has_event = any(
+                np.isfinite(times.times).any()
+                for some in facets.values()
+                for times in some.values()
+            )
+            if one.is_time_to_event and has_event:
+                figure = survival_figure(
+                    facets, label=label_of(one.name), title=self._scenario, width=self._look.width
+                )
+                made.append(self._save(figure, f"survival_{one.name}"))
+        return made
 
     def overview(self, variant: str) -> list[Path]:
         """All runs of a variant in one picture."""
@@ -115,8 +217,11 @@ class _Gallery:
             for run in self._of(variant)
         ]
         note = f"by seed: {label_of(self._primary.name)}" if self._primary else ""
-        figure = overview_figure(runs, self._title(variant), note=note)
-        return [save(figure, self._path("runs", variant))]
+        figure = overview_figure(
+            runs, self._title(variant), note=note, fields=self._fields(variant),
+            width=self._look.width,
+        )  # fmt: skip
+        return [self._save(figure, "runs", variant)]
 
     def chosen_runs(self, variant: str) -> list[Path]:
         """Paths, start and end of a typical run and of the worst one."""
@@ -133,33 +238,37 @@ class _Gallery:
         worst = [runs[k] for k in order[:1] if runs[k] is not typical]
         return made + self._first_of(worst, word)[0]
 
-    def over_time(self, targets: Mapping[str, float]) -> list[Path]:
+    def over_time(self) -> list[Path]:
         """Metrics over time, of all variants."""
-        metrics = metrics_over_time(self._asked(OVER_TIME))
-        found: dict[str, dict[str, list[Series]]] = {one.name: {} for one in metrics}
+        asked = [one for one in self._asked(OVER_TIME) if not one.is_time_to_event]
+        metrics = metrics_over_time(asked)
+        found: dict[str, dict[str, dict[str, list[Series]]]] = {one.name: {} for one in metrics}
         events: set[tuple[tuple[float, str], ...]] = set()
         for run in self._runs if metrics and self._has_traces else ():
             trace = self._trace(run)
             if trace is not None:
                 events.add(events_of(trace))
+                facet = self._facets[run.variant.name]
                 for one in metrics:
-                    _gather(found[one.name], run.variant.name or self._scenario, one, trace)
+                    values = None if one.series is None else one.series(trace)
+                    if values is not None and np.isfinite(values).any():
+                        groups = found[one.name].setdefault(facet.panel, {})
+                        own = trace.t - trace.t[0], values.astype(np.float64)
+                        groups.setdefault(facet.label, []).append(own)
         made = []
         for one in metrics:
-            name, groups = one.name, found[one.name]
-            if _varies(groups) or (groups and self._metrics is not None):
-                is_event = one.is_time_to_event
-                label = label_of(stem_of(name))
-                figure = series_figure(
-                    groups,
-                    label=f"{label} reached" if is_event else label,
+            if _varies(found[one.name]):
+                figure = faceted_series_figure(
+                    found[one.name],
+                    label=label_of(stem_of(one.name)),
                     unit=one.unit,
                     title=self._scenario,
-                    target=None if is_event else targets.get(name),
+                    target=self._look.targets.get(one.name),
                     events=next(iter(events)) if len(events) == 1 else (),
-                    smoothing=smoothing_of(name),
+                    smoothing=smoothing_of(one.name),
+                    width=self._look.width,
                 )
-                made.append(save(figure, self._path(f"over_time_{stem_of(name)}")))
+                made.append(self._save(figure, f"over_time_{stem_of(one.name)}"))
         return made
 
     def _first_of(self, runs: Sequence[Run], word: str) -> tuple[list[Path], Run | None]:
@@ -167,14 +276,17 @@ class _Gallery:
         for run in runs:
             trace = self._trace(run)
             if trace is not None:
-                title = f"{self._title(run.variant.name)}, seed {run.seed}"
+                variant, width = run.variant.name, self._look.width
+                fields = self._fields(variant)
+                title = f"{self._title(variant)}, seed {run.seed}"
                 title += f"\n{word} run{self._primary_value(run, has_name=True)}"
                 name = word.replace(" ", "_")
-                paths = self._path(f"{name}_trajectories", run.variant.name)
-                ends = self._path(f"{name}_start_and_end", run.variant.name)
-                save(trajectories_figure(trace, title), paths)
-                save(start_and_end_figure(trace, title), ends)
-                return [paths, ends], run
+                paths = trajectories_figure(trace, title, fields=fields, width=width)
+                ends = start_and_end_figure(trace, title, fields=fields, width=width)
+                return [
+                    self._save(paths, f"{name}_trajectories", variant),
+                    self._save(ends, f"{name}_start_and_end", variant),
+                ], run
         return [], None
 
     def _trace(self, run: Run) -> Trace | None:
@@ -190,6 +302,35 @@ class _Gallery:
             self._warned.add(run.id)
             _log.warning("%s; the run is left out", problem)
         return None
+
+    def _by_panel(self) -> dict[str, list[str]]:
+        """The drawn variants of each panel."""
+        found: dict[str, list[str]] = {}
+        for variant in self.variants:
+            found.setdefault(self._facets[variant].panel, []).append(variant)
+        return found
+
+    def _has_spread(self, metric: Metric, panel: str, values: Sequence[Array]) -> bool:
+        """Whether the values differ, or some runs have none; a line if all are equal."""
+        every = np.concatenate(values)
+        known = every[np.isfinite(every)]
+        if not known.size:
+            return False
+        is_equal = known.size == every.size and np.ptp(known) == 0.0
+        if is_equal and self._metrics is not None:
+            where = f" with {panel}" if panel else ""
+            text = "%s is %.4g in all runs%s; it is not drawn"
+            _log.warning(text, metric.name, known[0], where)
+        return not is_equal
+
+    def _fields(self, variant: str) -> tuple[Field, ...]:
+        """The scalar fields of the variant's scenario."""
+        effective = self._of(variant)[0].variant.effective
+        layers = Layered((str(self._results.folder), effective))
+        return tuple(fields_of(layers, effective.get("fields", ())))
+
+    def _save(self, figure: Figure, name: str, variant: str = "") -> Path:
+        return save(figure, self._path(name, variant), width=self._look.width)
 
     def _of(self, variant: str) -> list[Run]:
         return [run for run in self._runs if run.variant.name == variant]
@@ -228,7 +369,7 @@ class _Gallery:
         run = next(run for run in self._runs if run.variant.name == variant or not variant)
         stem = run.id.rpartition("_s")[0] if variant else ""
         safe = re.sub(r"[^\w.,=+-]+", "_", name)
-        return self._out / f"{f'{stem}_' if stem else ''}{safe}{self._suffix}"
+        return self._out / f"{f'{stem}_' if stem else ''}{safe}{self._look.suffix}"
 
 
 def _chosen(results: Results, folder: Path, seeds: Iterable[int] | None) -> list[Run]:
@@ -246,19 +387,12 @@ def _chosen(results: Results, folder: Path, seeds: Iterable[int] | None) -> list
     return [run for run in runs if run.seed in wanted]
 
 
-def _gather(groups: dict[str, list[Series]], variant: str, metric: Metric, trace: Trace) -> None:
-    """Add the run's series; of a time to an event, 0 before the event and 1 from it on."""
-    t = trace.t - trace.t[0]
-    if metric.is_time_to_event:
-        time = metric.value(trace)
-        values: Array | None = np.zeros(len(t)) if time is None else (t >= time).astype(np.float64)
-    else:
-        values = None if metric.series is None else metric.series(trace)
-    if values is not None and np.isfinite(values).any():
-        groups.setdefault(variant, []).append((t, values.astype(np.float64)))
-
-
-def _varies(groups: Mapping[str, Sequence[Series]]) -> bool:
+def _varies(facets: Mapping[str, Mapping[str, Sequence[Series]]]) -> bool:
     """Whether the values are not all equal."""
-    known = [values[np.isfinite(values)] for runs in groups.values() for _, values in runs]
+    runs = [one for groups in facets.values() for some in groups.values() for one in some]
+    known = [values[np.isfinite(values)] for _, values in runs]
     return bool(known) and bool(np.ptp(np.concatenate(known)) > 0.0)
+
+
+def _joined(label: str, panel: str) -> str:
+    return f"{label}, {panel}" if panel else label

@@ -11,13 +11,14 @@ import numpy as np
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.experiments.statistics import summarize
-from swarmd.sim.plots.theme import GUIDE_COLOUR, VARIANT_COLOURS, new_figure, tidy
+from swarmd.sim.plots.theme import GUIDE_COLOUR, NOTE, VARIANT_COLOURS, fit, new_figure, tidy
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 _EXPLANATION = "point: one run; diamond and bar: the mean and its 95 % interval"
+_NARROWEST = 1.6  # inches of a panel in a paper
 _MEDIAN = "; hollow diamond: the median, where some runs never had the event"
 
 
@@ -37,12 +38,15 @@ class Panel:
     is_time_to_event: bool = False
 
 
-def intervals_figure(panels: Sequence[Panel], title: str = "") -> Figure:
+def intervals_figure(
+    panels: Sequence[Panel], title: str = "", *, width: float | None = None
+) -> Figure:
     """A picture of metrics by variant.
 
     One panel a metric, one row a variant: a point for every run, above them the mean as a diamond
     with its 95 % interval (of a share: Wilson's). Times to an event that never happened in some
-    runs have the median of all runs instead. SwarmError if there is nothing to draw.
+    runs have the median of all runs instead. `width`: in inches, for a paper.
+    SwarmError if there is nothing to draw.
     """
     if not panels:
         raise SwarmError("no metric has values: nothing to draw")
@@ -50,20 +54,47 @@ def intervals_figure(panels: Sequence[Panel], title: str = "") -> Figure:
     for panel in panels:
         for name, values in panel.values.items():
             runs[name] = max(runs.get(name, 0), len(values))
-    columns = min(len(panels), 3)
-    rows = -(-len(panels) // columns)
-    aside = 0.3 + 0.07 * max(len(_row_label(*item)) for item in runs.items())
-    height = 0.85 + max(0.42 * len(runs), 0.6)
-    figure = new_figure(aside + 3.4 * columns, height * rows + (0.7 if title else 0.4))
-    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
-    for axes, panel in zip(grid.flat, panels, strict=False):
+    labels = [_row_label(*item) for item in runs.items()]
+    figure, grid = grid_of_panels(len(panels), labels, width)
+    for axes, panel in zip(grid, panels, strict=True):
         _paint_panel(axes, panel, runs)
-    for axes in grid.flat[len(panels) :]:
+    figure.suptitle(title, fontsize=11, gid=NOTE)
+    figure.supxlabel(_explanation(panels), fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
+    return fit(figure, width)
+
+
+def grid_of_panels(
+    count: int, labels: Sequence[str], width: float | None
+) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels, side by side as far as it is wide enough; one row a label.
+
+    Its rows are named only at the left.
+    """
+    aside = 0.3 + 0.07 * max(map(len, labels))
+    columns = min(count, 3)
+    if width is not None:
+        aside *= 0.8
+        columns = max(1, min(count, int((width - aside) / _NARROWEST)))
+    rows = -(-count // columns)
+    height = 0.85 + max(0.42 * len(labels), 0.6)
+    if width is None:
+        figure = new_figure(aside + 3.4 * columns, height * rows + 0.7)
+    else:
+        figure = new_figure(width, 0.8 * height * rows + 0.1)
+    grid = figure.subplots(rows, columns, squeeze=False, sharey=True)
+    for axes in grid.flat[count:]:
         axes.remove()
-    if title:
-        figure.suptitle(title, fontsize=11)
-    figure.supxlabel(_explanation(panels), fontsize=8, color=GUIDE_COLOUR)
-    return figure
+    return figure, list(grid.flat[:count])
+
+
+def prepare_rows(axes: Axes, labels: Sequence[str]) -> None:
+    """Name the rows of a panel, from above."""
+    tidy(axes)
+    axes.spines["left"].set_visible(False)
+    axes.grid(axis="y", visible=False)
+    axes.set_yticks(range(len(labels)), labels, fontsize=9)
+    axes.tick_params(axis="y", length=0)
+    axes.set_ylim(len(labels) - 0.5, -0.6)
 
 
 def _row_label(name: str, runs: int) -> str:
@@ -71,17 +102,12 @@ def _row_label(name: str, runs: int) -> str:
 
 
 def _paint_panel(axes: Axes, panel: Panel, runs: Mapping[str, int]) -> None:
-    tidy(axes)
-    axes.spines["left"].set_visible(False)
-    axes.grid(axis="y", visible=False)
+    prepare_rows(axes, [_row_label(*item) for item in runs.items()])
     if panel.target is not None:
         axes.axvline(panel.target, color=GUIDE_COLOUR, linestyle=(0, (5, 3)), linewidth=1.1)
     for row, name in enumerate(runs):
         values = np.array(panel.values.get(name, ()), dtype=np.float64)  # None gives NaN
         _paint_strip(axes, values, row, panel)
-    axes.set_yticks(range(len(runs)), [_row_label(*item) for item in runs.items()], fontsize=9)
-    axes.tick_params(axis="y", length=0)
-    axes.set_ylim(len(runs) - 0.5, -0.6)
     known = [v for some in panel.values.values() for v in some if v is not None and v == v]
     is_count = bool(known) and not panel.is_share and all(float(v).is_integer() for v in known)
     axes.locator_params(axis="x", nbins=6, integer=is_count)

@@ -47,8 +47,8 @@ _FLICKERING = ("mean_speed", "protection_duty", "command_alteration")
 
 
 def label_of(metric: str) -> str:
-    """A metric's name with blanks."""
-    return metric.replace("_", " ")
+    """A metric's name with blanks, without its file or the word report."""
+    return metric.rpartition(":")[2].replace("_", " ")
 
 
 def stem_of(metric: str) -> str:

@@ -13,6 +13,7 @@ from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.aggregation import cluster_link, clusters
 from swarmd.sim.metrics.consensus import OPINION
 from swarmd.sim.metrics.window import first, last, presence
+from swarmd.sim.plots.fields import paint_fields
 from swarmd.sim.plots.scene import (
     check_drawable,
     cut_note,
@@ -23,8 +24,9 @@ from swarmd.sim.plots.scene import (
     paint_movable_boxes,
     prepare,
 )
-from swarmd.sim.plots.theme import GUIDE_COLOUR, ROBOT_COLOURS, new_figure
+from swarmd.sim.plots.theme import GUIDE_COLOUR, NOTE, ROBOT_COLOURS, fit, new_figure
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.scalar_fields import Field
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -37,21 +39,32 @@ SMALL_COLOUR = "0.6"
 _MAX_COUNTED = 4  # opinions in a title
 
 
-def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = None) -> Figure:
+def start_and_end_figure(
+    trace: Trace,
+    title: str = "",
+    *,
+    link: float | None = None,
+    fields: Sequence[Field] = (),
+    width: float | None = None,
+) -> Figure:
     """A picture of the start beside the end.
 
     Robots of one cluster (single linkage) have one colour, and thin lines join robots within
     `link` m of each other. The largest clusters have colours of their own, further ones are grey,
     lone robots white. The default `link` is that of the metrics, twice the largest protection
     threshold; if the trace has no threshold, all robots have one colour. If robots report
-    opinions, the colours show opinions instead. SwarmError if there is nothing to draw.
+    opinions, the colours show opinions instead. `width`: in inches, for a paper. SwarmError if
+    there is nothing to draw.
     """
     check_drawable(trace)
     reach = cluster_link(trace) if link is None else link
     extent = extent_of(trace)
-    width, height = extent.panel(5.5 if len(trace.ids) <= 100 else 7.0)
-    rows, columns = (2, 1) if width > 1.6 * height else (1, 2)
-    size = columns * (width + 0.2) + 0.7, rows * (height + 0.4) + 1.1
+    across, height = extent.panel(5.5 if len(trace.ids) <= 100 else 7.0)
+    rows, columns = (2, 1) if across > 1.6 * height else (1, 2)
+    size = columns * (across + 0.2) + 0.7, rows * (height + 0.4) + 1.1
+    if width is not None:
+        scale = (width - 0.55) / (columns * across)
+        size = width, rows * (height * scale + 0.25) + 0.6
     figure = new_figure(*size, is_map=True)
     opinions = opinions_of(trace)
     both = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
@@ -63,6 +76,7 @@ def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = 
     ):
         grouping = by_opinion(part, opinions) if opinions else by_cluster(part, reach)
         prepare(axes, extent)
+        paint_fields(axes, trace, extent, fields)
         _paint_instant(axes, part, None if opinions else reach)
         paint_bodies(axes, part, 0, grouping.colours, is_filled=True)
         axes.set_title(f"{word}: {grouping.label}", fontsize=10, pad=4.0)
@@ -71,12 +85,12 @@ def start_and_end_figure(trace: Trace, title: str = "", *, link: float | None = 
     for axes in both[:, 0]:
         axes.set_ylabel("y [m]")
     if title:
-        figure.suptitle(title, fontsize=11)
+        figure.suptitle(title, fontsize=11, gid=NOTE)
     if opinions:
         _add_legend(figure, opinions)
     else:
-        figure.supxlabel(_note(trace, reach), fontsize=8, color=GUIDE_COLOUR)
-    return figure
+        figure.supxlabel(_note(trace, reach), fontsize=8, color=GUIDE_COLOUR, gid=NOTE)
+    return fit(figure, width)
 
 
 @dataclass(frozen=True, slots=True)

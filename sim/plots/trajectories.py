@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.plots.contacts import MARKS, marks_of, paint_contacts
+from swarmd.sim.plots.fields import paint_fields
 from swarmd.sim.plots.scene import (
     MOVABLE_BOX_COLOUR,
     check_drawable,
@@ -22,8 +24,9 @@ from swarmd.sim.plots.scene import (
     robot_colour,
     robot_style,
 )
-from swarmd.sim.plots.theme import CONTACT_COLOUR, new_figure
+from swarmd.sim.plots.theme import CONTACT_COLOUR, NOTE, fit, new_figure
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.scalar_fields import Field
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -35,38 +38,48 @@ MAX_NAMED = 20
 _COLUMNS = 4  # of a legend below
 
 
-def trajectories_figure(trace: Trace, title: str = "") -> Figure:
-    """A picture of a run seen from above.
+def trajectories_figure(
+    trace: Trace, title: str = "", *, fields: Sequence[Field] = (), width: float | None = None
+) -> Figure:
+    """A picture of a run seen from above, with the scalar fields of its scenario.
 
     Up to 20 robots have a colour and a line in the legend each; the paths of more are coloured by
     time. Footprints are hollow at the start and filled at the end, with a line from the axle to
     the front. Walls, boxes and poles are grey, movable boxes brown. Red-edged marks show contacts
-    and how many robots were moving. SwarmError if matplotlib is not installed or there is nothing
-    to draw.
+    and how many robots were moving. `width`: in inches, for a paper, which does not name robots.
+    SwarmError if matplotlib is not installed or there is nothing to draw.
     """
     check_drawable(trace)
     is_named = len(trace.ids) <= MAX_NAMED
     extent = extent_of(trace)
-    width, height = extent.panel(6.3 if is_named else 8.0)
-    entries = (_names(trace) if is_named else []) + _key(trace)
+    across, height = extent.panel(6.3 if is_named else 8.0)
+    entries = (_names(trace) if is_named and width is None else []) + _key(trace)
     handles, labels = zip(*entries, strict=True)
-    aside = 0.8 + 0.07 * max(map(len, labels)) if is_named else 1.0
-    above = 0.25 * (1 + title.count("\n"))
-    figure = new_figure(width + 0.7 + aside, height + 0.5 + above, is_map=True)
+    if width is None:
+        aside = 0.8 + 0.07 * max(map(len, labels)) if is_named else 1.0
+        above = 0.25 * (1 + title.count("\n"))
+        figure = new_figure(across + 0.7 + aside, height + 0.5 + above, is_map=True)
+    else:
+        scale = (width - (0.6 if is_named else 1.2)) / across
+        figure = new_figure(width, height * scale + 0.75, is_map=True)
     axes = figure.add_subplot()
     prepare(axes, extent)
-    paths = paint_run(axes, trace)
-    axes.set_title(title or f"{len(trace.ids)} robots, {trace.duration:.0f} s", fontsize=11)
+    paint_fields(axes, trace, extent, fields)
+    paths = paint_run(axes, trace, is_small=width is not None)
+    title = title or f"{len(trace.ids)} robots, {trace.duration:.0f} s"
+    axes.set_title(title, fontsize=11, gid=NOTE)
     axes.set_xlabel(", ".join(word for word in ("x [m]", cut_note(trace)) if word))
     axes.set_ylabel("y [m]")
     style: Any = {"frameon": False, "fontsize": 9}
-    if paths is None:
+    if paths is None and width is not None:
+        figure.legend(handles, labels, loc="outside lower center", ncols=3, **style)
+    elif paths is None:
         axes.legend(handles, labels, loc="center left", bbox_to_anchor=(1.01, 0.5), **style)
     else:
         figure.legend(handles, labels, loc="outside lower center", ncols=_COLUMNS, **style)
         bar = figure.colorbar(paths, ax=axes, label="time [s]", shrink=0.7, aspect=35)
         bar.ax.tick_params(labelsize=9)
-    return figure
+    return fit(figure, width)
 
 
 def paint_run(axes: Axes, trace: Trace, *, is_small: bool = False) -> Any:

@@ -9,7 +9,9 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.plots.figures import draw_experiment
+from swarmd.sim.experiments.compare import Side
+from swarmd.sim.experiments.results import load_results
+from swarmd.sim.plots.figures import Look, compared_over_time, draw_experiment
 
 pytest.importorskip("matplotlib")
 
@@ -42,7 +44,7 @@ def test_draws_each_variant_and_all_of_them_together(
 
 
 def test_of_one_run_there_is_no_worst(experiment: Path) -> None:
-    made = draw_experiment(experiment, seeds=[1], metrics=["minimum_gap"], suffix=".svg")
+    made = draw_experiment(experiment, seeds=[1], metrics=["minimum_gap"], look=Look(suffix=".svg"))
     assert {path.parent for path in made} == {experiment / "plots"}
     assert names(made) == {
         f"law={law}_{name}.svg"
@@ -53,8 +55,8 @@ def test_of_one_run_there_is_no_worst(experiment: Path) -> None:
 
 def test_pictures_name_scenario_variant_seed_and_value(experiment: Path) -> None:
     made = draw_experiment(
-        experiment, metrics=["minimum_gap"], seeds=[0, 2], targets={"minimum_gap": 0.25},
-        suffix=".svg",
+        experiment, metrics=["minimum_gap"], seeds=[0, 2],
+        look=Look(targets={"minimum_gap": 0.25}, suffix=".svg"),
     )  # fmt: skip
     texts = {path.name: path.read_text() for path in made}
     with (experiment / "runs.csv").open() as file:
@@ -90,7 +92,7 @@ def test_without_traces_values_are_drawn_and_one_line_gives_the_reason(
     experiment: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     shutil.rmtree(experiment / "traces")
-    assert names(draw_experiment(experiment)) == {"intervals.png"}
+    assert names(draw_experiment(experiment)) == {"intervals.png", "differences.png"}
     assert len(warnings(caplog)) == 1
     assert f"{experiment}: no traces were kept" in warnings(caplog)[0]
 
@@ -120,3 +122,46 @@ def test_a_metric_without_any_value_leaves_the_first_run_to_be_drawn(experiment:
         *("runs.png", "first_trajectories.png", "first_start_and_end.png")
     }
     assert "intervals.png" not in made
+
+
+def test_a_figure_of_a_paper_has_its_width_and_no_title(experiment: Path, tmp_path: Path) -> None:
+    look = Look(suffix=".svg", width=3.5, facet="law")
+    made = draw_experiment(experiment, tmp_path / "out", metrics=["minimum_gap"], look=look)
+    texts = {path.name: path.read_text() for path in made}
+    assert all('width="252pt"' in text for text in texts.values())
+    over_time = texts["over_time_minimum_gap.svg"]
+    assert "law=settling" in over_time
+    assert "law=paper" in over_time
+    assert not any("gathering" in text and "line: median" in text for text in texts.values())
+
+
+def test_differences_are_from_the_first_variant(experiment: Path, tmp_path: Path) -> None:
+    made = draw_experiment(
+        experiment, tmp_path / "out", metrics=["minimum_gap"], look=Look(suffix=".svg")
+    )
+    (path,) = (path for path in made if path.name == "differences.svg")
+    assert "law=paper - law=settling" in path.read_text()
+
+
+def test_a_metric_of_one_value_is_not_drawn_and_named(
+    experiment: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    made = names(draw_experiment(experiment, metrics=["failed_patterns"], seeds=[0]))
+    assert not {"intervals.png", "differences.png", "over_time_failed_patterns.png"} & made
+    assert warnings(caplog) == ["failed_patterns is 0 in all runs; it is not drawn"]
+
+
+def test_a_facet_that_was_not_swept_is_named(experiment: Path) -> None:
+    with pytest.raises(ConfigError, match="law"):
+        draw_experiment(experiment, look=Look(facet="lawn"))
+
+
+def test_variants_of_experiments_are_compared_over_time(experiment: Path) -> None:
+    results = load_results(experiment)
+    sides = {law: Side(law, results, f"law={law}") for law in ("paper", "settling")}
+    figure = compared_over_time(sides, "minimum_gap", Look(width=3.5))
+    (legend,) = figure.legends
+    texts = [text.get_text() for text in legend.get_texts()]
+    assert texts == ["paper (n = 3)", "settling (n = 3)"]
+    with pytest.raises(ConfigError, match="minimum_gap"):
+        compared_over_time(sides, "minimum_gab")

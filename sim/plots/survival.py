@@ -1,0 +1,123 @@
+"""Pictures of times to an event, as the share of runs that have not had it yet."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from swarmd.core.errors import SwarmError
+from swarmd.core.values import Array
+from swarmd.sim.experiments.statistics import LEVEL
+from swarmd.sim.plots.bands import Legend, finish_series, new_series_figure
+from swarmd.sim.plots.theme import variant_style
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+_MAX_BANDS = 3  # variants up to which intervals are drawn
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Times:
+    """Times to an event, (runs,) s: NaN where it never happened until the run's `ends`, (runs,)."""
+
+    times: Array
+    ends: Array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Curve:
+    """A step function: `share` (k,) from `t` (k,) on, between `low` and `high`.
+
+    `censored` (c,): the ends of runs without the event.
+    """
+
+    t: Array
+    share: Array
+    low: Array
+    high: Array
+    censored: Array
+
+
+def survival_curve(found: Times) -> Curve:
+    """The share of runs that have not had the event yet.
+
+    Kaplan and Meier, "Nonparametric Estimation from Incomplete Observations", JASA 53, 1958; the
+    95 % interval is Greenwood's on the log-log scale, by scipy. NaN where it does not exist.
+    """
+    from scipy.stats import CensoredData, ecdf
+
+    is_known = np.isfinite(found.times)
+    censored = found.ends[~is_known]
+    estimate = ecdf(CensoredData(uncensored=found.times[is_known], right=censored)).sf
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # log(0) where no run, or each, had it
+        interval = estimate.confidence_interval(LEVEL, method="log-log")
+    t = np.concatenate(([0.0], estimate.quantiles))
+    share, low, high = (
+        np.concatenate(([1.0], part))
+        for part in (
+            estimate.probabilities,
+            interval.low.probabilities,
+            interval.high.probabilities,
+        )
+    )
+    if len(censored) and censored.max() > t[-1]:
+        t = np.append(t, censored.max())
+        share, low, high = (np.append(part, part[-1]) for part in (share, low, high))
+    return Curve(t, share, low, high, np.sort(censored))
+
+
+def survival_figure(
+    facets: Mapping[str, Mapping[str, Times]],
+    *,
+    label: str,
+    title: str = "",
+    width: float | None = None,
+) -> Figure:
+    """A picture of the share of runs that have not had an event yet, over time.
+
+    A panel for each facet, with one line a variant and a small stroke where a run ended without the
+    event; up to three variants have bands of the 95 % interval. `width`: in inches, for a paper.
+    SwarmError without a run.
+    """
+    kept = {
+        panel: {name: found for name, found in groups.items() if found.times.size}
+        for panel, groups in facets.items()
+    }
+    kept = {panel: groups for panel, groups in kept.items() if groups}
+    if not kept:
+        raise SwarmError(f"{label}: no run: nothing to draw")
+    legend = Legend.of({p: {n: [*f.times] for n, f in one.items()} for p, one in kept.items()})
+    has_band = len(legend.counts) <= _MAX_BANDS
+    figure, panels = new_series_figure(list(kept), legend, width)
+    for axes, groups in zip(panels, kept.values(), strict=True):
+        for name, found in groups.items():
+            text = legend.text(name)
+            _paint(axes, survival_curve(found), legend.index(name), text, has_band=has_band)
+    ends = [found.ends.max() for groups in kept.values() for found in groups.values()]
+    panels[0].set_ylim(-0.03, 1.03)
+    panels[0].set_xlim(0.0, float(max(ends)))
+    band = ", band: its 95 % interval" if has_band else ""
+    reading = f"Kaplan-Meier{band}; stroke: a run ended without it"
+    return finish_series(figure, panels, f"{label}: share not yet", title, reading, legend, width)
+
+
+def _paint(axes: Axes, curve: Curve, index: int, label: str, *, has_band: bool) -> None:
+    colour, style = variant_style(index)
+    if has_band:
+        axes.fill_between(
+            curve.t, curve.low, curve.high, step="post", color=colour, alpha=0.16, linewidth=0.0
+        )
+    axes.step(curve.t, curve.share, where="post", color=colour, linestyle=style, linewidth=1.8,
+              zorder=3.0, label=label)  # fmt: skip
+    if not len(curve.censored):  # an empty line outside of the axes has no extent for the layout
+        return
+    at = np.searchsorted(curve.t, curve.censored, side="right") - 1
+    axes.plot(curve.censored, curve.share[at], linestyle="none", marker="|", color=colour,
+              markersize=7.0, zorder=3.5, clip_on=False)  # fmt: skip

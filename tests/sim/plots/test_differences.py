@@ -1,0 +1,55 @@
+"""Differences between variants with their intervals."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from swarmd.core.errors import SwarmError
+from swarmd.sim.experiments.compare import Difference
+from swarmd.sim.experiments.statistics import Interval
+from swarmd.sim.plots.differences import DifferencePanel, differences_figure
+
+if TYPE_CHECKING:
+    from tests.sim.plots.conftest import Overlaps
+
+pytest.importorskip("matplotlib")
+
+
+def difference(low: float, high: float) -> Difference:
+    middle = (low + high) / 2.0
+    return Difference("m", "m", 5, 5, difference=middle, interval=Interval(low, high))
+
+
+PANEL = DifferencePanel(
+    "minimum gap",
+    "m",
+    {
+        "b - a": difference(0.1, 0.3),
+        "c - a": difference(-0.1, 0.3),
+        "d - a": Difference("m", "m", 5, 5, never_a=1, never_b=2),
+    },
+)
+
+
+def test_a_row_a_variant_filled_where_0_is_excluded() -> None:
+    (axes,) = differences_figure([PANEL]).axes
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["b - a", "c - a", "d - a"]
+    bars = [line.get_xdata() for line in axes.lines[1:]]
+    assert [list(bar) for bar in bars] == [[0.1, 0.3], [-0.1, 0.3]]  # type: ignore[arg-type]
+    faces = [np.array(found.get_facecolor()).ravel()[:3] for found in axes.collections]
+    assert [bool((face == 1.0).all()) for face in faces] == [False, True]
+    assert any("never: 1 of 6, 2 of 7" in text.get_text() for text in axes.texts)
+
+
+@pytest.mark.parametrize("width", [None, 3.5])
+def test_no_words_overlap(overlaps: Overlaps, width: float | None) -> None:
+    figure = differences_figure([PANEL] * 4, "gathering", width=width)
+    assert overlaps(figure) == []
+
+
+def test_without_differences_there_is_nothing_to_draw() -> None:
+    with pytest.raises(SwarmError):
+        differences_figure([])
