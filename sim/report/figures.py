@@ -14,6 +14,8 @@ from swarmd.sim.plots.figures import draw_experiment
 
 _CAPTIONS = (
     ("intervals", "Values of every run by variant, with mean and 95 % interval."),
+    ("differences", "Differences of means from the first variant, with 95 % intervals."),
+    ("survival_", "{Name}: share of runs that have not had it yet (Kaplan-Meier)."),
     ("over_time_", "{Name} over time: median over the seeds, and bands around it."),
     ("runs", "All runs, seen from above."),
     ("trajectories", "Paths of the {name} run: hollow at the start, filled at the end."),
@@ -41,7 +43,7 @@ def _figure(path: Path) -> Figure:
     kind, caption = next(
         ((kind, text) for kind, text in _CAPTIONS if kind in path.stem), ("", path.stem)
     )
-    name = path.stem.replace("over_time_", "").replace(f"_{kind}", "").replace("_", " ")
+    name = path.stem.replace("over_time_", "").replace("survival_", "").replace(f"_{kind}", "").replace("_", " ")
     text = caption.format(name=name, Name=name.capitalize())
     return Figure(kind, text, f"data:image/png;base64,{_small(path)}")
 
