@@ -20,7 +20,7 @@ from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
 from swarmd.driver_api.hw_codec import (
     INPUTS,
     decode_input,
-    decode_message,
+    decode_messages,
     deliver,
     encode_command,
     encode_message,
@@ -85,7 +85,7 @@ class SimulatedDriver:
                 session.declare_subscriber(self._key(name), inbox.receiver(name, self._key(name)))
             if self.carries_messages:
                 self._sent = session.declare_publisher(self._key("sent"))
-                received = partial(hand_over, loop, partial(self._take_message, sink))
+                received = partial(hand_over, loop, partial(self._take_messages, sink))
                 session.declare_subscriber(self._key("received"), received)
             while True:
                 await asyncio.sleep(_WATCH_PERIOD)
@@ -168,12 +168,13 @@ class SimulatedDriver:
             sink.state(True, f"simulated robot at {self._endpoint}")
         deliver(sink, value)
 
-    def _take_message(self, sink: Sink, sample: zenoh.Sample) -> None:
+    def _take_messages(self, sink: Sink, sample: zenoh.Sample) -> None:
         try:
-            wire = decode_message(sample.payload.to_bytes())
+            wires = decode_messages(sample.payload.to_bytes())
         except CodecError:
             sink.dropped("hw/received")
-        else:
+            return
+        for wire in wires:
             sink.message(wire.robot, wire.channel, wire.payload)
 
     def _watch(self, sink: Sink, now: float) -> None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import threading
 import time
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import zenoh
@@ -20,10 +20,11 @@ from swarmd.core.errors import CodecError, NetworkError, SwarmError
 from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose, Twist
 from swarmd.driver_api.hw_codec import (
     INPUTS,
+    MAX_MESSAGES,
     MessageWire,
     decode_command,
     decode_message,
-    encode_message,
+    encode_messages,
     encode_neighbors,
     encode_odometry,
     encode_pose,
@@ -131,9 +132,13 @@ class WorldLink:
         """Publish scalar readings."""
         self.publish(robot, "readings", encode_readings(values))
 
-    def message(self, robot: str, sender: str, channel: str, payload: bytes) -> None:
-        """Publish a pattern's message that the radio of `robot` receives."""
-        self.publish(robot, "received", encode_message(sender, channel, payload))
+    def messages(self, robot: str, messages: Sequence[MessageWire]) -> None:
+        """Publish the messages of patterns that the radio of `robot` receives now, in their order.
+
+        In few packets: more than the queue of the link holds at once would be dropped.
+        """
+        for first in range(0, len(messages), MAX_MESSAGES):
+            self.publish(robot, "received", encode_messages(messages[first : first + MAX_MESSAGES]))
 
     def publish_state(self, state: WorldState) -> None:
         """Publish the state for viewers."""

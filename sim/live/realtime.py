@@ -15,6 +15,7 @@ import numpy as np
 
 from swarmd.core.errors import CodecError, ConfigError, SwarmError, unknown
 from swarmd.core.values import Array, Pose, SharedPose
+from swarmd.driver_api.hw_codec import MessageWire
 from swarmd.sim.live.body_transport import EmulatorTransport
 from swarmd.sim.live.link import PendingRequest, WorldLink
 from swarmd.sim.live.pacing import Staggered, StepPacer
@@ -156,8 +157,12 @@ class RealTimeWorld:
                 neighbors = radio.neighbors(row, poses, boxes)
                 present = tuple(one for one in neighbors if there[self._rows[one.id]])
                 self._transport.neighbors(ids[row], present)
+        arrived: dict[int, list[MessageWire]] = {}
         for hearer, sender, channel, payload in radio.arrived(world.time):
-            self._link.message(ids[hearer], ids[sender], channel, cast(bytes, payload))
+            wire = MessageWire(ids[sender], channel, cast(bytes, payload))
+            arrived.setdefault(hearer, []).append(wire)
+        for hearer, wires in arrived.items():
+            self._link.messages(ids[hearer], wires)
 
     def _answer(self, pending: PendingRequest) -> None:
         try:

@@ -7,7 +7,7 @@ from the platform file, not from the message.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import lru_cache
 from typing import Annotated
 
@@ -29,6 +29,8 @@ Step = Annotated[float, Meta(ge=-10.0, le=10.0)]
 """Seconds from one ray to the next."""
 Channel = Annotated[str, Meta(min_length=3, max_length=127)]
 MAX_RAYS = 20_000
+MAX_MESSAGES = 100
+"""Messages in one packet, of at most MAX_MESSAGE bytes each."""
 INPUTS = ("scan", "odometry", "neighbors", "pose", "readings")
 Input = Scan | Odometry | tuple[Neighbor, ...] | SharedPose | Mapping[str, float]
 
@@ -99,6 +101,12 @@ class MessageWire(Struct, frozen=True, array_like=True):
     payload: Annotated[bytes, Meta(max_length=MAX_MESSAGE)]
 
 
+class MessagesWire(Struct, frozen=True, array_like=True):
+    """Messages that a robot's radio receives at one time, in their order."""
+
+    messages: Annotated[tuple[MessageWire, ...], Meta(max_length=MAX_MESSAGES)]
+
+
 class CommandWire(Struct, frozen=True, array_like=True):
     """The safe command, the scan of its decision and the scan of its request (-1: none)."""
 
@@ -116,6 +124,7 @@ _pose = Decoder(PoseWire)
 _readings = Decoder(ReadingsWire)
 _command = Decoder(CommandWire)
 _message = Decoder(MessageWire)
+_messages = Decoder(MessagesWire, MAX_SENSOR_PAYLOAD)
 
 
 def encode_scan(scan: Scan) -> bytes:
@@ -214,6 +223,16 @@ def encode_message(robot: str, channel: str, payload: bytes) -> bytes:
 def decode_message(payload: bytes) -> MessageWire:
     """A message with its sender and channel; its value is still encoded."""
     return _message(payload)
+
+
+def encode_messages(messages: Sequence[MessageWire]) -> bytes:
+    """The bytes of at most MAX_MESSAGES messages."""
+    return encode(MessagesWire(tuple(messages)))
+
+
+def decode_messages(payload: bytes) -> tuple[MessageWire, ...]:
+    """Messages in their order; their values are still encoded."""
+    return _messages(payload).messages
 
 
 def decode_input(kind: str, payload: bytes, spec: ScanSpec) -> Input:

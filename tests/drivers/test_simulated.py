@@ -10,8 +10,10 @@ import zenoh
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist, Value
+from swarmd.driver_api.driver import ZeroSenderSpec, message_carrier
 from swarmd.driver_api.hw_codec import (
     INPUTS,
+    MessageWire,
     decode_command,
     encode_neighbors,
     encode_odometry,
@@ -19,6 +21,7 @@ from swarmd.driver_api.hw_codec import (
     encode_readings,
     encode_scan,
 )
+from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.drivers.simulated import SENSOR_TIMEOUT, SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
@@ -171,3 +174,43 @@ def test_a_command_carries_the_scans_it_is_based_on() -> None:
 def test_unknown_options_are_refused(options: Mapping[str, Value], complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         SimulatedDriver(swarm="s", robot="r", platform=PLATFORM, options=options)
+
+
+def test_the_radio_of_the_world_carries_messages_in_their_order() -> None:
+    body = Body()
+
+    async def story(harness: DriverHarness) -> None:
+        driver = harness.driver
+        assert isinstance(driver, SimulatedDriver)
+        watched = WatchedDriver(driver, ZeroSenderSpec("none", {}), name="none")
+        assert message_carrier(watched) is driver
+        sent: list[bytes] = []
+
+        def exchange(*numbers: int) -> None:
+            for number in numbers:
+                driver.send_message("vote/opinion", bytes([number]))
+            wires = [MessageWire("other", "vote/opinion", bytes([one])) for one in numbers]
+            body.link.messages("r", wires)
+
+        def has_come(number: int) -> bool:
+            sent.extend(wire.payload for wire in body.link.take_messages())
+            last = ("other", "vote/opinion", bytes([number]))
+            return sent[-1:] == [bytes([number])] and harness.sink.messages[-1:] == [last]
+
+        def is_linked() -> bool:
+            exchange(99)
+            return has_come(99)
+
+        await harness.until(is_linked)
+        many = 120  # more than fit into one packet
+        exchange(*(number for number in range(many) if number != 99))
+        await harness.until(lambda: has_come(many - 1))
+        wanted = [bytes([number]) for number in range(many) if number != 99]
+        assert [one for one in sent if one != bytes([99])] == wanted
+        received = [payload for _, _, payload in harness.sink.messages]
+        assert [one for one in received if one != bytes([99])] == wanted
+        body.send("received", b"garbage")
+        await harness.until(lambda: "hw/received" in harness.sink.lost)
+
+    driver_contract.play(body, story, radio=True)
+    assert message_carrier(make()) is None

@@ -26,7 +26,7 @@ READY = Ready("tcp/127.0.0.1:1", "simulated", {"endpoint": "tcp/127.0.0.1:1"})
 SCENARIO = """
 duration: 4
 arena: {size: [8, 8], boxes: [{at: [2, 2], size: [0.5, 0.5]}]}
-radio: {loss: 0.1, delay: 0.05, range_and_bearing: true}
+radio: {loss: 0.5, delay: 0.05, range_and_bearing: true}
 fields: [{kind: linear, name: light, slope: 1.0, base: 5.0}]
 platforms: {slow: {extends: burger, limits: {linear: 0.1}}}
 parameters: {random_walk: {speed: 0.08}}
@@ -40,26 +40,39 @@ accepts_faster: {waffle_pi: it keeps to 0.3 m/s here}
 plugin_dir: patterns
 """
 CLIMB = '''
-from swarmd.api import Annotated, Inputs, MovementPattern, Params, Twist, about
+from collections import Counter
+
+from swarmd.api import Annotated, Inputs, Outputs, Params, Pattern, Twist, about
 
 class Gain(Params, frozen=True):
     """The gain."""
 
     gain: Annotated[float, about("gain", ge=0.0, le=10.0)] = 1.0
 
-class Climb(MovementPattern[Gain]):
-    """Reports the light, and how many neighbors tell where they are."""
+class Climb(Pattern[Gain]):
+    """Reports the light, how many neighbors are sensed, and the share of messages that arrive."""
 
     params_type = Gain
     needs = frozenset({"reading:light", "neighbors.distance"})
+    channels = {"count": int}
 
-    def drive(self, inputs: Inputs) -> Twist:
-        self.seen = inputs.readings["light"]
-        self.near = sum(n.distance is not None for n in inputs.neighbors)
-        return Twist(linear=0.02 * self.params.gain)
+    def __init__(self, params, context):
+        super().__init__(params, context)
+        self.sent, self.heard, self.first, self.last = 0, 0, {}, {}
 
-    def report(self):
-        return {"seen": getattr(self, "seen", 0.0), "near": getattr(self, "near", 0)}
+    def step(self, inputs: Inputs) -> Outputs:
+        self.sent += 1
+        for message in inputs.messages:
+            self.heard += 1
+            self.first.setdefault(message.sender, message.value)
+            self.last[message.sender] = message.value
+        expected = sum(self.last[one] - self.first[one] + 1 for one in self.last)
+        report = {
+            "seen": inputs.readings.get("light", -1.0),
+            "near": sum(one.distance is not None for one in inputs.neighbors),
+            "share": self.heard / max(expected, 1),
+        }
+        return Outputs(Twist(linear=0.02 * self.params.gain), {"count": self.sent}, report)
 '''
 
 
@@ -188,6 +201,8 @@ def test_a_demo_of_a_scenario_reports_readings_and_neighbors_and_is_measured(fil
     np.testing.assert_allclose(light, 5.0 + trace.pose[-1, :, 0], atol=0.1)
     np.testing.assert_allclose(seen, light, atol=0.1)
     assert trace.report["near"][-1].tolist() == [2.0, 2.0, 2.0]
+    # The loss is 0.5, and some forty messages are on their way to each robot.
+    assert 0.15 < trace.report["share"][-1].mean() < 0.85
     path = str(folder / "trace.npz")
     metrics = ("--metrics", "mean_speed,report:seen", "-o", "json")
     measured = run_command("swarmctl", "exp", "measure", path, *metrics, cwd=file.parent)

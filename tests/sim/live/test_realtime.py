@@ -20,7 +20,7 @@ from swarmd.driver_api.emulator import EmulatorFactory, OnCommand
 from swarmd.driver_api.hw_codec import (
     MessageWire,
     decode_command,
-    decode_message,
+    decode_messages,
     decode_neighbors,
     decode_odometry,
     decode_readings,
@@ -311,7 +311,7 @@ def test_a_message_reaches_the_others_after_the_delay_of_the_radio(make: Make) -
     live = make(radio=RadioSettings(delay=0.3))
     came: list[MessageWire | None] = []
     live.peer.declare_subscriber(
-        "swarm/s/a/hw/received", lambda s: came.append(decode_message(s.payload.to_bytes()))
+        "swarm/s/a/hw/received", lambda s: came.extend(decode_messages(s.payload.to_bytes()))
     )
     live.peer.declare_subscriber("swarm/s/a/hw/readings", lambda s: came.append(None))
     live.peer.put("swarm/s/b/hw/sent", encode_message("b", "vote/opinion", b"x"))
