@@ -45,7 +45,8 @@ def blocks(page: Path, language: str) -> list[str]:
 
 def commands(page: Path, program: str = "swarmctl") -> list[list[str]]:
     """The words of each line in a block that begins with `program`, without comments."""
-    lines = [line for block in blocks(page, "") for line in block.splitlines()]
+    text = "\n".join(blocks(page, "")).replace("\\\n", " ")
+    lines = text.splitlines()
     pattern = re.compile(rf"(?:\$ )?(?:\w+=\S+ )?{program}\s+(.+?)(?:\s+#.*)?$")
     return [shlex.split(match[1]) for match in map(pattern.match, lines) if match]
 
