@@ -18,7 +18,7 @@ import numpy as np
 from swarmd.core.values import Array
 from swarmd.view.source import Source
 
-MODULES = ("colours.js", "model.js", "map.js", "timeline.js")
+MODULES = ("colours.js", "gestures.js", "model.js", "map.js", "timeline.js")
 """The modules of the page that the player uses, each after those that it imports."""
 MAX_RATE = 10.0  # samples of poses per s
 MAX_POSES = 90_000  # of all robots and boxes together, 6 bytes each

@@ -59,7 +59,7 @@ class Client:
         self._answers: list[str] = []
 
     def on_ack(self) -> None:
-        """The page has drawn a frame."""
+        """The page has received a frame."""
         self._unacked = max(0, self._unacked - 1)
 
     def select(self, names: Sequence[str]) -> None:

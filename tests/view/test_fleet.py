@@ -169,6 +169,34 @@ def test_odometry_is_aligned_by_drag_and_kept(
         assert page.evaluate("swarm.model.robots.get('tb3-001').offset[2]") > 0.6
 
 
+def test_a_label_selects_its_robots(page: Page, capsys: pytest.CaptureFixture[str]) -> None:
+    with shown(4, capsys) as (swarm, (address,)):
+        ready(page, address, 4)
+        page.until("document.getElementById('label').options.length === 3", "two labels")
+        page.evaluate(
+            "(() => { const label = document.getElementById('label'); label.value = 'red';"
+            " label.dispatchEvent(new Event('change')); })()"
+        )
+        page.click("#stop")
+        page.until(f"{ANSWER}.startsWith('stop: 2 targeted, 2 applied')", "counted")
+        stopped = {name for name, state in swarm.states.items() if state is State.STOPPED}
+        assert stopped == {"tb3-002", "tb3-004"}
+
+
+def test_a_phone_shows_the_estop_at_any_place_of_the_page(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (swarm, (address,)):
+        page.resize(390, 844, is_phone=True)
+        ready(page, address, 3)
+        assert page.evaluate("document.documentElement.scrollWidth") == 390
+        page.evaluate("scrollTo(0, document.body.scrollHeight)")
+        bottom = "document.getElementById('estop').getBoundingClientRect().bottom"
+        assert page.evaluate(bottom) == 844
+        page.mouse(195, 820)
+        wait_until(lambda: set(swarm.states.values()) == {State.ESTOPPED}, "all stopped")
+
+
 def place(page: Page, name: str) -> tuple[float, float]:
     """Where on the screen the map shows a robot."""
     x, y = page.evaluate(

@@ -1,9 +1,9 @@
 // The map: robots, trails, scans of the selected ones, walls and boxes, seen from above.
 
 import { Colouring, scale } from './colours.js';
+import { Gestures } from './gestures.js';
 
 const LIMIT = '#d55e00'; // of an obstacle that limits a robot
-
 const MANY = 60; // robots from which on only some names and trails are drawn
 const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at least
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
@@ -25,14 +25,8 @@ export class SwarmMap {
     this.field = ''; // the name of the field behind the robots
     this.fieldPicture = null;
     this.fieldRange = [0, 0];
-    this.pointers = new Map();
-    this.isDue = true;
+    this.gestures = new Gestures(this);
     new ResizeObserver(() => { this.resize(); if (this.hasFitted && !this.isTouched) this.fit(); this.draw(); }).observe(canvas);
-    canvas.addEventListener('pointerdown', (event) => this.down(event));
-    canvas.addEventListener('pointermove', (event) => this.move(event));
-    for (const end of ['pointerup', 'pointercancel']) canvas.addEventListener(end, (event) => this.up(event));
-    canvas.addEventListener('wheel', (event) => this.wheel(event), { passive: false });
-    canvas.addEventListener('keydown', (event) => this.key(event));
     for (const news of ['frame', 'rows', 'selection', 'hello']) model.addEventListener(news, () => this.wake());
     model.addEventListener('hello', () => { if (!this.isTouched) this.hasFitted = false; });
   }
@@ -339,118 +333,9 @@ export class SwarmMap {
     ctx.fillText(`${Math.hypot(to[0] - from[0], to[1] - from[1]).toFixed(2)} m`, b[0] + 8, b[1] - 8);
   }
 
-  // Input
-
-  robotAt(event) {
-    const [x, y] = this.toWorld(event), reach = Math.max(14 / this.scale, 0);
-    let best = null, least = Infinity;
-    for (const robot of this.model.robots.values()) {
-      const far = Math.hypot(robot.x - x, robot.y - y);
-      if (far < Math.max(robot.radius, reach) && far < least) { best = robot; least = far; }
-    }
-    return best;
-  }
-
-  down(event) {
-    this.canvas.setPointerCapture(event.pointerId);
-    this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    this.hasMoved = false;
-    this.grabbed = this.mode === 'align' ? this.robotAt(event) : null;
-    if (this.mode === 'measure') this.ruler = [this.toWorld(event), this.toWorld(event)];
-    this.canvas.focus({ preventScroll: true });
-  }
-
-  move(event) {
-    const last = this.pointers.get(event.pointerId);
-    if (!last) return;
-    const [dx, dy] = [event.clientX - last[0], event.clientY - last[1]];
-    if (Math.hypot(dx, dy) < 3 && !this.hasMoved) return;
-    this.hasMoved = true;
-    this.pointers.set(event.pointerId, [event.clientX, event.clientY]);
-    if (this.pointers.size === 2) this.pinch(event, last);
-    else if (this.mode === 'measure') this.ruler[1] = this.toWorld(event);
-    else if (this.grabbed) this.drag(dx / this.scale, -dy / this.scale);
-    else if (this.mode === 'align' && this.model.selected.size) this.turn(last, event);
-    else {
-      this.centre = [this.centre[0] - dx / this.scale, this.centre[1] + dy / this.scale];
-      this.isTouched = true;
-    }
-    this.wake();
-  }
-
-  // Move the frame of the selected robots' odometry.
-  drag(dx, dy) {
-    const isSelected = this.model.selected.has(this.grabbed.name);
-    for (const robot of isSelected ? this.chosen() : [this.grabbed]) {
-      robot.x += dx; robot.y += dy;
-      robot.offset = [robot.offset[0] + dx, robot.offset[1] + dy, robot.offset[2]];
-      robot.trail.length = 0;
-    }
-  }
-
-  // Turn the selected robots together, by a drag around their middle.
-  turn(last, event) {
-    const robots = this.chosen();
-    if (!robots.length) return;
-    const mean = (key) => robots.reduce((sum, one) => sum + one[key], 0) / robots.length;
-    const [mx, my] = [mean('x'), mean('y')];
-    const bearing = (x, y) => Math.atan2(y - my, x - mx);
-    const angle = bearing(...this.toWorld(event)) - bearing(...this.toWorld({ clientX: last[0], clientY: last[1] }));
-    const c = Math.cos(angle), s = Math.sin(angle);
-    const turned = (x, y) => [mx + c * (x - mx) - s * (y - my), my + s * (x - mx) + c * (y - my)];
-    for (const robot of robots) {
-      robot.offset = [...turned(robot.offset[0], robot.offset[1]), robot.offset[2] + angle];
-      [robot.x, robot.y] = turned(robot.x, robot.y);
-      robot.yaw += angle;
-      robot.trail.length = 0;
-    }
-  }
-
   // The selected robots with a known place.
   chosen() {
     return [...this.model.selected].map((name) => this.model.robots.get(name)).filter((one) => one && one.x === one.x);
-  }
-
-  pinch(event, last) {
-    const other = [...this.pointers].find(([id]) => id !== event.pointerId)[1];
-    const before = Math.hypot(last[0] - other[0], last[1] - other[1]);
-    const after = Math.hypot(event.clientX - other[0], event.clientY - other[1]);
-    this.isTouched = true;
-    if (before > 0) this.scale = Math.min(Math.max(this.scale * after / before, 1), 2000);
-  }
-
-  up(event) {
-    if (this.pointers.has(event.pointerId) && !this.hasMoved && this.mode !== 'measure') {
-      const robot = this.robotAt(event);
-      const adds = event.shiftKey || event.ctrlKey || event.metaKey;
-      if (robot) this.model.select([robot.name], adds);
-      else if (!adds) this.model.select([]);
-    }
-    if (this.mode === 'align' && this.hasMoved) this.model.keepOffsets();
-    this.pointers.delete(event.pointerId);
-    this.grabbed = null;
-  }
-
-  wheel(event) {
-    event.preventDefault();
-    const before = this.toWorld(event);
-    this.scale = Math.min(Math.max(this.scale * Math.exp(-event.deltaY / 500), 1), 2000);
-    const after = this.toWorld(event);
-    this.centre = [this.centre[0] + before[0] - after[0], this.centre[1] + before[1] - after[1]];
-    this.isTouched = true;
-    this.wake();
-  }
-
-  key(event) {
-    const step = 60 / this.scale;
-    const moves = { ArrowLeft: [-step, 0], ArrowRight: [step, 0], ArrowUp: [0, step], ArrowDown: [0, -step] };
-    if (moves[event.key]) this.centre = [this.centre[0] + moves[event.key][0], this.centre[1] + moves[event.key][1]];
-    else if (event.key === '+' || event.key === '=') this.scale *= 1.25;
-    else if (event.key === '-') this.scale /= 1.25;
-    else return;
-    event.preventDefault();
-    this.isTouched = true;
-    this.wake();
   }
 }
 

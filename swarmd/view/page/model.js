@@ -33,7 +33,8 @@ export class Model extends EventTarget {
     this.swarm = message.swarm;
     this.robots = new Map();
     this.byIndex = [];
-    for (const one of message.robots) this.add(one, before.get(one.name));
+    const offsets = this.offsets();
+    for (const one of message.robots) this.add(one, before.get(one.name), offsets);
     this.arena = message.arena;
     this.source = message.source;
     this.role = message.role;
@@ -46,8 +47,8 @@ export class Model extends EventTarget {
     this.tell('selection');
   }
 
-  add(one, before) {
-    const robot = before || { trail: [], row: {}, detail: null, scan: null, heard: 0, age: Infinity, offset: this.offset(one.name) };
+  add(one, before, offsets) {
+    const robot = before || { trail: [], row: {}, detail: null, scan: null, heard: 0, age: Infinity, offset: offsets[one.name] || [0, 0, 0] };
     robot.name = one.name;
     robot.platform = one.platform;
     robot.footprint = one.footprint;
@@ -120,8 +121,6 @@ export class Model extends EventTarget {
   }
 
   // The operator's alignment of a robot's odometry: x, y and yaw of its frame on the map.
-  offset(name) { return this.offsets()[name] || [0, 0, 0]; }
-
   offsets() {
     try { return JSON.parse(localStorage.getItem(`frames of ${this.swarm}`)) || {}; } catch { return {}; }
   }
