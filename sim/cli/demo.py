@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
+from swarmd.cli import completion
 from swarmd.cli.arguments import Duration, read_assignments
 from swarmd.cli.output import print_json, print_section, warn
 from swarmd.core.errors import SwarmError
@@ -32,7 +33,13 @@ if TYPE_CHECKING:
 
 @click.command()
 @fleet_options
-@click.option("--pattern", default="attraction", show_default=True, help="The pattern they run.")
+@click.option(
+    "--pattern",
+    default="attraction",
+    show_default=True,
+    help="The pattern they run.",
+    shell_complete=completion.patterns,
+)
 @click.option(
     "-p", "params", multiple=True, metavar="KEY=VALUE", help="A parameter; may be repeated."
 )

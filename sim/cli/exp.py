@@ -24,7 +24,7 @@ from swarmd.sim.cli.exp_plot import plot
 from swarmd.sim.cli.exp_report import report
 from swarmd.sim.cli.exp_video import video
 from swarmd.sim.cli.exp_view import view
-from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_option
+from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_option, scenarios
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 
 if TYPE_CHECKING:
@@ -69,7 +69,7 @@ def exp() -> None:
 
 
 @exp.command()
-@click.argument("scenario")
+@click.argument("scenario", shell_complete=scenarios)
 @click.option(
     "--seeds",
     default="20",

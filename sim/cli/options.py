@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions
 from swarmd.cli.output import warn
 from swarmd.core.errors import ConfigError, PluginError
@@ -29,7 +30,11 @@ _OPTIONS = (
         "-n", "count", type=click.IntRange(1, MAX_ROBOTS), default=7, help="Number of robots [7]."
     ),
     click.option(
-        "--platform", default="waffle_pi", show_default=True, help="A platform, or a .yaml file."
+        "--platform",
+        default="waffle_pi",
+        show_default=True,
+        help="A platform, or a .yaml file.",
+        shell_complete=completion.platforms,
     ),
     click.option(
         "--arena",
@@ -84,6 +89,16 @@ _OPTIONS = (
 )
 
 
+def scenarios(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+    """What Tab offers for a scenario: those that are shipped, else files."""
+    from click.shell_completion import CompletionItem
+
+    from swarmd.sim.scenarios.scenariofile import scenario_names
+
+    names = [name for name in scenario_names() if name.startswith(incomplete)]
+    return [*map(CompletionItem, names)] or [CompletionItem(incomplete, type="file")]
+
+
 def output_option(function: Callable[..., R]) -> Callable[..., R]:
     """Give a verb the parameter `is_json`: -o of the verb, else that of swarmctl."""
 
@@ -107,7 +122,7 @@ def fleet_options(function: Function) -> Function:
         metavar="KEY=VALUE",
         help="Override a value of SCENARIO, such as duration=30; may be repeated.",
     )
-    return click.argument("scenario", required=False)(sets(function))
+    return click.argument("scenario", required=False, shell_complete=scenarios)(sets(function))
 
 
 def fleet_for(

@@ -12,6 +12,7 @@ from typing import Any, TypeVar
 
 import click
 
+from swarmd.cli import completion
 from swarmd.core.errors import unknown
 from swarmd.core.keys import is_id
 
@@ -116,10 +117,14 @@ def target_options(function: Function) -> Function:
     """Give a verb the parameters `names`, `is_all` and `exclude`."""
     for option in (
         click.option(
-            "--exclude", multiple=True, metavar="GLOB", help="Exclude robots; repeatable."
+            "--exclude",
+            multiple=True,
+            metavar="GLOB",
+            help="Exclude robots; repeatable.",
+            shell_complete=completion.robots,
         ),
         click.option("--all", "is_all", is_flag=True, help="All robots of the swarm."),
-        click.argument("names", nargs=-1, metavar="[TARGET]..."),
+        click.argument("names", nargs=-1, metavar="[TARGET]...", shell_complete=completion.robots),
     ):
         function = option(function)
     return function

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import click
 
 from swarmd.calibration.figures import DONE, PATTERN, Figure
+from swarmd.cli import completion
 from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table, printable, warn
@@ -36,7 +37,7 @@ _NO_HOLD = (None, Reason.PROTECTION, Reason.NO_REQUESTED_COMMAND)
 
 
 @click.command()
-@click.argument("robot")
+@click.argument("robot", shell_complete=completion.robots)
 @click.option(
     "--floor",
     type=click.FloatRange(0.5, 50.0),

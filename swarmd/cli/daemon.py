@@ -12,6 +12,7 @@ from typing import NoReturn
 
 import click
 
+from swarmd.cli import completion
 from swarmd.cli.arguments import Value, read_assignments
 from swarmd.cli.swarmctl import run_cli
 from swarmd.core.errors import ConfigError, DriverError, IdHeldError, NetworkError, SwarmError
@@ -39,7 +40,12 @@ Exit codes:
 )
 @click.option("--id", metavar="ID", help="The robot's id [the host name].")
 @click.option("--swarm", metavar="NAME", help="The swarm's name [$SWARM, or default].")
-@click.option("--platform", metavar="NAME", help="A platform, or a .yaml file [waffle_pi].")
+@click.option(
+    "--platform",
+    metavar="NAME",
+    help="A platform, or a .yaml file [waffle_pi].",
+    shell_complete=completion.platforms,
+)
 @click.option("--driver", metavar="NAME", help="The interface to the base [simulated].")
 @click.option(
     "--driver-option",

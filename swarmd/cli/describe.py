@@ -7,6 +7,7 @@ import math
 import click
 from msgspec import to_builtins
 
+from swarmd.cli import completion
 from swarmd.cli.arguments import check_known
 from swarmd.cli.explain import activity, obstacles, why
 from swarmd.cli.options import CommonOptions, common_options
@@ -32,7 +33,7 @@ from swarmd.core.messages import (
 
 
 @click.command()
-@click.argument("robot")
+@click.argument("robot", shell_complete=completion.robots)
 @common_options
 def describe(options: CommonOptions, robot: str) -> None:
     """Print the whole status of ROBOT, and why it does not move."""

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import click
 from msgspec import to_builtins
 
+from swarmd.cli import completion
 from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.explain import activity
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
@@ -54,7 +55,7 @@ def members(options: CommonOptions) -> None:
 
 
 @members.command()
-@click.argument("name")
+@click.argument("name", shell_complete=completion.robots)
 @common_options
 def forget(options: CommonOptions, name: str) -> None:
     """Remove a robot that failed or left from the lists of all robots."""

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, cast
 
 import click
 
+from swarmd.cli import completion
 from swarmd.cli.arguments import Duration
 from swarmd.core.errors import unknown
 
@@ -23,7 +24,12 @@ R = TypeVar("R")
 DEFAULT_SWARM = "default"
 
 _NETWORK_OPTIONS = (
-    click.option("--swarm", metavar="NAME", help="The swarm's name [$SWARM, or default]."),
+    click.option(
+        "--swarm",
+        metavar="NAME",
+        help="The swarm's name [$SWARM, or default].",
+        shell_complete=completion.swarms,
+    ),
     click.option(
         "--config",
         type=click.Path(dir_okay=False, path_type=Path),

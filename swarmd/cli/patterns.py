@@ -8,6 +8,7 @@ from typing import Any
 
 import click
 
+from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, VerbGroup, local_options
 from swarmd.cli.output import (
     NOTHING,
@@ -29,6 +30,7 @@ _plugin_dir = click.option(
 )
 _platform = click.option(
     "--platform",
+    shell_complete=completion.platforms,
     default="waffle_pi",
     help="The platform, on which defaults and bounds depend [waffle_pi].",
 )
@@ -67,7 +69,7 @@ def list_patterns(options: CommonOptions, plugin_dir: Path | None, platform: str
 
 
 @patterns.command("show")
-@click.argument("name")
+@click.argument("name", shell_complete=completion.patterns)
 @_plugin_dir
 @_platform
 @local_options

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import click
 
+from swarmd.cli import completion
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options, local_options
 from swarmd.cli.output import print_json, printable
@@ -100,7 +101,7 @@ def check(options: CommonOptions, file: Path) -> None:
 
 
 @plugin.command("reload")
-@click.argument("name")
+@click.argument("name", shell_complete=completion.patterns)
 @takes_targets(is_required=True)
 @click.option("--run", "is_run", is_flag=True, help="Run again where it ran, with its parameters.")
 @common_options

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import click
 
+from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, local_options
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError
@@ -25,6 +26,7 @@ _LEAST_SHARE = 0.999
 )
 @click.option(
     "--platform",
+    shell_complete=completion.platforms,
     metavar="NAME|FILE",
     help="Another platform for the replay: what would its settings have commanded?",
 )

@@ -6,6 +6,7 @@ import sys
 
 import click
 
+from swarmd.cli import completion
 from swarmd.cli.arguments import Duration, Targets, read_assignments, takes_targets
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import warn
@@ -22,7 +23,7 @@ from swarmd.core.messages import ResetRequest, RunRequest
 
 
 @click.command()
-@click.argument("pattern")
+@click.argument("pattern", shell_complete=completion.patterns)
 @takes_targets(is_required=True)
 @click.option(
     "-p", "params", multiple=True, metavar="KEY=VALUE", help="A parameter; may be repeated."

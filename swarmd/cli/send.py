@@ -13,6 +13,7 @@ import click
 from msgspec.structs import replace
 
 from swarmd.cli.arguments import Failure, Targets
+from swarmd.cli.known_robots import remember
 from swarmd.cli.output import NOTHING, print_json, print_table, seconds, warn
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Refusal
@@ -50,6 +51,7 @@ def known_members(
     if timeout is not None and is_request_next:
         timeout /= 2.0
     view = operator.members(timeout=timeout, needs_status=needs_status)
+    remember(operator.settings, view)
     if not view.members:
         raise unreachable(operator)
     warn_of_gaps(view, view.missing)

@@ -10,13 +10,16 @@ import os
 import sys
 from collections.abc import Callable
 from importlib import import_module
-from typing import Any, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn, cast
 
 import click
 
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import warn
 from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError
+
+if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
 
 # Verb -> its function, and its line for --help, which must not import the verbs.
 VERBS = {
@@ -43,6 +46,10 @@ VERBS = {
     "replay": (
         "swarmd.cli.replay:replay",
         "Repeat a recorded run without a robot, and compare its commands.",
+    ),
+    "completion": (
+        "swarmd.cli.completion:completion",
+        "Print the script that completes lines with Tab in bash, zsh or fish.",
     ),
     "plugin": ("swarmd.cli.plugin:plugin", "Write, check and reload patterns of your own."),
 }
@@ -96,16 +103,28 @@ class Verbs(VerbGroup):
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write a line for each verb, without importing the verbs."""
-        from swarmd import plugins
-
-        rows = [(name, text) for name, (_, text) in VERBS.items()]
-        rows += [
-            (name, plugins.command_summary(point))
-            for name, point in plugins.command_names().items()
-            if name not in VERBS
-        ]
         with formatter.section("Verbs"):
-            formatter.write_dl(rows)
+            formatter.write_dl(_summaries())
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Offer verbs and options, without importing the verbs."""
+        from click.shell_completion import CompletionItem
+
+        verbs = [
+            CompletionItem(name, help=text)
+            for name, text in _summaries()
+            if name.startswith(incomplete)
+        ]
+        return [*verbs, *click.Command.shell_complete(self, ctx, incomplete)]
+
+
+def _summaries() -> list[tuple[str, str]]:
+    """Each verb with its line for --help."""
+    from swarmd import plugins
+
+    rows = [(name, text) for name, (_, text) in VERBS.items()]
+    points = plugins.command_names().items()
+    return rows + [(n, plugins.command_summary(point)) for n, point in points if n not in VERBS]
 
 
 @click.group(
@@ -155,7 +174,12 @@ def run_cli(
     name: str,
     code_of: Callable[[SwarmError], int],
 ) -> int:
-    """Run a command and return its exit code; an error is one line on stderr."""
+    """Run a command and return its exit code; an error is one line on stderr.
+
+    While a shell completes a line, nothing is written on stderr: it would be drawn into that line.
+    """
+    if os.environ.get(f"_{name.upper()}_COMPLETE"):
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
         return int(command.main(args, prog_name=name, standalone_mode=False) or 0)
     except click.Abort:

@@ -42,6 +42,7 @@ def signals_end() -> Iterator[None]:
 def show(options: CommonOptions) -> int:
     """Show the swarm until `q` or a signal; the exit code."""
     need_terminal("view", "see `swarmctl members`, or give --web")
+    from swarmd.cli.known_robots import remember
     from swarmd.plugins import pattern_names
     from swarmd.view.commander import LiveCommander
     from swarmd.view.live import LiveSource
@@ -58,3 +59,4 @@ def show(options: CommonOptions) -> int:
         finally:
             commander.close()
             source.close()
+            remember(operator.settings, source.view)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any, Self
 
 import pytest
@@ -12,6 +13,7 @@ from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.messages import Presence
 from swarmd.network.discovery import Contact, MembersView, SeenMember
 from swarmd.network.outcome import Outcome
+from swarmd.network.settings import NetworkSettings
 
 
 class Slow:
@@ -19,6 +21,7 @@ class Slow:
 
     def __init__(self, share: float) -> None:
         self._share = share
+        self.settings = NetworkSettings()
         self.waits: list[float] = []
 
     def __enter__(self) -> Self:
@@ -42,6 +45,12 @@ class Slow:
     def request(self, *_: object, timeout: float, **fields: Any) -> Outcome:
         self.waits.append(timeout)
         return Outcome({}, ("a",))
+
+
+@pytest.fixture(autouse=True)
+def cache(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    """Names for completion go into a folder of the test."""
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
 
 
 @pytest.mark.parametrize("verb", [["reset"], ["run", "x"], ["param", "set", "speed=1"]])

@@ -150,6 +150,7 @@ class Swarm:
                 **os.environ,
                 "LOGNAME": user,
                 "SWARM": self.name,
+                "XDG_CACHE_HOME": str(self.folder / "cache"),
                 "PYTHONFAULTHANDLER": "1",
                 **shared,
             },

@@ -1,0 +1,86 @@
+"""Names of robots for completion, kept in the user's cache from one look to the next."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import tempfile
+import time
+from collections.abc import Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from swarmd.core.keys import is_id
+
+if TYPE_CHECKING:
+    from swarmd.network.discovery import MembersView
+    from swarmd.network.operator import Operator
+    from swarmd.network.settings import NetworkSettings
+
+MAX_NAMES = 1024
+MAX_SWARMS = 32
+"""Swarms whose names are kept: those of the latest looks."""
+MAX_AGE = 60.0
+"""Names older than this, in s, are looked up anew."""
+EMPTY_AGE = 5.0
+"""The same, in s, after a look that found no robot."""
+LOOK_TIME = 0.25
+"""How long such a look takes at most, in s: somebody waits with a finger on Tab."""
+
+
+def cache_folder() -> Path:
+    """The folder of the cache; RuntimeError without a home."""
+    base = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    return Path(base) / "swarmd"
+
+
+def remember(settings: NetworkSettings, view: MembersView) -> None:
+    """Keep the names that a look has found, whole or not at all; a failure is no error."""
+    names = view.members.keys() | view.roster
+    if names:
+        _write(settings, names)
+
+
+def _write(settings: NetworkSettings, names: Iterable[str]) -> None:
+    with contextlib.suppress(OSError, RuntimeError):
+        path = _path(settings)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        content = json.dumps(sorted(filter(is_id, names))[:MAX_NAMES])
+        handle, draft = tempfile.mkstemp(dir=path.parent, prefix=".members-")
+        try:
+            with os.fdopen(handle, "w") as file:
+                file.write(content)
+            Path(draft).replace(path)
+        except OSError:
+            Path(draft).unlink(missing_ok=True)
+        files = sorted(path.parent.glob("members-*.json"), key=lambda one: one.stat().st_mtime)
+        for old in files[:-MAX_SWARMS]:
+            old.unlink(missing_ok=True)
+
+
+def remembered(settings: NetworkSettings) -> tuple[list[str], float]:
+    """The names that were kept, and their age in s: infinite without any."""
+    try:
+        path = _path(settings)
+        names = json.loads(path.read_bytes()[: 128 * MAX_NAMES])
+        age = max(time.time() - path.stat().st_mtime, 0.0)
+        return [name for name in names if isinstance(name, str) and is_id(name)], age
+    except (OSError, RuntimeError, ValueError, TypeError):
+        return [], float("inf")
+
+
+def known_names(operator: Operator) -> list[str]:
+    """The names that were kept, after a short look if they are old."""
+    settings = operator.settings
+    names, age = remembered(settings)
+    if age <= (MAX_AGE if names else EMPTY_AGE) or settings.profile == "routed":
+        return names
+    view = operator.members(timeout=LOOK_TIME, needs_status=False)
+    names = sorted(view.members.keys() | view.roster) or names
+    _write(settings, names)
+    return names
+
+
+def _path(settings: NetworkSettings) -> Path:
+    return cache_folder() / f"members-{settings.profile}-{settings.swarm}.json"
