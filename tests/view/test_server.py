@@ -6,8 +6,10 @@ import asyncio
 import base64
 import json
 import os
+import re
 from collections.abc import Mapping, Sequence
 from http.client import HTTPConnection
+from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -235,3 +237,9 @@ def test_a_role_follows_from_the_token() -> None:
     with pytest.raises(ConfigError):
         Access().check_bind("0.0.0.0")
     access.check_bind("0.0.0.0")
+
+
+def test_the_page_is_small_and_loads_nothing_from_elsewhere() -> None:
+    texts = [file.read_text() for file in files("swarmd.view").joinpath("page").iterdir()]
+    assert sum(len(text.encode()) for text in texts) < 200_000
+    assert [text for text in texts if re.search(r"https?://|//cdn", text)] == []

@@ -89,13 +89,14 @@ export class Actions {
 
   connected() { if (this.isUnsent) this.estop(); }
 
-  lost() {
+  lost(hasEnded) {
     for (const [id, line] of this.waiting) {
       this.entry(id, `${line.querySelector('summary').textContent} the link was lost: not known what came of it`, [], true);
     }
     this.waiting.clear();
     if (this.isStopping) {
-      this.showEstop('The link was lost before all had acknowledged. The server goes on.', this.missing, 'bad');
+      const text = hasEnded ? 'The server ended and repeats it no longer' : 'The link was lost, and it is not known whether the server still repeats it';
+      this.showEstop(`Emergency stop: ${text}. Not acknowledged until then:`, this.missing, 'bad');
     }
   }
 

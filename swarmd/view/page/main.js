@@ -18,9 +18,10 @@ const actions = new Actions(model, (message) => link.send(message));
 const link = new Link(model, {
   connected() { banner.hidden = true; actions.connected(); choose(); },
   lost(why) {
-    banner.textContent = why || 'No link to the server: what is shown is old. Connecting again ...';
+    const old = model.robots.size ? ' What is shown is old.' : '';
+    banner.textContent = why ? why + old : 'No link to the server: what is shown is old. Connecting again ...';
     banner.hidden = false;
-    actions.lost();
+    actions.lost(Boolean(why));
   },
   message(message, now) {
     if (message.kind === 'hello') model.hello(message);

@@ -80,7 +80,9 @@ def test_the_report_of_a_recording(merged: Path) -> None:
     text = merged.with_suffix(".html").read_text()
     sections = re.findall(r'<section id="(\w+)"', text)
     assert sections == ["robots", "figures", "stops", "run", "clocks", "again", "manifest"]
-    (stop,) = re.findall(r"<tr><td>(4\.\d) s</td><td>b</td><td>(\S+) s</td><td>protection</td>", text)
+    (stop,) = re.findall(
+        r"<tr><td>(4\.\d) s</td><td>b</td><td>(\S+) s</td><td>protection</td>", text
+    )
     assert 2.7 <= float(stop[1]) <= 3.1
     assert "start poses are not known" in text
     data = re.search(r'id="run-data">(.*?)</script>', text, re.DOTALL)
