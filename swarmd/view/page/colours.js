@@ -12,7 +12,11 @@ export function stateColour(state) { return STATES[state] || UNKNOWN; }
 
 // The colour of each robot by one value: of words by palette, of numbers along one scale.
 export class Colouring {
-  constructor(key) { this.key = key; this.words = new Map(); this.low = Infinity; this.high = -Infinity; }
+  // `low` and `high`: the least range of the scale, such as that of the field that robots measure.
+  constructor(key, low = Infinity, high = -Infinity) {
+    Object.assign(this, { key, low, high });
+    this.words = new Map();
+  }
 
   value(robot) {
     if (this.key === 'state') return robot.row.state;

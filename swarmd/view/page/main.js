@@ -1,5 +1,4 @@
 import { Actions } from './actions.js';
-import { Colouring } from './colours.js';
 import { Detail } from './detail.js';
 import { RobotList } from './list.js';
 import { SwarmMap } from './map.js';
@@ -140,7 +139,7 @@ for (const name of ['trails', 'links', 'names']) {
   element(name).addEventListener('change', (event) => { map.shows[name] = event.target.checked; map.wake(); });
 }
 element('field').addEventListener('change', (event) => map.showField(event.target.value));
-element('colour').addEventListener('change', (event) => { map.colouring = new Colouring(event.target.value); map.wake(); legend(); });
+element('colour').addEventListener('change', (event) => { map.colourBy(event.target.value); legend(); });
 element('all').addEventListener('click', () => model.select(list.chosen().map((robot) => robot.name)));
 element('none').addEventListener('click', () => model.select([]));
 

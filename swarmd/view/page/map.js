@@ -9,6 +9,8 @@ const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
 const EDGE = 0.6; // m around what is shown by Fit
 
+const rangeOf = (rows) => [Math.min(...rows.flat()), Math.max(...rows.flat())];
+
 export class SwarmMap {
   constructor(canvas, model) {
     this.canvas = canvas;
@@ -24,7 +26,6 @@ export class SwarmMap {
     this.ruler = null;
     this.field = ''; // the name of the field behind the robots
     this.fieldPicture = null;
-    this.fieldRange = [0, 0];
     this.gestures = new Gestures(this);
     new ResizeObserver(() => { this.resize(); if (this.hasFitted && !this.isTouched) this.fit(); this.draw(); }).observe(canvas);
     for (const news of ['frame', 'rows', 'selection', 'hello']) model.addEventListener(news, () => this.wake());
@@ -62,11 +63,18 @@ export class SwarmMap {
     const now = performance.now();
     const found = this.colouring.legend([...this.model.robots.values()].filter((one) => this.model.isHeard(one, now)));
     if ([...this.model.robots.values()].some((robot) => robot.row.touches)) found.push([CONTACT, 'in contact']);
-    if (this.fieldPicture) {
-      const [low, high] = this.fieldRange;
+    if (this.fieldPicture && this.colouring.key !== `readings:${this.field}`) {
+      const [low, high] = rangeOf(this.model.arena.fields[this.field]);
       found.push([scale(0), `${this.field} ${low.toPrecision(3)}`], [scale(1), `${this.field} ${high.toPrecision(3)}`]);
     }
     return found;
+  }
+
+  // Readings of a field have the colours of the field.
+  colourBy(key) {
+    const field = ((this.model.arena || {}).fields || {})[key.replace(/^readings:/, '')];
+    this.colouring = new Colouring(key, ...(field && key.startsWith('readings:') ? rangeOf(field) : []));
+    this.wake();
   }
 
   // The field behind the robots: a picture with a pixel for each cell, from its lowest value to its highest.
@@ -75,7 +83,7 @@ export class SwarmMap {
     this.field = name;
     this.fieldPicture = null;
     if (values) {
-      const [low, high] = this.fieldRange = [Math.min(...values.flat()), Math.max(...values.flat())];
+      const [low, high] = rangeOf(values);
       const picture = document.createElement('canvas');
       [picture.width, picture.height] = [values[0].length, values.length];
       const ctx = picture.getContext('2d');
