@@ -22,6 +22,7 @@ from swarmd.settings.platforms import load_platform
 from swarmd.sim.trace import WORD, Trace, blank_decisions
 
 PERIOD = 0.1  # s between two instants of the trace
+HOLD = 0.5  # s for which the first and the last position of a robot are taken beyond its samples
 MAX_INSTANTS = 20_000
 APART = 1.0  # m between starts that are not known
 
@@ -71,7 +72,9 @@ def _tracks(file: RecordedFile) -> dict[str, Track]:
         name: Track(about, _platform(about, f"{file.path}, {name}"))
         for name, about in sorted(abouts.items())
     }
-    start = min((message.at for message in file.messages), default=0)
+    # A recording repeats what the robot logged before; time 0 is that of the first position.
+    places = [message.at for message in file.messages if message.topic.endswith("/odometry")]
+    start = min(places, default=0)
     for message in file.messages:
         robot, topic = next(iter(tracks)), message.topic
         if file.robots:
@@ -101,7 +104,7 @@ def _enter(track: Track, topic: str, kind: str, payload: bytes, time: float) -> 
     elif topic == "/decision":
         track.decided.append(time)
         track.decisions.append(deserialize(kind, payload))
-    elif topic == "/event":
+    elif topic == "/event" and time >= 0.0:
         track.events.append((time, str(deserialize(kind, payload).msg)))
     elif topic == "/dropped":
         track.dropped += 1
@@ -134,10 +137,11 @@ def _trace(t: Array, tracks: Mapping[str, Track], *, is_shared: bool) -> Trace:
 
 
 def _between(t: Array, samples: Array) -> Array:
-    """Poses (T, 3) at times, interpolated; NaN before the first sample and after the last."""
+    """Poses (T, 3) at times, interpolated; NaN more than HOLD before or after all samples."""
     columns = [samples[:, 1], samples[:, 2], np.unwrap(samples[:, 3])]
-    found = [np.interp(t, samples[:, 0], one, left=np.nan, right=np.nan) for one in columns]
-    return np.stack(found, axis=1)
+    found = np.stack([np.interp(t, samples[:, 0], one) for one in columns], axis=1)
+    found[(t < samples[0, 0] - HOLD) | (t > samples[-1, 0] + HOLD)] = np.nan
+    return found
 
 
 def _enter_decisions(arrays: Mapping[str, NDArray[Any]], row: int, t: Array, track: Track) -> None:
