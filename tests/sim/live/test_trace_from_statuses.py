@@ -90,3 +90,34 @@ def test_the_tightest_constraint_is_in_the_trace(trace: Trace, status: Status) -
 
 def test_without_statuses_the_trace_is_unchanged(trace: Trace) -> None:
     assert StatusLog().merged_into(trace) is trace
+
+
+def test_readings_hold_until_a_status_leaves_them_out(trace: Trace, status: Status) -> None:
+    statements = StatusLog()
+    for time, readings in ((0.5, {"light": 0.25}), (1.0, {"light": 0.5}), (1.5, {})):
+        said = msgspec.structs.replace(status, robot="a", readings=readings)
+        statements.add(time, {"a": said})
+    light = statements.merged_into(trace).readings["light"]
+    assert light[[5, 9, 10, 14], 0].tolist() == [0.25, 0.25, 0.5, 0.5]
+    assert np.isnan(light[[4, 15], 0]).all()
+    assert np.isnan(light[:, 1]).all()
+
+
+def test_a_robot_without_a_daemon_is_not_present_and_reports_nothing(
+    trace: Trace, status: Status
+) -> None:
+    statements = StatusLog()
+    said = {name: say(status, name, 1, is_active=False) for name in ("a", "b")}
+    statements.add_present(0.2, ("a", "b"))
+    statements.add(0.5, said)
+    whole = statements.merged_into(trace)
+    assert whole.present is None
+    statements.add_present(1.0, ("a",))
+    merged = statements.merged_into(trace)
+    assert merged.present is not None
+    assert merged.present[:, 0].all()
+    assert merged.present[:10, 1].all()
+    assert not merged.present[10:, 1].any()
+    assert merged.state is not None
+    assert (merged.state[9, 1], merged.state[10, 1]) == ("running", "")
+    assert np.isnan(merged.report["opinion"][10:, 1]).all()
