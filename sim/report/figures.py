@@ -43,7 +43,12 @@ def _figure(path: Path) -> Figure:
     kind, caption = next(
         ((kind, text) for kind, text in _CAPTIONS if kind in path.stem), ("", path.stem)
     )
-    name = path.stem.replace("over_time_", "").replace("survival_", "").replace(f"_{kind}", "").replace("_", " ")
+    name = (
+        path.stem.replace("over_time_", "")
+        .replace("survival_", "")
+        .replace(f"_{kind}", "")
+        .replace("_", " ")
+    )
     text = caption.format(name=name, Name=name.capitalize())
     return Figure(kind, text, f"data:image/png;base64,{_small(path)}")
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import tempfile
 import time
 from collections.abc import Iterable
 from pathlib import Path
@@ -46,14 +45,12 @@ def _write(settings: NetworkSettings, names: Iterable[str]) -> None:
     with contextlib.suppress(OSError, RuntimeError):
         path = _path(settings)
         path.parent.mkdir(parents=True, exist_ok=True)
-        content = json.dumps(sorted(filter(is_id, names))[:MAX_NAMES])
-        handle, draft = tempfile.mkstemp(dir=path.parent, prefix=".members-")
+        draft = path.with_name(f".{path.name}.{os.getpid()}")  # tempfile takes 10 ms to import
         try:
-            with os.fdopen(handle, "w") as file:
-                file.write(content)
-            Path(draft).replace(path)
+            draft.write_text(json.dumps(sorted(filter(is_id, names))[:MAX_NAMES]))
+            draft.replace(path)
         except OSError:
-            Path(draft).unlink(missing_ok=True)
+            draft.unlink(missing_ok=True)
         files = sorted(path.parent.glob("members-*.json"), key=lambda one: one.stat().st_mtime)
         for old in files[:-MAX_SWARMS]:
             old.unlink(missing_ok=True)
