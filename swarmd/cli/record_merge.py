@@ -51,14 +51,7 @@ def merge(
 
     above = click.get_current_context().find_object(CommonOptions) or CommonOptions()
     is_json = "json" in outputs or above.is_json
-    named = [name for name in outputs if name not in ("json", "table")]
-    if len(named) != 1 or not named[0].endswith(".mcap"):
-        raise click.UsageError("expected one -o OUT.mcap, the file to write")
-    target = Path(named[0])
-    if target.exists():
-        raise click.UsageError(f"{target} exists; give another name, or remove it")
-    if not target.parent.is_dir():
-        raise click.UsageError(f"{target.parent}: no such folder; make it first")
+    target = _target(outputs)
     found = survey(parts_of(files))
     if not found.sources:
         raise click.UsageError(f"{files[0]}: no messages in this recording")
@@ -83,6 +76,19 @@ def merge(
         return
     print_table(("NAME", "CLOCK", "OFFSET", "DRIFT", "ERROR", "VIA"), [_row(one) for one in table])
     click.echo(f"{count} messages of {len({one['robot'] for one in table})} robots in {target}")
+
+
+def _target(outputs: tuple[str, ...]) -> Path:
+    """The file to write; UsageError if it cannot be, or is there already."""
+    named = [name for name in outputs if name not in ("json", "table")]
+    if len(named) != 1 or not named[0].endswith(".mcap"):
+        raise click.UsageError("expected one -o OUT.mcap, the file to write")
+    target = Path(named[0])
+    if target.exists():
+        raise click.UsageError(f"{target} exists; give another name, or remove it")
+    if not target.parent.is_dir():
+        raise click.UsageError(f"{target.parent}: no such folder; make it first")
+    return target
 
 
 def parts_of(files: tuple[Path, ...]) -> list[Path]:

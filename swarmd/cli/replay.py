@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, local_options
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.output import NOTHING, print_json, print_table, warn
 from swarmd.core.errors import ConfigError
 from swarmd.network.outcome import FAILED
+
+if TYPE_CHECKING:
+    from swarmd.recording.reader import RecordedFile
+    from swarmd.replay.replay import Parity
 
 _LEAST_SHARE = 0.999
 """Of equal commands, below which a replay does not match: rounding may move a deadline."""
@@ -49,20 +54,10 @@ def replay(
     from swarmd.plugins import check_single, need, pattern_names
 
     need("mcap", "rosbags", extra="record")
-    from swarmd.recording.reader import read_file
-    from swarmd.replay.replay import TOLERANCE, recordings_of, repeat, total
+    from swarmd.replay.replay import recordings_of, repeat, total
     from swarmd.settings.platforms import load_platform
 
-    paths = [
-        part for one in files for part in (sorted(one.glob("*.mcap")) if one.is_dir() else [one])
-    ]
-    if not paths:
-        raise click.UsageError(f"{files[0]}: no recording (.mcap) in this folder")
-    found = [read_file(path) for path in paths]
-    for one in found:
-        if one.fault:
-            warn(f"{one.path}: {one.fault}; what is whole is repeated")
-    parts = recordings_of(found)
+    parts = recordings_of(_files(files))
     names = {one[0].about.get("robot") for one in parts}
     if len(names) > 1:
         raise click.UsageError(f"the files are of {len(names)} robots; give those of one")
@@ -72,47 +67,66 @@ def replay(
         origins[name] = (origin.value, origin.is_file)
     other = None if platform is None else load_platform(platform)
     done = []
-    refusal: ConfigError | None = None
-    for files_of_one in parts:
+    for one in parts:
         try:
-            done.append(repeat(files_of_one, origins, other))
+            done.append(repeat(one, origins, other))
         except ConfigError as error:
-            refusal = error
-            if len(parts) > 1:
-                warn(f"{error}; it is left out")
-    if refusal is not None and not done:
-        raise refusal
+            if one is parts[-1] and not done:
+                raise
+            warn(f"{error}; it is left out")
     head, parity = done[0][0], total(parity for _, parity in done)
-    rows = (("safe", parity.safe), ("requested", parity.requested))
-    is_equal = all(one.share >= _LEAST_SHARE for _, one in rows)
+    is_equal = all(one.share >= _LEAST_SHARE for one in (parity.safe, parity.requested))
     if options.is_json:
-        content = {
-            name: {
-                "count": one.count,
-                "equal": one.equal,
-                "largest": one.largest,
-                "first": one.first,
-            }
-            for name, one in rows
-        }
-        more = {"robot": head.robot, "seconds": parity.seconds, "notes": list(parity.notes)}
-        print_json("Replay", {**more, **content, "tolerance": TOLERANCE, "is_equal": is_equal})
+        _print_json(head.robot, parity, is_equal)
     else:
         click.echo(f"{head.robot} ({head.platform.name}), {parity.seconds:.1f} s")
-        print_table(
-            ("COMMANDS", "COMPARED", "EQUAL", "LARGEST DIFFERENCE", "FIRST"),
-            [
-                (
-                    name,
-                    str(one.count),
-                    f"{one.share:.2%}",
-                    f"{one.largest:.3g}",
-                    "-" if one.first is None else f"{one.first:.2f} s",
-                )
-                for name, one in rows
-            ],
-        )
+        _print_table(parity)
     for note in parity.notes:
         warn(note)
     if not is_equal:
         click.get_current_context().exit(FAILED)
+
+
+def _files(given: tuple[Path, ...]) -> list[RecordedFile]:
+    from swarmd.recording.reader import read_file
+
+    paths = [
+        part for one in given for part in (sorted(one.glob("*.mcap")) if one.is_dir() else [one])
+    ]
+    if not paths:
+        raise click.UsageError(f"{given[0]}: no recording (.mcap) in this folder")
+    found = [read_file(path) for path in paths]
+    for one in found:
+        if one.fault:
+            warn(f"{one.path}: {one.fault}; what is whole is repeated")
+    return found
+
+
+def _print_json(robot: str, parity: Parity, is_equal: bool) -> None:
+    from swarmd.replay.replay import TOLERANCE
+
+    content = {
+        name: {
+            "count": one.count,
+            "equal": one.equal,
+            "largest": one.largest,
+            "first": one.first,
+        }
+        for name, one in (("safe", parity.safe), ("requested", parity.requested))
+    }
+    more = {"robot": robot, "seconds": parity.seconds, "notes": list(parity.notes)}
+    print_json("Replay", {**more, **content, "tolerance": TOLERANCE, "is_equal": is_equal})
+
+
+def _print_table(parity: Parity) -> None:
+    rows = [
+        (
+            name,
+            str(one.count),
+            f"{one.share:.2%}",
+            f"{one.largest:.3g}",
+            NOTHING if one.first is None else f"{one.first:.2f} s",
+        )
+        for name, one in (("safe", parity.safe), ("requested", parity.requested))
+    ]
+    print_table(("COMMANDS", "COMPARED", "EQUAL", "LARGEST DIFFERENCE", "FIRST"), rows)
