@@ -16,6 +16,7 @@ from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
+from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
 from swarmd.settings.platforms import load_platform
 from swarmd.view.recording_source import RecordingSource
@@ -24,12 +25,12 @@ BURGER = load_platform("burger")
 SPEED = 0.1
 
 
-def head(robot: str) -> RecordingHead:
+def head(robot: str, clock: str) -> RecordingHead:
     return RecordingHead(
         robot=robot,
         swarm="s",
         driver="story",
-        clock="c",
+        clock=clock,
         instance="boot1",
         seed=1,
         version="",
@@ -45,9 +46,9 @@ def head(robot: str) -> RecordingHead:
     )
 
 
-def recorded(folder: Path, robot: str, begin: float, seconds: float) -> Path:
+def recorded(folder: Path, robot: str, begin: float, seconds: float, clock: str = "boot") -> Path:
     """A robot that drives along x with SPEED, and records until it is stopped at half time."""
-    texts = head(robot).texts()
+    texts = head(robot, clock).texts()
     converter = Converter(
         frames.Begin(begin, str(folder), robot, texts, 1.7e9 + begin, 2**26, 1e3, 2**30)
     )
@@ -114,6 +115,27 @@ def test_shows_each_robot_at_its_time(tmp_path: Path) -> None:
     assert source.rows()["tb3-01"]["presence"] == "absent"
     assert source.frame()[1][:, 0].tolist() == [1]
     json.dumps(source.rows(), allow_nan=False)
+
+
+def test_a_merged_file_shows_the_same_as_its_parts(tmp_path: Path) -> None:
+    paths = [recorded(tmp_path, "tb3-01", 50.0, 4.0), recorded(tmp_path, "tb3-02", 52.0, 10.0)]
+    merged = tmp_path / "all.mcap"
+    write_merged(place(survey(paths)), merged)
+    one, other = RecordingSource([merged], lambda: 0.0), RecordingSource(paths, lambda: 0.0)
+    assert [robot.name for robot in one.robots] == ["tb3-01", "tb3-02"]
+    for source in (one, other):
+        source.playback.seek(3.0)
+    np.testing.assert_allclose(one.frame()[1], other.frame()[1], atol=1e-6)
+    assert one.rows() == other.rows()
+    with pytest.raises(ConfigError, match="merged already"):
+        RecordingSource([merged, *paths])
+
+
+def test_a_robot_on_another_clock_is_named(tmp_path: Path) -> None:
+    paths = [recorded(tmp_path, "tb3-01", 50.0, 4.0)]
+    paths.append(recorded(tmp_path, "tb3-02", 50.0, 4.0, clock="other"))
+    (note,) = RecordingSource(paths).notes
+    assert note.startswith("tb3-02: ")
 
 
 def test_a_turn_through_pi_is_interpolated_the_short_way(tmp_path: Path) -> None:
