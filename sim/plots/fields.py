@@ -52,7 +52,11 @@ def paint_fields(
             linestyles=("solid", "dashed", "dotted")[index % 3],
         )  # fmt: skip
         if not is_small:
-            axes.clabel(lines, fontsize=7, fmt=lambda level, name=name: f"{name} {level:g}")
+            labels = axes.clabel(
+                lines, fontsize=7, fmt=lambda level, name=name: f"{name} {level:g}"
+            )
+            for text in labels or ():
+                text.set_clip_on(True)
 
 
 def _cells(trace: Trace, extent: Extent) -> tuple[np.ndarray, np.ndarray]:

@@ -77,7 +77,7 @@ def test_beeclust_gathers_in_the_warm_spot() -> None:
     trace = simulate_run(load_scenario(str(EXAMPLES / "beeclust.yaml"), overrides), 1)
     late = trace.pose[trace.t > 20.0, :, :2]
     warm, cold = ((np.hypot(*(late - (x, 0.0)).T) < 1.0).mean() for x in (1.5, -1.5))
-    assert warm > 2.0 * cold
+    assert warm > 3.0 * cold  # without waiting it is 1.9 times
 
 
 def test_beeclust_waits_for_robots_alone_and_for_as_long_as_it_is_warm() -> None:
