@@ -47,7 +47,7 @@ def runs_of(place: Path, seed: int | None = None, variant: str | None = None) ->
     if not file.exists():
         raise ConfigError(
             f"{place}: there are no recorded runs; expected the folder of an experiment"
-            " or a demo, or a trace (.npz)"
+            " or a demo, or a trace (.npz); recordings of robots: swarmctl view --web FILE"
         )
     if seed is not None or variant is not None:
         raise ConfigError(f"{place}: one trace; --seed and --variant are for experiments")
