@@ -5,6 +5,7 @@ import { SwarmMap } from './map.js';
 import { Model } from './model.js';
 import { Timeline } from './timeline.js';
 
+const LARGEST = 32767; // a coordinate; a yaw of pi
 const ABSENT = -32768; // in place of a coordinate of a body that is not there
 const element = (id) => document.getElementById(id);
 const data = JSON.parse(element('run-data').textContent);
@@ -24,9 +25,9 @@ function pose(body, time) {
   if (poses[a] === ABSENT || poses[b] === ABSENT) return null;
   const between = (k) => poses[a + k] + share * (poses[b + k] - poses[a + k]);
   let turn = poses[b + 2] - poses[a + 2];
-  turn -= 65534 * Math.round(turn / 65534); // the shorter way round
+  turn -= 2 * LARGEST * Math.round(turn / (2 * LARGEST)); // the shorter way round
   return [data.centre[0] + data.unit * between(0), data.centre[1] + data.unit * between(1),
-    (poses[a + 2] + share * turn) * Math.PI / 32767];
+    (poses[a + 2] + share * turn) * Math.PI / LARGEST];
 }
 
 function show(time) {
@@ -84,6 +85,17 @@ function legend() {
     item.append(mark, text);
     return item;
   }));
+}
+
+// Without walls, Fit shows every place of the run.
+if (!data.hello.arena) {
+  map.fit = () => {
+    const side = 2 * LARGEST * data.unit + 1.2;
+    map.centre = [...data.centre];
+    map.scale = Math.min(map.canvas.clientWidth, map.canvas.clientHeight) / side;
+    map.hasFitted = true;
+    map.wake();
+  };
 }
 
 const timeline = new Timeline(model, send);
