@@ -44,6 +44,8 @@ FEW_ROBOTS, FEW_ROWS_PERIOD = 50, 0.2
 MAX_MESSAGE = 256 * 1024
 MAX_PAGES = {"operator": 16, "viewer": 100}
 """Open pages by role: many who look keep out no operator."""
+MAX_WATCHED = 20
+"""Robots whose scans are watched for all pages together."""
 MAX_LATENESS = 3.0
 """Age in s of the frame that a page had when it sent a command that starts or changes motion."""
 WRONG_TOKEN, ENDED = 4401, 4410
@@ -263,8 +265,10 @@ class ViewServer:
             client.tell(message)
 
     def _tell_selection(self) -> None:
-        names = {name for client in self._clients for name in client.selected}
-        self.source.select(sorted(names))
+        """Scans load the robots' network: few are watched, those of operators first."""
+        order = sorted(self._clients, key=lambda client: client.role != "operator")
+        names = dict.fromkeys(name for one in order for name in reversed(one.selected))
+        self.source.select(sorted(list(names)[:MAX_WATCHED]))
 
     async def _send_frames(self) -> None:
         """Send frames with their period, and rows less often."""

@@ -7,6 +7,7 @@ const LIMIT = '#d55e00'; // of an obstacle that limits a robot
 const MANY = 60; // robots from which on only some names and trails are drawn
 const LEAST = 5; // pixels from the middle of a robot to its farthest corner, at least
 const MOVABLE = '#c49c6b', CONTACT = '#d55e00'; // movable boxes; a ring around a robot in contact
+const OLD = 3000; // ms after which a scan is not shown
 const EDGE = 0.6; // m around what is shown by Fit
 
 const rangeOf = (rows) => [Math.min(...rows.flat()), Math.max(...rows.flat())];
@@ -140,7 +141,7 @@ export class SwarmMap {
     const robots = [...model.robots.values()].filter((one) => one.x === one.x);
     if (this.shows.links) this.drawLinks(dim, zoom);
     if (this.shows.trails) this.drawTrails(robots, zoom);
-    for (const robot of robots) if (model.selected.has(robot.name) && robot.scan) this.drawScan(robot, zoom);
+    for (const robot of robots) if (model.selected.has(robot.name) && robot.scan && now - robot.scanned < OLD) this.drawScan(robot, zoom);
     for (const robot of robots) if (model.selected.has(robot.name)) this.drawLimits(robot, zoom);
     this.drawRobots(robots, now, zoom, text);
     ctx.setTransform(1, 0, 0, 1, 0, 0);

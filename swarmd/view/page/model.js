@@ -108,6 +108,7 @@ export class Model extends EventTarget {
     const points = new Float32Array(count * 2);
     for (let i = 0; i < 2 * count; i++) points[i] = view.getFloat32(12 + 4 * i, true);
     robot.scan = points; // in the base frame
+    robot.scanned = performance.now();
     this.tell('frame');
   }
 
@@ -140,6 +141,7 @@ export class Model extends EventTarget {
       if (adds && this.selected.has(name)) this.selected.delete(name);
       else this.selected.add(name);
     }
+    for (const robot of this.robots.values()) if (!this.selected.has(robot.name)) robot.scan = null;
     this.tell('selection');
   }
 }

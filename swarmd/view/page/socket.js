@@ -57,6 +57,7 @@ export class Link {
   lost(code, reason) {
     this.socket.onclose = null;
     this.model.isConnected = false;
+    this.model.sequence = 0; // commands need a frame of the next link
     if (code === WRONG_TOKEN || code === ENDED) this.reason = reason;
     this.on.lost(this.reason);
     this.model.tell('rows');
