@@ -58,15 +58,15 @@ def patterns() -> Iterator[str]:
         rows = [
             (
                 f"`{one['name']}`",
+                one["description"],
                 _default(one),
                 one["unit"],
                 one["wanted"],
-                one["description"],
                 "platform" if one["is_derived"] else one["source"],
             )
             for one in row["params"]
         ]
-        yield _table(("parameter", "default", "unit", "accepted", "meaning", "source"), rows)
+        yield _table(("parameter", "meaning", "default", "unit", "accepted", "source"), rows)
 
 
 def platforms() -> Iterator[str]:
@@ -129,8 +129,8 @@ def scenarios() -> Iterator[str]:
 
 def metrics() -> Iterator[str]:
     """All metrics of a run."""
-    rows = [(f"`{m.name}`", m.unit, m.better or "", m.meaning, m.source) for m in METRICS.values()]
-    yield _table(("metric", "unit", "better", "meaning", "source"), rows)
+    rows = [(f"`{m.name}`", m.meaning, m.unit, m.better or "", m.source) for m in METRICS.values()]
+    yield _table(("metric", "meaning", "unit", "better", "source"), rows)
 
 
 def commands() -> Iterator[str]:
@@ -193,16 +193,16 @@ def _schema(where: str, kind: type[msgspec.Struct]) -> Iterator[str]:
     rows = [
         (
             f"`{one.encode_name}`",
+            bullets.get(one.name) or comments.get(one.name, ""),
             _accepted(one.type),
             "required" if one.required else _shown_default(one),
-            bullets.get(one.name) or comments.get(one.name, ""),
         )
         for one in info.fields
     ]
-    if not any(row[3] for row in rows):
-        yield _table(("key", "accepted", "default"), [row[:3] for row in rows])
+    if any(row[1] for row in rows):
+        yield _table(("key", "meaning", "accepted", "default"), rows)
     else:
-        yield _table(("key", "accepted", "default", "meaning"), rows)
+        yield _table(("key", "accepted", "default"), [(row[0], *row[2:]) for row in rows])
 
 
 def _comments(kind: type) -> dict[str, str]:

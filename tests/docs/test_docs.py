@@ -20,7 +20,7 @@ from swarmd.plugins import DRIVERS
 from swarmd.settings.platforms import platform_names
 from swarmd.sim.experiments.requirements import RUNS, parse_requirement
 from swarmd.sim.metrics.catalog import METRICS
-from swarmd.sim.scenarios.scenariofile import load_scenario
+from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "benchmarks/README.md"])
@@ -179,6 +179,25 @@ def test_the_readme_shows_the_verbs_of_every_day() -> None:
     shown = {words[0] for words in commands(ROOT / "README.md")}
     assert {"members", "run", "stop", "estop", "reset", "describe", "demo", "sim", "exp"} <= shown
     assert shown - {"demo", "sim", "exp", "--swarm"} <= set(VERBS)
+
+
+@pytest.mark.parametrize(
+    ("part", "rows"),
+    [
+        ("patterns", ["`opinions`", "`spacing`"]),
+        ("platforms", [*(f"`{name}`" for name in platform_names()), "`braking_linear`"]),
+        ("scenarios", [*(f"`{name}`" for name in scenario_names()), "`neighborhood`"]),
+        ("metrics", [f"`{name}`" for name in METRICS]),
+        ("commands", ["`--interface NAME`", "`--seeds SEEDS`"]),
+        ("reasons", ["`stale_scan`", "`estop`"]),
+    ],
+)
+def test_the_generated_reference_is_complete(part: str, rows: list[str]) -> None:
+    """Each part has a row, with further cells, of what it must list."""
+    parts = runpy.run_path(str(ROOT / "docs" / "site" / "reference.py"))["PARTS"]
+    lines = "\n\n".join(parts[part]()).splitlines()
+    found = {match[1] for line in lines if (match := re.match(r"\| (`.+?`) \| .*\w", line))}
+    assert set(rows) <= found
 
 
 def _parse(command: click.Command, ctx: click.Context, words: list[str]) -> None:
