@@ -176,7 +176,9 @@ def _summary(results: Results, manifest: Manifest) -> str:
 def _results(results: Results, first: Sequence[Metric], others: Sequence[Metric]) -> str:
     parts = []
     fewest = min((len(results.seeds(name)) for name in results.variants), default=0)
-    if fewest < FEW:
+    if fewest == 1:
+        parts.append("<p><b>Only one run</b>: there are no intervals.</p>")
+    elif fewest < FEW:
         parts.append(f"<p><b>Only {fewest} runs</b>: intervals of so few are too narrow.</p>")
     for run, why in list(results.failures.items())[:5]:
         parts.append(f"<p>Failed: {escape(run)}: {escape(why)}</p>")
