@@ -26,7 +26,9 @@ from swarmd.core.values import Scan
 from swarmd.recording import frames
 
 MAX_BATCH = 60_000
-"""Bytes of entries that are sent before the period is over."""
+"""Bytes of one batch, but for its last entry."""
+MAX_ENTRIES = 500
+"""Entries that are sent before the period is over."""
 BATCH_PERIOD = 0.5
 """Seconds between two batches: a daemon that is killed loses the entries of that time."""
 DROPS_PERIOD = 10.0
@@ -70,8 +72,7 @@ class Recorder:
         self._on_event = on_event
         self._open: _Process | None = None
         self._ending: list[_Process] = []
-        self._entries: list[bytes] = []
-        self._size = 0
+        self._entries: list[frames.Entry] = []
         self._latest: dict[str, frames.Entry] = {}
         self._scan: Scan | None = None
         self._flush_at = 0.0
@@ -103,7 +104,7 @@ class Recorder:
         one = self._open = _Process()
         self._loop.add_reader(one.socket, self._on_report, one)
         self._loop.add_reader(one.pidfd, self._on_end, one)
-        self._scan, self._entries, self._size = None, [], 0
+        self._scan, self._entries = None, []
         self.dropped = self._unreported = self._unrecorded = 0
         self.fault = ""
         self.report = frames.RecorderReport("", 0)
@@ -159,14 +160,9 @@ class Recorder:
         """Take one entry; nothing happens while nothing is recorded."""
         if self._open is None:
             return
-        encoded = frames.encode_entry(entry)
-        if self._size + len(encoded) > MAX_BATCH:
+        self._entries.append(entry)
+        if len(self._entries) >= MAX_ENTRIES:
             self.flush()
-        if len(encoded) > frames.MAX_ENTRY:
-            self._drop(1)
-            return
-        self._entries.append(encoded)
-        self._size += len(encoded)
 
     def flush_if_due(self, now: float) -> None:
         """Send the entries if the last batch is BATCH_PERIOD old."""
@@ -178,13 +174,35 @@ class Recorder:
         """Send the entries since the last call; drop them if the socket has no room."""
         if self._open is None or not self._entries:
             return
-        entries, self._entries, self._size = self._entries, [], 0
+        entries, self._entries = self._entries, []
+        part: list[bytes] = []
+        size = 0
+        for number, entry in enumerate(entries):
+            encoded = frames.encode_entry(entry)
+            if size + len(encoded) > MAX_BATCH and part:
+                if not self._send(part):
+                    self._drop(len(entries) - number)  # they may need what was just dropped
+                    return
+                part, size = [], 0
+            if len(encoded) > frames.MAX_ENTRY:
+                self._drop(1)
+                continue
+            part.append(encoded)
+            size += len(encoded)
+        if part:
+            self._send(part)
+
+    def _send(self, part: list[bytes]) -> bool:
+        """Send encoded entries; False if they were dropped."""
+        assert self._open is not None
         lost = [self._gap()] if self._unrecorded else []
         try:
-            self._open.socket.send(frames.batch([*lost, *entries]))
-            self._unrecorded = 0
+            self._open.socket.send(frames.batch([*lost, *part]))
         except OSError:  # full, or just ended: the pidfd is watched
-            self._drop(len(entries))
+            self._drop(len(part))
+            return False
+        self._unrecorded = 0
+        return True
 
     def _gap(self) -> bytes:
         return frames.encode_entry(frames.DroppedEntry(boottime(), self._unrecorded))
@@ -239,4 +257,4 @@ class Recorder:
             self._loop.remove_reader(one.socket)
             one.socket.close()
             self._ending.append(one)
-        self._entries, self._size = [], 0
+        self._entries = []
