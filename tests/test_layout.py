@@ -46,7 +46,7 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("config",),
     ("core",),
     ("sensing", "driver_api", "network"),
-    ("plugins",),
+    ("plugins", "texts"),
     ("kit", "protection"),
     ("api",),
     ("settings", "robot", "recording"),
@@ -57,7 +57,6 @@ LAYERS: tuple[tuple[str, ...], ...] = (
     ("testing",),
 )
 LAYER_EXCEPTIONS: dict[tuple[str, str], str] = {
-    ("view", "cli"): "views read parameters and print texts as swarmctl does",
     ("pattern_host", "testing"): "the inspecting child runs the contract that authors import",
 }
 _MEASURES, _TESTS = ("benchmarks", "studies"), ("tests",)

@@ -12,8 +12,6 @@ import click
 import msgspec
 
 from swarmd.cli.daemon import swarmd
-from swarmd.cli.explain import SENTENCES
-from swarmd.cli.output import number
 from swarmd.cli.plugin_check import describe_patterns
 from swarmd.cli.swarmctl import cli
 from swarmd.protection.settings import BarrierSettings, PotentialFieldSettings, StopZoneSettings
@@ -41,6 +39,8 @@ from swarmd.sim.scenarios.schema import (
 )
 from swarmd.sim.world.radio import RadioSettings
 from swarmd.sim.world.realism import Actuation, LidarNoise, OdometryNoise
+from swarmd.texts.values import number
+from swarmd.texts.why import SENTENCES
 
 _PLATFORM = "waffle_pi"  # for defaults that depend on the robot
 

@@ -16,12 +16,13 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.arguments import Duration, read_assignments
+from swarmd.cli.arguments import Duration
 from swarmd.cli.output import print_json, print_section, warn
 from swarmd.core.errors import SwarmError
 from swarmd.sim.cli.exp_video import film, need_film
 from swarmd.sim.cli.options import fleet_for, fleet_options, need, new_folder, output_option
 from swarmd.sim.cli.world_page import page_option, world_page
+from swarmd.texts.assignments import read_assignments
 
 if TYPE_CHECKING:
     from swarmd.cli.web import WebOptions

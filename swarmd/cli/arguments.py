@@ -1,9 +1,8 @@
-"""Values on the command line: durations (`60s`), assignments (`speed=0.1`), targets (`tb3-*`)."""
+"""Values on the command line: durations (`60s`) and targets (`tb3-*`)."""
 
 from __future__ import annotations
 
 import functools
-import math
 import re
 from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
@@ -18,16 +17,12 @@ from swarmd.core.keys import is_id
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 R = TypeVar("R")
-Value = bool | int | float | str | None
 
 _GLOB = re.compile(r"[a-z0-9_*?\[\]!-]{1,63}")
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)(ms|s|m|h)?")
 _UNITS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, None: 1.0}
 _MAX_DURATION = 1e7  # s
-_MAX_INTEGER = 2**53
 _NO_TARGET = 4  # as in swarmd.network.outcome, which `--help` does not import
-# The bounds of a request: characters of a parameter's name and value, bytes of all together.
-_MAX_KEY, _MAX_TEXT, _MAX_BYTES = 64, 256, 32 * 1024
 
 
 class Failure(click.ClickException):
@@ -152,40 +147,3 @@ def check_known(name: str, known: Collection[str]) -> None:
     if name not in known:
         text = f"{unknown('robot', name, known)}; see `swarmctl members`"
         raise Failure(text, _NO_TARGET)
-
-
-def read_assignments(words: Iterable[str], option: str = "-p") -> dict[str, Value]:
-    """The values of `key=value` words, numbers as numbers; UsageError for a wrong word."""
-    values: dict[str, Value] = {}
-    size = 0
-    for word in words:
-        shown = f"{option} {word if len(word) <= 40 else f'{word[:37]}...'!r}"
-        key, sign, text = word.partition("=")
-        if not sign or not key:
-            raise click.UsageError(f"{shown} is no key=value, such as {option} speed=0.15")
-        try:
-            size += len(word.encode())
-        except UnicodeEncodeError:
-            raise click.UsageError(f"{shown} is not UTF-8; type it again") from None
-        if key in values:
-            raise click.UsageError(f"{option} {key} is given twice; keep one")
-        for part, limit in ((key, _MAX_KEY), (text, _MAX_TEXT)):
-            if len(part) > limit:
-                raise click.UsageError(f"{shown}: more than {limit} characters")
-        if size > _MAX_BYTES:
-            raise click.UsageError(f"{option}: all together are more than {_MAX_BYTES} bytes")
-        values[key] = _number(text)
-    return values
-
-
-def _number(text: str) -> int | float | str:
-    """The number, if the text is one in JSON's syntax that can be sent; else the text."""
-    if re.fullmatch(r"-?(0|[1-9]\d*)", text):
-        return int(text) if len(text) < 20 and abs(int(text)) <= _MAX_INTEGER else text
-    if re.fullmatch(r"-?(0|[1-9]\d*)?(\.\d*)?([eE][-+]?\d+)?", text):
-        try:
-            number = float(text)
-        except ValueError:  # such as "." and "-"
-            return text
-        return number if math.isfinite(number) else text
-    return text

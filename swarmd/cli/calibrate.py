@@ -17,10 +17,11 @@ from swarmd.calibration.figures import DONE, PATTERN, Figure
 from swarmd.cli import completion
 from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import print_json, print_table, printable, warn
+from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.send import known_members
 from swarmd.core.messages import Presence, Reason, RunRequest, State, Status
 from swarmd.network.outcome import FAILED, REFUSED, TIMEOUT
+from swarmd.texts.values import printable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

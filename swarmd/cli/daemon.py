@@ -13,10 +13,10 @@ from typing import NoReturn
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.arguments import Value, read_assignments
 from swarmd.cli.swarmctl import run_cli
 from swarmd.core.errors import ConfigError, DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.core.processes import die_with_parent as tie_to
+from swarmd.texts.assignments import Value, read_assignments
 
 # Open files: a daemon needs about 40 for itself, and one for each link of an operator.
 MIN_DESCRIPTORS, WANTED_DESCRIPTORS = 128, 4096

@@ -2,34 +2,17 @@
 
 from __future__ import annotations
 
-import math
-
 import click
 from msgspec import to_builtins
 
 from swarmd.cli import completion
 from swarmd.cli.arguments import check_known
-from swarmd.cli.explain import activity, obstacles, why
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import (
-    NOTHING,
-    megabytes,
-    number,
-    print_json,
-    print_section,
-    printable,
-    seconds,
-)
+from swarmd.cli.output import print_json, print_section
 from swarmd.cli.send import exit_code_of, known_members
-from swarmd.core.messages import (
-    Body,
-    Member,
-    NarrowestPassage,
-    Presence,
-    ScanDelaySummary,
-    State,
-    Status,
-)
+from swarmd.texts.status import sections
+from swarmd.texts.values import printable
+from swarmd.texts.why import why
 
 
 @click.command()
@@ -49,144 +32,3 @@ def describe(options: CommonOptions, robot: str) -> None:
                 for title, rows in sections(member, member.status):
                     print_section(title, rows)
         click.get_current_context().exit(exit_code_of(view, [robot]))
-
-
-def sections(member: Member, status: Status) -> list[tuple[str, list[tuple[str, str]]]]:
-    """The whole status in titled groups of (name, value) lines; a group may be empty."""
-    seen = "now" if member.presence is Presence.ALIVE else f"{seconds(member.age)} ago"
-    return [
-        ("Robot", _robot(status, seen)),
-        ("State", _state(status)),
-        ("Emergency stops", [(i, _latch(status, i)) for i in sorted(status.latches)]),
-        ("Protection", _protection(status)),
-        ("Peers", [(f.robot, f"{'holds it: ' * f.holds}{f.text}") for f in status.peers]),
-        ("Parameters", _parameters(status)),
-        (_report_title(status), [(name, number(value)) for name, value in status.report.items()]),
-        ("Readings", _readings(status)),
-        ("Health", _health(status)),
-        ("Dropped", [(kind, str(count)) for kind, count in sorted(status.health.dropped.items())]),
-        ("Events", [(f"{seconds(status.uptime - e.at)} ago", e.text) for e in status.events[-10:]]),
-    ]
-
-
-def _readings(status: Status) -> list[tuple[str, str]]:
-    stale = "stale: no fresh value; patterns get none"
-    found = {name: number(value) for name, value in status.readings.items()}
-    return sorted({**found, **dict.fromkeys(status.stale_readings, stale)}.items())
-
-
-def _report_title(status: Status) -> str:
-    if status.state is State.RUNNING:
-        return "Report"
-    return f"Last report (the run has ended: {status.state} for {seconds(status.since)})"
-
-
-def _robot(status: Status, seen: str) -> list[tuple[str, str]]:
-    secured = "with certificates" if status.is_secured else "without certificates"
-    return [
-        ("platform", status.platform),
-        ("body", NOTHING if status.body is None else body_text(status.body)),
-        ("driver", f"{status.driver} {'(up)' if status.health.driver_up else '(lost)'}"),
-        ("host", status.host),
-        ("version", status.version or NOTHING),
-        ("kernels", status.kernels or NOTHING),
-        ("network", f"profile {status.profile}, {secured}"),
-        ("labels", ", ".join(status.labels) or NOTHING),
-        ("instance", status.instance),
-        ("up for", seconds(status.uptime)),
-        ("seen", seen),
-    ]
-
-
-def body_text(body: Body) -> str:
-    """What a robot tells others of its body, in one line."""
-    text = f"surfaces of up to {body.surface_speed:.2f} m/s"
-    if body.scan_plane is None or body.lowest is None or body.highest is None:
-        return f"{text}; its platform has no heights"
-    seen = f"seen between {body.lowest:.3f} and {body.highest:.3f} m"
-    return f"{text}; scan plane at {body.scan_plane:.3f} m; {seen}"
-
-
-def passage_text(passage: NarrowestPassage) -> str:
-    """The narrowest passages in one line, in whole centimetres that suffice."""
-    door, corridor, meeting = (
-        f"{math.ceil(100.0 * width - 1e-6) / 100.0:.2f} m"
-        for width in (passage.door, passage.corridor, passage.meeting)
-    )
-    return (
-        f"doors of {door} and corridors of {corridor} or wider; two that meet need {meeting} to"
-        " pass each other"
-    )
-
-
-def _state(status: Status) -> list[tuple[str, str]]:
-    return [
-        ("state", f"{status.state} for {seconds(status.since)}"),
-        ("reason", status.reason or NOTHING),
-        ("detail", status.detail or NOTHING),
-        ("pattern", status.pattern or NOTHING),
-        ("generation", str(status.generation)),
-        ("revision", str(status.epoch.revision)),
-        ("changed by", status.changed_by or NOTHING),
-    ]
-
-
-def _latch(status: Status, latch_id: str) -> str:
-    latch = status.latches[latch_id]
-    reason = f": {latch.reason}" if latch.reason else ""
-    return f"by {latch.issuer}, for {latch.scope}{reason}"
-
-
-def _protection(status: Status) -> list[tuple[str, str]]:
-    decision = status.decision
-    gap, age = decision.min_gap, decision.scan_age
-    titles = ("limited by", *[""] * len(decision.rows))
-    limits = [f"{text}, at most {row.cap:z.2f} m/s" for text, row in obstacles(decision.rows)]
-    return [
-        ("mode", f"{decision.mode}, {activity(decision)}"),
-        (
-            "requested",
-            f"{decision.requested_linear:z.3f} m/s, {decision.requested_angular:z.3f} rad/s",
-        ),
-        ("safe", f"{decision.safe_linear:z.3f} m/s, {decision.safe_angular:z.3f} rad/s"),
-        *zip(titles, limits, strict=False),
-        ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
-        ("scan age", NOTHING if age is None else seconds(age)),
-        ("passes", NOTHING if status.passage is None else passage_text(status.passage)),
-        *_scan_delay(status.scan_delay),
-        ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
-    ]
-
-
-def _scan_delay(delay: ScanDelaySummary | None) -> list[tuple[str, str]]:
-    if delay is None:
-        return []
-    used = seconds(delay.declared + delay.added)
-    most = seconds(delay.declared + delay.bound)
-    text = f"declared {seconds(delay.declared)}, used {used}, hold beyond {most}"
-    return [("scan delay", text), *(("", figure.line) for figure in delay.figures)]
-
-
-def _parameters(status: Status) -> list[tuple[str, str]]:
-    width = max((len(number(param.value)) for param in status.params.values()), default=0)
-    return [
-        (name, f"{number(param.value).ljust(width)}  from {param.source}")
-        for name, param in status.params.items()
-    ]
-
-
-def _health(status: Status) -> list[tuple[str, str]]:
-    health = status.health
-    return [
-        ("scan rate", f"{health.scan_rate:.1f} Hz"),
-        ("loop p99", seconds(health.loop_p99)),
-        ("loop stalls", str(health.loop_stalls)),
-        ("host restarts", str(health.host_restarts)),
-        *(
-            (name, f"{usage.cpu:.0%} of a core, {megabytes(usage.memory)}")
-            for name, usage in (("daemon", health.usage), ("pattern host", health.pattern_usage))
-            if usage is not None
-        ),
-        ("driver", health.driver or NOTHING),
-        ("network", health.network or NOTHING),
-    ]

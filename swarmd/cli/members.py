@@ -10,14 +10,15 @@ from msgspec import to_builtins
 
 from swarmd.cli import completion
 from swarmd.cli.arguments import Failure, check_known
-from swarmd.cli.explain import activity
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
-from swarmd.cli.output import NOTHING, number, print_json, print_table, printable, seconds
+from swarmd.cli.output import print_json, print_table
 from swarmd.cli.send import exit_code_of, known_members, report, time_left
 from swarmd.core import codec
 from swarmd.core.messages import ForgetRequest, Presence, State, Status
 from swarmd.network.discovery import Contact, SeenMember
 from swarmd.network.outcome import REFUSED
+from swarmd.texts.values import NOTHING, number, printable, seconds
+from swarmd.texts.why import activity
 
 if TYPE_CHECKING:
     from swarmd.core.values import Scalar

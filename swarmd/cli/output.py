@@ -11,8 +11,9 @@ from typing import Any
 
 import click
 
+from swarmd.texts.values import printable
+
 API_VERSION = "swarm/v1"
-NOTHING = "-"
 
 _COLOURS = {
     "running": "green",
@@ -75,33 +76,9 @@ def warn(text: str) -> None:
         click.echo(printable(text), err=True)
 
 
-def printable(text: str) -> str:
-    """The text in one line, control characters as `?`: robots send it to this terminal."""
-    return "".join(char if char.isprintable() else "?" for char in text)
-
-
 def has_colour(is_terminal: bool) -> bool:
     """True on a terminal with colours, unless NO_COLOR is set (no-color.org)."""
     return is_terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
-
-
-def seconds(value: float) -> str:
-    """A time span in short: `3 ms`, `1.2 s`, `5 min`, `3 h`."""
-    if value < 0.9995:
-        return f"{value * 1000:.0f} ms"
-    if value < 99.95:
-        return f"{value:.1f} s"
-    return f"{value / 60:.0f} min" if value < 5400 else f"{value / 3600:.0f} h"
-
-
-def megabytes(value: int) -> str:
-    """An amount of memory in short: `68 MB`."""
-    return f"{value / 1e6:.0f} MB"
-
-
-def number(value: object) -> str:
-    """A value in short: floats with six digits, and never `-0`."""
-    return f"{value + 0.0:.6g}" if isinstance(value, float) else str(value)
 
 
 def _cell(text: str, width: int, is_coloured: bool) -> str:

@@ -6,18 +6,14 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from swarmd.cli.arguments import (
-    Targets,
-    read_assignments,
-    read_targets,
-    takes_targets,
-    target_options,
-)
+from swarmd.cli.arguments import Targets, read_targets, takes_targets, target_options
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
-from swarmd.cli.output import NOTHING, number, print_json, print_table
+from swarmd.cli.output import print_json, print_table
 from swarmd.cli.send import exit_code_of, known_members, send_to
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Member, Param, ParamRequest
+from swarmd.texts.assignments import read_assignments
+from swarmd.texts.values import NOTHING, number
 
 if TYPE_CHECKING:
     from swarmd.network.discovery import MembersView

@@ -10,17 +10,10 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, VerbGroup, local_options
-from swarmd.cli.output import (
-    NOTHING,
-    number,
-    print_json,
-    print_section,
-    print_table,
-    printable,
-    warn,
-)
+from swarmd.cli.output import print_json, print_section, print_table, warn
 from swarmd.cli.plugin_check import Record, check_mission, describe_patterns
 from swarmd.core.errors import PluginError
+from swarmd.texts.values import NOTHING, number, printable
 
 _plugin_dir = click.option(
     "--plugin-dir",

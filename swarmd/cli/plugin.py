@@ -10,10 +10,11 @@ import click
 from swarmd.cli import completion
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options, local_options
-from swarmd.cli.output import print_json, printable
+from swarmd.cli.output import print_json
 from swarmd.cli.send import send_to
 from swarmd.core.keys import is_id
 from swarmd.core.messages import ReloadRequest
+from swarmd.texts.values import printable
 
 # A trial on a robot may take 10 s, and loading again 3 s more.
 RELOAD_TIMEOUT = 15.0

@@ -12,7 +12,6 @@ from typing import Any
 
 import click
 
-from swarmd.cli.describe import passage_text
 from swarmd.cli.plugin_check import Record, describe_patterns
 from swarmd.core.errors import SwarmError, unknown
 from swarmd.core.kernels import describe_kernels
@@ -26,6 +25,7 @@ from swarmd.protection.compatibility import assumed_speed, body_of, findings
 from swarmd.settings.driver_options import base_options, effective_command_timeout
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.settings import DaemonSettings
+from swarmd.texts.status import passage_text
 
 CHECK_TIMEOUT = 4.2  # s for all checks: with starting and ending Python, 5 s
 MIN_DRIVER_TIMEOUT = 3.0  # s for the driver, even if the other checks took long

@@ -11,12 +11,13 @@ import click
 
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
-from swarmd.cli.output import NOTHING, print_json, print_table, seconds, warn
+from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.record_merge import merge
 from swarmd.cli.send import known_members, send_to, targets_of
 from swarmd.core.errors import NetworkError
 from swarmd.core.messages import RecordRequest
 from swarmd.network.outcome import PARTIAL, TIMEOUT
+from swarmd.texts.values import NOTHING, seconds
 
 if TYPE_CHECKING:
     from swarmd.core.messages import RecordingFile, RecordingsReply

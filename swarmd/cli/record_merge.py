@@ -8,8 +8,9 @@ from typing import Any
 import click
 
 from swarmd.cli.options import CommonOptions
-from swarmd.cli.output import NOTHING, print_json, print_table, warn
+from swarmd.cli.output import print_json, print_table, warn
 from swarmd.plugins import need
+from swarmd.texts.values import NOTHING
 
 
 @click.command()

@@ -9,9 +9,10 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, local_options
-from swarmd.cli.output import NOTHING, print_json, print_table, warn
+from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError
 from swarmd.network.outcome import FAILED
+from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
     from swarmd.recording.reader import RecordedFile

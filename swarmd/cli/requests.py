@@ -7,7 +7,7 @@ import sys
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.arguments import Duration, Targets, read_assignments, takes_targets
+from swarmd.cli.arguments import Duration, Targets, takes_targets
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import warn
 from swarmd.cli.send import (
@@ -20,6 +20,7 @@ from swarmd.cli.send import (
 )
 from swarmd.core.keys import is_id
 from swarmd.core.messages import ResetRequest, RunRequest
+from swarmd.texts.assignments import read_assignments
 
 
 @click.command()

@@ -14,10 +14,11 @@ from msgspec.structs import replace
 
 from swarmd.cli.arguments import Failure, Targets
 from swarmd.cli.known_robots import remember
-from swarmd.cli.output import NOTHING, print_json, print_table, seconds, warn
+from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Refusal
 from swarmd.network.outcome import NO_TARGET, PARTIAL, TIMEOUT, UNREACHABLE, USAGE, Outcome
+from swarmd.texts.values import NOTHING, seconds
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions

@@ -12,18 +12,11 @@ import click
 
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import (
-    NOTHING,
-    megabytes,
-    print_json,
-    print_line,
-    print_table,
-    seconds,
-    table_lines,
-)
+from swarmd.cli.output import print_json, print_line, print_table, table_lines
 from swarmd.cli.send import exit_code_of, gap, known_members
 from swarmd.cli.view_terminal import need_terminal, signals_end
 from swarmd.core.messages import Presence, ProcessUsage, Status
+from swarmd.texts.values import NOTHING, megabytes, seconds
 
 if TYPE_CHECKING:
     from rich.text import Text

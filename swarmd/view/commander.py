@@ -8,14 +8,12 @@ from collections.abc import Callable, Iterable, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, Literal
 
-import click
-
-from swarmd.cli.arguments import read_assignments
 from swarmd.core.errors import SwarmError
 from swarmd.core.keys import is_id
 from swarmd.core.messages import ParamRequest, ResetRequest, RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
+from swarmd.texts.assignments import read_assignments
 from swarmd.view.source import Answer
 
 Tell = Callable[[Answer], None]
@@ -70,8 +68,6 @@ class LiveCommander:
             tell(await loop.run_in_executor(pool, work))
         except (SwarmError, ValueError, TypeError) as error:
             tell(Answer(f"{verb}: {error}", is_final=True))
-        except click.ClickException as error:
-            tell(Answer(f"{verb}: {error.format_message()}", is_final=True))
 
     def _carry_out(
         self, verb: str, fields: dict[str, Any], tell: Tell, ending: threading.Event

@@ -12,8 +12,6 @@ from typing import Any
 import numpy as np
 from msgspec.structs import astuple, replace
 
-from swarmd.cli.describe import sections
-from swarmd.cli.explain import why
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import ConfigError
 from swarmd.core.messages import Motion, Presence, Status
@@ -22,6 +20,8 @@ from swarmd.driver_api.hw_codec import decode_scan
 from swarmd.network.discovery import Contact, MembersView, SeenMember
 from swarmd.network.operator import Operator
 from swarmd.settings.platforms import load_platform
+from swarmd.texts.status import sections
+from swarmd.texts.why import why
 from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of
 from swarmd.view.swarm_watch import SwarmWatch
 

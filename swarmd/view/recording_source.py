@@ -16,7 +16,6 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from swarmd.cli.describe import sections
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.messages import Member, Presence, Status
 from swarmd.core.values import Array, Platform, Pose, Twist
@@ -24,6 +23,8 @@ from swarmd.recording import messages
 from swarmd.recording.head import head_of
 from swarmd.recording.merge import messages_of, place, survey
 from swarmd.recording.reader import read_file
+from swarmd.texts.status import sections
+from swarmd.texts.why import protection_word
 from swarmd.view.playback import Playback
 from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of
 
@@ -277,14 +278,14 @@ def _row(robot: _Recorded, now: float) -> dict[str, Any]:
 def _decided(decision: Any, row: Mapping[str, Any]) -> dict[str, Any]:
     """What a decision tells, which comes more often than a status."""
     is_running = decision.state == "running"
-    protection = "active" if decision.is_active else "clear"
+    protection = protection_word(is_active=decision.is_active, is_recovering=decision.is_recovering)
     reason = decision.reason.replace("_", " ")
     is_same = decision.state == row.get("state") and row.get("why", "").startswith(reason)
     columns = (decision.bearings, decision.gaps, decision.caps)
     return {
         "state": decision.state,
         "why": row["why"] if reason and is_same else reason,
-        "protection": ("recovering" if decision.is_recovering else protection) * is_running,
+        "protection": protection * is_running,
         "requested": _plain(messages.twist_of(decision.requested)),
         "safe": _plain(messages.twist_of(decision.safe)),
         "near": None if math.isnan(decision.gap) else decision.gap,

@@ -11,6 +11,7 @@ import numpy as np
 
 from swarmd.core.messages import Status
 from swarmd.core.values import Array
+from swarmd.texts.why import protection_word
 from swarmd.view.playback import Playback
 
 FRAME, SCAN = 1, 2
@@ -150,13 +151,11 @@ def points_of(ranges: Array, bearings: Array, offset: tuple[float, float]) -> Ar
 def row_of(status: Status) -> dict[str, Any]:
     """The row of a status."""
     decision = status.decision
-    protection = "active" if decision.is_active else "clear"
-    if decision.is_recovering:
-        protection = "recovering"
+    protection = protection_word(is_active=decision.is_active, is_recovering=decision.is_recovering)
     row: dict[str, Any] = {
         "presence": "alive",
         "state": status.state.value,
-        "why": why(status),
+        "why": _reason(status),
         "pattern": status.pattern or "",
         "protection": protection if status.state == "running" else "",
         "report": dict(status.report),
@@ -172,7 +171,7 @@ def row_of(status: Status) -> dict[str, Any]:
     return row
 
 
-def why(status: Status) -> str:
+def _reason(status: Status) -> str:
     """Why a robot does not move, in words; empty while it moves."""
     reason = "" if status.reason is None else status.reason.value.replace("_", " ")
     return f"{reason}: {status.detail}" if reason and status.detail else reason or status.detail

@@ -9,8 +9,8 @@ from rich.cells import cell_len, set_cell_size
 from rich.console import Group
 from rich.text import Text
 
-from swarmd.cli.output import printable
 from swarmd.core.messages import State, Status
+from swarmd.texts.values import printable
 from swarmd.view.scene import Area, Scene
 
 ARROWS = "→↗↑↖←↙↓↘"

@@ -7,10 +7,10 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from swarmd.cli.explain import why
-from swarmd.cli.output import seconds
 from swarmd.core.messages import Presence, Status
 from swarmd.network.discovery import Contact, MembersView, SeenMember
+from swarmd.texts.values import seconds
+from swarmd.texts.why import why
 from swarmd.view.commander import LiveCommander
 from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
 from swarmd.view.keys import KeyDecoder

@@ -1,17 +1,11 @@
-"""Durations, assignments and targets of the command line."""
+"""Durations and targets of the command line."""
 
 from __future__ import annotations
 
 import click
 import pytest
 
-from swarmd.cli.arguments import (
-    Duration,
-    Failure,
-    Targets,
-    read_assignments,
-    read_targets,
-)
+from swarmd.cli.arguments import Duration, Failure, Targets, read_targets
 
 KNOWN = ("r1", "tb3-01", "tb3-02", "tb3-10")
 
@@ -28,50 +22,6 @@ def test_reads_durations(text: str, seconds: float) -> None:
 def test_refuses_wrong_durations(text: str) -> None:
     with pytest.raises(click.BadParameter, match="is no duration"):
         Duration().convert(text, None, None)
-
-
-@pytest.mark.parametrize(
-    ("word", "value"),
-    [
-        ("k=1", 1),
-        ("k=-7", -7),
-        ("k=0.15", 0.15),
-        ("k=.5", 0.5),
-        ("k=1e-3", 0.001),
-        ("k=paper", "paper"),
-        ("k=true", "true"),
-        ("k=", ""),
-        ("k=a=b", "a=b"),
-        ("k=nan", "nan"),
-        ("k=inf", "inf"),
-        ("k=1e999", "1e999"),
-        ("k=007", "007"),
-        ("k=1_000", "1_000"),
-        ("k=.", "."),
-        ("k=-", "-"),
-        ("k=9007199254740993", "9007199254740993"),
-    ],
-)
-def test_reads_numbers_as_numbers_and_all_else_as_text(word: str, value: object) -> None:
-    found = read_assignments([word])["k"]
-    assert (found, type(found)) == (value, type(value))
-
-
-@pytest.mark.parametrize(
-    ("words", "subject"),
-    [
-        (["speed"], "'speed'"),
-        (["=1"], "'=1'"),
-        (["k" * 65 + "=1"], "64 characters"),
-        (["a=1", "a=2"], "-p a "),
-        (["a=" + "x" * 257], "256 characters"),
-        (["a=\udcff"], "UTF-8"),
-        ([f"k{i}={250 * 'x'}" for i in range(150)], "32768 bytes"),
-    ],
-)
-def test_refuses_wrong_assignments(words: list[str], subject: str) -> None:
-    with pytest.raises(click.UsageError, match=subject):
-        read_assignments(words)
 
 
 def targets(*names: str, exclude: tuple[str, ...] = ()) -> Targets:

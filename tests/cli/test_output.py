@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.cli.output import has_colour, print_section, print_table, seconds
+from swarmd.cli.output import has_colour, print_section, print_table
+from swarmd.texts.values import seconds
 
 
 def test_a_table_is_aligned_and_plain_without_a_terminal(

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 
-from swarmd.cli.output import NOTHING, seconds
 from swarmd.core import codec
 from swarmd.core.messages import DecisionSummary, LimitingObstacle, Presence, Reason, State, Status
 from swarmd.network.discovery import Contact, SeenMember
+from swarmd.texts.values import NOTHING, seconds
 
 _SAME_OBSTACLE = math.radians(10.0)
 _START = "start it with `swarmctl run PATTERN {robot}`"
@@ -118,9 +118,13 @@ def activity(decision: DecisionSummary) -> str:
 
     After a violated assumption with the share of the speed that is left: `active, speed 60%`.
     """
-    word = "active" if decision.is_active else "clear"
-    word = "recovering" if decision.is_recovering else word
+    word = protection_word(is_active=decision.is_active, is_recovering=decision.is_recovering)
     return word if decision.speed_share == 1.0 else f"{word}, speed {decision.speed_share:.0%}"
+
+
+def protection_word(*, is_active: bool, is_recovering: bool) -> str:
+    """`clear`, `active` or `recovering`."""
+    return "recovering" if is_recovering else "active" if is_active else "clear"
 
 
 def _lost(status: Status) -> str:

@@ -6,7 +6,6 @@ import math
 
 import msgspec
 
-from swarmd.cli.describe import sections
 from swarmd.core.messages import (
     DecisionSummary,
     DelayFigure,
@@ -17,6 +16,7 @@ from swarmd.core.messages import (
     State,
     Status,
 )
+from swarmd.texts.status import sections
 from tests.support.statuses import ESTOPPED, make_member
 
 

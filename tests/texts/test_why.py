@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
-from swarmd.cli.explain import obstacles, why
 from swarmd.core.messages import DecisionSummary, Health, LimitingObstacle, Presence, Reason, State
+from swarmd.texts.why import obstacles, why
 from tests.support.statuses import ESTOPPED, make_member
 
 
