@@ -8,6 +8,7 @@ import click
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.options import chosen_metrics, need
+from swarmd.texts.values import megabytes
 
 
 @click.command()
@@ -53,4 +54,4 @@ def report(
         write_whole(path, text)
     except OSError as error:
         raise SwarmError(f"{path}: cannot be written: {error.strerror or error}") from error
-    click.echo(f"{path}: {path.stat().st_size / 1e6:.2f} MB")
+    click.echo(f"{path}: {megabytes(path.stat().st_size, 2)}")

@@ -11,6 +11,7 @@ import click
 from swarmd.cli.output import warn
 from swarmd.core.errors import ConfigError
 from swarmd.sim.cli.options import need
+from swarmd.texts.values import megabytes
 
 if TYPE_CHECKING:
     from swarmd.sim.film.film import FilmSettings
@@ -120,7 +121,7 @@ def film(
 
     for note in make_film(run, out, title, settings, on_progress):
         warn(f"note: {note}")
-    click.echo(f"{out}: {out.stat().st_size / 1e6:.2f} MB", err=is_quiet)
+    click.echo(f"{out}: {megabytes(out.stat().st_size, 2)}", err=is_quiet)
 
 
 def _size_of(text: str) -> tuple[int, int]:

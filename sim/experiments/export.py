@@ -81,21 +81,16 @@ def write_mcap(trace: Trace, path: Path) -> None:
     """
     from mcap.writer import CompressionType, Writer
 
-    from swarmd.recording.messages import definition
+    from swarmd.recording.writer import METADATA, PROFILE, Channels
 
-    schemas: dict[str, int] = {}
-    channels: dict[str, int] = {}
     with path.open("wb") as file:
         writer = Writer(file, compression=CompressionType.ZSTD)
-        writer.start("ros2", "swarmd")
+        writer.start(PROFILE, "swarmd")
+        channels = Channels(writer)
         about = {"ids": trace.ids, "platforms": trace.platforms, "meta": dict(trace.meta)}
-        writer.add_metadata("swarmd", {"trace": json.dumps(about)})
+        writer.add_metadata(METADATA, {"trace": json.dumps(about)})
         for at, topic, (kind, payload) in _messages(trace):
-            if kind not in schemas:
-                schemas[kind] = writer.register_schema(kind, "ros2msg", definition(kind))
-            if topic not in channels:
-                channels[topic] = writer.register_channel(topic, "cdr", schemas[kind])
-            writer.add_message(channels[topic], at, payload, at)
+            writer.add_message(channels.id_of(topic, kind), at, payload, at)
         writer.finish()  # type: ignore[no-untyped-call]
 
 

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from swarmd.core.values import Array
-from swarmd.view.source import Source
+from swarmd.view.source import Source, hello_of
 
 MODULES = ("colours.js", "gestures.js", "model.js", "map.js", "timeline.js")
 """The modules of the page that the player uses, each after those that it imports."""
@@ -65,7 +65,7 @@ def player_of(source: Source) -> Player:
     row_period, rows, links = _rows(source, duration)
     playback.seek(0.0)
     data = {
-        "hello": _hello(source),
+        "hello": {**hello_of(source, "operator"), "runs": [playback.run]},
         "period": period,
         "count": count,
         "centre": centre,
@@ -98,21 +98,6 @@ def _linked(text: str) -> str:
     if re.search(r"^import\b", found, re.MULTILINE) or "</script" in found:
         raise ValueError("a module of the page cannot be put into a report")
     return found
-
-
-def _hello(source: Source) -> dict[str, Any]:
-    playback = source.playback
-    assert playback is not None
-    return {
-        "swarm": source.swarm,
-        "source": source.kind,
-        "role": "operator",
-        "robots": [robot.plain() for robot in source.robots],
-        "arena": None if source.arena is None else source.arena.plain(),
-        "patterns": [],
-        "runs": [playback.run],
-        "playback": playback.plain(),
-    }
 
 
 def _box_shapes(source: Source, duration: float) -> list[Array]:

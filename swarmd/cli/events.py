@@ -14,7 +14,7 @@ from swarmd.cli.arguments import Duration, Targets, takes_targets
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_line, warn
 from swarmd.cli.send import exit_code_of, known_members
-from swarmd.cli.view_terminal import signals_end
+from swarmd.cli.terminal import signals_end
 from swarmd.core.messages import MAX_EVENTS, Status
 from swarmd.texts.values import printable, seconds
 

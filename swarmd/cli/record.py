@@ -17,7 +17,7 @@ from swarmd.cli.send import known_members, send_to, targets_of
 from swarmd.core.errors import NetworkError
 from swarmd.core.messages import RecordRequest
 from swarmd.network.outcome import PARTIAL, TIMEOUT
-from swarmd.texts.values import NOTHING, seconds
+from swarmd.texts.values import NOTHING, megabytes, seconds
 
 if TYPE_CHECKING:
     from swarmd.core.messages import RecordingFile, RecordingsReply
@@ -80,7 +80,7 @@ def list_(options: CommonOptions, targets: Targets) -> None:
             print_json("Recordings", {"robots": robots, "faults": faults, "missing": failed})
         else:
             rows = [
-                (robot, one.name, _megabytes(one.size), *_times(one, reply.now), str(one.dropped))
+                (robot, one.name, megabytes(one.size, 2), *_times(one, reply.now), str(one.dropped))
                 for robot, reply in replies.items()
                 for one in reply.files
             ]
@@ -121,7 +121,7 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
                 for one in reply.files:
                     done = copy_file(ask, robot, one, folder, partial(_tell, robot, one.name))
                     state = done.fault or ("whole" if done.is_whole else "so far")
-                    rows.append((robot, str(done.path), _megabytes(done.size), state))
+                    rows.append((robot, str(done.path), megabytes(done.size, 2), state))
                     if done.fault and robot not in failed:
                         failed.append(robot)
             except NetworkError as error:
@@ -174,7 +174,7 @@ def _end(answered: object, failed: list[str]) -> None:
 
 def _tell(robot: str, name: str, received: int, size: int) -> None:
     if sys.stderr.isatty():
-        text = f"{robot} {name}: {_megabytes(received)} of {_megabytes(size)}"
+        text = f"{robot} {name}: {megabytes(received, 2)} of {megabytes(size, 2)}"
         click.echo(f"\r\x1b[K{text}", err=True, nl=False)
 
 
@@ -184,7 +184,3 @@ def _times(one: RecordingFile, now: float) -> tuple[str, str]:
     if one.begin is None or one.end is None:
         return NOTHING, "cut off"
     return seconds(one.end - one.begin), f"{seconds(max(now - one.end, 0.0))} ago"
-
-
-def _megabytes(size: int) -> str:
-    return f"{size / 1e6:.2f} MB"

@@ -10,6 +10,7 @@ import click
 from swarmd.cli import completion
 from swarmd.cli.options import CommonOptions, local_options
 from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.record_merge import parts_of
 from swarmd.core.errors import ConfigError
 from swarmd.network.outcome import FAILED
 from swarmd.texts.values import NOTHING
@@ -91,12 +92,7 @@ def replay(
 def _files(given: tuple[Path, ...]) -> list[RecordedFile]:
     from swarmd.recording.reader import read_file
 
-    paths = [
-        part for one in given for part in (sorted(one.glob("*.mcap")) if one.is_dir() else [one])
-    ]
-    if not paths:
-        raise click.UsageError(f"{given[0]}: no recording (.mcap) in this folder")
-    found = [read_file(path) for path in paths]
+    found = [read_file(path) for path in parts_of(given)]
     for one in found:
         if one.fault:
             warn(f"{one.path}: {one.fault}; what is whole is repeated")

@@ -14,8 +14,8 @@ from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_line, print_table, table_lines
 from swarmd.cli.send import exit_code_of, gap, known_members
-from swarmd.cli.view_terminal import need_terminal, signals_end
-from swarmd.core.messages import Presence, ProcessUsage, Status
+from swarmd.cli.terminal import need_terminal, signals_end
+from swarmd.core.messages import STATUS_SILENCE, Presence, ProcessUsage, Status
 from swarmd.texts.values import NOTHING, megabytes, seconds
 
 if TYPE_CHECKING:
@@ -31,8 +31,6 @@ HEADER = (
 SORTS = {"c": "cpu", "m": "memory", "l": "loop", "d": "delay", "p": "drops", "a": "age",
          "s": "scan", "n": "name"}  # fmt: skip
 PERIOD = 1.0
-SILENCE = 3.0
-"""A status older than this, in s, is not shown as the present one."""
 
 Known = Mapping[str, tuple[Status, float]]
 """The statuses of robots, with their ages in s."""
@@ -149,7 +147,7 @@ def _is_present(view: MembersView, name: str, known: Known) -> bool:
     """True if the robot's figures are those of now."""
     member = view.members.get(name)
     is_gone = member is None or member.presence is not Presence.ALIVE
-    return name in known and not is_gone and known[name][1] <= SILENCE
+    return name in known and not is_gone and known[name][1] <= STATUS_SILENCE
 
 
 def _names(view: MembersView, targets: Targets) -> tuple[str, ...]:

@@ -2,13 +2,22 @@
 
 from __future__ import annotations
 
+import asyncio
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import warn
+from swarmd.cli.terminal import need_terminal
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
+
+if TYPE_CHECKING:
+    from swarmd.view.commander import LiveCommander
+    from swarmd.view.live import LiveSource
 
 
 @click.command()
@@ -26,30 +35,47 @@ def view(options: CommonOptions, files: tuple[Path, ...], web: bool, page: WebOp
     them, such as `record fetch` makes.
     """
     if not web:
-        from swarmd.cli.view_terminal import show
-
         if files:
             raise click.UsageError(f"{files[0]}: recordings are shown on a page; add --web")
         if page.token or page.viewer_token or page.tls:
             raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
-        click.get_current_context().exit(show(options))
+        click.get_current_context().exit(_show(options))
     check_web(page)
     if files:
         _play(files, page)
         return
+    with _live(options, "from the page") as (source, commander):
+        serve(source, commander, page)
+
+
+@contextmanager
+def _live(options: CommonOptions, reason: str) -> Iterator[tuple[LiveSource, LiveCommander]]:
+    """The swarm as views show it, and what carries their commands out; latches keep `reason`."""
+    from swarmd.cli.known_robots import remember
     from swarmd.plugins import pattern_names
     from swarmd.view.commander import LiveCommander
     from swarmd.view.live import LiveSource
 
     with options.operator() as operator:
         source = LiveSource(operator, sorted(pattern_names(None)))
-        commander = LiveCommander(options.operator, source.expected)
+        commander = LiveCommander(options.operator, source.expected, reason)
         source.start()
         try:
-            serve(source, commander, page)
+            yield source, commander
         finally:
             commander.close()
             source.close()
+            remember(operator.settings, source.view)
+
+
+def _show(options: CommonOptions) -> int:
+    """Show the swarm on the terminal until `q` or a signal; the exit code."""
+    need_terminal("view", "see `swarmctl members`, or give --web")
+    from swarmd.view.screen import Screen
+    from swarmd.view.terminal_view import TerminalView
+
+    with _live(options, "from a terminal view") as (source, commander), Screen() as screen:
+        return asyncio.run(TerminalView(source, commander, screen).run())
 
 
 def _play(files: tuple[Path, ...], page: WebOptions) -> None:

@@ -33,6 +33,9 @@ BoundedScalar = (
 MAX_EVENTS = 10
 """Events that a robot keeps and tells."""
 
+STATUS_SILENCE = 3.0
+"""A status older than this, in s, is not the present one: robots send one each second."""
+
 
 class State(StrEnum):
     """The state of a robot; `robot/state_machine.py` has the transitions."""

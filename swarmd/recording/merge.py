@@ -15,9 +15,9 @@ from mcap.writer import CompressionType, Writer
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.recording.clock_offset import Alignment, Exchange, align
 from swarmd.recording.fetch import CLOCKS_FILE, read_exchanges
-from swarmd.recording.messages import definition, deserialize
+from swarmd.recording.messages import deserialize
 from swarmd.recording.reader import RecordedFile, clock_of, read_file
-from swarmd.recording.writer import METADATA, PROFILE
+from swarmd.recording.writer import METADATA, PROFILE, Channels
 
 CLOCK_TOPIC = "/clock/pair"
 
@@ -142,15 +142,9 @@ Timed = tuple[int, str, str, int, bytes]
 
 
 def _write(writer: Writer, messages: Iterable[Timed]) -> int:
-    schemas: dict[str, int] = {}
-    channels: dict[str, int] = {}
-    count = 0
+    channels, count = Channels(writer), 0
     for at, topic, kind, sequence, payload in messages:
-        if kind not in schemas:
-            schemas[kind] = writer.register_schema(kind, "ros2msg", definition(kind))
-        if topic not in channels:
-            channels[topic] = writer.register_channel(topic, "cdr", schemas[kind])
-        writer.add_message(channels[topic], at, payload, at, sequence)
+        writer.add_message(channels.id_of(topic, kind), at, payload, at, sequence)
         count += 1
     return count
 

@@ -28,6 +28,25 @@ PROFILE = "ros2"
 METADATA = "swarmd"
 
 
+class Channels:
+    """The channels of a file; each is registered with its type when its first message comes."""
+
+    def __init__(self, writer: Writer) -> None:
+        self._writer = writer
+        self._schemas: dict[str, int] = {}
+        self._channels: dict[str, int] = {}
+
+    def id_of(self, topic: str, kind: str) -> int:
+        """The number of a topic's channel, whose messages are of type `kind`."""
+        if topic not in self._channels:
+            if kind not in self._schemas:
+                schema = self._writer.register_schema(kind, "ros2msg", definition(kind))
+                self._schemas[kind] = schema
+            channel = self._writer.register_channel(topic, "cdr", self._schemas[kind])
+            self._channels[topic] = channel
+        return self._channels[topic]
+
+
 class RecordingWriter:
     """Writes `<folder>/<name>-<number>.mcap`; not for several threads.
 
@@ -137,8 +156,7 @@ class RecordingWriter:
         self._file = self.path.open("xb")
         self._writer = Writer(self._file, chunk_size=2**31, compression=CompressionType.ZSTD)
         self._writer.start(PROFILE, "swarmd")
-        self._channels: dict[str, int] = {}
-        self._schemas: dict[str, int] = {}
+        self._channels = Channels(self._writer)
         self._counts: dict[str, int] = {}
         self._begin = self._end = self._written_at = at
         self._pending = self._size = 0
@@ -149,13 +167,7 @@ class RecordingWriter:
 
     def _write(self, topic: str, message: Message, at: int, sequence: int) -> None:
         kind, payload = message
-        channel = self._channels.get(topic)
-        if channel is None:
-            schema = self._schemas.get(kind)
-            if schema is None:
-                schema = self._writer.register_schema(kind, "ros2msg", definition(kind))
-                self._schemas[kind] = schema
-            channel = self._channels[topic] = self._writer.register_channel(topic, "cdr", schema)
+        channel = self._channels.id_of(topic, kind)
         self._writer.add_message(channel, at, payload, at, sequence & 0xFFFFFFFF)
         self._counts[topic] = self._counts.get(topic, 0) + 1
         self._end = max(self._end, at)

@@ -19,6 +19,7 @@ from swarmd.core.host_messages import (
     HostEvent,
     KillHost,
     Load,
+    Loaded,
     SentEvent,
     StartTrial,
     Stepped,
@@ -243,7 +244,7 @@ class Replay:
             self._loader.begin(self._origins)
             self._steps.clear()
         event = self._executor.handle(command)  # type: ignore[arg-type]
-        if isinstance(command, Load) and event is not None and not _is_loaded(event):
+        if isinstance(command, Load) and event is not None and not isinstance(event, Loaded):
             self._note(f"the pattern {command.pattern} does not load here: {event}")
         if isinstance(event, Stepped):
             self._steps.append(event)
@@ -264,10 +265,6 @@ class Replay:
     def _note(self, text: str) -> None:
         if len(self._notes) < 20:
             self._notes.setdefault(text)
-
-
-def _is_loaded(event: SentEvent) -> bool:
-    return type(event).__name__ == "Loaded"
 
 
 def recordings_of(files: Iterable[RecordedFile]) -> list[list[RecordedFile]]:

@@ -19,9 +19,9 @@ def seconds(value: float) -> str:
     return f"{value / 60:.0f} min" if value < 5400 else f"{value / 3600:.0f} h"
 
 
-def megabytes(value: int) -> str:
-    """An amount of memory in short: `68 MB`."""
-    return f"{value / 1e6:.0f} MB"
+def megabytes(value: int, digits: int = 0) -> str:
+    """An amount of memory or the size of a file: `68 MB`."""
+    return f"{value / 1e6:.{digits}f} MB"
 
 
 def number(value: object) -> str:

@@ -17,7 +17,7 @@ from typing import Any
 from websockets.asyncio.server import ServerConnection
 from websockets.exceptions import ConnectionClosed
 
-from swarmd.view.source import Source, pack_scan
+from swarmd.view.source import Source, hello_of, pack_scan
 
 DETAIL_PERIOD = 1.0
 MAX_UNACKED = 2
@@ -108,19 +108,7 @@ class Client:
     def _hello(self, source: Source) -> str:
         self._known = source.revision
         self._rows, self._others = {}, ()
-        return json.dumps(
-            {
-                "kind": "hello",
-                "swarm": source.swarm,
-                "source": source.kind,
-                "role": self.role,
-                "robots": [robot.plain() for robot in source.robots],
-                "arena": None if source.arena is None else source.arena.plain(),
-                "patterns": list(source.patterns),
-                "runs": [] if source.playback is None else list(source.playback.runs),
-                "playback": None if source.playback is None else source.playback.plain(),
-            }
-        )
+        return json.dumps({"kind": "hello", **hello_of(source, self.role)})
 
     def _changes(self, rows: Rows) -> list[str]:
         """The rows that changed, the ages of all, and what else changed."""

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from swarmd.core.messages import MAX_EVENTS, LoggedEvent, Presence, Reason, State, Status
+from swarmd.core.messages import (
+    MAX_EVENTS,
+    STATUS_SILENCE,
+    LoggedEvent,
+    Presence,
+    Reason,
+    State,
+    Status,
+)
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.discovery import MembersView, SeenMember
 
-SILENCE = 3.0
-"""A robot without a status for this time, in s, counts as silent: robots send one each second."""
 RATE, BURST = 2.0, 20.0
 """Lines of one robot per second, and at once; others are counted."""
 _NO_HOLD = (None, Reason.NO_REQUESTED_COMMAND, Reason.PROTECTION)
@@ -75,7 +81,7 @@ class EventFeed:
         """The lines that follow from the time: robots that fell silent, and what was left out."""
         lines = []
         for name, (_, at) in self._last.items():
-            if now - at > SILENCE and name not in self._absent:
+            if now - at > STATUS_SILENCE and name not in self._absent:
                 self._absent[name] = "silent"
                 text = f"silent: no status for {now - at:.0f} s"
                 lines.append(EventLine(now, name, "watch", text))

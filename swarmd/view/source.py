@@ -77,10 +77,13 @@ class Answer:
 
 
 class Source(Protocol):
-    """A fleet, a simulated world or a recorded run. All methods run on the server's loop."""
+    """A swarm, a simulated world, recorded runs or recordings.
+
+    All methods run on the server's loop.
+    """
 
     kind: str
-    """`live`, `world` or `run`."""
+    """`live`, `world`, `run` or `recording`."""
     swarm: str
     patterns: Sequence[str]
 
@@ -123,6 +126,21 @@ class Source(Protocol):
 
     def select(self, names: Sequence[str]) -> None:
         """The robots that any page has selected: whose scans and details are wanted."""
+
+
+def hello_of(source: Source, role: str) -> dict[str, Any]:
+    """What a page, or the player of a report, learns first."""
+    playback = source.playback
+    return {
+        "swarm": source.swarm,
+        "source": source.kind,
+        "role": role,
+        "robots": [robot.plain() for robot in source.robots],
+        "arena": None if source.arena is None else source.arena.plain(),
+        "patterns": list(source.patterns),
+        "runs": [] if playback is None else list(playback.runs),
+        "playback": None if playback is None else playback.plain(),
+    }
 
 
 def pack_frame(sequence: int, time: float, places: Array) -> bytes:

@@ -9,14 +9,12 @@ from collections.abc import Callable
 
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import SwarmError
-from swarmd.core.messages import Status
+from swarmd.core.messages import STATUS_SILENCE, Status
 from swarmd.network.discovery import Contact, MembersView
 from swarmd.network.operator import Operator
 
 LOOK_PERIOD = 1.0
 LOOK_TIME = 1.0
-SILENCE = 3.0
-"""A robot that is heard and whose status is older than this, in s, is asked for it."""
 _HEARD = (Contact.ANSWERED, Contact.NO_ANSWER)
 
 _status = Decoder(Status)
@@ -87,9 +85,9 @@ class SwarmWatch:
 
         With 50 robots a look that asks for statuses takes three times the processor time.
         """
-        known = self.statuses()
+        recent = {name for name, (_, age) in self.statuses().items() if age <= STATUS_SILENCE}
         heard = [m.robot for m in self._view.members.values() if m.contact in _HEARD]
-        return not heard or any(name not in known or known[name][1] > SILENCE for name in heard)
+        return not heard or not recent.issuperset(heard)
 
     def _on_status(self, robot: str, payload: bytes) -> None:
         status = _status(payload)

@@ -7,7 +7,7 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
-from swarmd.core.messages import Presence, Status
+from swarmd.core.messages import STATUS_SILENCE, Presence, Status
 from swarmd.network.discovery import Contact, MembersView, SeenMember
 from swarmd.texts.values import seconds
 from swarmd.texts.why import why
@@ -25,8 +25,6 @@ PERIOD = 0.5
 MIN_PERIOD = 0.05
 ESCAPE_TIME = 0.05
 """A sequence of a key that is not complete after this time, in s, was the key Escape."""
-SILENCE = 3.0
-"""A status older than this, in s, is not shown as the present one."""
 MAX_ANSWERS, MAX_ANSWER_LINES = 4, 6
 ODOMETRY = "each robot's own odometry"
 
@@ -280,7 +278,7 @@ def _note(member: SeenMember | None, known: tuple[Status, float] | None) -> str:
         return f"alive by {member.by}'s word, not reachable from here"
     if member.contact is Contact.OTHER_VERSION:
         return f"{member.state or 'alive'}, of another version"
-    if known is None or known[1] > SILENCE:
+    if known is None or known[1] > STATUS_SILENCE:
         return f"no answer, heard {seconds(member.age)} ago"
     return ""
 

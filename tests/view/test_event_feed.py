@@ -6,9 +6,17 @@ from typing import Any
 
 import pytest
 
-from swarmd.core.messages import MAX_EVENTS, LoggedEvent, Presence, Reason, State, Status
+from swarmd.core.messages import (
+    MAX_EVENTS,
+    STATUS_SILENCE,
+    LoggedEvent,
+    Presence,
+    Reason,
+    State,
+    Status,
+)
 from swarmd.network.discovery import MembersView
-from swarmd.view.event_feed import BURST, SILENCE, EventFeed, EventLine
+from swarmd.view.event_feed import BURST, EventFeed, EventLine
 from tests.support.statuses import make_member, status
 
 START = 1000.0
@@ -79,9 +87,9 @@ def test_other_standstills_are_no_holds(state: State, reason: Reason) -> None:
 def test_silence_is_told_once_and_so_is_the_return() -> None:
     feed = EventFeed()
     feed.on_status(status(), START)
-    assert feed.advance(START + SILENCE) == []
-    assert [line.kind for line in feed.advance(START + SILENCE + 1.0)] == ["watch"]
-    assert feed.advance(START + SILENCE + 2.0) == []
+    assert feed.advance(START + STATUS_SILENCE) == []
+    assert [line.kind for line in feed.advance(START + STATUS_SILENCE + 1.0)] == ["watch"]
+    assert feed.advance(START + STATUS_SILENCE + 2.0) == []
     assert texts(feed.on_status(status(), START + 9.0)) == ["answers again"]
 
 
