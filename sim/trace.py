@@ -13,6 +13,7 @@ from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.files import whole_file
 from swarmd.core.messages import DecisionSummary
 from swarmd.core.values import Array, Platform
 from swarmd.protection.decision import Decision
@@ -127,15 +128,35 @@ class Trace:
         kept |= {f"words/{name}": values for name, values in self.words.items()}
         kept |= {f"readings/{name}": values for name, values in self.readings.items()}
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial = partial_path(path)
-        with partial.open("wb") as file:
+        with whole_file(path) as partial, partial.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, head=np.array(json.dumps(head)), **kept)
-        partial.replace(path)
 
 
-def partial_path(path: Path) -> Path:
-    """Where a file is written, until it is whole and gets its name."""
-    return path.with_name(f".{path.name}.partial")
+def poses_at(t: Array, poses: Array, time: float) -> Array:
+    """Poses (k, 3) at a time, interpolated; `poses` (T, k, 3) are those at the instants `t`."""
+    last = min(int(np.searchsorted(t, time)), len(t) - 1)
+    first = max(last - 1, 0)
+    span = float(t[last] - t[first])
+    share = min(max((time - float(t[first])) / span, 0.0), 1.0) if span > 0.0 else 1.0
+    found: Array = (1.0 - share) * poses[first] + share * poses[last]
+    return found
+
+
+def patterns_of(trace: Trace) -> tuple[tuple[str, ...], NDArray[np.intp]]:
+    """Names of patterns, and (T, n) the place of that which each robot was last told to run.
+
+    The first name is that of the whole run: empty unless one pattern was run on all from the start.
+    """
+    names = [str(trace.meta.get("pattern", ""))]
+    found = np.zeros(trace.pose.shape[:2], dtype=np.intp)
+    rows = {robot: row for row, robot in enumerate(trace.ids)}
+    runs = [event for event in trace.meta.get("events", ()) if event["action"] == "run"]
+    for event in sorted(runs, key=lambda event: float(event["at"])):
+        some = [rows[robot] for robot in event.get("robots") or trace.ids if robot in rows]
+        since = int(np.searchsorted(trace.t - trace.t[:1], float(event["at"]) - 1e-9))
+        found[since:, some] = len(names)
+        names.append(str(event.get("pattern") or ""))
+    return tuple(names), found
 
 
 def load_trace(path: Path) -> Trace:

@@ -27,6 +27,7 @@ from typing import TYPE_CHECKING, Any, cast
 from msgspec import structs
 
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.files import whole_file
 from swarmd.sim.experiments.manifest import (
     Manifest,
     digests_of_metrics,
@@ -39,12 +40,10 @@ from swarmd.sim.experiments.pool import (
     JobResult,
     Shares,
     one_line,
-    remove_partial,
     run_jobs,
 )
 from swarmd.sim.experiments.provenance import digests_of_folders, made_with
 from swarmd.sim.metrics.catalog import metric_of
-from swarmd.sim.trace import partial_path
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -369,9 +368,8 @@ def _kept(job: Job, result: JobResult, trace: bytes | None) -> JobResult:
     if job.trace is None or trace is None:
         return result
     try:
-        partial_path(job.trace).write_bytes(trace)
-        partial_path(job.trace).replace(job.trace)
+        with whole_file(job.trace) as partial:
+            partial.write_bytes(trace)
     except OSError as error:
-        remove_partial(job.trace)
         return JobResult(job.run, write_error=f"{job.trace.parent}: {error.strerror or error}")
     return result

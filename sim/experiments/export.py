@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal, TypeAlias
@@ -12,10 +11,11 @@ from typing import Any, Literal, TypeAlias
 import numpy as np
 
 from swarmd.core.errors import SwarmError
+from swarmd.core.files import whole_file
 from swarmd.core.values import Array, Odometry, Pose, Twist
 from swarmd.sim.experiments.plan import Run
 from swarmd.sim.experiments.results import Results
-from swarmd.sim.trace import Trace, partial_path
+from swarmd.sim.trace import Trace
 
 Form: TypeAlias = Literal["csv", "parquet", "mcap"]
 
@@ -56,14 +56,11 @@ def _save(table: Any, form: Form, path: Path) -> None:
 
 def _written(path: Path, write: Callable[[Path], None]) -> Path:
     """The path, once `write` has written the file."""
-    unfinished = partial_path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        write(unfinished)
-        unfinished.replace(path)
+        with whole_file(path) as unfinished:
+            write(unfinished)
     except OSError as error:
-        with suppress(OSError):
-            unfinished.unlink()
         text = f"{path}: cannot be written: {error.strerror or error}"
         raise SwarmError(f"{text}; make room or name another place") from error
     except ImportError as error:  # pyarrow, which pandas imports for Parquet

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 from collections.abc import Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -13,6 +12,7 @@ import msgspec
 
 import swarmd
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.files import whole_file
 from swarmd.sim.experiments.plan import Plan, Shard, Variant, check_seeds
 from swarmd.sim.experiments.provenance import (
     GitState,
@@ -228,13 +228,8 @@ def write_json(path: Path, data: Any) -> None:
 
 def write_whole(path: Path, text: str) -> None:
     """Write a text file; it appears whole or not at all, and a failure leaves nothing."""
-    partial = path.with_name(f".{path.name}.partial")
-    try:
+    with whole_file(path) as partial:
         partial.write_text(text, encoding="utf-8")
-        os.replace(partial, path)
-    except OSError:
-        partial.unlink(missing_ok=True)
-        raise
 
 
 def _clipped(value: object) -> str:

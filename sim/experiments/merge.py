@@ -11,6 +11,7 @@ from pathlib import Path
 from msgspec import structs
 
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.files import whole_file
 from swarmd.sim.experiments.manifest import Manifest, differences, joined, read_manifest
 from swarmd.sim.experiments.plan import Run, parts_of
 from swarmd.sim.experiments.results import Results, load_results
@@ -22,7 +23,6 @@ from swarmd.sim.experiments.store import (
     read_table,
     trace_path,
 )
-from swarmd.sim.trace import partial_path
 
 _NAMED = 10  # runs that a message lists
 
@@ -111,12 +111,10 @@ def _check_same(known: Row, place: Path, row: Row, folder: Path, *, has_traces: 
 
 def _copy(source: Path, target: Path) -> None:
     """Copy a trace, which appears whole or not at all; SwarmError if it cannot be written."""
-    partial = partial_path(target)
     try:
-        shutil.copyfile(source, partial)
-        partial.replace(target)
+        with whole_file(target) as partial:
+            shutil.copyfile(source, partial)
     except OSError as error:
-        partial.unlink(missing_ok=True)
         text = f"{target.parent}: {error.strerror or error}; merged runs are kept"
         raise SwarmError(f"{text}: mend it and give the same command again") from error
 

@@ -22,12 +22,12 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from swarmd.core.errors import SwarmError
+from swarmd.core.files import partial_path
 from swarmd.core.processes import die_with_parent, how_it_ended
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.metrics.catalog import measure, metric_of
 from swarmd.sim.metrics.own import MetricError
 from swarmd.sim.scenarios.scenariofile import scenario_of
-from swarmd.sim.trace import partial_path
 
 STEP_TIMEOUT = 60.0
 """Limit in s of wall time for one step of a simulation, or for its set-up, and for the start of a

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array
 from swarmd.sim.plots.scene import robot_colour
-from swarmd.sim.trace import Trace
+from swarmd.sim.trace import Trace, patterns_of
 
 PALETTE = (
     *("#0072b2", "#e69f00", "#009e73", "#cc79a7"),
@@ -57,7 +57,8 @@ def colouring_of(trace: Trace, by: str) -> Colouring:
         words = np.full(shape, "running") if trace.state is None else trace.state
         return _by_word(words, STATES)
     if name == "pattern":
-        return _by_word(_patterns(trace), {})
+        names, places = patterns_of(trace)
+        return _by_word(np.array(names)[places], {})
     if name == "platform":
         return _by_word(np.broadcast_to(np.array(trace.platforms), shape), {})
     if name == "robot":
@@ -111,18 +112,6 @@ def _by_number(values: Array, name: str) -> Colouring:
     share = ((values[is_known] - low) / max(high - low, 1e-9))[:, None]
     rgb[is_known] = np.round((1.0 - share) * _LOW + share * _HIGH)
     return Colouring(rgb, [(_plain(_LOW), f"{label} {low:.3g}"), (_plain(_HIGH), f"{high:.3g}")])
-
-
-def _patterns(trace: Trace) -> NDArray[np.str_]:
-    """The pattern (T, n) that each robot was last told to run; of a demo, the same for all."""
-    found = np.full(trace.pose.shape[:2], str(trace.meta.get("pattern", "")), dtype="U64")
-    rows = {robot: row for row, robot in enumerate(trace.ids)}
-    for event in trace.meta.get("events", ()):
-        if event["action"] == "run":
-            some = [rows[robot] for robot in event.get("robots") or trace.ids if robot in rows]
-            since = int(np.searchsorted(trace.t, float(event["at"]) - 1e-9))
-            found[since:, some] = event.get("pattern") or ""
-    return found
 
 
 def _plain(colour: NDArray[np.generic] | Array) -> Rgb:

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
-from swarmd.sim.trace import partial_path
+from swarmd.core.files import partial_path
 
 _PALETTE = (
     "split[a][b];[a]palettegen=stats_mode=diff:max_colors={colours}[p];"

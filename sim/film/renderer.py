@@ -19,7 +19,7 @@ from swarmd.core.values import Array
 from swarmd.sim.film.colours import Colouring
 from swarmd.sim.film.stage import Stage
 from swarmd.sim.plots.scene import Extent
-from swarmd.sim.trace import Trace
+from swarmd.sim.trace import Trace, poses_at
 
 Camera = Literal["top", "perspective"]
 BACKENDS = ("egl", "osmesa")
@@ -82,7 +82,7 @@ class Renderer:
     def _place(self, time: float) -> int:
         """Move and colour everything; the index of the latest instant."""
         trace, model, n = self._trace, self.stage.model, len(self._trace.ids)
-        poses = self._between(trace.pose, time)
+        poses = poses_at(self._t, trace.pose, time)
         at = max(int(np.searchsorted(self._t, time + 1e-9, side="right")) - 1, 0)
         is_there = _are_known(poses)
         self._data.qpos[: 3 * n] = np.where(is_there[:, None], poses, 0.0).ravel()
@@ -92,20 +92,11 @@ class Renderer:
         for parts, shown in zip(self.stage.parts, is_there.tolist(), strict=True):
             model.geom_rgba[parts, 3] = float(shown)
         if trace.box_pose is not None:
-            boxes = self._between(trace.box_pose, time)
+            boxes = poses_at(self._t, trace.box_pose, time)
             is_there = _are_known(boxes)
             self._data.qpos[3 * n :] = np.where(is_there[:, None], boxes, 0.0).ravel()
             model.geom_rgba[self.stage.boxes, 3] = is_there
         return at
-
-    def _between(self, poses: Array, time: float) -> Array:
-        """Poses (k, 3) at a time, interpolated."""
-        last = min(int(np.searchsorted(self._t, time)), len(self._t) - 1)
-        first = max(last - 1, 0)
-        span = float(self._t[last] - self._t[first])
-        share = min(max((time - float(self._t[first])) / span, 0.0), 1.0) if span > 0.0 else 1.0
-        found: Array = (1.0 - share) * poses[first] + share * poses[last]
-        return found
 
     def _add_trails(self, at: int, time: float, seconds: float) -> None:
         """Lines on the floor along the latest positions."""

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.files import whole_file
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -123,10 +123,10 @@ def save(figure: Figure, path: Path, *, width: float | None = None) -> Path:
         raise ConfigError(f"{path}: a picture's name ends in {', '.join(FORMATS)}")
     kind = path.suffix[1:]
     dated = {"svg": "Date", "pdf": "CreationDate"}.get(kind)
-    partial = path.with_name(f".{path.name}.partial")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        with rc_context({"svg.hashsalt": "swarmd", "svg.fonttype": "none", "pdf.fonttype": 42}):
+        fonts = {"svg.hashsalt": "swarmd", "svg.fonttype": "none", "pdf.fonttype": 42}
+        with whole_file(path) as partial, rc_context(fonts):
             figure.savefig(
                 partial,
                 format=kind,
@@ -135,10 +135,7 @@ def save(figure: Figure, path: Path, *, width: float | None = None) -> Path:
                 pad_inches=_PAD,
                 metadata={dated: None} if dated else None,
             )
-        partial.replace(path)
     except OSError as error:
-        with suppress(OSError):
-            partial.unlink()
         raise SwarmError(
             f"{path}: the picture cannot be written: {error.strerror or error}; "
             "make room or name another place"

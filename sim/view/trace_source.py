@@ -14,7 +14,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Platform
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.metrics.window import arena_of, presence
-from swarmd.sim.trace import ARENA, Trace
+from swarmd.sim.trace import ARENA, Trace, patterns_of, poses_at
 from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.lidar import RangeSensors
 from swarmd.sim.world.scalar_fields import Field, sample
@@ -118,7 +118,7 @@ class _ShownRun:
         self._t, self._contact_t = trace.t - start, trace.contact_t - start
         self._present = presence(trace)
         self._fields = run.fields
-        self._patterns = _patterns(trace)
+        self._names, self._patterns = patterns_of(trace)
         self._limits = _largest(trace)
         self._index = {name: i for i, name in enumerate(trace.ids)}
         self._sensors: RangeSensors | None = None
@@ -134,11 +134,7 @@ class _ShownRun:
         """Rows (k, 4) of index and pose of the robots in the arena at a time in s."""
         if not len(self._t):
             return np.zeros((0, 4))
-        last = self._at(now)
-        first = max(last - 1, 0)
-        span = self._t[last] - self._t[first]
-        share = min((now - self._t[first]) / span, 1.0) if span > 0.0 else 0.0
-        poses = (1.0 - share) * self._trace.pose[first] + share * self._trace.pose[last]
+        poses = poses_at(self._t, self._trace.pose, now)
         known = np.flatnonzero(np.isfinite(poses).all(axis=1))
         return np.column_stack((known, poses[known]))
 
@@ -220,7 +216,7 @@ class _ShownRun:
             "presence": "alive" if is_present else "absent",
             "state": state if is_present else "",
             "why": reason.replace("_", " ") if is_present else "no daemon at this time",
-            "pattern": self._pattern(at, i) if state == "running" else "",
+            "pattern": self._names[self._patterns[at, i]] if state == "running" else "",
             "limits": self._limits,
             "safe": _rounded(trace.safe[at, i]),
             "protection": "",
@@ -238,13 +234,6 @@ class _ShownRun:
         if trace.bound is not None and np.isfinite(trace.bound[at, i]).all():
             row["rows"] = [_rounded(trace.bound[at, i])]
         return row
-
-    def _pattern(self, at: int, i: int) -> str:
-        name, since = "", -np.inf
-        for begin, pattern in self._patterns.get(i, ()):
-            if since <= begin <= self._t[at] + 1e-9:
-                name, since = pattern, begin
-        return name
 
     def _touched(self, now: float) -> dict[int, str]:
         """What each robot has touched lately, by index."""
@@ -277,20 +266,6 @@ class _ShownRun:
                 found.append([f"{at:.1f} s", f"touches {self._name(other)}"])
             last[other] = at
         return found[:-21:-1]
-
-
-def _patterns(trace: Trace) -> dict[int, list[tuple[float, str]]]:
-    """When each robot, by index, was given which pattern."""
-    index = {name: i for i, name in enumerate(trace.ids)}
-    found: dict[int, list[tuple[float, str]]] = {}
-    if pattern := trace.meta.get("pattern"):
-        found = {i: [(-np.inf, str(pattern))] for i in index.values()}
-    for event in trace.meta.get("events", ()):
-        if event.get("pattern"):
-            for name in event["robots"]:
-                if name in index:
-                    found.setdefault(index[name], []).append((event["at"], event["pattern"]))
-    return found
 
 
 def _largest(trace: Trace) -> list[float]:

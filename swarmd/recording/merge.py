@@ -13,6 +13,7 @@ from typing import Any
 from mcap.writer import CompressionType, Writer
 
 from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.files import whole_file
 from swarmd.recording.clock_offset import Alignment, Exchange, align
 from swarmd.recording.fetch import CLOCKS_FILE, read_exchanges
 from swarmd.recording.messages import deserialize
@@ -117,23 +118,16 @@ def write_merged(placed: Sequence[Placed], path: Path) -> int:
     The timeline is the wall clock of the first source. A topic `/scan` of tb3-01 becomes
     `/tb3-01/scan`. OSError if the disk fails; a file that is not whole is removed.
     """
-    partial = path.with_name(f"{path.name}.partial")
     reference = placed[0].source.about
     streams = [messages_of(one, reference) for one in placed]
-    try:
-        with partial.open("wb") as file:
-            writer = Writer(file, compression=CompressionType.ZSTD)
-            writer.start(PROFILE, "swarmd")
-            writer.add_metadata(METADATA, _about(placed))
-            for one in placed:
-                writer.add_metadata(f"{METADATA}/{one.source.robot}", dict(one.source.about))
-            count = _write(writer, heapq.merge(*streams, key=lambda one: one[0]))
-            writer.finish()  # type: ignore[no-untyped-call]
-        partial.replace(path)
-    except BaseException:
-        with suppress(OSError):
-            partial.unlink()
-        raise
+    with whole_file(path) as partial, partial.open("wb") as file:
+        writer = Writer(file, compression=CompressionType.ZSTD)
+        writer.start(PROFILE, "swarmd")
+        writer.add_metadata(METADATA, _about(placed))
+        for one in placed:
+            writer.add_metadata(f"{METADATA}/{one.source.robot}", dict(one.source.about))
+        count = _write(writer, heapq.merge(*streams, key=lambda one: one[0]))
+        writer.finish()  # type: ignore[no-untyped-call]
     return count
 
 

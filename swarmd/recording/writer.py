@@ -16,6 +16,7 @@ from typing import IO
 
 from mcap.writer import CompressionType, Writer
 
+from swarmd.core.files import whole_file
 from swarmd.recording.cdr import Message
 from swarmd.recording.messages import definition
 from swarmd.recording.reader import crc_of
@@ -129,9 +130,8 @@ class RecordingWriter:
             "dropped": self.dropped,
             "about": self._about,
         }
-        partial = self.path.with_suffix(".index.partial")
-        partial.write_text(json.dumps(index, indent=1) + "\n")
-        partial.replace(self.path.with_suffix(".index.json"))
+        with whole_file(self.path.with_suffix(".index.json")) as partial:
+            partial.write_text(json.dumps(index, indent=1) + "\n")
         self.dropped = 0
 
     def abandon(self) -> None:
