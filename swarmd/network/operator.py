@@ -91,6 +91,8 @@ MAX_OPERATOR, MAX_OPERATOR_BYTES = 128, 256
 MAX_REASON, MAX_REASON_BYTES = 256, 512
 CLOSING = "swarmd-closing"
 """The name of the threads that close sessions."""
+COMMANDING = "swarmd-commanding"
+"""The name of the daemon threads that carry commands of a view out."""
 
 R = TypeVar("R", bound=AnyRequest)
 
@@ -720,8 +722,12 @@ class _Links:
 
 
 def is_closing() -> bool:
-    """True while a session of an operator that was closed is not closed yet."""
-    return any(thread.name == CLOSING for thread in threading.enumerate())
+    """True while a session of an operator that was closed, or a command of a view, has not ended.
+
+    Python must not end then: their threads use a library that fails without it.
+    """
+    names = (CLOSING, COMMANDING)
+    return any(thread.name in names for thread in threading.enumerate())
 
 
 def _view_decoder() -> Decoder[PeerView]:

@@ -5,29 +5,32 @@ from __future__ import annotations
 import asyncio
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from typing import Any, Literal
+from concurrent.futures import Future
+from typing import Any, Literal, TypeVar
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.keys import is_id
 from swarmd.core.messages import ParamRequest, ResetRequest, RunRequest
-from swarmd.network.operator import Operator
+from swarmd.network.operator import COMMANDING, Operator
 from swarmd.network.outcome import Outcome
 from swarmd.texts.assignments import read_assignments
 from swarmd.view.source import Answer
 
 Tell = Callable[[Answer], None]
 
-MAX_COMMANDS = 8
-"""Commands under way at a time, beside one emergency stop."""
+MAX_REQUESTS = 8
+"""Requests under way at a time: one that waits for others would start motion late."""
+MAX_STOPS = 16
+"""Stops under way at a time; more wait. An emergency stop never waits."""
+R = TypeVar("R")
 
 
 class LiveCommander:
-    """Carries commands of pages out; each with an operator of its own, in a thread.
+    """Carries commands of pages out; each with an operator and a thread of its own.
 
     `known` names the robots that pages show: a stop of all expects each of them. Latches and resets
     keep `reason`. An emergency stop is repeated until all robots have acknowledged it, another one
-    begins, or `end_estop`. It has its own thread: requests that wait for answers never delay it.
+    begins, or `end_estop`. Requests that wait for answers delay no stop, and not the program's end.
     """
 
     def __init__(
@@ -37,16 +40,13 @@ class LiveCommander:
         reason: str = "from the page",
     ) -> None:
         self._make, self._known, self._reason = make, known, reason
-        self._requests = ThreadPoolExecutor(MAX_COMMANDS, thread_name_prefix="view commands")
-        # Two: one that ends while the next begins.
-        self._estops = ThreadPoolExecutor(2, thread_name_prefix="view estop")
+        self._requests = 0
+        self._stops = asyncio.Semaphore(MAX_STOPS)
         self._ending = threading.Event()
 
     def close(self) -> None:
         """End the emergency stop under way; requests end by themselves."""
         self.end_estop()
-        for pool in (self._requests, self._estops):
-            pool.shutdown(wait=False, cancel_futures=True)
 
     def end_estop(self) -> None:
         """Repeat the emergency stop no longer, whoever lacks an acknowledgement."""
@@ -59,27 +59,49 @@ class LiveCommander:
         def tell_later(answer: Answer) -> None:
             loop.call_soon_threadsafe(tell, answer)
 
-        pool, ending = self._requests, threading.Event()
-        if verb == "estop":
-            self.end_estop()
-            pool, self._ending = self._estops, ending
+        ending = threading.Event()
         try:
             work = self._carry_out(verb, dict(fields), tell_later, ending)
-            tell(await loop.run_in_executor(pool, work))
-        except (SwarmError, ValueError, TypeError) as error:
-            tell(Answer(f"{verb}: {error}", is_final=True))
+            if verb == "estop":
+                self.end_estop()
+                self._ending = ending
+                answer = await _in_thread(work)
+            elif verb == "stop":
+                async with self._stops:
+                    answer = await _in_thread(work)
+            else:
+                answer = await self._in_turn(work)
+            tell(answer)
+        except Exception as error:  # the page must not show that it is under way
+            tell(Answer(f"{verb}: {str(error) or type(error).__name__}", is_final=True))
+            if not isinstance(error, SwarmError | ValueError | TypeError):
+                raise
+
+    async def _in_turn(self, work: Callable[[], Answer]) -> Answer:
+        """Carry a request out now; SwarmError if too many are under way."""
+        if self._requests >= MAX_REQUESTS:
+            raise SwarmError(
+                f"not sent: {self._requests} requests wait for answers; repeat it when they ended"
+            )
+        self._requests += 1
+        try:
+            return await _in_thread(work)
+        finally:
+            self._requests -= 1
 
     def _carry_out(
         self, verb: str, fields: dict[str, Any], tell: Tell, ending: threading.Event
     ) -> Callable[[], Answer]:
         """The work of a command, for a thread. Raises ValueError or TypeError for a wrong one."""
         targets = fields.get("targets")
-        names = None if targets is None else tuple(str(name) for name in targets)
+        names = None if targets is None else tuple(map(str, targets))
+        if verb not in ("estop", "stop", "run", "param", "reset"):
+            raise ValueError(f"there is no command {verb!r}")
+        if isinstance(targets, str) or names == ():
+            raise ValueError("no robot was targeted")
         if verb == "estop" or verb == "stop":
             return lambda: self._stop("estop" if verb == "estop" else "stop", names, tell, ending)
-        if verb not in ("run", "param", "reset"):
-            raise ValueError(f"there is no command {verb!r}")
-        if not names:
+        if names is None:
             raise ValueError("no robot was targeted")
         chosen = names
         return lambda: self._request(verb, chosen, fields)
@@ -135,3 +157,18 @@ def _answer(verb: str, outcome: Outcome) -> Answer:
         is_good=outcome.exit_code == 0,
         is_final=True,
     )
+
+
+async def _in_thread(work: Callable[[], R]) -> R:
+    """The result of `work`, which a daemon thread does: the program may end before it."""
+    result: Future[R] = Future()
+    result.set_running_or_notify_cancel()
+
+    def run() -> None:
+        try:
+            result.set_result(work())
+        except BaseException as error:
+            result.set_exception(error)
+
+    threading.Thread(target=run, name=COMMANDING, daemon=True).start()
+    return await asyncio.wrap_future(result)

@@ -1,0 +1,94 @@
+"""Commands of pages: what waits delays no stop, starts nothing late, and is told how it ended."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+from collections.abc import Callable, Collection, Mapping
+from contextlib import AbstractContextManager, nullcontext
+from typing import Any, cast
+
+import pytest
+
+from swarmd.core.messages import Code, Reply
+from swarmd.network.discovery import MembersView
+from swarmd.network.operator import Operator, is_closing
+from swarmd.network.outcome import Outcome
+from swarmd.view.commander import MAX_REQUESTS, LiveCommander
+from swarmd.view.source import Answer
+from tests.support.processes import wait_until
+
+APPLIED = Outcome({"r1": Reply(id="1", robot="r1", code=Code.APPLIED)})
+
+
+class Hanging:
+    """An operator whose requests wait for `go_on`; `sent` counts them."""
+
+    def __init__(self) -> None:
+        self.go_on = threading.Event()
+        self.sent = 0
+
+    def __call__(self) -> AbstractContextManager[Operator]:
+        return nullcontext(cast("Operator", self))
+
+    def expect(self, names: Collection[str]) -> None:
+        """All are known."""
+
+    def members(self, **_: Any) -> MembersView:
+        return MembersView({})
+
+    def request(self, kind: type, targets: Mapping[str, Any], **_: Any) -> Outcome:
+        self.sent += 1
+        self.go_on.wait()
+        return APPLIED
+
+    def send_stop(self, verb: str, **_: Any) -> Outcome:
+        return APPLIED
+
+
+def commander(operator: object) -> LiveCommander:
+    return LiveCommander(cast("Callable[[], Operator]", operator))
+
+
+async def answer(one: LiveCommander, verb: str, **fields: Any) -> Answer:
+    told: list[Answer] = []
+    await one.act(verb, {"targets": ["r1"], "pattern": "drive", **fields}, told.append)
+    assert told[-1].is_final
+    return told[-1]
+
+
+async def test_requests_that_wait_delay_no_stop_and_keep_no_other_for_later() -> None:
+    operator = Hanging()
+    one = commander(operator)
+    waiting = [asyncio.create_task(answer(one, "run")) for _ in range(MAX_REQUESTS)]
+    await asyncio.to_thread(wait_until, lambda: operator.sent == MAX_REQUESTS, "all wait")
+    try:
+        assert "not sent" in (await answer(one, "run")).line
+        for verb in ("stop", "estop"):
+            assert (await answer(one, verb, targets=None)).is_good
+        assert is_closing()  # the program ends without waiting for them
+        assert all(thread.daemon for thread in threading.enumerate() if "commanding" in thread.name)
+    finally:
+        operator.go_on.set()
+    assert all(told.is_good for told in await asyncio.gather(*waiting))
+    assert operator.sent == MAX_REQUESTS
+
+
+async def test_a_command_that_fails_is_told_whatever_the_reason() -> None:
+    def broken() -> Operator:
+        raise RuntimeError("no threads left")
+
+    told: list[Answer] = []
+    with pytest.raises(RuntimeError):
+        await commander(broken).act("estop", {"targets": None}, told.append)
+    assert [(one.line, one.is_good, one.is_final) for one in told] == [
+        ("estop: no threads left", False, True)
+    ]
+
+
+@pytest.mark.parametrize("verb", ["run", "stop", "estop", "reset"])
+@pytest.mark.parametrize("targets", [[], "r1", 7])
+async def test_a_command_to_no_robot_is_refused(verb: str, targets: object) -> None:
+    told = await answer(commander(Hanging()), verb, targets=targets)
+    assert not told.is_good
+    assert told.replies == []
