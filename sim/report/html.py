@@ -239,6 +239,9 @@ def _again(folder: Path, manifest: Manifest) -> str:
 
 
 def data_element(name: str, text: str) -> str:
-    """JSON for scripts, which cannot end the element that holds it."""
-    kept = text.replace("</", "<\\/")
+    """JSON for scripts, which cannot end the element that holds it.
+
+    A text with `<!--` and `<script` in it would keep the element open.
+    """
+    kept = text.replace("<", "\\u003c")
     return f'<script type="application/json" id="{name}">{kept}</script>\n'

@@ -12,7 +12,7 @@ from typing import Any
 
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.errors import CodecError, PluginError
+from swarmd.core.errors import CodecError, ConfigError, PluginError
 from swarmd.core.messages import (
     Code,
     FetchQuery,
@@ -139,20 +139,20 @@ class RecordingService:
 
     def _list(self, _: bytes) -> bytes:
         try:
-            paths = sorted(self._folder.glob("*.mcap"))[-MAX_FILES:]
+            found = (path for path in self._folder.glob("*.mcap") if path.name.isprintable())
+            paths = sorted(found)[-MAX_FILES:]
         except OSError:
             paths = []
         open_now = Path(self.recorder.report.path).name if self.recorder.is_on else ""
         lost = self.recorder.dropped
         files = [_described(path, lost if path.name == open_now else None) for path in paths]
-        found = tuple(one for one in files if one is not None)
         recorder = self.recorder
         return encode(
             RecordingsReply(
                 robot=self._robot,
                 now=boottime(),
                 clock=clock_id(),
-                files=found,
+                files=tuple(one for one in files if one is not None),
                 fault=recorder.fault[:1000],
             )
         )
@@ -203,5 +203,5 @@ def _described(path: Path, lost: int | None) -> RecordingFile | None:
             begin=begin,
             end=end,
         )
-    except (OSError, ValueError, KeyError):  # it is being written, or was cut off
+    except (OSError, ValueError, KeyError, ConfigError):  # it is being written, or was cut off
         return RecordingFile(name=name, size=size, is_open=lost is not None, dropped=lost or 0)

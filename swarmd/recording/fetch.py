@@ -22,6 +22,8 @@ CLOCKS_FILE = "clocks.jsonl"
 """Beside fetched recordings: exchanges between the operator and the robots."""
 PIECE = 32768
 """Bytes of one answer."""
+MAX_NAME = 200
+"""Bytes of the name of a file: file systems take 255, and `.partial` or `-other1` is added."""
 ASK_TIME = 10.0
 """Seconds after which a robot that does not answer is given up."""
 
@@ -93,7 +95,7 @@ def fetch(
     that holds another recording is kept under another name. NetworkError if the robot does not
     answer or sends damaged pieces, OSError if the disk fails; what came is kept.
     """
-    if Path(file.name).name != file.name or not file.name.endswith(".mcap"):
+    if not _is_name(file.name):
         raise NetworkError(f"{robot} lists {file.name!r}; expected the name of a recording")
     path = folder / robot / file.name
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -121,6 +123,12 @@ def fetch(
         raise NetworkError(f"{robot}: the copy of {file.name} was damaged; fetch again")
     partial.replace(path)
     return Copy(path, received, size, True)
+
+
+def _is_name(name: str) -> bool:
+    """True if a robot's name of a file is one here, and harmless on a terminal."""
+    is_alone = Path(name).name == name and name.isprintable()
+    return is_alone and name.endswith(".mcap") and len(name.encode()) <= MAX_NAME
 
 
 def _is_part_of(here: Path, ask: Ask, robot: str, file: RecordingFile) -> bool:

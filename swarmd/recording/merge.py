@@ -79,7 +79,10 @@ def survey(paths: Sequence[Path]) -> Recordings:
         if not found.messages:
             continue
         source = _source(found, sources)
-        times = [clock_of(found.about, one.at) for one in found.messages]
+        try:
+            times = [clock_of(found.about, one.at) for one in found.messages]
+        except ConfigError as error:
+            raise ConfigError(f"{path}: {error}") from error
         source.files.append((min(times), path))
         source.begin, source.end = min(source.begin, *times), max(source.end, *times)
         exchanges += _exchanges(found, source.clock)

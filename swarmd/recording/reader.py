@@ -163,13 +163,26 @@ def _chunk_data(body: bytes) -> bytes | None:
     packed = body[40 + length :]
     if size > _MAX_CHUNK or compression not in ("", "zstd"):
         return None
+    data = _decompressed(packed, size) if compression else packed
+    if data is None or len(data) != size or zlib.crc32(data) != crc:
+        return None
+    return data
+
+
+def _decompressed(packed: bytes, size: int) -> bytes | None:
+    """The bytes; None if they are damaged, or not `size` by their own head.
+
+    The library would take memory for whatever size the head states.
+    """
     import zstandard  # of the extra `record`, which a daemon may lack
 
     try:
-        data = packed if not compression else zstandard.decompress(packed, size)
+        stated = zstandard.get_frame_parameters(packed).content_size
+        if stated not in (size, zstandard.CONTENTSIZE_UNKNOWN):
+            return None
+        return zstandard.decompress(packed, size)
     except zstandard.ZstdError:
         return None
-    return data if len(data) == size and zlib.crc32(data) == crc else None
 
 
 def _string(body: bytes, place: int) -> tuple[str, int]:
@@ -193,8 +206,15 @@ def clock_of(about: Mapping[str, str], at: int) -> float:
     """The time on the robot's clock in s of a time `at` in ns of its recording.
 
     To the bit what `boottime` gave: a deadline of the robot falls into the same tick again.
+    ConfigError if the recording does not tell its clock: these texts have no checksum.
     """
-    return (at - int(about["wall_ns"]) + int(about["boot_ns"])) / 1e9
+    try:
+        return (at - int(about["wall_ns"]) + int(about["boot_ns"])) / 1e9
+    except (KeyError, ValueError) as error:
+        raise ConfigError(
+            f"the recording does not tell its clock ({error!r}); expected wall_ns and boot_ns in"
+            " its metadata, which may be damaged"
+        ) from error
 
 
 def crc_of(path: Path) -> int:

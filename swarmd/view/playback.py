@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
@@ -43,7 +44,8 @@ class Playback:
         return min(self._offset + rate * (self._clock() - self._since), self.duration)
 
     def play(self, *, is_playing: bool, speed: float) -> None:
-        """Play or pause; at its end a run plays from the start."""
+        """Play or pause; at its end a run plays from the start. ValueError for a wrong speed."""
+        _check(speed)
         now = self.time
         self._offset = 0.0 if is_playing and now >= self.duration else now
         self._since = self._clock()
@@ -51,7 +53,8 @@ class Playback:
         self.speed = min(max(speed, MIN_SPEED), MAX_SPEED)
 
     def seek(self, time: float) -> None:
-        """Go to a time in s, within the run."""
+        """Go to a time in s, within the run. ValueError for one that is no number."""
+        _check(time)
         self._offset, self._since = min(max(time, 0.0), self.duration), self._clock()
 
     def plain(self) -> dict[str, Any]:
@@ -62,3 +65,8 @@ class Playback:
             "is_playing": self.is_playing and self.time < self.duration,
             "speed": self.speed,
         }
+
+
+def _check(value: float) -> None:
+    if not math.isfinite(value):
+        raise ValueError(f"{value} is not a finite number")

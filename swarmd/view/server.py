@@ -212,7 +212,7 @@ class ViewServer:
     async def _play(
         self, client: Client, playback: Playback, kind: str, message: Mapping[str, Any]
     ) -> None:
-        with suppress(TypeError, ValueError):
+        with suppress(TypeError, ValueError, OverflowError):
             if kind == "play":
                 speed = float(message.get("speed", 1.0))
                 playback.play(is_playing=bool(message.get("is_playing")), speed=speed)

@@ -122,7 +122,13 @@ def test_a_damaged_copy_is_removed(tmp_path: Path) -> None:
     assert list((tmp_path / "r").iterdir()) == []
 
 
-@pytest.mark.parametrize("name", ["../x.mcap", "/etc/x.mcap", "x.txt", "..", ""])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("../x.mcap", "/etc/x.mcap", "x.txt", "..", "", "x\0.mcap", "\x1b]0;x\a.mcap"),
+        f"{'x' * 250}.mcap",
+    ],
+)
 def test_a_robot_chooses_no_place_here(tmp_path: Path, name: str) -> None:
     robots = Robots({("r", name): CONTENT})
     with pytest.raises(NetworkError, match="expected the name of a recording"):

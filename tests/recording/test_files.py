@@ -15,6 +15,7 @@ from typing import Any, get_args
 
 import numpy as np
 import pytest
+import zstandard
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
@@ -98,6 +99,17 @@ def test_a_wrong_byte_loses_at_most_its_chunk_and_gives_no_false_message(tmp_pat
         found = read_file(damaged)
         assert known.issuperset(found.messages)
         assert len(found.messages) >= len(whole) - per_chunk or found.fault
+
+
+def test_a_chunk_that_states_a_huge_size_takes_no_memory(tmp_path: Path) -> None:
+    path = recorded(tmp_path, seconds=8)
+    data, packed = path.read_bytes(), zstandard.compress(b"x" * 999)
+    body = data.index(b"\x28\xb5\x2f\xfd")  # of the first chunk
+    head = packed[:4] + bytes([0xE0]) + (2**46).to_bytes(8, "little")  # RFC 8878, 3.1.1.1
+    path.write_bytes(data[:body] + head + data[body + len(head) :])
+    found = read_file(path)
+    assert found.fault
+    assert len(found.messages) == 80 - round(CHUNK_TIME * 10) - 1
 
 
 def messages_magic() -> bytes:

@@ -138,6 +138,18 @@ def test_mistakes_are_one_line_and_leave_nothing(tmp_path: Path) -> None:
     assert sorted(one.name for one in tmp_path.iterdir()) == ["in", "x.mcap"]
 
 
+@pytest.mark.parametrize(
+    ("text", "damaged"), [(b"boot_ns", b"boot_nz"), (b"10850000000000", b"1085000x000000")]
+)
+def test_damaged_texts_on_a_clock_are_one_line(tmp_path: Path, text: bytes, damaged: bytes) -> None:
+    path = record(tmp_path, "b")
+    path.write_bytes(path.read_bytes().replace(text, damaged))
+    code, told = merge(path, "-o", tmp_path / "x.mcap")
+    assert code != 0
+    assert (told.count("\n"), str(path) in told, "boot_ns" in told) == (0, True, True)
+    assert not (tmp_path / "x.mcap").exists()
+
+
 def test_a_file_that_cannot_be_finished_is_removed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

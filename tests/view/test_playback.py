@@ -58,6 +58,11 @@ def test_pauses_and_seeks_within_the_run(playback: Playback, clock: Clock) -> No
     assert playback.time == 0.0
     playback.play(is_playing=True, speed=1e9)
     assert playback.speed == MAX_SPEED
+    with pytest.raises(ValueError, match="finite"):
+        playback.seek(float("nan"))
+    with pytest.raises(ValueError, match="finite"):
+        playback.play(is_playing=True, speed=float("inf"))
+    assert (playback.time, playback.speed) == (0.0, MAX_SPEED)
 
 
 def test_another_run_begins_at_its_start(playback: Playback, clock: Clock) -> None:

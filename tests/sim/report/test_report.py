@@ -16,6 +16,7 @@ from click.testing import CliRunner
 
 from swarmd.sim.cli.exp import exp
 from swarmd.sim.experiments.simulate import simulate
+from swarmd.sim.report.html import data_element
 from swarmd.sim.report.player import player_of, script
 from swarmd.sim.view.experiment import source_of
 from tests.support.chromium import FOUND, Browser, Page, chromium
@@ -198,3 +199,10 @@ class Document(HTMLParser):
             self.rows[-1][-1] += data
         elif inside == "p":
             self._texts[self._id] = self._texts.get(self._id, "") + data
+
+
+def test_no_text_ends_the_element_that_holds_it_or_keeps_it_open() -> None:
+    text = "</script><!--<script>"
+    inside = data_element("x", json.dumps(text)).partition(">")[2].rpartition("</script>")[0]
+    assert "<" not in inside
+    assert json.loads(inside) == text
