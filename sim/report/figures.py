@@ -6,11 +6,20 @@ import base64
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
+from html import escape
 from pathlib import Path
 from tempfile import TemporaryDirectory
+from typing import IO, TYPE_CHECKING
 
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.plots.figures import draw_experiment
+from swarmd.sim.plots.theme import DPI
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
+
+MAX_FIGURES = 24
+"""Pictures in a report; a sweep of many variants has more."""
 
 _CAPTIONS = (
     ("intervals", "Values of every run by variant, with mean and 95 % interval."),
@@ -50,16 +59,35 @@ def _figure(path: Path) -> Figure:
         .replace("_", " ")
     )
     text = caption.format(name=name, Name=name.capitalize())
-    return Figure(kind, text, f"data:image/png;base64,{_small(path)}")
+    return Figure(kind, text, _data_url(path))
 
 
-def _small(path: Path) -> str:
-    """The picture with fewer colours, as base64."""
+def drawn(drawing: Drawing, caption: str) -> Figure:
+    """A figure of matplotlib for a report."""
+    file = io.BytesIO()
+    drawing.savefig(file, format="png", dpi=DPI)
+    return Figure("", caption, _data_url(file))
+
+
+def figures_html(found: Sequence[Figure]) -> str:
+    """The first figures side by side, with their captions."""
+    parts = [
+        f'<figure class="{one.kind}"><img src="{one.source}" alt="{escape(one.caption)}">'
+        f"<figcaption>{escape(one.caption)}</figcaption></figure>"
+        for one in found[:MAX_FIGURES]
+    ]
+    if len(found) > len(parts):
+        parts.append(f"<p>{len(parts)} of {len(found)} figures; `swarmctl exp plot` draws all.</p>")
+    return f'<div class="pair">{"".join(parts)}</div>' if parts else ""
+
+
+def _data_url(picture: Path | IO[bytes]) -> str:
+    """The picture with fewer colours, as a data URL."""
     from PIL import Image
 
     file = io.BytesIO()
-    with Image.open(path) as picture:
-        picture.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(
+    with Image.open(picture) as image:
+        image.convert("RGB").quantize(_COLOURS, dither=Image.Dither.NONE).save(
             file, "png", optimize=True
         )
-    return base64.b64encode(file.getvalue()).decode()
+    return f"data:image/png;base64,{base64.b64encode(file.getvalue()).decode()}"

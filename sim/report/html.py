@@ -19,8 +19,8 @@ from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.statistics import FEW, METHOD
 from swarmd.sim.metrics.metric import Metric
 from swarmd.sim.plots.select import primary_metric, typical_first
-from swarmd.sim.report.figures import Figure, figures_of
-from swarmd.sim.report.player import player_of, script
+from swarmd.sim.report.figures import figures_html, figures_of
+from swarmd.sim.report.player import Player, player_of, script
 from swarmd.sim.report.tables import (
     contacts_table,
     differences_tables,
@@ -31,8 +31,6 @@ from swarmd.sim.report.tables import (
 from swarmd.sim.view.experiment import source_of
 from swarmd.view.source import Source
 
-MAX_FIGURES = 24
-"""Pictures in a report; a sweep of many variants has more."""
 _PLAYER = """
 <p>{what}. Sampled every {period:.2g} s.</p>
 <div id="player">
@@ -80,17 +78,14 @@ def report_of(
     sections = [
         ("results", "Results", _results(results, first, others)),
         ("differences", "Differences", differences_tables(results, first)),
-        ("figures", "Figures", _figures(figures_of(folder, metrics))),
+        ("figures", "Figures", figures_html(figures_of(folder, metrics))),
         ("contacts", "Contacts", contacts_table(results)),
     ]
-    data = data_element("summary", json.dumps(results.document(), allow_nan=False))
-    code = ""
+    player = None
     if source is not None:
         player = player_of(source)
         what = f"The run of {source.playback.run if source.playback else ''}"
         sections.append(("run", "One run", player_section(what, player.period)))
-        data += data_element("run-data", player.data)
-        code = f'<script type="module">\n{script()}\n</script>'
     sections += [
         ("scenario", "Scenario", _scenario(results, manifest)),
         ("again", "How to make it again", _again(folder, manifest)),
@@ -101,8 +96,8 @@ def report_of(
         question=_question(manifest),
         summary=_summary(results, manifest),
         sections=sections,
-        data=data,
-        script=code,
+        data=data_element("summary", json.dumps(results.document(), allow_nan=False)),
+        player=player,
     )
 
 
@@ -113,9 +108,16 @@ def page(
     summary: str,
     sections: Sequence[tuple[str, str, str]],
     data: str = "",
-    script: str = "",
+    player: Player | None = None,
 ) -> str:
-    """The HTML of a report. `sections` are id, title and HTML; those without HTML are left out."""
+    """The HTML of a report. `sections` are id, title and HTML; those without HTML are left out.
+
+    `data`: more elements; `player`: what the section of `player_section` plays.
+    """
+    code = ""
+    if player is not None:
+        data += data_element("run-data", player.data)
+        code = f'<script type="module">\n{script()}\n</script>'
     place = files("swarmd.sim.report") / "page"
     parts = [
         f'<section id="{name}"><h2>{escape(head)}</h2>\n{body}\n</section>'
@@ -129,7 +131,7 @@ def page(
         style=(place / "report.css").read_text(encoding="utf-8"),
         sections="\n".join(parts),
         data=data,
-        script=script,
+        script=code,
     )
 
 
@@ -196,18 +198,6 @@ def _results(results: Results, first: Sequence[Metric], others: Sequence[Metric]
     )
     parts.append(f'<p class="dim">95 % intervals: {escape(METHOD)}.</p>')
     return "\n".join(part for part in parts if part)
-
-
-def _figures(found: Sequence[Figure]) -> str:
-    kept = found[:MAX_FIGURES]
-    parts = [
-        f'<figure class="{one.kind}"><img src="{one.source}" alt="{escape(one.caption)}">'
-        f"<figcaption>{escape(one.caption)}</figcaption></figure>"
-        for one in kept
-    ]
-    if len(found) > len(kept):
-        parts.append(f"<p>{len(kept)} of {len(found)} figures; `swarmctl exp plot` draws all.</p>")
-    return f'<div class="pair">{"".join(parts)}</div>' if parts else ""
 
 
 def _scenario(results: Results, manifest: Manifest) -> str:

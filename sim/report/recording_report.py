@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import io
 import itertools
 import json
 import shlex
@@ -15,13 +13,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from swarmd.core.values import Array
+from swarmd.recording.merge import clock_cells
 from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.sim.film.colours import STATES, UNKNOWN
 from swarmd.sim.plots.scene import robot_colour, robot_style
-from swarmd.sim.plots.theme import DPI, new_figure, tidy
+from swarmd.sim.plots.theme import new_figure, tidy
 from swarmd.sim.plots.trajectories import MAX_NAMED, trajectories_figure
-from swarmd.sim.report.html import data_element, page, player_section
-from swarmd.sim.report.player import player_of, script
+from swarmd.sim.report.figures import drawn, figures_html
+from swarmd.sim.report.html import page, player_section
+from swarmd.sim.report.player import player_of
 from swarmd.sim.report.recorded import APART, Recorded, recorded
 from swarmd.sim.report.tables import table
 from swarmd.sim.trace import Trace
@@ -54,7 +54,7 @@ def recording_report(path: Path) -> str:
     stops = _stops(trace)
     sections = [
         ("robots", "Robots", f"{_fault(file)}<p>{where}</p>{_robots(found)}"),
-        ("figures", "Figures", _figures(found)),
+        ("figures", "Figures", _figures(trace)),
         ("stops", "Stops", _listed(stops, ("TIME", "ROBOT", "FOR", "REASON"), MAX_STOPS)),
         ("run", "The run", player_section("The whole recording", player.period)),
         ("events", "Events", _listed(_events(found), ("TIME", "ROBOT", "EVENT"), MAX_EVENTS)),
@@ -72,8 +72,7 @@ def recording_report(path: Path) -> str:
         question=f"Recording of {count} robot{'s' * (count > 1)}, {trace.duration:.0f} s",
         summary=str(path.name),
         sections=sections,
-        data=data_element("run-data", player.data),
-        script=f'<script type="module">\n{script()}\n</script>',
+        player=player,
     )
 
 
@@ -142,27 +141,17 @@ def _listed(rows: list[tuple[str, ...]], head: tuple[str, ...], most: int) -> st
     return note + table(head, [tuple(map(escape, row)) for row in rows[:most]], "listed")
 
 
-def _figures(found: Recorded) -> str:
-    pictures = [
-        (_states_figure(found.trace), "States over time."),
-        (_gaps_figure(found.trace), "Gap from the footprint to the nearest return over time."),
-        (
-            trajectories_figure(found.trace, "paths"),
-            "Paths: hollow at the start, filled at the end.",
-        ),
-    ]
-    parts = [
-        f'<figure><img src="data:image/png;base64,{_png(figure)}" alt="{text}">'
-        f"<figcaption>{text}</figcaption></figure>"
-        for figure, text in pictures
-    ]
-    return f'<div class="pair">{"".join(parts)}</div>'
-
-
-def _png(figure: Figure) -> str:
-    file = io.BytesIO()
-    figure.savefig(file, format="png", dpi=DPI)
-    return base64.b64encode(file.getvalue()).decode()
+def _figures(trace: Trace) -> str:
+    return figures_html(
+        [
+            drawn(_states_figure(trace), "States over time."),
+            drawn(_gaps_figure(trace), "Gap from the footprint to the nearest return over time."),
+            drawn(
+                trajectories_figure(trace, "paths"),
+                "Paths: hollow at the start, filled at the end.",
+            ),
+        ]
+    )
 
 
 def _states_figure(trace: Trace) -> Figure:
@@ -221,19 +210,7 @@ def _clocks(about: Mapping[str, str]) -> str:
     """The estimates of `record merge`; empty for one robot."""
     if "clocks" not in about:
         return ""
-    rows = []
-    for one in json.loads(about["clocks"]):
-        known = one["is_aligned"]
-        numbers = (
-            (
-                f"{one['offset']:.6f} s",
-                f"{one['drift_ppm']:+.1f} ppm",
-                f"{1e3 * one['error']:.3f} ms",
-            )
-            if known
-            else ("not aligned", "-", "unknown")
-        )
-        rows.append((one["robot"], *numbers, ", ".join(one["via"]) or "-"))
+    rows = [(one["robot"], *clock_cells(one)) for one in json.loads(about["clocks"])]
     head = ("ROBOT", "OFFSET", "DRIFT", "ERROR AT MOST", "VIA")
     return table(head, [tuple(map(escape, row)) for row in rows], "clocks")
 

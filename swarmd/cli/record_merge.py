@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import click
 
 from swarmd.cli.options import CommonOptions
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.plugins import need
-from swarmd.texts.values import NOTHING
 
 
 @click.command()
@@ -48,7 +46,7 @@ def merge(
     /tb3-01/scan.
     """
     need("mcap", "rosbags", extra="record")
-    from swarmd.recording.merge import place, rows, survey, write_merged
+    from swarmd.recording.merge import clock_cells, place, rows, survey, write_merged
 
     above = click.get_current_context().find_object(CommonOptions) or CommonOptions()
     is_json = "json" in outputs or above.is_json
@@ -75,7 +73,8 @@ def merge(
         content = {"file": str(target), "messages": count, "clocks": table}
         print_json("Merged", {**content, "reference": placed[0].source.robot})
         return
-    print_table(("NAME", "CLOCK", "OFFSET", "DRIFT", "ERROR", "VIA"), [_row(one) for one in table])
+    cells = [(one["robot"], one["clock"], *clock_cells(one)) for one in table]
+    print_table(("NAME", "CLOCK", "OFFSET", "DRIFT", "ERROR", "VIA"), cells)
     click.echo(f"{count} messages of {len({one['robot'] for one in table})} robots in {target}")
 
 
@@ -101,16 +100,3 @@ def parts_of(files: tuple[Path, ...]) -> list[Path]:
             raise click.UsageError(f"{one}: no recording (.mcap) in this folder")
         parts |= dict.fromkeys(path.resolve() for path in (inside if one.is_dir() else [one]))
     return list(parts)
-
-
-def _row(one: dict[str, Any]) -> tuple[str, ...]:
-    if not one["is_aligned"]:
-        return one["robot"], one["clock"], "unaligned", NOTHING, NOTHING, NOTHING
-    return (
-        one["robot"],
-        one["clock"],
-        f"{one['offset']:.6f} s",
-        f"{one['drift_ppm']:+.1f} ppm",
-        f"{1000.0 * one['error']:.3f} ms",
-        ", ".join(one["via"]) or NOTHING,
-    )
