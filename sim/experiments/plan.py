@@ -57,6 +57,12 @@ class Run:
     seed: int
 
     @property
+    def title(self) -> str:
+        """`speed=0.1, seed 3`, or the seed alone where nothing is swept."""
+        name = self.variant.name
+        return f"{name}, seed {self.seed}" if name else f"seed {self.seed}"
+
+    @property
     def robot_seconds(self) -> float:
         """Robots times simulated seconds, to which the time that a run takes is proportional."""
         groups = self.variant.effective.get("groups", {}).values()

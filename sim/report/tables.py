@@ -77,13 +77,12 @@ def contacts_table(results: Results) -> str:
             trace = results.traces[run.id]
         except SwarmError:  # not kept
             continue
-        name = f"{run.variant.name}, seed {run.seed}" if run.variant.name else f"seed {run.seed}"
         for one in contact_list(trace):
             count += 1
             moving = [
                 w for w, is_so in ((one.a, one.is_a_moving), (one.b, one.is_b_moving)) if is_so
             ]
-            cells = (name, f"{one.start:.1f} s", f"{one.a}, {one.b}", ", ".join(moving) or "-")
+            cells = (run.title, f"{one.start:.1f} s", f"{one.a}, {one.b}", ", ".join(moving) or "-")
             rows.append((*map(escape, cells), f"{one.closing_speed:.3f} m/s"))
     if not touched:
         return ""

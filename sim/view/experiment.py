@@ -11,7 +11,6 @@ from swarmd.core.values import Platform
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import platform_of
 from swarmd.sim.experiments.manifest import NAME as MANIFEST
-from swarmd.sim.experiments.plan import Run
 from swarmd.sim.experiments.results import load_results
 from swarmd.sim.experiments.store import trace_path
 from swarmd.sim.scenarios.environment import fields_of
@@ -71,7 +70,7 @@ def _experiment(folder: Path, seed: int | None, variant: str | None) -> Runs:
         chosen = [run for run in chosen if run.seed == seed]
         if not chosen:
             raise ConfigError(f"--seed: {unknown('seed', str(seed), seeds)}")
-    runs = {_name(run): run for run in kept}
+    runs = {run.title: run for run in kept}
 
     def load(name: str) -> RecordedRun:
         run = runs[name]
@@ -80,12 +79,7 @@ def _experiment(folder: Path, seed: int | None, variant: str | None) -> Runs:
         return RecordedRun(load_trace(trace_path(folder, run)), fields, _platforms(effective))
 
     title = f"{results.plan.scenario}, {len(kept)} run{'s' * (len(kept) > 1)}"
-    return Runs(title, list(runs), load, _name(chosen[0]))
-
-
-def _name(run: Run) -> str:
-    variant = f"{run.variant.name}, " if run.variant.name else ""
-    return f"{variant}seed {run.seed}"
+    return Runs(title, list(runs), load, chosen[0].title)
 
 
 def _platforms(effective: Mapping[str, Any]) -> dict[str, Platform]:
