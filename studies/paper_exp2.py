@@ -221,7 +221,7 @@ def draw(found: Mapping[str, Results], out: Path) -> None:
                 is_run_drawn = bool(save(figure, out / "paper_exp2_run.png"))
         title = f"experiment 2, {TITLES[name]}"
         ordered = {label: groups[label] for label in sorted(groups)}
-        figure = series_figure(ordered, label="least range of all", unit="m", title=title)
+        figure = series_figure({"": ordered}, label="least range of all", unit="m", title=title)
         save(figure, out / f"paper_exp2_{name}.png")
 
 

@@ -17,6 +17,9 @@ from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.keys import is_id
 
 if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
+    from swarmd.core.values import Platform
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.metrics.metric import Metric
 
@@ -89,14 +92,11 @@ _OPTIONS = (
 )
 
 
-def scenarios(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+def scenarios(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """What Tab offers for a scenario: those that are shipped, else files."""
-    from click.shell_completion import CompletionItem
-
     from swarmd.sim.scenarios.scenariofile import scenario_names
 
-    names = [name for name in scenario_names() if name.startswith(incomplete)]
-    return [*map(CompletionItem, names)] or [CompletionItem(incomplete, type="file")]
+    return completion.names_or_files(scenario_names(), incomplete)
 
 
 def output_option(function: Callable[..., R]) -> Callable[..., R]:
@@ -149,41 +149,19 @@ def fleet_for(
         return scenario_fleet(swarm, folder, scenario, sets, seed=seed, emulator=emulator)
     if sets:
         raise ConfigError(f"--set {sets[0]}: there is no SCENARIO whose values it could override")
-    from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
-    from swarmd.settings.platforms import load_platform
-    from swarmd.sim.live.fleet import FleetSpec, robot_ids
+    from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.world.arena import parse_arena
     from swarmd.sim.world.layouts import parse_layout
 
-    if emulator is not None:
-        from swarmd.plugins import load_emulator
-
-        load_emulator(emulator)
-        if others["radio_range"] is not None:
-            raise ConfigError(
-                f"--radio-range and --emulate {emulator}: emulated robots do not report which"
-                " robots they receive; leave one of the two out"
-            )
-    if any(mark in platform for mark in ",:"):
-        raise ConfigError(f"--platform {platform!r}: a comma or colon; rename the file or folder")
-    kind = load_platform(platform)
-    ids = robot_ids(kind.name, count)
-    if not all(map(is_id, ids)):
-        raise ConfigError(
-            f"--platform {platform!r}: {ids[0]!r} would be no valid robot id;"
-            " name the file with a-z, 0-9, _ and - only, such as my_bot.yaml"
-        )
+    _check_emulator(emulator, others["radio_range"])
+    kind, ids = _platform_and_ids(platform, count)
     threshold = float(kind.protection.get("threshold", 0.5))
     side = round(max(1.8 * kind.scan.range_max, 3.0 * threshold * count**0.5), 1)
     arena = arena or f"{side:g}x{side:g}"
     layout = layout or f"random:{0.6 * threshold:.2f}"
     parse_layout(layout, [kind.footprint] * count, parse_arena(arena), seed=others["seed"])
     if count > 1:
-        own = body_of(kind)
-        for found in findings(own, assumed_speed(kind), ids[0], own, ACCEPTS_NONE):
-            is_seen = found.kind == "unseen" and others["lidar_visibility"] == "body"
-            if not is_seen:
-                warn(f"note: {found.text}")
+        _warn_of_peers(kind, ids[0], others["lidar_visibility"])
     return FleetSpec(
         swarm=swarm,
         robots=dict.fromkeys(ids, platform),
@@ -193,6 +171,48 @@ def fleet_for(
         emulator=emulator,
         **others,
     )
+
+
+def _platform_and_ids(platform: str, count: int) -> tuple[Platform, tuple[str, ...]]:
+    """The platform of that name or file, and the ids of its robots; ConfigError if it has none."""
+    from swarmd.settings.platforms import load_platform
+    from swarmd.sim.live.fleet import robot_ids
+
+    if any(mark in platform for mark in ",:"):
+        raise ConfigError(f"--platform {platform!r}: a comma or colon; rename the file or folder")
+    kind = load_platform(platform)
+    ids = robot_ids(kind.name, count)
+    if not all(map(is_id, ids)):
+        raise ConfigError(
+            f"--platform {platform!r}: {ids[0]!r} would be no valid robot id;"
+            " name the file with a-z, 0-9, _ and - only, such as my_bot.yaml"
+        )
+    return kind, ids
+
+
+def _warn_of_peers(kind: Platform, robot: str, visibility: str) -> None:
+    """What a robot of this platform would find about another one."""
+    from swarmd.protection.compatibility import ACCEPTS_NONE, assumed_speed, body_of, findings
+
+    own = body_of(kind)
+    for found in findings(own, assumed_speed(kind), robot, own, ACCEPTS_NONE):
+        is_seen = found.kind == "unseen" and visibility == "body"
+        if not is_seen:
+            warn(f"note: {found.text}")
+
+
+def _check_emulator(emulator: str | None, radio_range: float | None = None) -> None:
+    """PluginError if the emulator is unknown or lacks a library, ConfigError with a radio range."""
+    if emulator is None:
+        return
+    from swarmd.plugins import load_emulator
+
+    load_emulator(emulator)
+    if radio_range is not None:
+        raise ConfigError(
+            f"--radio-range and --emulate {emulator}: emulated robots do not report which"
+            " robots they receive; leave one of the two out"
+        )
 
 
 _OF_PLAIN_RUNS = {
@@ -233,10 +253,7 @@ def scenario_fleet(
             text = f"{option.opts[0]} does not go with a scenario"
             raise ConfigError(f"{text}; change the value in the file, or with --set {key}=VALUE")
     loaded = load_scenario(scenario, parse_sets(sets))
-    if emulator is not None:
-        from swarmd.plugins import load_emulator
-
-        load_emulator(emulator)
+    _check_emulator(emulator)
     check_live(loaded, MAX_ROBOTS, emulator)
     loaded.starts(seed)  # raises without room
     for note in loaded.notes:

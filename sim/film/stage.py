@@ -70,14 +70,12 @@ def stage_of(
     if not text:
         raise ConfigError("the trace names no arena, so that it cannot be filmed")
     arena = parse_arena(text)
-    names = dict.fromkeys(trace.platforms)
+    assumed: list[str] = []
     found = {
-        name: (platforms[name], True)
-        if name in platforms
-        else _platform(name, trace.footprints[name])
-        for name in names
+        name: platforms.get(name) or _platform(name, footprint, assumed)
+        for name, footprint in trace.footprints.items()
     }
-    robots = {i: found[p][0] for i, p in zip(trace.ids, trace.platforms, strict=True)}
+    robots = {i: found[p] for i, p in zip(trace.ids, trace.platforms, strict=True)}
     spec = bodies.build_spec(robots, arena, 0.01)
     for robot, platform in robots.items():
         _add_marks(spec.body(f"robot/{robot}"), robot, platform)
@@ -85,9 +83,6 @@ def stage_of(
     _add_floor(spec, extent)
     spec.visual.global_.offwidth, spec.visual.global_.offheight = size
     spec.visual.quality.offsamples = 4
-    spec.visual.headlight.ambient = [0.62] * 3
-    spec.visual.headlight.diffuse = [0.08] * 3
-    spec.visual.headlight.specular = [0.0] * 3
     model = spec.compile()
     _paint(model)
     factor = _enlargement(trace, extent, size)
@@ -108,18 +103,17 @@ def stage_of(
         parts=parts,
         factor=factor,
         boxes=np.array([model.geom(f"box/{n}").id for n in trace.movable_boxes], dtype=np.int64),
-        assumed=tuple(sorted(name for name, (_, is_known) in found.items() if not is_known)),
+        assumed=tuple(sorted(assumed)),
     )
 
 
-def _platform(name: str, footprint: Array) -> tuple[Platform, bool]:
-    """The platform, and whether it is known; a trace holds only the footprint of others."""
+def _platform(name: str, footprint: Array, assumed: list[str]) -> Platform:
+    """The platform; one that is not known, of which a trace holds only the footprint, is noted."""
     try:
-        platform = load_platform(name)
-        return platform, True
+        return load_platform(name)
     except ConfigError:
-        other = load_platform(_ASSUMED)
-        return replace(other, name=name, footprint=footprint), False
+        assumed.append(name)
+        return replace(load_platform(_ASSUMED), name=name, footprint=footprint)
 
 
 def _add_marks(body: mujoco.MjsBody, robot: str, platform: Platform) -> None:
@@ -182,6 +176,9 @@ def _add_floor(spec: mujoco.MjSpec, extent: Extent) -> None:
         contype=0,
         conaffinity=0,
     )
+    spec.visual.headlight.ambient = [0.62] * 3
+    spec.visual.headlight.diffuse = [0.08] * 3
+    spec.visual.headlight.specular = [0.0] * 3
     middle = [(extent.left + extent.right) / 2.0, (extent.bottom + extent.top) / 2.0]
     spec.worldbody.add_light(
         pos=[*middle, 4.0],

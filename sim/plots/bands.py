@@ -39,32 +39,6 @@ _PALE = {"facecolor": "white", "alpha": 0.7, "pad": 1.0, "linewidth": 0.0}
 
 
 def series_figure(
-    groups: Mapping[str, Sequence[Series]],
-    *,
-    label: str,
-    unit: str = "",
-    title: str = "",
-    target: float | None = None,
-    events: Sequence[tuple[float, str]] = (),
-    smoothing: float = 0.0,
-    width: float | None = None,
-) -> Figure:
-    """A picture of a metric over time.
-
-    `groups`: the runs of each variant. A line is the median of its runs. A dark band holds half of
-    the runs, a pale band 95 % (all, if there are fewer than 20); with many variants there are
-    fewer bands. If all values are 0 or 1, the line is the share of runs at 1 and the band its
-    95 % interval. `target` is a dashed line, `events` are dotted lines at times in s, with a
-    label. `smoothing`: s over which each run is averaged first. `width`: in inches, for a paper.
-    SwarmError without values.
-    """
-    return faceted_series_figure(
-        {"": groups}, label=label, unit=unit, title=title, target=target, events=events,
-        smoothing=smoothing, width=width,
-    )  # fmt: skip
-
-
-def faceted_series_figure(
     facets: Mapping[str, Mapping[str, Sequence[Series]]],
     *,
     label: str,
@@ -75,7 +49,15 @@ def faceted_series_figure(
     smoothing: float = 0.0,
     width: float | None = None,
 ) -> Figure:
-    """As `series_figure`, with a panel for each facet; a variant has its colour in all of them."""
+    """A picture of a metric over time, with a panel for each facet.
+
+    `facets`: the runs of each variant, by panel; a variant has its colour in all panels. A line is
+    the median of its runs. A dark band holds half of the runs, a pale band 95 % (all, if there are
+    fewer than 20); with many variants there are fewer bands. If all values are 0 or 1, the line is
+    the share of runs at 1 and the band its 95 % interval. `target` is a dashed line, `events` are
+    dotted lines at times in s, with a label. `smoothing`: s over which each run is averaged first.
+    `width`: in inches, for a paper. SwarmError without values.
+    """
     kept = {panel: _smoothed(groups, smoothing) for panel, groups in facets.items()}
     kept = {panel: groups for panel, groups in kept.items() if groups}
     every = [run for groups in kept.values() for runs in groups.values() for run in runs]

@@ -19,7 +19,7 @@ from swarmd.sim.experiments.compare import Side, compare
 from swarmd.sim.experiments.plan import Run
 from swarmd.sim.experiments.results import YES_OR_NO, Results, load_results
 from swarmd.sim.metrics.catalog import METRICS, Metric, series
-from swarmd.sim.plots.bands import Series, faceted_series_figure, series_figure
+from swarmd.sim.plots.bands import Series, series_figure
 from swarmd.sim.plots.differences import DifferencePanel, differences_figure
 from swarmd.sim.plots.facets import facets_of
 from swarmd.sim.plots.intervals import Panel, intervals_figure
@@ -109,7 +109,7 @@ def compared_over_time(
             if run.variant.name == side.variant and (one := series(trace, found)) is not None:
                 groups.setdefault(label, []).append((trace.t - trace.t[0], one))
     return series_figure(
-        groups,
+        {"": groups},
         label=label_of(stem_of(found.name)),
         unit=found.unit,
         title=title,
@@ -258,7 +258,7 @@ class _Gallery:
         made = []
         for one in metrics:
             if _varies(found[one.name]):
-                figure = faceted_series_figure(
+                figure = series_figure(
                     found[one.name],
                     label=label_of(stem_of(one.name)),
                     unit=one.unit,

@@ -7,6 +7,7 @@ print on standard error goes nowhere (see `run_cli`).
 from __future__ import annotations
 
 import os
+from collections.abc import Iterable
 from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -14,6 +15,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
     from swarmd.cli.options import CommonOptions
 
 SHELLS = ("bash", "zsh", "fish")
@@ -64,14 +67,19 @@ def patterns(ctx: click.Context, param: click.Parameter, incomplete: str) -> lis
     return [name for name in names if name.startswith(incomplete)]
 
 
-def platforms(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[Any]:
+def platforms(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """The platforms by name, else files."""
-    from click.shell_completion import CompletionItem
-
     from swarmd.settings.platforms import platform_names
 
-    names = [name for name in platform_names() if name.startswith(incomplete)]
-    return [*map(CompletionItem, names)] or [CompletionItem(incomplete, type="file")]
+    return names_or_files(platform_names(), incomplete)
+
+
+def names_or_files(names: Iterable[str], incomplete: str) -> list[CompletionItem]:
+    """The names that begin so; files if there are none."""
+    from click.shell_completion import CompletionItem
+
+    found = [CompletionItem(name) for name in names if name.startswith(incomplete)]
+    return found or [CompletionItem(incomplete, type="file")]
 
 
 def _options(ctx: click.Context) -> CommonOptions:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -35,6 +36,11 @@ def runs(count: int, offset: float = 0.0) -> list[Series]:
     return [(t, offset + rng.normal(size=50)) for _ in range(count)]
 
 
+def drawn(groups: Mapping[str, Sequence[Series]], **options: Any) -> Figure:
+    """The figure of one panel."""
+    return series_figure({"": groups}, **options)
+
+
 def note(figure: Figure) -> str:
     return figure.axes[0].get_title(loc="right")
 
@@ -52,33 +58,33 @@ def note(figure: Figure) -> str:
     ],
 )
 def test_few_variants_have_more_bands(variants: int, count: int, bands: int, says: str) -> None:
-    figure = series_figure({f"v{k}": runs(count) for k in range(variants)}, label="gap")
+    figure = drawn({f"v{k}": runs(count) for k in range(variants)}, label="gap")
     assert len(figure.axes[0].lines) == variants
     assert len(figure.axes[0].collections) == bands
     assert note(figure) == says
 
 
 def test_the_legend_counts_the_runs() -> None:
-    figure = series_figure({"law=ours": runs(3), "law=paper": runs(20)}, label="gap")
+    figure = drawn({"law=ours": runs(3), "law=paper": runs(20)}, label="gap")
     texts = [text.get_text() for text in figure.legends[0].get_texts()]
     assert texts == ["law=ours (n = 3)", "law=paper (n = 20)"]
-    assert series_figure({"one": runs(3)}, label="gap").legends == []
+    assert drawn({"one": runs(3)}, label="gap").legends == []
 
 
 def test_a_variant_without_any_run_is_left_out() -> None:
-    figure = series_figure({"a": runs(3), "b": [], "c": runs(2)}, label="gap")
+    figure = drawn({"a": runs(3), "b": [], "c": runs(2)}, label="gap")
     assert len(figure.axes[0].lines) == 2
 
 
 def test_no_two_of_twenty_variants_look_alike() -> None:
-    figure = series_figure({f"v{k}": runs(2) for k in range(20)}, label="gap")
+    figure = drawn({f"v{k}": runs(2) for k in range(20)}, label="gap")
     looks = {(line.get_color(), line.get_linestyle()) for line in figure.axes[0].lines}
     assert len(looks) == 20
 
 
 def test_values_of_0_and_1_are_drawn_as_a_share_of_the_runs() -> None:
     t = np.arange(3.0)
-    figure = series_figure(
+    figure = drawn(
         {"a": [(t, np.array([0.0, 1.0, 1.0])), (t, np.array([0.0, 0.0, 1.0]))]},
         label="one cluster", unit="0 or 1",
     )  # fmt: skip
@@ -89,7 +95,7 @@ def test_values_of_0_and_1_are_drawn_as_a_share_of_the_runs() -> None:
 
 
 def test_target_and_events_are_labelled_lines() -> None:
-    figure = series_figure({"a": runs(3)}, label="gap", unit="m", target=0.5,
+    figure = drawn({"a": runs(3)}, label="gap", unit="m", target=0.5,
                            events=((1.0, "kill r1"), (2.0, "place")))  # fmt: skip
     axes = figure.axes[0]
     assert axes.get_ylabel() == "gap [m]"
@@ -98,7 +104,7 @@ def test_target_and_events_are_labelled_lines() -> None:
 
 
 def test_smoothing_is_stated() -> None:
-    rough, smooth = (series_figure({"a": runs(3)}, label="duty", smoothing=s) for s in (0.0, 2.0))
+    rough, smooth = (drawn({"a": runs(3)}, label="duty", smoothing=s) for s in (0.0, 2.0))
     assert note(smooth).endswith("; running mean over 2 s")
     spans = [np.ptp(figure.axes[0].lines[0].get_ydata()) for figure in (rough, smooth)]
     assert spans[1] < spans[0] / 2.0
@@ -107,13 +113,13 @@ def test_smoothing_is_stated() -> None:
 @pytest.mark.parametrize("groups", [{}, {"a": []}, {"a": [(np.zeros(0), np.zeros(0))]}])
 def test_nothing_to_draw_is_an_error(groups: dict[str, list[Series]]) -> None:
     with pytest.raises(SwarmError, match="gap"):
-        series_figure(groups, label="gap")
+        drawn(groups, label="gap")
 
 
 def test_counts_have_whole_ticks_and_steps() -> None:
     steps = (T, np.array([1.0, 1.0, 2.0, 2.0, 2.0]))
     late = (np.array([0.0, 2.5, 4.0]), np.array([1.0, 2.0, 2.0]))
-    axes = series_figure({"a": [steps, late]}, label="clusters").axes[0]
+    axes = drawn({"a": [steps, late]}, label="clusters").axes[0]
     assert all(float(tick).is_integer() for tick in axes.get_yticks())
     assert set(np.asarray(axes.lines[0].get_ydata())) <= {1.0, 1.5, 2.0}
 
@@ -121,7 +127,7 @@ def test_counts_have_whole_ticks_and_steps() -> None:
 @pytest.mark.parametrize("variants", [1, 2, 12])
 def test_no_texts_overlap(overlaps: Overlaps, variants: int) -> None:
     groups = {f"law=paper,lidar_visibility=real,W={k}": runs(20) for k in range(variants)}
-    figure = series_figure(groups, label="mean distance to centroid", unit="m", target=1.0,
+    figure = drawn(groups, label="mean distance to centroid", unit="m", target=1.0,
                            title="paper_exp1_waffle_pi", smoothing=2.0)  # fmt: skip
     assert overlaps(figure) == []
 
