@@ -180,7 +180,8 @@ async def _started(
     source: Source, commander: Commander | None, web: WebOptions, on_address: Callable[[str], None]
 ) -> ViewServer:
     """A server that listens; `on_address` takes a line for each address of its page."""
-    from swarmd.view.access import Access, is_loopback
+    from swarmd.network.settings import is_loopback
+    from swarmd.view.access import Access
     from swarmd.view.server import ViewServer
 
     server = ViewServer(source, commander, Access(web.token, web.viewer_token))

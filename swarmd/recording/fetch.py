@@ -24,8 +24,6 @@ PIECE = 32768
 """Bytes of one answer."""
 MAX_NAME = 200
 """Bytes of the name of a file: file systems take 255, and `.partial` or `-other1` is added."""
-ASK_TIME = 10.0
-"""Seconds after which a robot that does not answer is given up."""
 
 Ask = Callable[[str, str, bytes], bytes | None]
 """Robot, name of the query and payload to the answer; None if none came."""

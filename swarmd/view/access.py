@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import hmac
-import ipaddress
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from websockets.datastructures import Headers
 
 from swarmd.core.errors import ConfigError
+from swarmd.network.settings import is_loopback
 
 LEAST_TOKEN = 8
 """Characters of a token, at least."""
@@ -80,13 +80,3 @@ class Access:
         if origin is not None and urlsplit(origin).netloc != host:
             return False
         return bool(self.operator) or is_loopback(urlsplit(f"//{host}").hostname or "")
-
-
-def is_loopback(host: str) -> bool:
-    """True for `localhost` and for loopback addresses."""
-    if host == "localhost":
-        return True
-    try:
-        return ipaddress.ip_address(host).is_loopback
-    except ValueError:
-        return False

@@ -62,12 +62,6 @@ class SwarmWatch:
             known = dict(self._statuses)
         return {name: (status, max(now - at, 0.0)) for name, (status, at) in known.items()}
 
-    def status(self, name: str) -> Status | None:
-        """The last status of a robot."""
-        with self._lock:
-            known = self._statuses.get(name)
-        return None if known is None else known[0]
-
     def _look(self) -> None:
         while not self._ending.is_set():
             began = time.monotonic()
