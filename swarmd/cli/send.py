@@ -87,18 +87,9 @@ def warn_of_gaps(view: MembersView, missing: Iterable[str]) -> None:
 
 def gap(view: MembersView, name: str) -> str:
     """What is known of a robot that did not answer."""
-    from swarmd.network.discovery import Contact
+    from swarmd.texts.why import absence
 
-    member = view.members.get(name)
-    if member is None:
-        return f"{name} not seen by any robot"
-    age = seconds(member.age)
-    if member.contact is Contact.UNREACHABLE:
-        return f"{name} alive by {member.by}'s word, {age} ago, not reachable from here"
-    if member.contact is Contact.GONE:
-        by = f" by {member.by}'s word" if member.by else ""
-        return f"{name} {member.presence}{by}, {age} ago"
-    return f"{name} heard {age} ago, no answer"
+    return f"{name} {absence(view.members.get(name))}"
 
 
 def exit_code_of(view: MembersView, names: Collection[str]) -> int:

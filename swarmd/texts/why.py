@@ -100,6 +100,22 @@ def why(member: SeenMember) -> str:
     return f"{status.state}: {sentence}{_lost(status)}"
 
 
+def absence(member: SeenMember | None, *, has_age: bool = True) -> str:
+    """What is known of a robot without a present status, in a few words."""
+    if member is None:
+        return "not seen by any robot"
+    if member.contact is Contact.OTHER_VERSION:
+        return f"{member.state or 'alive'}, of another version: {member.version or '?'}"
+    by = f" by {member.by}'s word" if member.by else ""
+    age = f"{seconds(member.age)} ago" if has_age else ""
+    parts = [f"heard {age}".rstrip(), "no answer"]
+    if member.presence is not Presence.ALIVE:
+        parts = [f"{member.presence}{by}", age]
+    elif member.contact is Contact.UNREACHABLE:
+        parts = [f"alive{by}", age, "not reachable from here"]
+    return ", ".join(filter(None, parts))
+
+
 def obstacles(rows: Iterable[LimitingObstacle]) -> Iterator[tuple[str, LimitingObstacle]]:
     """Each obstacle as `an obstacle at -30 deg, 0.21 m`, with its first row.
 

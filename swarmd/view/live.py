@@ -17,11 +17,11 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.messages import Motion, Presence, Status
 from swarmd.core.values import Array, Platform, Scan
 from swarmd.driver_api.hw_codec import decode_scan
-from swarmd.network.discovery import Contact, MembersView, SeenMember
+from swarmd.network.discovery import MembersView, SeenMember
 from swarmd.network.operator import Operator
 from swarmd.settings.platforms import load_platform
 from swarmd.texts.status import sections
-from swarmd.texts.why import why
+from swarmd.texts.why import absence, why
 from swarmd.view.source import ShownArena, ShownRobot, points_of, row_of
 from swarmd.view.swarm_watch import SwarmWatch
 
@@ -235,10 +235,6 @@ def _unanswered(member: SeenMember | None) -> dict[str, Any]:
     """The row of a robot without a status."""
     row: dict[str, Any] = {"state": "", "report": {}, "presence": "expected"}
     if member is None:
-        return row | {"why": "expected, and never heard", "age": math.inf}
+        return row | {"why": absence(None), "age": math.inf}
     row |= {"presence": member.presence.value, "state": member.state, "age": member.age}
-    if member.contact is Contact.OTHER_VERSION:
-        return row | {"why": f"speaks another version: {member.version or '?'}"}
-    if member.contact is Contact.UNREACHABLE:
-        return row | {"why": f"alive by the word of {member.by}; not reachable from here"}
-    return row | {"why": "heard, without a status" if row["presence"] == "alive" else "silent"}
+    return row | {"why": GONE.get(member.presence) or absence(member, has_age=False)}

@@ -9,8 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from swarmd.core.messages import STATUS_SILENCE, Presence, Status
 from swarmd.network.discovery import Contact, MembersView, SeenMember
-from swarmd.texts.values import seconds
-from swarmd.texts.why import why
+from swarmd.texts.why import absence, why
 from swarmd.view.commander import LiveCommander
 from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
 from swarmd.view.keys import KeyDecoder
@@ -271,16 +270,10 @@ def answer_lines(answer: Answer) -> list[str]:
 def _note(member: SeenMember | None, known: tuple[Status, float] | None) -> str:
     """What stands in place of a robot's state; empty if its status is the present one."""
     if member is None:
-        return "" if known else "on the roster, not seen"
-    if member.presence is not Presence.ALIVE:
-        return f"{member.presence} {seconds(member.age)} ago"
-    if member.contact is Contact.UNREACHABLE:
-        return f"alive by {member.by}'s word, not reachable from here"
-    if member.contact is Contact.OTHER_VERSION:
-        return f"{member.state or 'alive'}, of another version"
-    if known is None or known[1] > STATUS_SILENCE:
-        return f"no answer, heard {seconds(member.age)} ago"
-    return ""
+        return "" if known else absence(None)
+    is_heard = member.contact in (Contact.ANSWERED, Contact.NO_ANSWER)
+    is_present = is_heard and member.presence is Presence.ALIVE
+    return "" if is_present and known and known[1] <= STATUS_SILENCE else absence(member)
 
 
 def _with_status(member: SeenMember, status: Status) -> SeenMember:

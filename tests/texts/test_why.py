@@ -8,7 +8,8 @@ from typing import Any
 import pytest
 
 from swarmd.core.messages import DecisionSummary, Health, LimitingObstacle, Presence, Reason, State
-from swarmd.texts.why import obstacles, why
+from swarmd.network.discovery import Contact, SeenMember
+from swarmd.texts.why import absence, obstacles, why
 from tests.support.statuses import ESTOPPED, make_member
 
 
@@ -96,3 +97,29 @@ def test_a_hold_that_lasted_is_in_the_past_tense() -> None:
     lasting = make_member(state=State.STOPPED, reason=Reason.STALE_SCAN, detail="for 2 s")
     assert why(lasting).startswith("stopped: scans stopped arriving (for 2 s); ")
     assert "`swarmctl run PATTERN r1`" in why(lasting)
+
+
+@pytest.mark.parametrize(
+    ("fields", "text", "short"),
+    [
+        ({"contact": Contact.NO_ANSWER}, "heard 3.0 s ago, no answer", "heard, no answer"),
+        (
+            {"contact": Contact.UNREACHABLE, "by": "r2"},
+            "alive by r2's word, 3.0 s ago, not reachable from here",
+            "alive by r2's word, not reachable from here",
+        ),
+        ({"contact": Contact.GONE, "presence": Presence.FAILED}, "failed, 3.0 s ago", "failed"),
+        (
+            {"contact": Contact.OTHER_VERSION, "state": "running", "version": "9"},
+            *("running, of another version: 9",) * 2,
+        ),
+    ],
+)
+def test_what_is_known_of_a_robot_without_a_status(
+    fields: dict[str, Any], text: str, short: str
+) -> None:
+    about = {"presence": Presence.ALIVE, **fields}
+    member = SeenMember(robot="r1", instance="i", age=3.0, **about)
+    assert absence(member) == text
+    assert absence(member, has_age=False) == short
+    assert absence(None) == "not seen by any robot"
