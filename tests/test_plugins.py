@@ -118,7 +118,7 @@ def test_loads_a_driver_and_a_verb() -> None:
     [
         ("deep", "Dives."),
         ("wave", "Comes with outsider 2.1."),  # its source has no function of that name
-        ("demo", "Start a simulated swarm, run one pattern, and sum it up."),
+        ("demo", "Start a simulated swarm, run one pattern or SCENARIO, and print a summary."),
     ],
 )
 def test_a_verb_is_summed_up_without_importing_it(verb: str, summary: str) -> None:

@@ -1,4 +1,4 @@
-"""A metric of one's own, for examples/beeclust.yaml: `--metrics examples/metrics/warm.py:warm`."""
+"""A custom metric, for examples/beeclust.yaml: `--metrics examples/metrics/warm.py:warm`."""
 
 import numpy as np
 

@@ -67,7 +67,7 @@ def demo(
     page: WebOptions | None,
     **world: Any,
 ) -> None:
-    """Start a simulated swarm, run one pattern or SCENARIO, and sum it up.
+    """Start a simulated swarm, run one pattern or SCENARIO, and print a summary.
 
     SCENARIO is a name of `swarmctl exp list` or a YAML file; it runs for its duration, with one
     seed. Leaves summary.json, trajectories.png, the trace and all logs in runs/<time>/. Exit code 0

@@ -391,7 +391,7 @@ def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None
 def _measured(file: Path, metrics: Sequence[Metric]) -> dict[str, float | None]:
     """The values of a trace by name.
 
-    ConfigError if it lacks what a metric takes of reports, SwarmError if one's own metric fails.
+    ConfigError if it lacks what a metric takes of reports, SwarmError if a custom metric fails.
     """
     from swarmd.sim.metrics import catalog
     from swarmd.sim.metrics.own import MetricError
@@ -426,7 +426,7 @@ def _print_results(results: Results, names: Sequence[Metric] | None, is_json: bo
 
 
 def _warn_of_metrics(results: Results, names: Sequence[str]) -> None:
-    """A line for each of one's own metrics that failed in runs, or that no robot reports."""
+    """A line for each of the custom metrics that failed in runs, or that no robot reports."""
     for name in names:
         found = {run: why[name] for run, why in results.errors.items() if name in why}
         for run, why in list(found.items())[:1]:

@@ -332,7 +332,7 @@ class Cluster:
 def _software(
     folders: Sequence[str], metrics: Sequence[str]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """What a worker runs with: versions, and the digests of plugins and metrics of one's own."""
+    """What a worker runs with: versions, and the digests of plugins and custom metrics."""
     own = digests_of_metrics(map(metric_of, metrics))
     return made_with(), {**digests_of_folders(folders), **own}
 

@@ -50,7 +50,7 @@ class Manifest(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     `scenario` is its name as given; `sets` and `sweep` are by dotted key; `variants` hold the
     resulting complete scenarios. `made_with`: versions and the digest of the code. `plugins`:
-    digests of one-file patterns, and of metrics of one's own by their origin. `metrics`: those
+    digests of one-file patterns, and of custom metrics by their origin. `metrics`: those
     measured besides the catalog's. `git`: the checkouts of swarmd and of the scenario's
     folder, None without one. `traces`: whether they are kept. `command`: the command line that
     repeats it, empty if it was made from Python. `created` in UTC. `shard`: the part of the runs
@@ -129,7 +129,7 @@ def manifest_of(
 
 
 def digests_of_metrics(metrics: Iterable[Metric]) -> dict[str, str]:
-    """The digests of the code of metrics of one's own, by origin."""
+    """The digests of the code of custom metrics, by origin."""
     return {one.origin: one.digest for one in metrics if one.digest}
 
 

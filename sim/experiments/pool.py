@@ -37,7 +37,7 @@ _SHARE_OF_TIMEOUT = 0.8  # of the limit for a run, for each of several processes
 _POLL_PERIOD = 0.5  # s between two checks of workers that report nothing
 _PROGRESS_PERIOD = 0.25  # s between two reports of a worker
 OWN_METRICS = 0.999
-"""The share of a run before metrics of one's own: they are under the time-out, as patterns are."""
+"""The share of a run before custom metrics: they are under the time-out, as patterns are."""
 _MAX_LOG_TAIL = 8192  # bytes of a worker's output that are searched for its last line
 _MAX_REASON = 300  # characters
 _MODULE = "swarmd.sim.experiments.pool"
@@ -72,7 +72,7 @@ class JobResult:
     """The result of a job: `metrics` by name, or None and the reason in one line.
 
     `write_error` is set if the trace could not be written; then no other trace can be written
-    either. `wall` is the duration in s. `errors`: why metrics of one's own have no value, by name.
+    either. `wall` is the duration in s. `errors`: why custom metrics have no value, by name.
     """
 
     run: str

@@ -61,7 +61,7 @@ class Traces:
 class Results:
     """The finished runs of an experiment, in the order of its plan.
 
-    `failures`: the reason of each failed run, by run. `errors`: why metrics of one's own have no
+    `failures`: the reason of each failed run, by run. `errors`: why custom metrics have no
     value, by run and metric. `metrics`: the columns of the table. `variants`: the names of the
     points of the parameter sweep, one empty name without a sweep. `kernels`: `compiled`, or which
     code ran instead.

@@ -5,7 +5,7 @@
     manifest.json   what was to be run, and with what
     runs.csv        a row for each finished run, appended as it finishes
     traces/ID.npz   the trace of a run
-    failures.json   the runs that failed, and metrics of one's own that failed in a run, and why
+    failures.json   the runs that failed, and custom metrics that failed in a run, and why
     summary.json    means, medians and intervals by variant and metric
 
 The last line of runs.csv may be torn, as a killed process leaves it. It is read as if it were not
@@ -127,7 +127,7 @@ def _row(cells: Sequence[str], metrics: Sequence[str], runs: Mapping[str, Run]) 
 class Store:
     """An experiment's folder, open for writing. `rows` and `failures` (reasons) are by run.
 
-    `errors`: why metrics of one's own have no value in a finished run, by run and metric.
+    `errors`: why custom metrics have no value in a finished run, by run and metric.
     Runs that failed earlier are not in `failures`: they are run again.
     """
 
@@ -219,7 +219,7 @@ def read_failures(folder: Path) -> dict[str, str]:
 
 
 def read_errors(folder: Path) -> dict[str, dict[str, str]]:
-    """Why metrics of one's own have no value, by run and metric; ConfigError as above."""
+    """Why custom metrics have no value, by run and metric; ConfigError as above."""
     found: dict[str, dict[str, str]] = {}
     for run, metric, why in _listed(folder, "metrics"):
         found.setdefault(run, {})[metric] = why

@@ -1,4 +1,4 @@
-"""One demo on a running fleet: start a pattern, follow it to its end, stop it, sum it up.
+"""One demo on a running fleet: carry out its events, stop all robots, and summarize the run.
 
 The demo commands the robots as any operator does, through `swarmd.network.operator`. The true
 state of the world is for the view and the summary alone.

@@ -1,6 +1,6 @@
 """All metrics by name, with unit, meaning and source, and their values for a trace.
 
-Besides these there are metrics of what patterns report (`reported.py`) and of one's own (`own.py`);
+Besides these there are metrics of what patterns report (`reported.py`), and custom ones (`own.py`);
 `metric_of` takes all of them. Names are columns of tables and keys of files. `late` is the last
 60 s of a run, or its last half if that is shorter. A metric is None if the trace lacks the data, or
 if it has no value, such as the time to an event that never happened.
@@ -54,7 +54,7 @@ METRICS: Mapping[str, Metric] = MappingProxyType({metric.name: metric for metric
 def measure(trace: Trace, names: Iterable[str | Metric] | None = None) -> dict[str, float | None]:
     """The value of each metric by name, of all of METRICS if None; true is 1.
 
-    ConfigError for an unknown name, MetricError if a metric of one's own fails.
+    ConfigError for an unknown name, MetricError if a custom metric fails.
     """
     wanted = map(metric_of, METRICS if names is None else names)
     return {metric.name: _plain(metric.value(trace)) for metric in wanted}

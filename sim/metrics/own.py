@@ -1,4 +1,4 @@
-"""Metrics of one's own: a function of a trace, in a file or in an installed package.
+"""Custom metrics: a function of a trace, in a file or in an installed package.
 
 ::
 
@@ -37,7 +37,7 @@ _Function = TypeVar("_Function", bound=Callable[[Trace], Any])
 
 
 class MetricError(SwarmError):
-    """A metric of one's own raised an error, or gave something that is no value."""
+    """A custom metric raised an error, or gave something that is no value."""
 
 
 def metric(

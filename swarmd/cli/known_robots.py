@@ -25,7 +25,7 @@ MAX_AGE = 60.0
 EMPTY_AGE = 5.0
 """The same, in s, after a look that found no robot."""
 LOOK_TIME = 0.25
-"""How long such a look takes at most, in s: somebody waits with a finger on Tab."""
+"""How long such a look takes at most, in s: the shell waits for it."""
 
 
 def cache_folder() -> Path:

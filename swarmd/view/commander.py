@@ -49,7 +49,7 @@ class LiveCommander:
         self.end_estop()
 
     def end_estop(self) -> None:
-        """Repeat the emergency stop no longer, whoever lacks an acknowledgement."""
+        """Repeat the emergency stop no longer, even if acknowledgements are missing."""
         self._ending.set()
 
     async def act(self, verb: str, fields: Mapping[str, Any], tell: Tell) -> None:

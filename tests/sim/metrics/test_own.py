@@ -1,4 +1,4 @@
-"""Metrics of one's own, in files and packages."""
+"""Custom metrics, in files and packages."""
 
 from __future__ import annotations
 
