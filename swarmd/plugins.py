@@ -89,6 +89,11 @@ def find_pattern(name: str, plugin_dir: Path | None) -> Origin:
     return found[name]
 
 
+def places_of(found: Mapping[str, Origin]) -> dict[str, tuple[str, bool]]:
+    """Where a pattern host finds each pattern: its value, and whether that is a file."""
+    return {name: (origin.value, origin.is_file) for name, origin in found.items()}
+
+
 def check_single(name: str, origin: Origin) -> None:
     """PluginError if two patterns have this name."""
     if origin.rival:

@@ -10,7 +10,7 @@ from swarmd.network.operator import Operator, StopVerb
 from swarmd.network.outcome import Outcome
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
-from swarmd.sim.live.starting import await_robots, run_fields, statuses_of, why_not
+from swarmd.sim.live.starting import await_robots, run_fields, why_not
 from swarmd.sim.live.summary import DoneEvent
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 
@@ -81,11 +81,8 @@ class LiveTimeline:
         elif event.action == "param":
             outcome = operator.request(ParamRequest, epochs, params=dict(event.parameters))
         else:
-            statuses = statuses_of(view)
-            held = {
-                latch for name in statuses if name in robots for latch in statuses[name].latches
-            }
-            outcome = operator.request(ResetRequest, epochs, ids=tuple(sorted(held)))
+            ids = tuple(sorted(view.latches(robots)))
+            outcome = operator.request(ResetRequest, epochs, ids=ids)
         _check(event.action, outcome)
 
 

@@ -53,7 +53,7 @@ def replay(
     out. `safe` compares what protection commanded, `requested` what the pattern asked for. The exit
     code is 1 if fewer than 99.9 % of them are equal.
     """
-    from swarmd.plugins import check_single, need, pattern_names
+    from swarmd.plugins import check_single, need, pattern_names, places_of
 
     need("mcap", "rosbags", extra="record")
     from swarmd.replay.replay import recordings_of, repeat, total
@@ -63,15 +63,14 @@ def replay(
     names = {one[0].about.get("robot") for one in parts}
     if len(names) > 1:
         raise click.UsageError(f"the files are of {len(names)} robots; give those of one")
-    origins = {}
-    for name, origin in pattern_names(plugin_dir).items():
+    found = pattern_names(plugin_dir)
+    for name, origin in found.items():
         check_single(name, origin)
-        origins[name] = (origin.value, origin.is_file)
     other = None if platform is None else load_platform(platform)
     done = []
     for one in parts:
         try:
-            done.append(repeat(one, origins, other))
+            done.append(repeat(one, places_of(found), other))
         except ConfigError as error:
             if one is parts[-1] and not done:
                 raise

@@ -112,8 +112,7 @@ def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> N
                 f"reset of {len(names)} robots asks for confirmation, and there is no terminal;"
                 " nothing was sent; check that all of them may move again, and add --yes"
             )
-        statuses = [view.members[name].status for name in names if name in view.members]
-        latches = {key: latch for one in statuses if one for key, latch in one.latches.items()}
+        latches = view.latches(names)
         for latch_id, latch in latches.items():
             text = f" ({latch.reason})" if latch.reason else ""
             warn(f"clears {latch_id}, by {latch.issuer}, for {latch.scope}{text}")

@@ -19,6 +19,7 @@ from swarmd.core import codec
 from swarmd.core.keys import is_id
 from swarmd.core.messages import (
     Epoch,
+    Latch,
     Member,
     PeerView,
     Presence,
@@ -140,6 +141,11 @@ class MembersView(Struct, frozen=True):
         """The epoch seen of each robot, to quote in a request; None if it was not heard."""
         members = ((name, self.members.get(name)) for name in names)
         return {name: one.epoch if one else None for name, one in members}
+
+    def latches(self, names: Iterable[str]) -> dict[str, Latch]:
+        """The emergency stops that these robots hold, by id."""
+        statuses = [self.members[name].status for name in names if name in self.members]
+        return {key: latch for one in statuses if one for key, latch in one.latches.items()}
 
 
 class _DirectMember(Struct):

@@ -47,7 +47,7 @@ from swarmd.mission.validate import (
     error_text,
 )
 from swarmd.pattern_host.loader import PatternLoader
-from swarmd.plugins import MISSION, Origin, is_mission, pattern_names
+from swarmd.plugins import MISSION, Origin, is_mission, pattern_names, places_of
 from swarmd.settings.layered import fault_at
 from swarmd.settings.settings import load_platform, platform_names
 
@@ -113,7 +113,7 @@ def _describe_patterns(
     names: Sequence[str], plugin_dir: Path | None, platform: Platform, answer: Answer
 ) -> None:
     found = pattern_names(plugin_dir)
-    loader = PatternLoader({name: (origin.value, origin.is_file) for name, origin in found.items()})
+    loader = PatternLoader(places_of(found))
     for name in names or found:
         source = found[name].source if name in found else ""
         answer.send(begin=name, source=source)
@@ -375,8 +375,7 @@ def check_mission(path: Path, platform: Platform, plugin_dir: Path | None) -> li
         other = found.source if _is_file(path, found.rival) else found.rival or found.source
         text = f"has the name of another pattern ({other}); rename one"
         document.faults.append(fault_at(("mission",), text))
-    values = {name: (origin.value, origin.is_file) for name, origin in origins.items()}
-    find = PatternLoader({**values, path.stem: (str(path.resolve()), True)})
+    find = PatternLoader({**places_of(origins), path.stem: (str(path.resolve()), True)})
     _check_parts(document, platform, find)
     if not document.faults:
         _check_whole(document, platform, find)

@@ -28,7 +28,7 @@ from swarmd.core.host_messages import (
 )
 from swarmd.pattern_host.host_process import HostProcess, TrialProcess, trial_done, why_it_ended
 from swarmd.pattern_host.wire import decode_event, encode_command
-from swarmd.plugins import check_single, installed_patterns, pattern_names
+from swarmd.plugins import check_single, installed_patterns, pattern_names, places_of
 
 if TYPE_CHECKING:
     # It brings 7 MB of numpy.random, which only patterns need.
@@ -175,7 +175,7 @@ class ProcessRunner:
         if load.pattern not in found:
             raise UnknownPatternError(unknown("pattern", load.pattern, found))
         check_single(load.pattern, found[load.pattern])
-        origins = {name: (origin.value, origin.is_file) for name, origin in found.items()}
+        origins = places_of(found)
         # Options of drivers may hold what plugin code has no business with.
         platform = dataclasses.replace(load.platform, drivers={})
         return replace(load, origins=origins, platform=platform)

@@ -44,7 +44,7 @@ from swarmd.kit.factory import assemble, full_layers
 from swarmd.kit.params import build, schema
 from swarmd.pattern_host.executor import checked_outputs
 from swarmd.pattern_host.loader import PatternLoader
-from swarmd.plugins import pattern_names
+from swarmd.plugins import pattern_names, places_of
 from swarmd.settings.settings import load_platform, platform_names
 from swarmd.testing.no_side_effects import no_side_effects
 from swarmd.testing.scans import busy_scans, mirrored, odd_scans, read_only, reordered
@@ -281,8 +281,7 @@ class PatternContract:
 @cache
 def _loader(plugin_dir: Path | None) -> PatternLoader:
     """Finds the parts of combined patterns, by the names known at the first call."""
-    found = pattern_names(plugin_dir)
-    return PatternLoader({name: (origin.value, origin.is_file) for name, origin in found.items()})
+    return PatternLoader(places_of(pattern_names(plugin_dir)))
 
 
 def _messages(pattern: Pattern[Any], index: int) -> tuple[Message, ...]:

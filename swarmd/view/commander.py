@@ -138,8 +138,7 @@ class LiveCommander:
             view = operator.members(timeout=3.0, needs_status=verb == "reset")
             epochs = view.epochs(names)
             if verb == "reset":
-                statuses = [view.members[one].status for one in names if one in view.members]
-                ids = tuple(sorted({key for one in statuses if one for key in one.latches}))
+                ids = tuple(sorted(view.latches(names)))
                 outcome = operator.request(ResetRequest, epochs, ids=ids, reason=self._reason)
             elif verb == "param":
                 outcome = operator.request(ParamRequest, epochs, params=params)
