@@ -17,6 +17,7 @@ from swarmd.sim.film.renderer import Camera
 from swarmd.sim.lockstep.lockstep import simulate_run
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.view.trace_source import RecordedRun
+from swarmd.texts.values import megabytes
 
 SECONDS = 6.0
 """How long a film is, without its last frame."""
@@ -102,4 +103,4 @@ if __name__ == "__main__":
     folder.mkdir(parents=True, exist_ok=True)
     for chosen in sys.argv[2:] or SHOTS:
         made = shoot(chosen, folder)
-        print(f"{made}: {made.stat().st_size / 1e6:.2f} MB", flush=True)
+        print(f"{made}: {megabytes(made.stat().st_size, 2)}", flush=True)

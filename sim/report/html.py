@@ -70,10 +70,7 @@ def report_of(
     results, manifest = load_results(folder), read_manifest(folder)
     if not results.runs:
         raise SwarmError(f"{folder}: no run has finished: nothing to report")
-    first, others = shown_metrics(results)
-    if metrics is not None:
-        names = {one.name for one in metrics}
-        first, others = list(metrics), [one for one in (*first, *others) if one.name not in names]
+    first, others = shown_metrics(results, metrics)
     source = _source(folder, results, metrics, seed, variant)
     sections = [
         ("results", "Results", _results(results, first, others)),

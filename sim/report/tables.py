@@ -37,12 +37,16 @@ def metrics_table(results: Results, variant: str, metrics: Sequence[Metric]) -> 
     return table(HEADER, [(_meaning(one), *map(escape, row[1:])) for one, row in named], "metrics")
 
 
-def shown_metrics(results: Results) -> tuple[list[Metric], list[Metric]]:
-    """The metrics to show first, and the others; metrics without any value are left out."""
+def shown_metrics(
+    results: Results, asked: Sequence[Metric] | None
+) -> tuple[list[Metric], list[Metric]]:
+    """The metrics to show first, those `asked` for or default ones; and others with a value."""
     found = [one for one in map(results.about, results.metrics) if _has_value(results, one)]
-    is_first = [one.name in RUN_BY_RUN or one.name not in METRICS for one in found]
-    pairs = list(zip(found, is_first, strict=True))
-    return [one for one, is_so in pairs if is_so], [one for one, is_so in pairs if not is_so]
+    first = asked
+    if first is None:
+        first = [one for one in found if one.name in RUN_BY_RUN or one.name not in METRICS]
+    names = {one.name for one in first}
+    return list(first), [one for one in found if one.name not in names]
 
 
 def _has_value(results: Results, metric: Metric) -> bool:

@@ -1,1 +1,1 @@
-"""The web page of a swarm: a server for one page, and what it shows."""
+"""Views of a swarm: the page and its server, the terminal view, and what they show."""

@@ -28,8 +28,7 @@ MAX_ANSWERS = 100
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """The rows of all robots as JSON, and the age in s of each by index (inf: never
-    heard).
+    """The rows of all robots as JSON, and the age in s of each by index (inf: never heard).
 
     `whole`: those of selected robots, with what only their details show.
     """
