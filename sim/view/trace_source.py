@@ -13,8 +13,9 @@ import numpy as np
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Platform
 from swarmd.settings.platforms import load_platform
+from swarmd.sim.metrics.contacts import Contact, contact_list
 from swarmd.sim.metrics.window import arena_of, presence
-from swarmd.sim.trace import ARENA, Trace, patterns_of, poses_at
+from swarmd.sim.trace import Trace, patterns_of, poses_at
 from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.lidar import RangeSensors
 from swarmd.sim.world.scalar_fields import Field, sample
@@ -23,6 +24,7 @@ from swarmd.view.source import ShownArena, ShownRobot, points_of
 
 CONTACT_TIME = 1.0
 """Seconds for which a contact is shown after its last step: rows go to the page twice a second."""
+MAX_EVENTS = 20
 _NO_LINKS: Sequence[tuple[int, int]] = ()
 
 
@@ -114,8 +116,9 @@ class _ShownRun:
         arena = arena_of(trace)
         self.arena = None if arena is None else shown_arena(arena, run.fields)
         self.duration = trace.duration
-        start = trace.t[0] if len(trace.t) else 0.0
-        self._t, self._contact_t = trace.t - start, trace.contact_t - start
+        self._start = float(trace.t[0]) if len(trace.t) else 0.0
+        self._t = trace.t - self._start
+        self._contacts = contact_list(trace, CONTACT_TIME)
         self._present = presence(trace)
         self._fields = run.fields
         self._names, self._patterns = patterns_of(trace)
@@ -157,7 +160,7 @@ class _ShownRun:
             row = rows[name] = self._row(at, i)
             row["report"] = reports[i]
             row["readings"] = {key: round(float(v[i]), 4) for key, v in readings.items()}
-            row["touches"] = touched.get(i, "")
+            row["touches"] = touched.get(name, "")
         return rows
 
     def scan(self, name: str, now: float) -> Array | None:
@@ -192,7 +195,7 @@ class _ShownRun:
         return links_within(reach, there, self._trace.pose[at, there, :2])
 
     def detail(self, name: str, now: float) -> Mapping[str, Any] | None:
-        """Values and contacts of one robot."""
+        """Values of one robot, and its last contacts, the last first."""
         index = self._index.get(name)
         if index is None or not len(self._t):
             return None
@@ -202,7 +205,11 @@ class _ShownRun:
         values += [[f"Reading {key}", _short(value)] for key, value in row["readings"].items()]
         if self._sensors is not None:
             values.append(["Scan", "ideal: computed from positions, without noise"])
-        return {"values": values, "events": self._contacts(index, now)}
+        touches = [(one.start - self._start, _other(one, name)) for one in self._contacts]
+        events = [
+            [f"{at:.1f} s", f"touches {other}"] for at, other in touches if other and at <= now
+        ]
+        return {"values": values, "events": events[: -MAX_EVENTS - 1 : -1]}
 
     def _at(self, now: float) -> int:
         return min(int(np.searchsorted(self._t, now)), len(self._t) - 1)
@@ -235,37 +242,23 @@ class _ShownRun:
             row["rows"] = [_rounded(trace.bound[at, i])]
         return row
 
-    def _touched(self, now: float) -> dict[int, str]:
-        """What each robot has touched lately, by index."""
-        lately = slice(*np.searchsorted(self._contact_t, (now - CONTACT_TIME, now + 1e-9)))
+    def _touched(self, now: float) -> dict[str, str]:
+        """What each robot has touched lately."""
+        time = now + self._start + 1e-9
         found = {}
-        for a, b in self._trace.contact_pair[lately].tolist():
-            found[a] = self._name(b)
-            if b >= 0:
-                found[b] = self._name(a)
+        for one in self._contacts:
+            if one.start <= time <= one.end + CONTACT_TIME:
+                found[one.a] = _other(one, one.a)
+                if one.kind == "robot":
+                    found[one.b] = one.a
         return found
 
-    def _name(self, part: int) -> str:
-        """The name of a robot or other part of the world, by its index in a contact."""
-        if part >= 0:
-            return self._trace.ids[part]
-        return (
-            "the arena" if part == ARENA else f"box {self._trace.movable_boxes[ARENA - 1 - part]}"
-        )
 
-    def _contacts(self, index: int, now: float) -> list[list[str]]:
-        """The beginnings of the last 20 contacts of a robot, the last first."""
-        pairs = self._trace.contact_pair
-        mine = np.flatnonzero((pairs == index).any(axis=1) & (self._contact_t <= now))
-        found: list[list[str]] = []
-        last: dict[int, float] = {}
-        for k in mine:
-            a, b = pairs[k].tolist()
-            other, at = (b if a == index else a), float(self._contact_t[k])
-            if at - last.get(other, -np.inf) > CONTACT_TIME:
-                found.append([f"{at:.1f} s", f"touches {self._name(other)}"])
-            last[other] = at
-        return found[:-21:-1]
+def _other(contact: Contact, robot: str) -> str:
+    """What a robot touches in a contact; empty if it has no part in it."""
+    if contact.a == robot:
+        return f"box {contact.b}" if contact.kind == "box" else contact.b
+    return contact.a if contact.kind == "robot" and contact.b == robot else ""
 
 
 def _largest(trace: Trace) -> list[float]:
