@@ -232,7 +232,7 @@ def test_a_nan_that_is_passed_on_is_no_difference(tmp_path: Path) -> None:
         ("raise SystemExit(4)", "SystemExit: 4 (own.py:1)"),
         ("import ctypes\nctypes.string_at(0)", "was killed by SIGSEGV (own.py:2)"),
         ("x = 1\nwhile True: pass", "is not done after 2 s (own.py:2)"),
-        ("a = []\nwhile True: a.append(bytearray(1 << 26))", "MemoryError"),
+        ("a = []\nwhile True: a.append(bytes(1 << 26))", "MemoryError"),
     ],
 )
 def test_a_file_that_cannot_be_loaded_is_not_checked_further(

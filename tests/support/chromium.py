@@ -180,26 +180,33 @@ class Page:
 
 
 class Browser:
-    """A running browser; each of its pages has cookies and storage of its own."""
+    """A running browser; each of its pages has cookies and storage of its own.
 
-    def __init__(self, port: str, root: Page) -> None:
-        self._port, self._root = port, root
+    A connection reads in a thread. It ends with its page, so that later tests have no such thread.
+    """
+
+    def __init__(self, port: str, path: str) -> None:
+        self._devtools, self._path = f"ws://127.0.0.1:{port}", path
 
     @contextlib.contextmanager
     def page(self, width: int = 1400, height: int = 850) -> Iterator[Page]:
         """A page that is closed when this returns."""
-        context = self._root.call("Target.createBrowserContext")["browserContextId"]
-        target = self._root.call(
-            "Target.createTarget", url="about:blank", browserContextId=context
-        )["targetId"]
-        address = f"ws://127.0.0.1:{self._port}/devtools/page/{target}"
-        try:
-            with connect(address, max_size=2**26, open_timeout=CAP) as socket:
-                page = Page(socket)
-                page.resize(width, height)
-                yield page
-        finally:
-            self._root.call("Target.disposeBrowserContext", browserContextId=context)
+        with self._connected(self._path) as root:
+            context = root.call("Target.createBrowserContext")["browserContextId"]
+            target = root.call("Target.createTarget", url="about:blank", browserContextId=context)[
+                "targetId"
+            ]
+            try:
+                with self._connected(f"/devtools/page/{target}") as page:
+                    page.resize(width, height)
+                    yield page
+            finally:
+                root.call("Target.disposeBrowserContext", browserContextId=context)
+
+    @contextlib.contextmanager
+    def _connected(self, path: str) -> Iterator[Page]:
+        with connect(self._devtools + path, max_size=2**26, open_timeout=CAP) as socket:
+            yield Page(socket)
 
 
 @contextlib.contextmanager
@@ -227,10 +234,7 @@ def chromium(folder: Path) -> Iterator[Browser]:
         env={**os.environ, "DBUS_SESSION_BUS_ADDRESS": "disabled:"},
     )
     try:
-        number, path = _devtools(folder / "DevToolsActivePort", process)
-        address = f"ws://127.0.0.1:{number}{path}"
-        with connect(address, max_size=2**26, open_timeout=CAP) as root:
-            yield Browser(number, Page(root))
+        yield Browser(*_devtools(folder / "DevToolsActivePort", process))
     finally:
         with contextlib.suppress(ProcessLookupError):
             os.killpg(process.pid, signal.SIGKILL)

@@ -128,6 +128,7 @@ def request(verb: str) -> AnyRequest:
         "param": {"params": {"speed": 0.1}},
         "reload": {"pattern": "drive"},
         "forget": {"name": "r9"},
+        "record": {"action": "start"},
     }
     return REQUEST_TYPES[verb](
         id="f00d",

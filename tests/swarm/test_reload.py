@@ -40,7 +40,7 @@ class Own(MovementPattern[OwnParams]):
 """
 V1, V2 = (CODE.replace("VERSION", version) for version in "12")
 HANGS = "while True:\n    pass\n"
-HOG = "hoard = []\nwhile True:\n    hoard.append(bytearray(1 << 26))\n"
+HOG = "hoard = []\nwhile True:\n    hoard.append(bytes(1 << 26))\n"
 
 
 class Own:

@@ -159,7 +159,7 @@ def test_patterns_that_fail_are_counted(tmp_path: Path, duo: Path, swarmctl: Swa
 @pytest.mark.integration
 def test_a_killed_sweep_goes_on_where_it_was(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
     folder = tmp_path / "x"
-    words = ("exp", "run", duo, "--seeds", 12, "-j", 2, "--out", folder)
+    words = ("exp", "run", duo, "--seeds", 6, "-j", 2, "--out", folder)
     process = started(*words, cwd=tmp_path)
     wait_until(lambda: finished(folder) >= 2, "two runs are done")
     workers = children(process.pid)
@@ -167,13 +167,13 @@ def test_a_killed_sweep_goes_on_where_it_was(tmp_path: Path, duo: Path, swarmctl
     process.communicate()
     wait_until(lambda: not any(Path(f"/proc/{pid}/exe").exists() for pid in workers), "all gone")
     kept = finished(folder)
-    assert 2 <= kept < 12
+    assert 2 <= kept < 6
     shown = swarmctl("exp", "show", folder, "-o", "json")
     assert json.loads(shown.stdout)["finished"] == kept
     done = swarmctl(*words)
     assert done.returncode == 0, done.stderr
-    assert done.stderr.startswith(f"{kept} of 12 runs\n")
-    fresh = swarmctl("exp", "run", duo, "--seeds", 12, "-j", 2, "--out", "fresh")
+    assert done.stderr.startswith(f"{kept} of 6 runs\n")
+    fresh = swarmctl("exp", "run", duo, "--seeds", 6, "-j", 2, "--out", "fresh")
     assert fresh.returncode == 0, fresh.stderr
     assert rows(folder) == rows(tmp_path / "fresh")
     assert traces(folder) == traces(tmp_path / "fresh")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import re
-from collections.abc import Iterator
 from html.parser import HTMLParser
 from pathlib import Path
 from typing import Any
@@ -19,7 +18,7 @@ from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.report.html import data_element
 from swarmd.sim.report.player import player_of, script
 from swarmd.sim.view.experiment import source_of
-from tests.support.chromium import FOUND, Browser, Page, chromium
+from tests.support.chromium import Browser, Page
 
 METRICS = ("mean_distance_to_centroid_late", "minimum_gap")
 SCENARIO = """\
@@ -114,14 +113,6 @@ def test_a_folder_without_an_experiment_is_one_line(tmp_path: Path) -> None:
     assert done.exit_code != 0
     assert "no experiment" in str(done.exception)
     assert list(tmp_path.iterdir()) == []
-
-
-@pytest.fixture(scope="module")
-def a_browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    if FOUND is None:
-        pytest.skip("no Chromium here")
-    with chromium(tmp_path_factory.mktemp("chromium")) as one:
-        yield one
 
 
 @pytest.mark.integration
