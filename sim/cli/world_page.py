@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
-from swarmd.cli.web import Served, WebOptions, check_web, served, web_options
+from swarmd.cli.web import Served, WebOptions, check_web, web_options
 
 if TYPE_CHECKING:
     from swarmd.network.operator import Operator
@@ -58,4 +58,4 @@ def world_page(fleet: Fleet, web: WebOptions | None) -> Iterator[Served | None]:
         source.start()
         commander = LiveCommander(make, source.expected)
         opened.callback(commander.close)
-        yield opened.enter_context(served(source, commander, web, ENDED))
+        yield opened.enter_context(closing(Served(source, commander, web, ENDED)))

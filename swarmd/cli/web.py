@@ -8,8 +8,7 @@ import secrets
 import signal
 import ssl
 import threading
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -131,7 +130,7 @@ async def _serve(source: Source, commander: Commander | None, web: WebOptions) -
 
 
 class Served:
-    """A page that a thread serves while another part of the program runs.
+    """A page that a thread serves until `close`, while another part of the program runs.
 
     `reason`: what the page shows when the server has ended. Its addresses are printed on standard
     error: standard output is that part's.
@@ -142,7 +141,6 @@ class Served:
     ) -> None:
         """NetworkError if the port is in use."""
         self.reason = reason
-        self._web = web
         self._loop = asyncio.new_event_loop()
         self._server: ViewServer | None = None
         self._thread = threading.Thread(target=self._loop.run_forever, name="page", daemon=True)
@@ -162,18 +160,6 @@ class Served:
         self._loop.call_soon_threadsafe(self._loop.stop)
         self._thread.join(_START_TIME)
         self._loop.close()
-
-
-@contextmanager
-def served(
-    source: Source, commander: Commander | None, web: WebOptions, reason: str = ENDED
-) -> Iterator[Served]:
-    """Serve a page in a thread; the server has ended when this returns."""
-    page = Served(source, commander, web, reason)
-    try:
-        yield page
-    finally:
-        page.close()
 
 
 async def _started(

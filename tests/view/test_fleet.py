@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any, cast
 
 import pytest
 
-from swarmd.cli.web import WebOptions, served
+from swarmd.cli.web import Served, WebOptions
 from swarmd.core.messages import State
 from swarmd.network.operator import Operator
 from swarmd.view.commander import LiveCommander
@@ -40,7 +40,7 @@ def shown(
         commander = LiveCommander(make, source.expected)
         source.start()
         try:
-            with served(source, commander, WebOptions("127.0.0.1", 0, *tokens)):
+            with closing(Served(source, commander, WebOptions("127.0.0.1", 0, *tokens))):
                 lines = capsys.readouterr().err.splitlines()
                 yield swarm, [line.partition(": ")[2] for line in lines]
         finally:
