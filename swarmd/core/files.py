@@ -1,7 +1,8 @@
-"""Files that appear whole or not at all."""
+"""Files that appear whole or not at all, and folders that outlive a power cut."""
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -16,7 +17,7 @@ def partial_path(path: Path) -> Path:
 def whole_file(path: Path) -> Iterator[Path]:
     """The path to write to in the block; then the file gets its name, after an error it is removed.
 
-    For whole files after a crash, too; for a power cut the caller needs fsync.
+    After a power cut the file may be empty, unless the caller has written it to the disk (fsync).
     """
     partial = partial_path(path)
     try:
@@ -26,3 +27,12 @@ def whole_file(path: Path) -> Iterator[Path]:
         with suppress(OSError):
             partial.unlink()
         raise
+
+
+def sync_folder(folder: Path) -> None:
+    """Write the entries of a folder to the disk, so that a new name outlives a power cut."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

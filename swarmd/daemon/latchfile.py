@@ -8,6 +8,7 @@ from pathlib import Path
 
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
+from swarmd.core.files import sync_folder
 from swarmd.core.messages import Latch
 from swarmd.robot.latches import LatchRecord
 
@@ -49,11 +50,7 @@ class LatchFile:
                 file.flush()
                 os.fsync(file.fileno())
             temporary.replace(self.path)
-            folder = os.open(self.path.parent, os.O_RDONLY | os.O_DIRECTORY)
-            try:
-                os.fsync(folder)  # without it the rename may be lost
-            finally:
-                os.close(folder)
+            sync_folder(self.path.parent)  # without it the rename may be lost
         except OSError as error:
             log.error("%s cannot be written (%s): latched in memory only", self.path, error)
             return False

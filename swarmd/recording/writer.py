@@ -16,7 +16,7 @@ from typing import IO
 
 from mcap.writer import CompressionType, Writer
 
-from swarmd.core.files import whole_file
+from swarmd.core.files import sync_folder, whole_file
 from swarmd.recording.cdr import Message
 from swarmd.recording.messages import definition
 from swarmd.recording.reader import crc_of
@@ -161,7 +161,7 @@ class RecordingWriter:
         self._begin = self._end = self._written_at = at
         self._pending = self._size = 0
         self._writer.add_metadata(METADATA, {**self._about, "file": str(self._number)})
-        _sync_folder(self._folder)
+        sync_folder(self._folder)
         for topic, message in self._latched.items():
             self._write(topic, message, at, 0)
 
@@ -188,12 +188,3 @@ class RecordingWriter:
         last = max((int(number) for number in taken if number.isdigit()), default=0)
         self._number = max(self._number, last) + 1
         return self._folder / f"{self._name}-{self._number:05d}.mcap"
-
-
-def _sync_folder(folder: Path) -> None:
-    """Write the folder's entry to the disk, so that a new file outlives a power cut."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
