@@ -76,7 +76,10 @@ class Access:
         Its origin differs from the host that it asks for. A site may also point a name of its own
         at loopback; without a token a name other than `localhost` is therefore refused.
         """
-        origin, host = headers.get("Origin"), headers.get("Host", "")
-        if origin is not None and urlsplit(origin).netloc != host:
+        try:
+            origin, host = headers.get("Origin"), headers.get("Host", "")
+            if origin is not None and urlsplit(origin).netloc != host:
+                return False
+            return bool(self.operator) or is_loopback(urlsplit(f"//{host}").hostname or "")
+        except (ValueError, LookupError):  # malformed, or given twice
             return False
-        return bool(self.operator) or is_loopback(urlsplit(f"//{host}").hostname or "")

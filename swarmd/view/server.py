@@ -13,9 +13,9 @@ import errno
 import http
 import json
 import logging
-import math
 import mimetypes
 import os
+import re
 import socket
 import ssl
 from collections import deque
@@ -23,7 +23,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from importlib.resources import files
 from typing import Any, Protocol
-from urllib.parse import parse_qs, urlsplit
+from urllib.parse import parse_qs
 
 from websockets.asyncio.server import Server, ServerConnection, serve
 from websockets.datastructures import Headers
@@ -33,8 +33,9 @@ from websockets.http11 import Request, Response
 from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.view.access import HEADERS, Access
 from swarmd.view.client import Client, Rows
+from swarmd.view.connections import limited
 from swarmd.view.playback import Playback
-from swarmd.view.source import Answer, Source, pack_frame
+from swarmd.view.source import Answer, Source, json_of, pack_frame
 
 log = logging.getLogger(__name__)
 
@@ -46,12 +47,17 @@ MAX_PAGES = {"operator": 16, "viewer": 100}
 """Open pages by role: many who look keep out no operator."""
 MAX_WATCHED = 20
 """Robots whose scans are watched for all pages together."""
+SELECT_PERIOD = 0.5
+"""Seconds between two changes of these: each change is told to the robots."""
 MAX_LATENESS = 3.0
 """Age in s of the frame that a page had when it sent a command that starts or changes motion."""
+CLOSE_TIME = 1.0
+"""Seconds for a page to close its connection."""
 WRONG_TOKEN, ENDED = 4401, 4410
 """Codes with which a connection is closed; the page shows the reason."""
 STOPS = ("stop", "estop", "end_estop")
 PAGE = "page"
+_FILE = re.compile(r"[a-z]{1,32}\.[a-z]{1,8}")
 # Keys of rows that only the details of a selected robot show.
 DETAIL_KEYS = frozenset({"requested", "safe", "rows", "limits"})
 
@@ -104,6 +110,9 @@ class ViewServer:
         self._server: Server | None = None
         self._sent_at: deque[tuple[int, float]] = deque(maxlen=round(60.0 / frame_period))
         self._estop: dict[str, Any] | None = None
+        self._waiting: dict[ServerConnection, None] = {}
+        self._watched: list[str] = []
+        self._fault = ""
 
     async def start(self, host: str, port: int, tls: ssl.SSLContext | None = None) -> str:
         """Listen, and return the address of the page. Raises as `check_address`."""
@@ -114,6 +123,7 @@ class ViewServer:
                 host,
                 port,
                 process_request=self._static,
+                create_connection=limited(self._waiting),
                 max_size=MAX_MESSAGE,
                 compression=None,
                 ssl=tls,
@@ -130,16 +140,21 @@ class ViewServer:
     async def close(self, reason: str = "") -> None:
         """End the server; its pages show `reason` why it has ended, at most 120 bytes of it."""
         text = reason.encode()[:120].decode(errors="ignore")
-        for client in list(self._clients):
-            client.end()
-            with suppress(ConnectionClosed, TimeoutError):
-                await asyncio.wait_for(client.connection.close(ENDED, text), 1.0)
+        await asyncio.gather(*(self._dismiss(client, text) for client in self._clients))
+        for connection in list(self._waiting):
+            connection.transport.abort()
         for task in self._tasks:
             task.cancel()
         await asyncio.gather(*self._tasks, return_exceptions=True)
         if self._server is not None:
             self._server.close()
             await self._server.wait_closed()
+
+    async def _dismiss(self, client: Client, text: str) -> None:
+        client.end()
+        with suppress(ConnectionClosed, TimeoutError):
+            await asyncio.wait_for(client.connection.close(ENDED, text), CLOSE_TIME)
+        client.connection.transport.abort()
 
     @property
     def clients(self) -> int:
@@ -151,12 +166,12 @@ class ViewServer:
     def _static(self, connection: ServerConnection, request: Request) -> Response | None:
         if not self._access.allows(request.headers):
             return connection.respond(http.HTTPStatus.FORBIDDEN, "a page of another site\n")
-        path = urlsplit(request.path).path
+        path = request.path.partition("?")[0]
         if path == "/socket":
             return None
         name = "index.html" if path == "/" else path[1:]
         file = files("swarmd.view").joinpath(PAGE, name)
-        if "/" in name or name.startswith(".") or not file.is_file():
+        if _FILE.fullmatch(name) is None or not file.is_file():
             return connection.respond(http.HTTPStatus.NOT_FOUND, "there is no such page\n")
         kind = mimetypes.guess_type(name)[0] or "application/octet-stream"
         body = file.read_bytes()
@@ -167,7 +182,7 @@ class ViewServer:
 
     async def _talk(self, connection: ServerConnection) -> None:
         request = connection.request
-        query = parse_qs(urlsplit(request.path if request else "").query)
+        query = parse_qs(request.path.partition("?")[2] if request else "")
         role = self._access.role(query.get("token", [""])[0])
         if not role:
             text = "The token in the address is missing or wrong; ask for the whole address."
@@ -176,6 +191,7 @@ class ViewServer:
         if sum(one.role == role for one in self._clients) >= MAX_PAGES[role]:
             await connection.close(WRONG_TOKEN, f"{MAX_PAGES[role]} pages are open already.")
             return
+        self._waiting.pop(connection, None)
         client = Client(connection, role)
         self._clients.add(client)
         try:
@@ -189,7 +205,6 @@ class ViewServer:
         finally:
             client.end()
             self._clients.discard(client)
-            self._tell_selection()
 
     def _take(self, client: Client, text: str | bytes) -> None:
         try:
@@ -202,7 +217,6 @@ class ViewServer:
         elif kind == "select" and isinstance(names := message.get("names"), list):
             known = {robot.name for robot in self.source.robots}
             client.select([name for name in names if isinstance(name, str) and name in known])
-            self._tell_selection()
         elif kind in ("play", "seek", "choose") and client.role == "operator":
             if (playback := self.source.playback) is not None:
                 self._begin(self._play(client, playback, kind, message))
@@ -268,27 +282,42 @@ class ViewServer:
         """Scans load the robots' network: few are watched, those of operators first."""
         order = sorted(self._clients, key=lambda client: client.role != "operator")
         names = dict.fromkeys(name for one in order for name in reversed(one.selected))
-        self.source.select(sorted(list(names)[:MAX_WATCHED]))
+        watched = sorted(list(names)[:MAX_WATCHED])
+        if watched != self._watched:
+            self._watched = watched
+            self.source.select(watched)
 
     async def _send_frames(self) -> None:
         """Send frames with their period, and rows less often."""
         loop = asyncio.get_running_loop()
-        due, rows_at = loop.time(), 0.0
+        due, rows_at, selected_at = loop.time(), 0.0, 0.0
         while True:
             due = max(due + self._period, loop.time())
             await asyncio.sleep(due - loop.time())
-            if not self._clients:
-                continue
-            time, places = self.source.frame()
-            self.frames += 1
-            self._sent_at.append((self.frames, due))
-            frame = pack_frame(self.frames, time, places)
-            is_few = len(self.source.robots) <= FEW_ROBOTS
-            rows = None
-            if due - rows_at >= (FEW_ROWS_PERIOD if is_few else ROWS_PERIOD) - 1e-3:
-                rows, rows_at = self._rows(), due
-            for client in list(self._clients):
-                client.advance(self.source, frame, rows, due)
+            try:
+                if due - selected_at >= SELECT_PERIOD:
+                    selected_at = due
+                    self._tell_selection()
+                if self._clients:
+                    rows_at = self._send_frame(due, rows_at)
+            except Exception as error:  # the next one may succeed; without any the page says so
+                if repr(error) != self._fault:
+                    log.exception("the page got no frame")
+                self._fault = repr(error)
+
+    def _send_frame(self, now: float, rows_at: float) -> float:
+        """Send a frame to each page, and rows if they are due; the time of the last rows."""
+        time, places = self.source.frame()
+        frame = pack_frame(self.frames + 1, time, places)
+        is_few = len(self.source.robots) <= FEW_ROBOTS
+        rows = None
+        if now - rows_at >= (FEW_ROWS_PERIOD if is_few else ROWS_PERIOD) - 1e-3:
+            rows, rows_at = self._rows(), now
+        self.frames += 1
+        self._sent_at.append((self.frames, now))
+        for client in list(self._clients):
+            client.advance(self.source, frame, rows, now)
+        return rows_at
 
     def _rows(self) -> Rows:
         selected = {name for client in self._clients for name in client.selected}
@@ -300,13 +329,13 @@ class ViewServer:
             ages[index[name]] = float(row.get("age", 0.0))
             fields = {key: value for key, value in row.items() if key != "age"}
             if name in selected:
-                whole[name] = _json(fields)
-            short[name] = _json({k: v for k, v in fields.items() if k not in DETAIL_KEYS})
-        others = [_json({"kind": "links", "links": list(self.source.links())})]
+                whole[name] = json_of(fields)
+            short[name] = json_of({k: v for k, v in fields.items() if k not in DETAIL_KEYS})
+        others = [json_of({"kind": "links", "links": list(self.source.links())})]
         boxes = [{"shape": shape.tolist(), "pose": pose} for shape, pose in self.source.boxes()]
-        others.append(_json({"kind": "boxes", "boxes": boxes}))
+        others.append(json_of({"kind": "boxes", "boxes": boxes}))
         if self.source.playback is not None:
-            others.append(_json({"kind": "playback", **self.source.playback.plain()}))
+            others.append(json_of({"kind": "playback", **self.source.playback.plain()}))
         return Rows(short, whole, ages, others)
 
     def _begin(self, work: Any) -> None:
@@ -322,22 +351,6 @@ class ViewServer:
 
 def _refusal(id: str, text: str) -> dict[str, Any]:
     return {"kind": "answer", "id": id, **Answer(text, is_final=True).plain()}
-
-
-def _json(value: Any) -> str:
-    """JSON without NaN and infinity, which browsers refuse: they become null."""
-    try:
-        return json.dumps(value, separators=(",", ":"), allow_nan=False)
-    except ValueError:
-        return json.dumps(_finite(value), separators=(",", ":"))
-
-
-def _finite(value: Any) -> Any:
-    if isinstance(value, Mapping):
-        return {key: _finite(one) for key, one in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_finite(one) for one in value]
-    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def _own_address() -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import struct
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
@@ -193,3 +195,19 @@ def _reason(status: Status) -> str:
     """Why a robot does not move, in words; empty while it moves."""
     reason = "" if status.reason is None else status.reason.value.replace("_", " ")
     return f"{reason}: {status.detail}" if reason and status.detail else reason or status.detail
+
+
+def json_of(value: Any) -> str:
+    """JSON without NaN and infinity, which browsers refuse: they become null."""
+    try:
+        return json.dumps(value, separators=(",", ":"), allow_nan=False)
+    except ValueError:
+        return json.dumps(_finite(value), separators=(",", ":"))
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {key: _finite(one) for key, one in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_finite(one) for one in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value

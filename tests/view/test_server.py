@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import base64
+import contextlib
 import json
 import os
 import re
@@ -243,3 +244,167 @@ def test_the_page_is_small_and_loads_nothing_from_elsewhere() -> None:
     texts = [file.read_text() for file in files("swarmd.view").joinpath("page").iterdir()]
     assert sum(len(text.encode()) for text in texts) < 200_000
     assert [text for text in texts if re.search(r"https?://|//cdn", text)] == []
+
+
+async def _opened(address: str, token: str = "") -> tuple[asyncio.StreamReader, Any]:
+    """A connection of a page by hand, which answers nothing by itself."""
+    host, port = address.removeprefix("http://").rstrip("/").split(":")
+    reader, writer = await asyncio.open_connection(host, int(port))
+    key = base64.b64encode(os.urandom(16)).decode()
+    writer.write(
+        f"GET /socket?token={token} HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\n"
+        f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\n"
+        "Sec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    await reader.readuntil(b"\r\n\r\n")
+    return reader, writer
+
+
+async def test_pages_that_answer_nothing_do_not_delay_each_others_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("swarmd.view.server.CLOSE_TIME", 2.0 * CAP)
+    server = ViewServer(Faulty(), None, Access())
+    address = await server.start("127.0.0.1", 0)
+    pages = [await _opened(address) for _ in range(3)]
+    await _clients(server, 3)
+    ending = asyncio.create_task(server.close("it ends"))
+    try:
+        async with asyncio.timeout(CAP):
+            await asyncio.gather(*(reader.readuntil(b"it ends") for reader, _ in pages))
+    finally:
+        for _, writer in pages:
+            writer.write(b"\x88\x80\0\0\0\0")
+            writer.close()
+        await ending
+
+
+@pytest.mark.parametrize(
+    ("request_line", "headers", "code"),
+    [
+        ("GET /../../../etc/passwd", "Host: 127.0.0.1", 404),
+        ("GET /%2e%2e/server.py", "Host: 127.0.0.1", 404),
+        ("GET /..", "Host: 127.0.0.1", 404),
+        (f"GET /{'x' * 3000}.js", "Host: 127.0.0.1", 404),
+        ("GET //[", "Host: 127.0.0.1", 404),
+        ("GET /", "Host: [", 403),
+        ("GET /", "Host: 127.0.0.1\r\nOrigin: http://[", 403),
+        ("GET /", "Host: 127.0.0.1\r\nHost: evil.example", 403),
+        ("GET /", "Host: 127.0.0.1\r\nOrigin: null", 403),
+    ],
+)
+async def test_malformed_requests_get_an_answer_and_log_nothing(
+    request_line: str, headers: str, code: int, caplog: pytest.LogCaptureFixture
+) -> None:
+    server = ViewServer(OneRobot(), None, Access())
+    address = await server.start("127.0.0.1", 0)
+    host, port = address.removeprefix("http://").rstrip("/").split(":")
+    reader, writer = await asyncio.open_connection(host, int(port))
+    try:
+        writer.write(f"{request_line} HTTP/1.1\r\n{headers}\r\n\r\n".encode())
+        assert (await reader.readline()).split()[1] == str(code).encode()
+    finally:
+        writer.close()
+        await server.close()
+    assert [one.getMessage() for one in caplog.records if one.levelname == "ERROR"] == []
+
+
+class Faulty(OneRobot):
+    """A source whose second frame fails; it notes what is selected."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.selections: list[list[str]] = []
+        self.frames = 0
+
+    def frame(self) -> tuple[float, Array]:
+        self.frames += 1
+        if self.frames == 2:
+            raise ZeroDivisionError("a fault")
+        return super().frame()
+
+    def rows(self) -> Mapping[str, Mapping[str, Any]]:
+        return {}
+
+    def select(self, names: Sequence[str]) -> None:
+        self.selections.append(list(names))
+
+
+async def test_a_frame_that_fails_is_told_and_the_next_one_comes(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    source = Faulty()
+    server = ViewServer(source, None, Access(), frame_period=0.01)
+    address = await server.start("127.0.0.1", 0)
+    try:
+        async with connect(socket_of(address)) as page:
+            for _ in range(4):
+                await frame(page)
+    finally:
+        await server.close()
+    assert source.frames > 4
+    assert [one.getMessage() for one in caplog.records] == ["the page got no frame"]
+
+
+async def test_a_flood_of_selections_reaches_the_robots_now_and_then() -> None:
+    source = Faulty()
+    server = ViewServer(source, None, Access(), frame_period=0.01)
+    address = await server.start("127.0.0.1", 0)
+    try:
+        async with connect(socket_of(address)) as page:
+            for k in range(301):
+                names = [] if k % 2 else ["r1"]
+                await page.send(json.dumps({"kind": "select", "names": names}))
+            async with asyncio.timeout(CAP):
+                while source.selections[-1:] != [["r1"]]:
+                    await frame(page)
+        assert len(source.selections) < 100
+    finally:
+        await server.close()
+
+
+async def test_connections_that_ask_nothing_take_the_place_of_no_page(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("swarmd.view.connections.MAX_WAITING", 3)
+    server = ViewServer(OneRobot(), None, Access("operator-token"))
+    address = await server.start("127.0.0.1", 0)
+    host, port = address.removeprefix("http://").rstrip("/").split(":")
+    idle = []
+    try:
+        async with connect(socket_of(address, "operator-token"), max_size=None) as page:
+            await frame(page)
+            idle = [await _opened(address, "wrong-token") for _ in range(3)]
+            idle += [await asyncio.open_connection(host, int(port)) for _ in range(3)]
+            async with asyncio.timeout(CAP):
+                for reader, _ in idle[:3]:
+                    with contextlib.suppress(ConnectionError):
+                        await reader.read()  # to the end
+            assert len(server._waiting) == 3
+            await frame(page)
+    finally:
+        for _, writer in idle:
+            writer.close()
+        await server.close()
+
+
+async def test_a_page_that_sends_pings_and_reads_nothing_is_closed(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("swarmd.view.connections.MAX_UNREAD", 10_000)
+    source = Faulty()
+    server = ViewServer(source, None, Access())
+    address = await server.start("127.0.0.1", 0)
+    _, writer = await _opened(address)
+    try:
+        await _clients(server, 1)
+        pings = (b"\x89\xfd\0\0\0\0" + b"x" * 125) * 500
+        async with asyncio.timeout(CAP):
+            while server.clients:
+                with contextlib.suppress(ConnectionError):
+                    writer.write(pings)
+                    await writer.drain()
+                await asyncio.sleep(0)
+    finally:
+        writer.close()
+        await server.close()
