@@ -14,6 +14,7 @@ from msgspec.structs import astuple, replace
 
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import ConfigError
+from swarmd.core.keys import is_id
 from swarmd.core.messages import Motion, Presence, Status
 from swarmd.core.values import Array, Platform, Scan
 from swarmd.driver_api.hw_codec import decode_scan
@@ -227,7 +228,8 @@ class LiveSource:
         if name not in self._platforms:
             self._platforms[name] = None
             with contextlib.suppress(ConfigError):
-                self._platforms[name] = load_platform(name)
+                if is_id(name):  # a robot names no file of this machine
+                    self._platforms[name] = load_platform(name)
         return self._platforms[name]
 
 

@@ -111,6 +111,38 @@ def test_an_estop_can_be_ended_and_begun_again(
         page.until(f"{ANSWER}.includes('no answer (tb3-003)')", "it names the robot")
 
 
+def test_an_estop_whose_link_was_lost_claims_no_acknowledgement(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys, ["tb3-003"]) as (_, (address,)):
+        ready(page, address, 3)
+        # Before the server told which robots lack an acknowledgement.
+        page.evaluate("swarm.actions.send = () => true; swarm.actions.estop()")
+        page.evaluate("swarm.actions.lost(false)")
+        assert "acknowledged it is not known" in page.evaluate(f"{ESTOP}.textContent")
+        page.evaluate("swarm.model.tell('hello')")
+        assert "repeats no emergency stop" in page.evaluate(f"{ESTOP}.textContent")
+        assert page.evaluate("document.getElementById('estop-end').textContent") == "Close"
+        page.click("#estop-end")
+        assert page.evaluate(f"{ESTOP}.hidden") is True
+
+
+def test_a_robot_far_away_costs_no_more_than_another(
+    page: Page, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with shown(3, capsys) as (_, (address,)):
+        ready(page, address, 3)
+        lines = page.evaluate(
+            "(() => { const { map, model } = swarm; let lines = 0;"
+            " map.ctx.lineTo = () => { lines += 1; };"
+            " for (const x of [1e9, 1e30]) {"
+            " [...model.robots.values()][0].x = x; map.fit(); map.draw();"
+            " model.select(['tb3-001']); map.isFollowing = true; map.scale = 1000; map.draw(); }"
+            " return lines; })()"
+        )
+        assert 0 < lines < 5000
+
+
 def test_a_command_of_an_old_picture_starts_nothing(
     page: Page, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -30,6 +30,7 @@ export class Actions {
       else document.getElementById('pattern').focus();
     });
     for (const news of ['selection', 'hello']) model.addEventListener(news, () => this.show());
+    model.addEventListener('hello', () => this.returned());
     this.show();
   }
 
@@ -84,7 +85,7 @@ export class Actions {
     this.isUnsent = !this.send({ kind: 'act', id: `estop-${Date.now().toString(36)}`, verb: 'estop', targets: null });
     if (this.isUnsent) {
       this.showEstop('NOT SENT: no link to the server. It is sent when the link returns. Stop the robots by other means.', [], 'bad');
-    }
+    } else this.estopped({ is_final: false, missing: [] });
   }
 
   connected() { if (this.isUnsent) this.estop(); }
@@ -96,8 +97,18 @@ export class Actions {
     this.waiting.clear();
     if (this.isStopping) {
       const text = hasEnded ? 'The server ended and repeats it no longer' : 'The link was lost, and it is not known whether the server still repeats it';
-      this.showEstop(`Emergency stop: ${text}. Not acknowledged until then:`, this.missing, 'bad');
+      this.isCutOff = true;
+      this.showEstop(`Emergency stop: ${text}. ${this.lacking()}`, this.missing, 'bad');
     }
+  }
+
+  lacking() { return this.missing.length ? 'Not acknowledged until then:' : 'Which robots have acknowledged it is not known.'; }
+
+  // The first hello of a new link; if an emergency stop is under way, the server tells of it next.
+  returned() {
+    if (!this.isCutOff) return;
+    this.isCutOff = this.isStopping = false;
+    this.showEstop(`Emergency stop: the link was lost and is back, and the server repeats no emergency stop now. ${this.lacking()}`, this.missing, 'bad');
   }
 
   entry(id, text, replies, isBad = false) {
@@ -131,6 +142,7 @@ export class Actions {
 
   // The emergency stop under way, whichever page began it.
   estopped(message) {
+    this.isCutOff = false;
     this.isStopping = !message.is_final;
     this.missing = message.missing;
     const lacks = message.missing.length;

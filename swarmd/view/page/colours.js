@@ -7,6 +7,7 @@ const STATES = {
 };
 const UNKNOWN = ['#999999', '?'];
 const STEPS = 64;
+const MAX_WORDS = 40; // texts with a colour of their own; a robot may report another one each second
 
 export function stateColour(state) { return STATES[state] || UNKNOWN; }
 
@@ -36,6 +37,7 @@ export class Colouring {
       return scale((value - this.low) / Math.max(this.high - this.low, 1e-9));
     }
     const word = String(value);
+    if (!this.words.has(word) && this.words.size >= MAX_WORDS) return UNKNOWN[0];
     if (!this.words.has(word)) this.words.set(word, PALETTE[this.words.size % PALETTE.length]);
     return this.words.get(word);
   }
@@ -47,6 +49,7 @@ export class Colouring {
       return [...seen].map((state) => [stateColour(state)[0], `${stateColour(state)[1]} ${state}`]);
     }
     const found = [...this.words].map(([word, colour]) => [colour, word]);
+    if (found.length === MAX_WORDS) found.push([UNKNOWN[0], 'others']);
     if (this.high >= this.low) {
       found.push([scale(0), this.low.toPrecision(3)], [scale(1), this.high.toPrecision(3)]);
     }

@@ -72,7 +72,8 @@ export class Detail {
 
   // Ahead is up. Wide and grey: requested; narrow and coloured: safe. The arc outside is the turn.
   drawDial(robot) {
-    const { requested, safe, limits, rows } = robot.row;
+    const { requested, safe, limits } = robot.row;
+    const rows = (robot.row.rows || []).filter((one) => one.every(Number.isFinite));
     this.dial.hidden = !requested || !limits;
     if (this.dial.hidden) return;
     const size = 220, ratio = Math.min(window.devicePixelRatio || 1, 2);
@@ -107,14 +108,14 @@ export class Detail {
     draw(safe, stateColour(robot.row.state)[0], 5);
     ctx.font = '13px system-ui, sans-serif';
     ctx.textAlign = 'center';
-    for (const [bearing, gap] of (rows || []).slice(0, 3)) {
+    for (const [bearing, gap] of rows.slice(0, 3)) {
       const angle = -Math.PI / 2 - bearing;
       arc(reach + 18, angle - 0.22, angle + 0.22, LIMIT, 5);
       const [x, y] = [middle + (reach + 34) * Math.cos(angle), middle + (reach + 32) * Math.sin(angle)];
       ctx.fillStyle = text;
       ctx.fillText(`${gap.toFixed(2)} m`, Math.min(Math.max(x, 22), size - 22), Math.min(Math.max(y + 4, 11), size - 4));
     }
-    this.tell(requested, safe, rows || []);
+    this.tell(requested, safe, rows);
   }
 
   tell(requested, safe, rows) {

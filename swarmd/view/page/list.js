@@ -15,7 +15,7 @@ export const COLUMNS = [
   ['why', 'Why', (robot) => robot.row.why || ''],
   ['pattern', 'Pattern', (robot) => robot.row.pattern || ''],
   ['protection', 'Protection', (robot) => robot.row.protection || ''],
-  ['battery', 'Battery', (robot) => (robot.row.battery === undefined ? '-' : number(100 * robot.row.battery, 0, ' %'))],
+  ['battery', 'Battery', (robot) => number(robot.row.battery == null ? NaN : 100 * robot.row.battery, 0, ' %')],
   ['age', 'Heard', (robot, now, model) => heard(model.age(robot, now))],
   ['near', 'Near', (robot) => number(robot.row.near, 2, ' m')],
   ['x', 'x', (robot) => number(robot.x, 2, ' m')],

@@ -151,15 +151,19 @@ export class SwarmMap {
 
   grid(line, zoom) {
     const { ctx } = this;
-    const step = [0.1, 0.5, 1, 5, 10, 50, 100].find((one) => one * this.scale >= 45) || 500;
+    // Few lines wherever robots say they are: odometry may be 1e9 m off.
+    const step = [0.1, 0.5, 1, 5, 10, 50, 100, 500].find((one) => one * this.scale >= 45)
+      || 10 ** Math.ceil(Math.log10(45 / this.scale));
     const [w, h] = [this.canvas.width / zoom / 2, this.canvas.height / zoom / 2];
     ctx.lineWidth = 1 / zoom;
     ctx.strokeStyle = line;
     ctx.beginPath();
-    for (let x = Math.ceil((this.centre[0] - w) / step) * step; x < this.centre[0] + w; x += step) {
+    for (let i = 0; i <= 2 * w / step; i++) {
+      const x = (Math.ceil((this.centre[0] - w) / step) + i) * step;
       ctx.moveTo(x, this.centre[1] - h); ctx.lineTo(x, this.centre[1] + h);
     }
-    for (let y = Math.ceil((this.centre[1] - h) / step) * step; y < this.centre[1] + h; y += step) {
+    for (let i = 0; i <= 2 * h / step; i++) {
+      const y = (Math.ceil((this.centre[1] - h) / step) + i) * step;
       ctx.moveTo(this.centre[0] - w, y); ctx.lineTo(this.centre[0] + w, y);
     }
     ctx.stroke();

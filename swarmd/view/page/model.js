@@ -87,6 +87,7 @@ export class Model extends EventTarget {
       if (!robot) continue;
       const [dx, dy, turn] = robot.offset;
       const x = view.getFloat32(at + 4, true), y = view.getFloat32(at + 8, true);
+      if (!Number.isFinite(x + y)) continue;
       const c = Math.cos(turn), s = Math.sin(turn);
       robot.x = dx + c * x - s * y;
       robot.y = dy + s * x + c * y;
