@@ -244,11 +244,16 @@ class Recorder:
             self._on_report(one)
         if one is self._open:
             self._fail(f"its process {how_it_ended(code)}")
+        elif code:  # after a stop, such as a disk that is full only now
+            self._tell_fault(f"its file is not whole: its process {how_it_ended(code)}")
         self._ending.remove(one)
 
     def _fail(self, fault: str) -> None:
-        self.fault = fault
         self._disconnect()
+        self._tell_fault(fault)
+
+    def _tell_fault(self, fault: str) -> None:
+        self.fault = fault
         self._on_event(f"recording ends: {fault}")
 
     def _disconnect(self) -> None:

@@ -115,10 +115,7 @@ def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
     link.settimeout(CHUNK_TIME)
     try:
         while True:
-            try:
-                frame = link.recv(1 << 18)
-            except TimeoutError:
-                frame = b"\x90"  # an empty batch
+            frame = _received(link)
             if not frame:
                 return
             for entry in frames.decode_batch(frame):
@@ -144,6 +141,17 @@ def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
             converter.writer.close()
 
 
+def _received(link: socket.socket) -> bytes:
+    """The next batch, an empty one while nothing comes; no bytes once the other end is closed."""
+    while True:
+        try:
+            return link.recv(1 << 18)
+        except TimeoutError:
+            return b"\x90"
+        except ConnectionResetError:
+            continue  # the daemon ended with a report unread: what it sent before comes next
+
+
 def _report(link: socket.socket, path: str, written: int, fault: str = "") -> None:
     with contextlib.suppress(OSError):
         link.send(frames.encode_report(frames.RecorderReport(path, written, fault)))
@@ -155,7 +163,10 @@ def main() -> None:
         signal.signal(number, signal.SIG_IGN)  # the daemon closes the socket
     os.nice(10)
     with socket.socket(fileno=int(sys.argv[1])) as link:
-        run(link)
+        try:
+            run(link)
+        except OSError as error:  # the daemon has closed the socket already
+            sys.exit(f"the recording could not be finished: {error.strerror or error}")
 
 
 if __name__ == "__main__":

@@ -8,8 +8,10 @@ import math
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -26,7 +28,7 @@ from swarmd.daemon.recorder import Recorder
 from swarmd.daemon.recording_service import RecordingService
 from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.protection.decision import Decision
-from swarmd.recording import frames, messages
+from swarmd.recording import frames, messages, process
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.settings.platforms import load_platform
@@ -165,6 +167,38 @@ def test_a_recorder_process_that_is_killed_is_reported_once(tmp_path: Path) -> N
     assert events == ["recording ends: its process was killed by SIGKILL"]
     found = [one for one in files_in(tmp_path) if one.messages]
     assert [m.topic for m in found[-1].messages] == ["/scan/geometry", "/scan"]
+
+
+def test_the_file_of_a_daemon_that_died_with_a_report_unread_is_whole(tmp_path: Path) -> None:
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    begin = frames.Begin(1.0, str(tmp_path), "a", {"robot": "a"}, 1.7e9, 2**26, 600.0, 2**30)
+    with theirs:
+        ours.send(frames.batch([frames.encode_entry(begin)]))
+        writing = threading.Thread(target=process.run, args=(theirs,))
+        writing.start()
+        ours.recv(1, socket.MSG_PEEK)  # a report has come
+        ours.send(frames.batch([frames.encode_entry(frames.EventEntry(1.0, "the last line"))]))
+        ours.close()
+        writing.join(WAIT)
+    (found,) = files_in(tmp_path)
+    assert (found.fault, [one.topic for one in found.messages]) == ("", ["/event"])
+
+
+def test_a_file_that_cannot_be_finished_after_a_stop_is_an_event(tmp_path: Path) -> None:
+    events: list[str] = []
+
+    async def run() -> None:
+        recorder = Recorder(asyncio.get_running_loop(), events.append)
+        recorder.start(tmp_path / "folder", "a", {})
+        recorder.add(frames.EventEntry(0.0, "a line"))
+        recorder.flush()
+        await until(lambda: list((tmp_path / "folder").glob("*.mcap")))
+        shutil.rmtree(tmp_path / "folder")
+        recorder.stop()
+        await until(lambda: events)
+
+    asyncio.run(run())
+    assert events == ["recording ends: its file is not whole: its process ended with code 1"]
 
 
 def test_the_daemon_and_fetch_do_without_the_libraries_of_recordings() -> None:
