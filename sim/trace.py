@@ -142,13 +142,13 @@ def poses_at(t: Array, poses: Array, time: float) -> Array:
     return found
 
 
-def patterns_of(trace: Trace) -> tuple[tuple[str, ...], NDArray[np.intp]]:
+def patterns_of(trace: Trace) -> tuple[tuple[str, ...], NDArray[np.int16]]:
     """Names of patterns, and (T, n) the place of that which each robot was last told to run.
 
     The first name is that of the whole run: empty unless one pattern was run on all from the start.
     """
     names = [str(trace.meta.get("pattern", ""))]
-    found = np.zeros(trace.pose.shape[:2], dtype=np.intp)
+    found = np.zeros(trace.pose.shape[:2], dtype=np.int16)
     rows = {robot: row for row, robot in enumerate(trace.ids)}
     runs = [event for event in trace.meta.get("events", ()) if event["action"] == "run"]
     for event in sorted(runs, key=lambda event: float(event["at"])):
