@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -125,7 +125,7 @@ def save(figure: Figure, path: Path, *, width: float | None = None) -> Path:
     dated = {"svg": "Date", "pdf": "CreationDate"}.get(kind)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        fonts = {"svg.hashsalt": "swarmd", "svg.fonttype": "none", "pdf.fonttype": 42}
+        fonts: Any = {"svg.hashsalt": "swarmd", "svg.fonttype": "none", "pdf.fonttype": 42}
         with whole_file(path) as partial, rc_context(fonts):
             figure.savefig(
                 partial,
