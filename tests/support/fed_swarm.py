@@ -227,7 +227,7 @@ class FedOperator:
         answered = [name for name in targets if name not in missing]
         replies = {name: Reply(id="1", robot=name, code=Code.APPLIED) for name in answered}
         if len(replies) > 100:
-            name = answered[-1]
+            name = max(answered)  # the page lists robots in the order in which it heard them
             replies[name] = Reply(
                 id="1", robot=name, code=Code.REFUSED, refusal=Refusal.BUSY, text="busy"
             )
