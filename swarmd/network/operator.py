@@ -91,8 +91,8 @@ MAX_OPERATOR, MAX_OPERATOR_BYTES = 128, 256
 MAX_REASON, MAX_REASON_BYTES = 256, 512
 CLOSING = "swarmd-closing"
 """The name of the threads that close sessions."""
-COMMANDING = "swarmd-commanding"
-"""The name of the daemon threads that carry commands of a view out."""
+COMMANDING, LOOKING = "swarmd-commanding", "swarmd-looking"
+"""The names of the daemon threads that carry commands of a view out, and that look for it."""
 
 R = TypeVar("R", bound=AnyRequest)
 
@@ -722,11 +722,11 @@ class _Links:
 
 
 def is_closing() -> bool:
-    """True while a session of an operator that was closed, or a command of a view, has not ended.
+    """True while a session that was closed, a command or a look of a view has not ended.
 
     Python must not end then: their threads use a library that fails without it.
     """
-    names = (CLOSING, COMMANDING)
+    names = (CLOSING, COMMANDING, LOOKING)
     return any(thread.name in names for thread in threading.enumerate())
 
 

@@ -11,7 +11,7 @@ from swarmd.core.codec import Decoder
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import STATUS_SILENCE, Status
 from swarmd.network.discovery import Contact, MembersView
-from swarmd.network.operator import Operator
+from swarmd.network.operator import LOOKING, Operator
 
 LOOK_PERIOD = 1.0
 LOOK_TIME = 1.0
@@ -38,7 +38,7 @@ class SwarmWatch:
         self._statuses: dict[str, tuple[Status, float]] = {}
         self._view = MembersView({})
         self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._look, name="swarm looks", daemon=True)
+        self._thread = threading.Thread(target=self._look, name=LOOKING, daemon=True)
 
     def start(self) -> None:
         """Begin to look."""

@@ -170,7 +170,7 @@ def _values(status: Status) -> tuple[str, ...]:
 
 def _rest(scene: Scene, shown: Sequence[str]) -> str:
     robots = scene.order
-    if scene.cursor is None or scene.cursor not in robots:
+    if not shown or scene.cursor is None or scene.cursor not in robots:
         return f"... and {len(robots) - len(shown)} more"
     above = robots.index(shown[0])
     return f"... and {above} more above, {len(robots) - above - len(shown)} below"

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from swarmd.core.messages import Reason, State
 from swarmd.view.scene import Area, Scene, area_around
-from swarmd.view.terminal import cell_of, map_of, map_size, render
+from swarmd.view.terminal import cell_of, lines_of, map_of, map_size, render
 from tests.support.statuses import status
 
 ARENA = Area((6.0, 3.0))
@@ -139,6 +139,12 @@ def test_rows_around_the_cursor_are_shown(cursor: str, first: int) -> None:
         f"{number:02d}" for number in range(first, first + 6)
     ]
     assert f"{first - 1} more above, {30 - first - 5} below" in lines[-2]
+
+
+@pytest.mark.parametrize(("width", "height"), [(1, 1), (20, 2), (80, 3)])
+def test_a_terminal_without_room_for_a_robot_is_drawn(width: int, height: int) -> None:
+    lines = lines_of(replace(crowd(25), cursor="tb3-15"), width, height)
+    assert max(line.cell_len for line in lines) <= width
 
 
 def test_the_last_lines_stay_on_a_small_terminal() -> None:
