@@ -13,9 +13,9 @@ if TYPE_CHECKING:
     from swarmd.sim.experiments.export import Form
 
 _MODULES = {
-    "csv": ("table", "pandas"),
-    "parquet": ("table", "pandas", "pyarrow"),
-    "mcap": ("record", "mcap", "rosbags"),
+    "csv": ("sim,table", "pandas", "scipy"),
+    "parquet": ("sim,table", "pandas", "pyarrow", "scipy"),
+    "mcap": ("sim,record", "mcap", "rosbags", "scipy"),
 }
 
 
@@ -42,13 +42,13 @@ def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
     The file `results` has a row for each run; the files in `traces` have a row for each instant
     and robot.
     """
-    from swarmd.sim.experiments.export import export as exported
-    from swarmd.sim.experiments.results import load_results
-
     if no_traces and form == "mcap":
         raise click.UsageError("--to mcap exports traces; leave out --no-traces")
     extra, *modules = _MODULES[form]
     need(*modules, extra=extra)
+    from swarmd.sim.experiments.export import export as exported
+    from swarmd.sim.experiments.results import load_results
+
     results = load_results(folder)
     for path in exported(
         results, cast("Form", form), out or folder / "export", traces=not no_traces

@@ -41,7 +41,7 @@ def report(
     if is_recording:
         if any(one is not None for one in (metrics, seed, variant)):
             raise ConfigError(f"{place}: --metrics, --seed and --variant are for experiments")
-        need("rosbags", extra="sim,plot,record")
+        need("mcap", "rosbags", extra="sim,plot,record")
         from swarmd.sim.report.recording_report import recording_report
 
         text = recording_report(place)

@@ -21,7 +21,7 @@ def view(folder: Path, seed: int | None, variant: str | None, page: WebOptions) 
     The page selects among all seeds and variants. DIR may also be the folder of a demo, or a trace
     (.npz).
     """
-    need("mujoco")
+    need("mujoco", "websockets", extra="sim,web")
     check_web(page)
     from swarmd.sim.view.experiment import source_of
 

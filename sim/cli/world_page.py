@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import click
 
 from swarmd.cli.web import Served, WebOptions, check_web, web_options
+from swarmd.sim.cli.options import need
 
 if TYPE_CHECKING:
     from swarmd.network.operator import Operator
@@ -25,6 +26,7 @@ def page_option(function: Callable[..., R]) -> Callable[..., R]:
     @functools.wraps(function)
     def wrapper(*args: Any, web: bool, page: WebOptions, **kwargs: Any) -> R:
         if web:
+            need("mujoco", "websockets", extra="sim,plot,web")
             check_web(page)
         return function(*args, page=page if web else None, **kwargs)
 

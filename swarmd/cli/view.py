@@ -14,6 +14,7 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import warn
 from swarmd.cli.terminal import need_terminal
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
+from swarmd.plugins import need, pattern_names
 
 if TYPE_CHECKING:
     from swarmd.view.commander import LiveCommander
@@ -40,10 +41,12 @@ def view(options: CommonOptions, files: tuple[Path, ...], web: bool, page: WebOp
         if page.token or page.viewer_token or page.tls:
             raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
         click.get_current_context().exit(_show(options))
-    check_web(page)
     if files:
+        need("websockets", "mcap", "rosbags", extra="web,record")
+        check_web(page)
         _play(files, page)
         return
+    check_web(page)
     with _live(options, "from the page") as (source, commander):
         serve(source, commander, page)
 
@@ -52,7 +55,6 @@ def view(options: CommonOptions, files: tuple[Path, ...], web: bool, page: WebOp
 def _live(options: CommonOptions, reason: str) -> Iterator[tuple[LiveSource, LiveCommander]]:
     """The swarm as views show it, and what carries their commands out; latches keep `reason`."""
     from swarmd.cli.known_robots import remember
-    from swarmd.plugins import pattern_names
     from swarmd.view.commander import LiveCommander
     from swarmd.view.live import LiveSource
 
