@@ -43,6 +43,8 @@ const link = new Link(model, {
 const choose = () => link.send({ kind: 'select', names: [...model.selected].slice(-20) });
 const timeline = new Timeline(model, (message) => link.send(message));
 
+const isByOdometry = () => ['live', 'recording'].includes(model.source);
+
 // A text that did not change is not read out again.
 function show(id, text) { if (element(id).textContent !== text) element(id).textContent = text; }
 
@@ -58,6 +60,7 @@ function counts() {
   if (silent) parts.push(`${silent} not heard`);
   show('counts', `${model.robots.size} robots: ${parts.join(', ') || '-'}`);
   show('clock', model.source === 'live' ? '' : `${model.time.toFixed(1)} s`);
+  if (!map.mode) hint(isByOdometry() && model.overlaps() ? OVERLAP : '');
   legend();
 }
 
@@ -98,7 +101,7 @@ model.addEventListener('hello', () => {
   element('title').textContent = `${model.swarm || 'swarmd'}${model.role === 'viewer' ? ' (read only)' : ''}`;
   document.title = element('title').textContent;
   document.body.classList.toggle('operator', model.role === 'operator' && !model.playback);
-  element('align').hidden = !['live', 'recording'].includes(model.source); // by odometry
+  element('align').hidden = !isByOdometry();
   const fields = Object.keys((model.arena || {}).fields || {});
   element('fields').hidden = !fields.length;
   fill(element('field'), [['', 'none'], ...fields.map((one) => [one, one])]);
@@ -120,12 +123,16 @@ const HINTS = {
   measure: 'Drag from one place to another.',
   align: 'Odometry knows no common origin. Drag a robot to its place; drag beside the selected robots to turn them.',
 };
+const OVERLAP = 'Robots are drawn at one place: the odometry of each begins at 0 where it was switched on. Align places them. For simulated robots, sim up --web shows true positions.';
+function hint(text) {
+  show('hint', text);
+  element('hint').hidden = !text;
+}
 function mode(name, isOn) { // one at a time
   for (const other of Object.keys(HINTS)) element(other).setAttribute('aria-pressed', isOn && other === name);
   map.mode = isOn ? name : '';
   map.ruler = null;
-  show('hint', HINTS[map.mode] || '');
-  element('hint').hidden = !map.mode;
+  hint(HINTS[map.mode] || '');
   element('forget').hidden = map.mode !== 'align';
 }
 for (const name of Object.keys(HINTS)) press(name, (isOn) => mode(name, isOn));
@@ -155,8 +162,9 @@ for (const [name, usual] of [['dark', matchMedia('(prefers-color-scheme: dark)')
 document.addEventListener('keydown', (event) => {
   if (event.key === 'Escape' && event.shiftKey && document.body.matches('.operator')) { actions.estop(); return; }
   if (event.target.matches('input, select, textarea') || event.ctrlKey || event.metaKey || event.altKey) return;
+  if (event.key === ' ' && event.target.matches('button, summary')) return; // presses what has the focus
   const keys = { f: 'fit', o: 'follow', m: 'measure', a: 'align', ' ': 'play' };
-  if (keys[event.key] && !element(keys[event.key]).hidden) {
+  if (keys[event.key] && !element(keys[event.key]).closest('[hidden]')) {
     event.preventDefault();
     element(keys[event.key]).click();
   } else if (event.key === 'Escape') model.select([]);

@@ -130,6 +130,7 @@ export class SwarmMap {
     const style = getComputedStyle(document.documentElement);
     const [line, text, dim, back] = ['--line', '--text', '--dim', '--pane'].map((name) => style.getPropertyValue(name));
     const zoom = this.scale * this.ratio;
+    this.rem = parseFloat(style.fontSize) * this.ratio; // texts grow with those of the page
     ctx.setTransform(1, 0, 0, 1, 0, 0);
     ctx.fillStyle = back;
     ctx.fillRect(0, 0, this.canvas.width, this.canvas.height);
@@ -323,12 +324,12 @@ export class SwarmMap {
 
   drawNames(robots, text, dim) {
     const { ctx } = this;
-    ctx.font = `${12 * this.ratio}px system-ui, sans-serif`;
+    ctx.font = `${0.75 * this.rem}px system-ui, sans-serif`;
     ctx.textAlign = 'center';
     for (const robot of robots) {
       const [x, y] = this.toScreen(robot.x, robot.y);
       ctx.fillStyle = this.model.selected.has(robot.name) ? text : dim;
-      ctx.fillText(robot.name, x, y + robot.radius * this.scale * this.ratio + 14 * this.ratio);
+      ctx.fillText(robot.name, x, y + robot.radius * this.scale * this.ratio + 0.9 * this.rem);
     }
   }
 
@@ -341,7 +342,7 @@ export class SwarmMap {
     ctx.moveTo(...a);
     ctx.lineTo(...b);
     ctx.stroke();
-    ctx.font = `${14 * this.ratio}px system-ui, sans-serif`;
+    ctx.font = `${0.9 * this.rem}px system-ui, sans-serif`;
     ctx.textAlign = 'left';
     ctx.fillText(`${Math.hypot(to[0] - from[0], to[1] - from[1]).toFixed(2)} m`, b[0] + 8, b[1] - 8);
   }

@@ -122,6 +122,13 @@ export class Model extends EventTarget {
     return this.isConnected && robot.row.presence === 'alive' && this.age(robot, now) < STALE;
   }
 
+  // Two robots at one place, which no floor allows: their frames differ. Of many, the first are looked at.
+  overlaps() {
+    const known = [...this.robots.values()].filter((one) => one.x === one.x).slice(0, 60);
+    return known.some((one, i) => known.slice(i + 1).some((other) => (
+      Math.hypot(one.x - other.x, one.y - other.y) < 0.5 * Math.min(one.radius, other.radius))));
+  }
+
   // The operator's alignment of a robot's odometry: x, y and yaw of its frame on the map.
   offsets() {
     try { return JSON.parse(localStorage.getItem(`frames of ${this.swarm}`)) || {}; } catch { return {}; }
