@@ -6,7 +6,7 @@ import json
 import secrets
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import replace
 from importlib.util import find_spec
@@ -152,7 +152,7 @@ def perform(
         WorldView(spec.swarm, fleet.endpoint) as world,
         Operator(NetworkSettings(swarm=spec.swarm)) as operator,
         world_page(fleet, page) as shown,
-        _screen(is_live) as on_scene,
+        _screen(is_live, shown.addresses if shown is not None else ()) as on_scene,
     ):
         run = DemoRun(settings, fleet, operator, world, on_scene)
         summary = run.perform(spec.trace, started_at())
@@ -192,8 +192,11 @@ def report(summary: Summary, folder: Path, *, is_json: bool) -> None:
 
 
 @contextmanager
-def _screen(is_live: bool) -> Iterator[Callable[[Scene], None]]:
-    """A function that shows a scene: in a live view on the terminal, or not at all."""
+def _screen(is_live: bool, addresses: Sequence[str]) -> Iterator[Callable[[Scene], None]]:
+    """A function that shows a scene: in a live view on the terminal, or not at all.
+
+    `addresses` of a page stay below the view, which fills the terminal.
+    """
     if not is_live:
         yield lambda scene: None
         return
@@ -203,7 +206,8 @@ def _screen(is_live: bool) -> Iterator[Callable[[Scene], None]]:
     from swarmd.view.terminal import render
 
     terminal = Terminal()
+    below = [(line, "bold") for line in addresses]
     with Live(console=terminal, auto_refresh=False) as live:
         yield lambda scene: live.update(
-            render(scene, terminal.width, terminal.height), refresh=True
+            render(replace(scene, below=below), terminal.width, terminal.height), refresh=True
         )

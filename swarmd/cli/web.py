@@ -10,14 +10,14 @@ import ssl
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from swarmd.cli.output import warn
-from swarmd.core.errors import ConfigError, PluginError
+from swarmd.core.errors import ConfigError
+from swarmd.plugins import need
 
 if TYPE_CHECKING:
     from swarmd.view.server import Commander, ViewServer
@@ -99,10 +99,7 @@ def web_options(function: Callable[..., R]) -> Callable[..., R]:
 
 def check_web(web: WebOptions) -> None:
     """Raise before anything has started: PluginError for a missing library, else as `serve`."""
-    if find_spec("websockets") is None:
-        raise PluginError(
-            "a web page needs websockets, which is not installed; run: pip install 'swarmd[web]'"
-        )
+    need("websockets", extra="web")
     from swarmd.view.access import Access
     from swarmd.view.server import check_address
 
@@ -132,8 +129,8 @@ async def _serve(source: Source, commander: Commander | None, web: WebOptions) -
 class Served:
     """A page that a thread serves until `close`, while another part of the program runs.
 
-    `reason`: what the page shows when the server has ended. Its addresses are printed on standard
-    error: standard output is that part's.
+    `reason`: what the page shows when the server has ended. `addresses`, a line for each, are
+    printed on standard error: standard output is that part's.
     """
 
     def __init__(
@@ -141,13 +138,16 @@ class Served:
     ) -> None:
         """NetworkError if the port is in use."""
         self.reason = reason
+        self.addresses: list[str] = []
         self._loop = asyncio.new_event_loop()
         self._server: ViewServer | None = None
         self._thread = threading.Thread(target=self._loop.run_forever, name="page", daemon=True)
         self._thread.start()
         try:
-            started = _started(source, commander, web, warn)
+            started = _started(source, commander, web, self.addresses.append)
             self._server = asyncio.run_coroutine_threadsafe(started, self._loop).result(_START_TIME)
+            for line in self.addresses:
+                warn(line)
         except BaseException:
             self.close()
             raise
