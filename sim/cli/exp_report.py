@@ -32,7 +32,7 @@ def report(
     The file needs no network and no other file, and prints well.
     """
     need("mujoco", "matplotlib")
-    from swarmd.sim.experiments.manifest import write_whole
+    from swarmd.sim.experiments.manifest import NAME, write_whole
 
     is_recording = place.suffix == ".mcap"
     path = out or (place.with_suffix(".html") if is_recording else place / "report.html")
@@ -46,6 +46,11 @@ def report(
 
         text = recording_report(place)
     else:
+        if place.is_dir() and next(place.rglob("*.mcap"), None) and not (place / NAME).exists():
+            raise ConfigError(
+                f"{place}: a folder of recordings; expected an experiment or one file, such as"
+                f" that of: swarmctl record merge {place} -o {place.name}.mcap"
+            )
         from swarmd.sim.experiments.results import load_results
         from swarmd.sim.report.html import report_of
 

@@ -43,7 +43,7 @@ def runs_of(place: Path, seed: int | None = None, variant: str | None = None) ->
     if place.is_dir() and (place / MANIFEST).exists():
         return _experiment(place, seed, variant)
     file = place / DEMO_TRACE if place.is_dir() else place
-    if not file.exists():
+    if not file.exists() or file.suffix == ".mcap":
         raise ConfigError(
             f"{place}: there are no recorded runs; expected the folder of an experiment"
             " or a demo, or a trace (.npz); recordings of robots: swarmctl view --web FILE"

@@ -77,7 +77,8 @@ def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, page: Pag
 
         page.evaluate("window.swarm.model.select(['tb3-01'])")
         page.until("document.getElementById('detail-values').children.length > 4", "details")
-        page.click("#stop")
+        page.evaluate("document.getElementById('stop').focus()")
+        page.key(" ")
         assert "1 targeted, 1 applied" in answered(page, "stop")
         shown(page, "tb3-01", "stopped")
         assert swarm.status("tb3-02").state is State.RUNNING

@@ -111,8 +111,11 @@ def test_a_folder_without_the_wanted_run_is_one_clear_error(results: Path, tmp_p
     shutil.rmtree(copy / "traces")
     with pytest.raises(ConfigError, match="no traces"):
         source_of(copy)
-    with pytest.raises(ConfigError, match="no recorded runs"):
-        source_of(tmp_path)
+    recording = tmp_path / "evening.mcap"
+    recording.touch()
+    for other in (tmp_path, recording):
+        with pytest.raises(ConfigError, match="no recorded runs"):
+            source_of(other)
     alone = source_of(results / "traces" / "s0001.npz")
     assert alone.playback.runs == ["s0001.npz"]
     with pytest.raises(ConfigError, match="--seed"):
