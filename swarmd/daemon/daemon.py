@@ -424,6 +424,7 @@ class Daemon:
             revision=self._robot.epoch.revision,
             generation=self._robot.generation,
             latches=self._robot.latches,
+            cleared=self._robot.cleared,
         )
 
 

@@ -137,6 +137,7 @@ class RecordedRobot(Robot):
         self._recorder.text("/status", status, now)
         for event in status.events:
             if event.at > self._logged_to:
-                at = now - status.uptime + event.at
-                self._recorder.add(frames.EventEntry(at, event.text))
                 self._logged_to = event.at
+                at = now - status.uptime + event.at
+                if at >= self._recorder.began:  # else the file would begin with an empty time
+                    self._recorder.add(frames.EventEntry(at, event.text))

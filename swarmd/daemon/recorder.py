@@ -70,6 +70,7 @@ class Recorder:
     def __init__(self, loop: asyncio.AbstractEventLoop, on_event: Callable[[str], None]) -> None:
         self._loop = loop
         self._on_event = on_event
+        self.began = 0.0  # s; when the present recording was started, or the last one
         self._open: _Process | None = None
         self._ending: list[_Process] = []
         self._entries: list[frames.Entry] = []
@@ -108,7 +109,7 @@ class Recorder:
         self.dropped = self._unreported = self._unrecorded = 0
         self.fault = ""
         self.report = frames.RecorderReport("", 0)
-        at = boottime()
+        at = self.began = boottime()
         self.add(
             frames.Begin(
                 at=at,

@@ -21,8 +21,8 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     """The robot, and the settings that decide what it does.
 
     `clock`: which clock, see `core/clock.py`. `layers`: parameters
-    by pattern and source, weakest first. `revision`, `generation`, `latches`: of the robot
-    when the recording began.
+    by pattern and source, weakest first. `revision`, `generation`, `latches`, and `cleared`, the
+    ids of latches that were reset: of the robot when the recording began.
     """
 
     robot: str
@@ -41,6 +41,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     revision: int
     generation: int
     latches: Mapping[str, Latch]
+    cleared: tuple[str, ...] = ()
 
     def texts(self) -> dict[str, str]:
         """The head as texts for a file: the main ones readable, all of them in `head`."""

@@ -24,7 +24,7 @@ from swarmd.core.host_messages import (
     StartTrial,
     Stepped,
 )
-from swarmd.core.messages import Body, Latch, Reason, Request, State
+from swarmd.core.messages import Body, Latch, Reason, Request, State, StopRequest
 from swarmd.core.values import ZERO, PeerPlace, Platform, Scan, Twist
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
@@ -123,6 +123,7 @@ class Replay:
         self._begin: float | None = None
         self._actions: Actions | None = None
         self._notes: dict[str, None] = {}
+        self._has_parted = False  # one of the two robots ran while the other did not
         self.safe, self.requested = Compared(), Compared()
 
     def _make_robot(self, now: float) -> Robot:
@@ -143,7 +144,7 @@ class Replay:
             seed=head.seed,
             instance=head.instance,
             now=now,
-            latches=LatchRecord(held=dict(head.latches)),
+            latches=LatchRecord(held=dict(head.latches), cleared=head.cleared),
             revision=head.revision,
             generation=head.generation,
         )
@@ -213,7 +214,10 @@ class Replay:
         elif topic == "/peer_place":
             robot.on_peer_place(decode(text, type=PeerPlace), now)
         elif topic == "/request":
-            self._carry_out(robot.on_request(decode(text, type=Request), now))
+            request: Request = decode(text, type=Request)
+            if isinstance(request, StopRequest) and now - request.age < (self._begin or 0.0):
+                return  # a late copy: the robot had carried it out before the recording began
+            self._carry_out(robot.on_request(request, now))
         elif topic == "/latches":
             self._carry_out(robot.on_latches(decode(text, type=dict[str, Latch]), now))
         elif topic == "/duplicate":
@@ -255,7 +259,9 @@ class Replay:
         if self._actions is None:
             return
         at = now - (self._begin or now)
-        if (self._robot.state is State.RUNNING) != (message.state == State.RUNNING):
+        is_other = (self._robot.state is State.RUNNING) != (message.state == State.RUNNING)
+        if is_other and not self._has_parted:
+            self._has_parted = True
             self._note(
                 f"at {at:.3f} s the recorded robot is {message.state}, the replayed one"
                 f" {self._robot.state}: the recording begins in a run, or settings differ"

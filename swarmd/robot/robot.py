@@ -119,6 +119,11 @@ class Robot:
         return self._lifecycle.latches.held
 
     @property
+    def cleared(self) -> tuple[str, ...]:
+        """The ids of emergency stops that were reset: their late copies do not latch again."""
+        return self._lifecycle.latches.record().cleared
+
+    @property
     def report(self) -> Mapping[str, Scalar]:
         """The last report of the pattern."""
         return self._lifecycle.report

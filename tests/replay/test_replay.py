@@ -60,6 +60,7 @@ class FileRecorder(Recorder):
 
     def begin(self, robot: RobotHarness) -> None:
         head = head_at(robot)
+        self.began = robot.now
         begin = frames.Begin(
             robot.now, str(self._folder), robot.robot.id, head.texts(), 1.7e9, 2**26, 600.0, 2**30
         )
@@ -92,6 +93,7 @@ def head_at(robot: RobotHarness) -> RecordingHead:
         revision=robot.epoch.revision,
         generation=robot.robot.generation,
         latches=robot.robot.latches,
+        cleared=robot.robot.cleared,
     )
 
 
@@ -158,6 +160,25 @@ def test_a_recording_that_begins_after_earlier_runs_and_a_latch_is_repeated(
     story.robot.advance(1.0)
     story.run("drive", speed=0.1)
     assert_equal(story.replayed(), 80)
+
+
+def test_late_copies_of_stops_from_before_the_recording_change_no_replay(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    story.run("drive", speed=0.1)
+    story.robot.applied("stop", id="s1")
+    story.robot.applied("estop", id="e1", reason="a chair")
+    story.robot.ask("reset", ids=("e1",))
+    story.recorder.begin(story.robot)
+    story.robot.advance(1.0)
+    story.robot.ask("stop", id="s1", age=2.0)
+    story.run("drive", speed=0.1)
+    story.robot.ask("estop", id="e1", reason="a chair", is_relayed=True)
+    story.robot.advance(1.0)
+    assert story.robot.robot.state is State.RUNNING
+    recorded = story.recorder.finish()
+    assert_equal(repeat([recorded], ORIGINS)[1], 80)
+    events = [one.at for one in recorded.messages if one.topic == "/event"]
+    assert min(events) >= 1.7e18  # ns: the wall time at which the recording began
 
 
 def test_a_recording_that_begins_in_a_run_is_refused(tmp_path: Path) -> None:
