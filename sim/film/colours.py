@@ -49,19 +49,20 @@ class Colouring:
 def colouring_of(trace: Trace, by: str) -> Colouring:
     """Colours by state, pattern, platform or robot, or by a value that the robots report.
 
+    `report:state` is the state that they report, `state` that of the robot.
     ConfigError with the nearest name if the robots report no such value.
     """
     shape = trace.pose.shape[:2]
     name = by.removeprefix("report:")
-    if name == "state":
+    if by == "state":
         words = np.full(shape, "running") if trace.state is None else trace.state
         return _by_word(words, STATES)
-    if name == "pattern":
+    if by == "pattern":
         names, places = patterns_of(trace)
         return _by_word(np.array(names)[places], {})
-    if name == "platform":
+    if by == "platform":
         return _by_word(np.broadcast_to(np.array(trace.platforms), shape), {})
-    if name == "robot":
+    if by == "robot":
         rgb = np.array([rgb_of(robot_colour(i)) for i in range(shape[1])], dtype=np.uint8)
         key = [(_plain(c), i) for c, i in zip(rgb, trace.ids, strict=True)]
         return Colouring(np.broadcast_to(rgb, (*shape, 3)), key)

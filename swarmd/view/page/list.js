@@ -111,6 +111,7 @@ export class RobotList {
     const rows = [this.before, ...this.pool.slice(0, last - first), this.after];
     if (rows.length !== this.body.children.length) this.body.replaceChildren(...rows);
     this.body.parentElement.setAttribute('aria-rowcount', robots.length + 1);
+    this.body.parentElement.classList.toggle('no-battery', [...this.model.robots.values()].every((robot) => robot.row.battery === undefined));
   }
 
   fill(row, robot, now, index) {

@@ -85,7 +85,10 @@ function choices() {
   }
   if (labels.size) keys.add('labels');
   element('links-label').hidden = !model.links.length;
-  fill(element('colour'), [...keys].map((key) => [key, key.replace(/^\w+:/, '')]));
+  fill(element('colour'), [...keys].map((key) => { // a pattern may report a `state` of its own
+    const name = key.replace(/^\w+:/, '');
+    return [key, key !== name && keys.has(name) ? `reported ${name}` : name];
+  }));
   element('label-choice').hidden = !labels.size;
   fill(element('label'), [['', 'select ...'], ...[...labels].sort().map((one) => [one, one])]);
 }

@@ -55,6 +55,9 @@ def test_colours_by_state_and_by_opinion(trace: Trace) -> None:
     assert len({tuple(rgb) for rgb in by_opinion.rgb[0].tolist()}) == 3
     with pytest.raises(ConfigError, match="opinion"):
         colouring_of(trace, "opinon")
+    words = {"state": np.where(trace.state == "running", "wait", "turn")}
+    reported = colouring_of(replace(trace, words=words), "report:state")
+    assert {word for _, word in reported.key} <= {"wait", "turn"}
 
 
 def test_a_pattern_has_its_colour_from_its_event_on(trace: Trace) -> None:
