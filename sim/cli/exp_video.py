@@ -45,8 +45,8 @@ _SMALLEST, _LARGEST = 160, 4096
     default="state",
     show_default=True,
     metavar="VALUE",
-    help="Colour of robots: state, pattern, platform, robot, or a value that they report; report:state"
-    " where it is named as one of these.",
+    help="Colour of robots: state, pattern, platform, robot, or a value that they report;"
+    " report:state where it is named as one of these.",
 )
 @click.option(
     "--speed",
