@@ -95,7 +95,9 @@ def trace(page: Page, seconds: float) -> list[tuple[float, float]]:
     return [
         (event["dur"] / 1e6, event.get("tdur", 0) / 1e6)
         for event in events
-        if event["name"].endswith("::RunTask") and (event["pid"], event["tid"]) in mains
+        if event["name"].endswith("::RunTask")
+        and (event["pid"], event["tid"]) in mains
+        and "dur" in event  # else it goes on after the trace
     ]
 
 
