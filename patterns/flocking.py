@@ -212,7 +212,7 @@ class Flocking(MovementPattern[FlockingParams]):
         super().__init__(params, context)
         self._state = ""
         self._goes_on = False
-        self._scan: Scan | None = None
+        self._seq: int | None = None  # of the scan that the last command follows
         self._requested = ZERO
         self._seen: deque[tuple[float, Sequence[complex]]] = deque()
 
@@ -226,14 +226,14 @@ class Flocking(MovementPattern[FlockingParams]):
             return ZERO
         if self.params.law == "paper":
             return self._follow_states(inputs.scan, inputs.is_new_scan)
-        if inputs.scan is not self._scan:
-            self._scan, self._requested = inputs.scan, self._follow(inputs.scan, inputs)
+        if inputs.scan.seq != self._seq:
+            self._seq, self._requested = inputs.scan.seq, self._follow(inputs.scan, inputs)
         return self._requested
 
     def update(self, params: FlockingParams) -> None:
         """Apply changed parameters, and evaluate the scan again."""
         super().update(params)
-        self._scan = None
+        self._seq = None
 
     def _follow(self, scan: Scan, inputs: Inputs) -> Twist:
         params = self.params

@@ -139,7 +139,7 @@ class FormationPattern(MovementPattern[F]):
         if not self._by_lidar:
             self.needs = self.needs | _BEARINGS
         self._tracker = NeighborTracker()
-        self._scan: Scan | None = None
+        self._seq: int | None = None  # of the scan that was looked at last
         self._points = NearPoints(())
         self._goal: tuple[float, float] | None = None
         self._aimed_at = -math.inf
@@ -156,7 +156,7 @@ class FormationPattern(MovementPattern[F]):
             raise ConfigError(
                 f"parameter sensing is neighbors, which needs {lacking}; {name} lacks that"
             )
-        self._by_lidar, self._scan, self._goal = by_lidar, None, None
+        self._by_lidar, self._seq, self._goal = by_lidar, None, None
         super().update(params)
 
     def report(self) -> Mapping[str, Scalar]:
@@ -187,9 +187,9 @@ class FormationPattern(MovementPattern[F]):
     def _look(self, inputs: Inputs, scan: Scan, pose: Pose) -> None:
         params = self.params
         offset = self.context.platform.scan.offset
-        is_new = scan is not self._scan
+        is_new = scan.seq != self._seq
         if is_new:
-            self._scan = scan
+            self._seq = scan.seq
             reach = params.clearance + params.brake + math.hypot(*offset)
             points = closest_points(scan, within=reach).tolist()
             self._points = NearPoints(polar_from_base(points, offset))

@@ -25,6 +25,7 @@ from typing import Any, ClassVar
 
 import msgspec
 import numpy as np
+from msgspec import structs
 
 from swarmd.core.codec import encode_value
 from swarmd.core.values import (
@@ -221,6 +222,16 @@ class PatternContract:
         _check_repeatable(subject, scans)
         first = subject.run([read_only(scan) for scan in scans])
         _check_same(first, subject.run(scans), "the run differs where scans are writable")
+
+    def test_a_copy_of_a_scan_is_the_same_scan(self, subject: Subject) -> None:
+        """A daemon hands each step a copy of the scan: `seq` and `is_new_scan` tell scans apart."""
+        scans, pattern = busy_scans(subject.platform, 20), subject.make()
+        copies = [
+            one if one.scan is None else structs.replace(one, scan=read_only(one.scan))
+            for one in subject.story(pattern, scans)
+        ]
+        text = "the run differs where each step has a copy of the scan"
+        _check_same(subject.steps(pattern, copies), subject.run(scans), text)
 
     def test_steps_take_little_time(self, subject: Subject) -> None:
         """Half of the steps take at most a tenth of the period, on this machine."""
