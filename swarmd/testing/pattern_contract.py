@@ -225,7 +225,9 @@ class PatternContract:
 
     def test_a_copy_of_a_scan_is_the_same_scan(self, subject: Subject) -> None:
         """A daemon hands each step a copy of the scan: `seq` and `is_new_scan` tell scans apart."""
-        scans, pattern = busy_scans(subject.platform, 20), subject.make()
+        scans = busy_scans(subject.platform, 20)
+        _check_repeatable(subject, scans)
+        pattern = subject.make()
         copies = [
             one if one.scan is None else structs.replace(one, scan=read_only(one.scan))
             for one in subject.story(pattern, scans)
