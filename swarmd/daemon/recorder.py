@@ -24,6 +24,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Scan
 from swarmd.recording import frames
+from swarmd.recording.limits import FileLimits
 
 MAX_BATCH = 60_000
 """Bytes of one batch, but for its last entry."""
@@ -93,14 +94,11 @@ class Recorder:
         folder: Path,
         name: str,
         about: Mapping[str, str],
-        *,
-        max_bytes: int = 64 * 2**20,
-        max_seconds: float = 600.0,
-        keep_bytes: int = 2**30,
+        limits: FileLimits,
     ) -> None:
         """Start a process that records; OSError if that fails. Call it only while `is_on` is false.
 
-        `about`: texts on the robot. `max_bytes`, `max_seconds` of one file, `keep_bytes` of all.
+        `about`: texts on the robot.
         """
         one = self._open = _Process()
         self._loop.add_reader(one.socket, self._on_report, one)
@@ -117,9 +115,7 @@ class Recorder:
                 name=name,
                 about=dict(about),
                 wall=time.time() - (boottime() - at),
-                max_bytes=max_bytes,
-                max_seconds=max_seconds,
-                keep_bytes=keep_bytes,
+                limits=limits,
             )
         )
         for entry in self._latest.values():

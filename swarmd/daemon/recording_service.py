@@ -100,14 +100,7 @@ class RecordingService:
 
     def _start(self) -> None:
         need("mcap", "rosbags", extra="record")
-        self.recorder.start(
-            self._folder,
-            self._robot,
-            self._head().texts(),
-            max_bytes=self._section.file_bytes,
-            max_seconds=self._section.file_seconds,
-            keep_bytes=self._section.keep_bytes,
-        )
+        self.recorder.start(self._folder, self._robot, self._head().texts(), self._section.limits)
 
     # Recordings for operators
 

@@ -26,6 +26,7 @@ from swarmd.core.host_messages import (
 )
 from swarmd.core.values import Array, Neighbor, Odometry, Scan, SharedPose, Twist, Value
 from swarmd.protection.decision import Decision
+from swarmd.recording.limits import FileLimits
 
 MAX_ENTRY = 130_000
 """Bytes of an entry; a batch above about 212 kB does not fit into the socket's buffer."""
@@ -34,8 +35,7 @@ MAX_ENTRY = 130_000
 class Begin(Struct, frozen=True, array_like=True, tag="begin"):
     """The first entry: where to write, and texts on the robot.
 
-    `wall` in s since 1970 is the wall clock at `at`. `max_bytes`, `max_seconds` of one file;
-    `keep_bytes` of all files of this robot: older ones are removed.
+    `wall` in s since 1970 is the wall clock at `at`.
     """
 
     at: float
@@ -43,9 +43,7 @@ class Begin(Struct, frozen=True, array_like=True, tag="begin"):
     name: str
     about: dict[str, str]
     wall: float
-    max_bytes: int
-    max_seconds: float
-    keep_bytes: int
+    limits: FileLimits
 
 
 class ScanEntry(Struct, frozen=True, array_like=True, tag="scan"):

@@ -38,9 +38,7 @@ class Converter:
             Path(begin.folder),
             begin.name,
             {**begin.about, "wall_ns": str(wall), "boot_ns": str(boot)},
-            max_bytes=begin.max_bytes,
-            max_seconds=begin.max_seconds,
-            keep_bytes=begin.keep_bytes,
+            limits=begin.limits,
             latched=frozenset({GEOMETRY}),
         )
 

@@ -18,6 +18,7 @@ from mcap.writer import CompressionType, Writer
 
 from swarmd.core.files import sync_folder, whole_file
 from swarmd.recording.cdr import Message
+from swarmd.recording.limits import FileLimits
 from swarmd.recording.messages import definition
 from swarmd.recording.reader import crc_of
 
@@ -52,9 +53,9 @@ class RecordingWriter:
     """Writes `<folder>/<name>-<number>.mcap`; not for several threads.
 
     `about` holds texts on the robot, which each file repeats. `latched` topics have their last
-    message repeated at the start of each file. `max_bytes`, `max_seconds`: of one file;
-    `keep_bytes`: of all files of this name in the folder, of which the oldest are removed when a
-    new one begins. OSError if the disk fails; call `abandon` then.
+    message repeated at the start of each file. `limits` hold for the files of this name in the
+    folder; the oldest are removed when a new one begins. OSError if the disk fails; call `abandon`
+    then.
     """
 
     def __init__(
@@ -63,14 +64,11 @@ class RecordingWriter:
         name: str,
         about: Mapping[str, str],
         *,
-        max_bytes: int = 64 * 2**20,
-        max_seconds: float = 600.0,
-        keep_bytes: int = 2**30,
+        limits: FileLimits = FileLimits(),  # noqa: B008
         latched: frozenset[str] = frozenset(),
     ) -> None:
         self._folder, self._name, self._about = folder, name, dict(about)
-        self._max_bytes, self._max_age = max_bytes, round(max_seconds * 1e9)
-        self._keep_bytes = keep_bytes
+        self._limits, self._max_age = limits, round(limits.file_seconds * 1e9)
         self._latched_topics = latched
         self._latched: dict[str, Message] = {}
         self._number = 0
@@ -148,7 +146,7 @@ class RecordingWriter:
 
     def _is_full(self, at: int) -> bool:
         size = self._size + self._pending
-        return size >= self._max_bytes or at - self._begin >= self._max_age
+        return size >= self._limits.file_bytes or at - self._begin >= self._max_age
 
     def _open(self, at: int) -> None:
         self._remove_oldest()
@@ -176,7 +174,7 @@ class RecordingWriter:
     def _remove_oldest(self) -> None:
         files = sorted(self._folder.glob(f"{self._name}-*.mcap"))
         sizes = [path.stat().st_size for path in files]
-        while files and sum(sizes) + self._max_bytes > self._keep_bytes:
+        while files and sum(sizes) + self._limits.file_bytes > self._limits.keep_bytes:
             oldest = files.pop(0)
             sizes.pop(0)
             oldest.unlink()

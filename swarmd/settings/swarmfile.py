@@ -16,10 +16,12 @@ from swarmd.core.keys import check_id
 from swarmd.core.messages import BoundedScalar
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.network.settings import NetworkSettings
+from swarmd.recording.limits import FileLimits
 from swarmd.settings.layered import Fault, Keys, Layered, dotted, fault_at
 from swarmd.settings.yamlfile import Data, read, shown
 
 DEFAULT = "default"
+_LIMITS = FileLimits()
 PlatformName = Annotated[str, Meta(min_length=1, max_length=63)]
 PlatformGrants = list[PlatformName] | dict[PlatformName, Annotated[str, Meta(max_length=256)]]
 """Platforms that are accepted, perhaps each with the reason."""
@@ -74,9 +76,14 @@ class RecordingSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=
 
     from_start: bool = False
     folder: str | None = None
-    keep_bytes: Annotated[int, Meta(ge=2**20)] = 2**30
-    file_bytes: Annotated[int, Meta(ge=2**16)] = 2**26
-    file_seconds: Annotated[float, Meta(ge=1.0, le=86400.0)] = 600.0
+    keep_bytes: Annotated[int, Meta(ge=2**20)] = _LIMITS.keep_bytes
+    file_bytes: Annotated[int, Meta(ge=2**16)] = _LIMITS.file_bytes
+    file_seconds: Annotated[float, Meta(ge=1.0, le=86400.0)] = _LIMITS.file_seconds
+
+    @property
+    def limits(self) -> FileLimits:
+        """The limits of its files."""
+        return FileLimits(self.file_bytes, self.file_seconds, self.keep_bytes)
 
 
 class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=True):

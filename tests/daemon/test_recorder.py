@@ -30,6 +30,7 @@ from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages, process
 from swarmd.recording.head import RecordingHead
+from swarmd.recording.limits import FileLimits
 from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.swarmfile import RecordingSection
@@ -61,7 +62,7 @@ def test_each_entry_is_in_the_file_with_its_time_and_order(tmp_path: Path) -> No
 
     async def run() -> None:
         recorder = Recorder(asyncio.get_running_loop(), events.append)
-        recorder.start(tmp_path, "tb3-01", {"robot": "tb3-01"})
+        recorder.start(tmp_path, "tb3-01", {"robot": "tb3-01"}, FileLimits())
         for seq in range(50):
             recorder.scan(scan(seq), 0.0)
             recorder.add(
@@ -110,7 +111,7 @@ def test_a_frozen_recorder_process_drops_entries_and_delays_nothing(tmp_path: Pa
 
     async def run() -> tuple[int, float]:
         recorder = Recorder(asyncio.get_running_loop(), events.append)
-        recorder.start(tmp_path, "a", {})
+        recorder.start(tmp_path, "a", {}, FileLimits())
         recorder.add(frames.OdometryEntry(boottime(), Odometry(0.0, Pose(), Twist())))
         recorder.flush()
         await until(lambda: recorder.report.path)
@@ -152,14 +153,14 @@ def test_a_recorder_process_that_is_killed_is_reported_once(tmp_path: Path) -> N
 
     async def run() -> None:
         recorder = Recorder(asyncio.get_running_loop(), events.append)
-        recorder.start(tmp_path, "a", {})
+        recorder.start(tmp_path, "a", {}, FileLimits())
         assert recorder._open is not None
         recorder._open.process.kill()
         await until(lambda: events)
         assert not recorder.is_on
         recorder.scan(scan(1), 0.0)
         recorder.flush()
-        recorder.start(tmp_path, "a", {})
+        recorder.start(tmp_path, "a", {}, FileLimits())
         recorder.scan(scan(2), 0.0)
         recorder.close(WAIT)
 
@@ -171,7 +172,7 @@ def test_a_recorder_process_that_is_killed_is_reported_once(tmp_path: Path) -> N
 
 def test_the_file_of_a_daemon_that_died_with_a_report_unread_is_whole(tmp_path: Path) -> None:
     ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-    begin = frames.Begin(1.0, str(tmp_path), "a", {"robot": "a"}, 1.7e9, 2**26, 600.0, 2**30)
+    begin = frames.Begin(1.0, str(tmp_path), "a", {"robot": "a"}, 1.7e9, FileLimits())
     with theirs:
         ours.send(frames.batch([frames.encode_entry(begin)]))
         writing = threading.Thread(target=process.run, args=(theirs,))
@@ -189,7 +190,7 @@ def test_a_file_that_cannot_be_finished_after_a_stop_is_an_event(tmp_path: Path)
 
     async def run() -> None:
         recorder = Recorder(asyncio.get_running_loop(), events.append)
-        recorder.start(tmp_path / "folder", "a", {})
+        recorder.start(tmp_path / "folder", "a", {}, FileLimits())
         recorder.add(frames.EventEntry(0.0, "a line"))
         recorder.flush()
         await until(lambda: list((tmp_path / "folder").glob("*.mcap")))
@@ -259,7 +260,7 @@ from tests.daemon.test_recorder import *
 async def run():
     events = []
     recorder = Recorder(asyncio.get_running_loop(), events.append)
-    recorder.start(Path(sys.argv[1]), "a", {}, max_bytes=100_000, keep_bytes=10**9)
+    recorder.start(Path(sys.argv[1]), "a", {}, FileLimits(file_bytes=100_000))
     rng = np.random.default_rng(1)
     for seq in range(100_000):
         recorder.scan(replace(scan(seq), ranges=rng.uniform(0.2, 3.0, 180)), 0.0)

@@ -16,6 +16,7 @@ from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, Twist, Val
 from swarmd.driver_api.driver import Driver, NullSink
 from swarmd.drivers.replay import ReplayDriver
 from swarmd.recording.frames import Begin, DriverEntry, NeighborsEntry, OdometryEntry, scan_entry
+from swarmd.recording.limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink, DriverContract, running_driver
@@ -47,7 +48,7 @@ def record(
     neighbors: tuple[Neighbor, ...] = (),
 ) -> Path:
     """A recording with a scan and an odometry at each of these times, in s, without waiting."""
-    converter = Converter(Begin(0.0, str(folder), "a", HEAD, 1e9, 2**26, 600.0, 2**30))
+    converter = Converter(Begin(0.0, str(folder), "a", HEAD, 1e9, FileLimits()))
     last = None
     if not times:
         converter.add(DriverEntry(0.0, True, "", "", False))

@@ -26,6 +26,7 @@ from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages
 from swarmd.recording.cdr import CdrWriter, Message
+from swarmd.recording.limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.recording.reader import RecordedMessage, read_file
 from swarmd.recording.writer import CHUNK_TIME, RecordingWriter
@@ -118,7 +119,11 @@ def messages_magic() -> bytes:
 
 def test_a_new_file_begins_after_a_size_and_after_an_age(tmp_path: Path) -> None:
     writer = RecordingWriter(
-        tmp_path, "a", {}, max_seconds=5.0, latched=frozenset({"/scan/geometry"})
+        tmp_path,
+        "a",
+        {},
+        limits=FileLimits(file_seconds=5.0),
+        latched=frozenset({"/scan/geometry"}),
     )
     writer.add("/scan/geometry", command(-1.0), BEGIN)
     for k in range(120):
@@ -130,7 +135,7 @@ def test_a_new_file_begins_after_a_size_and_after_an_age(tmp_path: Path) -> None
         [-1.0, *range(50, 100)],
         [-1.0, *range(100, 120)],
     ]
-    small = RecordingWriter(tmp_path / "b", "b", {}, max_bytes=20_000)
+    small = RecordingWriter(tmp_path / "b", "b", {}, limits=FileLimits(file_bytes=20_000))
     for k in range(2000):
         small.add("/command/safe", command(k), BEGIN + k)
     small.close()
@@ -233,9 +238,7 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
     decision = Decision("barrier", Twist(0.2), Twist(0.1), None, True, (row,), 0.2, None, 3)
     scan = Scan(7, 2.0, np.array([0.7, math.inf]), np.array([-0.1, 0.3]), 0.12, 3.5)
     host = frames.encode_host(Loaded(1, 10.0, frozenset(), {}))
-    converter = Converter(
-        frames.Begin(1.0, str(tmp_path), "a", {"robot": "a"}, 9e8, 2**26, 60, 2**30)
-    )
+    converter = Converter(frames.Begin(1.0, str(tmp_path), "a", {"robot": "a"}, 9e8, FileLimits()))
     entries: tuple[frames.Entry, ...] = (
         frames.scan_entry(scan, 2.0, None),
         frames.OdometryEntry(2.0, Odometry(2.0, Pose(1.0), Twist(0.1))),

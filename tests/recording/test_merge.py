@@ -15,6 +15,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Odometry, Pose, Twist
 from swarmd.recording.clock_offset import Exchange
 from swarmd.recording.frames import Begin, ClockEntry, OdometryEntry
+from swarmd.recording.limits import FileLimits
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
 from swarmd.recording.reader import read_file
@@ -30,7 +31,7 @@ def record(folder: Path, robot: str, *, hears: str = "", clock: str = "") -> Pat
     boot = BOOTS[robot]
     about = {"robot": robot, "clock": clock or f"clock-{robot}"}
     converter = Converter(
-        Begin(boot, str(folder / robot), robot, about, WALLS[robot], 2**26, 600.0, 2**30)
+        Begin(boot, str(folder / robot), robot, about, WALLS[robot], FileLimits())
     )
     for k in range(21):
         converter.add(OdometryEntry(boot + k, Odometry(0.0, Pose(k, 0.0, 0.0), Twist())))

@@ -24,6 +24,7 @@ from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
+from swarmd.recording.limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.replay.replay import Parity, recordings_of, repeat, total
@@ -62,7 +63,7 @@ class FileRecorder(Recorder):
         head = head_at(robot)
         self.began = robot.now
         begin = frames.Begin(
-            robot.now, str(self._folder), robot.robot.id, head.texts(), 1.7e9, 2**26, 600.0, 2**30
+            robot.now, str(self._folder), robot.robot.id, head.texts(), 1.7e9, FileLimits()
         )
         self._converter = Converter(begin)
         for entry in self._latest.values():

@@ -16,6 +16,7 @@ from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
+from swarmd.recording.limits import FileLimits
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
 from swarmd.settings.platforms import load_platform
@@ -50,7 +51,7 @@ def recorded(folder: Path, robot: str, begin: float, seconds: float, clock: str 
     """A robot that drives along x with SPEED, and records until it is stopped at half time."""
     texts = head(robot, clock).texts()
     converter = Converter(
-        frames.Begin(begin, str(folder), robot, texts, 1.7e9 + begin, 2**26, 1e3, 2**30)
+        frames.Begin(begin, str(folder), robot, texts, 1.7e9 + begin, FileLimits())
     )
     before: Scan | None = None
     for k in range(int(10 * seconds) + 1):

@@ -14,6 +14,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Pose, Twist
 from swarmd.protection.decision import Decision
 from swarmd.recording.frames import Begin, ClockEntry, DecisionEntry, OdometryEntry
+from swarmd.recording.limits import FileLimits
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
 from swarmd.recording.reader import read_file
@@ -28,7 +29,7 @@ HELD = (4.0, 7.0)
 def record(folder: Path, robot: str) -> Path:
     """Ten seconds at 10 Hz in which a robot drives straight on, and b is held for three."""
     about = {"robot": robot, "clock": "one", "platform": "burger", "version": "1"}
-    begin = Begin(50.0, str(folder / robot), robot, about, 1.7e9, 2**26, 600.0, 2**30)
+    begin = Begin(50.0, str(folder / robot), robot, about, 1.7e9, FileLimits())
     converter = Converter(begin)
     if robot == "a":
         converter.add(ClockEntry(50.0, "b", "one", 50.0, 50.001, 50.002))
