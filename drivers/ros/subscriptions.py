@@ -77,7 +77,7 @@ class Subscriptions:
         return deliver
 
     def _read_readings(self, stats: TopicStats, message: Any, now: float) -> Deliver:
-        """The readings of a message; one that repeats a stamp is as old as its first copy.
+        """The readings of a message; a message that repeats a stamp is as old as its first copy.
 
         Standard messages have no stamp, and many publishers fill in none: then the arrival counts.
         """

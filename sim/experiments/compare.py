@@ -90,7 +90,7 @@ def sides(a: str, b: str) -> list[tuple[Side, Side]]:
 
 
 def sides_of(text: str) -> list[Side]:
-    """The variants that `FOLDER` or `FOLDER:VARIANT` names; ConfigError if there is none."""
+    """The variants that `FOLDER` or `FOLDER:VARIANT` names; ConfigError for an unknown variant."""
     folder, variant = text, None
     if not Path(text).is_dir() and ":" in text:
         folder, _, variant = text.partition(":")

@@ -116,7 +116,7 @@ class Results:
         return Traces(self)
 
     def about(self, which: str | Metric) -> Metric:
-        """The metric of that name; ConfigError with the nearest name if there is none."""
+        """The metric of that name; ConfigError with the nearest name for an unknown metric."""
         if isinstance(which, str) and which in self._own:
             return self._own[which]
         if isinstance(which, str) and which in self.metrics and which not in METRICS:

@@ -162,7 +162,7 @@ def _distance(extent: Extent, tangent: float, aspect: float) -> float:
 def gl_context(width: int, height: int) -> Any:
     """An OpenGL context without a display: that of $MUJOCO_GL, else EGL, else OSMesa.
 
-    ConfigError for another $MUJOCO_GL, PluginError with what to install if there is none.
+    ConfigError for another $MUJOCO_GL, PluginError with what to install if no renderer works.
     """
     wanted = os.environ.get("MUJOCO_GL", "").strip().lower()
     if wanted and wanted not in BACKENDS:

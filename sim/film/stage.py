@@ -36,7 +36,7 @@ MIN_PIXELS, _LEAST_PIXELS, _MOST = 32.0, 20.0, 2.0
 """A robot is at least so many pixels long in a frame of 720 lines, and in any; at most twice as
 large as it is."""
 _ASSUMED = "waffle_pi"
-"""The platform whose heights are taken for one that is not installed here."""
+"""The platform whose heights stand in for those of an unknown platform."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +108,7 @@ def stage_of(
 
 
 def _platform(name: str, footprint: Array, assumed: list[str]) -> Platform:
-    """The platform; one that is not known, of which a trace holds only the footprint, is noted."""
+    """The platform; an unknown one, of which a trace holds only the footprint, is noted."""
     try:
         return load_platform(name)
     except ConfigError:

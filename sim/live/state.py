@@ -14,7 +14,7 @@ Triple = tuple[Metres, Metres, Metres]
 
 
 class WorldState(Struct, frozen=True, kw_only=True):
-    """The world at one instant; row i of each list is robot `ids[i]`, one that is in the arena.
+    """The world at one instant; row i of each list is robot `ids[i]`, which is in the arena.
 
     `time` s of simulation, `real_time_factor` over the last second (0 before there is one),
     `poses` x, y in m and yaw in rad, `twists` linear, angular, lateral in each base frame,

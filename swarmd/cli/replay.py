@@ -49,7 +49,7 @@ def replay(
     """Repeat a recorded run without a robot, and compare its commands with the recorded ones.
 
     FILE: a recording (.mcap), its parts in their order, or the folder of one robot. Recordings of
-    several lives of a daemon are repeated one after the other; one that begins in a run is left
+    several lives of a daemon are repeated one after the other; a life that begins in a run is left
     out. `safe` compares what protection commanded, `requested` what the pattern asked for. The exit
     code is 1 if fewer than 99.9 % of them are equal.
     """

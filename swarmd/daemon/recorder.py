@@ -127,7 +127,7 @@ class Recorder:
         self._disconnect()
 
     def close(self, timeout: float = 2.0) -> None:
-        """Stop, and wait for the processes; kill one that takes longer than `timeout` s."""
+        """Stop, and wait for the processes; kill a process that takes longer than `timeout` s."""
         self.stop()
         for one in list(self._ending):
             try:

@@ -134,7 +134,7 @@ class MessageCarrier(Protocol):
 
 
 def message_carrier(driver: Driver) -> MessageCarrier | None:
-    """The driver, or the one that it wraps, if its base carries messages."""
+    """The driver, or the driver that it wraps, if its base carries messages."""
     while hasattr(driver, "wrapped"):
         driver = driver.wrapped
     return driver if isinstance(driver, MessageCarrier) and driver.carries_messages else None

@@ -1,4 +1,4 @@
-"""Reads a recording, also one that was cut off or damaged.
+"""Reads a recording, also if it was cut off or damaged.
 
 The MCAP library gives up at the first bad record, or reads on in a damaged one. This reader takes
 each chunk whose checksum is right, and leaves out the others. It never needs the index or the

@@ -317,7 +317,7 @@ def check_begins_idle(recorded: list[RecordedMessage], where: str) -> None:
             if state == State.RUNNING:
                 raise ConfigError(
                     f"{where}: the recording begins in a run, so the robot's memory is not in it;"
-                    " expected one that was started before `run`"
+                    " expected a recording that was started before `run`"
                 )
             return
     raise ConfigError(f"{where}: no decision was recorded; nothing can be compared")

@@ -30,7 +30,7 @@ HEADERS = {
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """Tokens of pages: that of an operator, and that of one who only looks.
+    """Tokens of pages: of operators, and of viewers.
 
     Without tokens each page may command, so a server without them listens on loopback only.
     ConfigError for tokens that protect nothing.

@@ -19,7 +19,7 @@ from swarmd.view.source import Answer
 Tell = Callable[[Answer], None]
 
 MAX_REQUESTS = 8
-"""Requests under way at a time: one that waits for others would start motion late."""
+"""Requests under way at a time: a request that waits for others would start motion late."""
 MAX_STOPS = 16
 """Stops under way at a time; more wait. An emergency stop never waits."""
 R = TypeVar("R")

@@ -13,7 +13,7 @@ MAX_UNREAD = 8 * 2**20
 
 
 def limited(waiting: dict[ServerConnection, None]) -> type[ServerConnection]:
-    """Connections that enter themselves into `waiting`; who gives one a role takes it out."""
+    """Connections that enter themselves into `waiting`; a role takes a connection out."""
 
     class Limited(ServerConnection):
         def connection_made(self, transport: Any) -> None:

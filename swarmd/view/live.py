@@ -107,7 +107,7 @@ class LiveSource:
         return time.monotonic(), np.array(rows, dtype=np.float64).reshape(-1, 4)
 
     def rows(self) -> Mapping[str, Mapping[str, Any]]:
-        """The last status of each robot, and what is known of one that does not answer."""
+        """The last status of each robot, and what is known of a robot that does not answer."""
         statuses = self.statuses()
         with self._lock:
             motions = dict(self._motions)
@@ -206,7 +206,7 @@ class LiveSource:
             self._scans[robot] = decode_scan(payload, platform.scan)
 
     def _add(self, names: Iterable[str], statuses: Mapping[str, tuple[Status, float]]) -> None:
-        """List robots; one that never answered keeps a plain footprint until its status comes."""
+        """List robots; a robot without a status has a plain footprint until one comes."""
         for name in names:
             index, known = self._index.get(name), statuses.get(name)
             platform = "" if known is None else known[0].platform

@@ -53,7 +53,7 @@ class Playback:
         self.speed = min(max(speed, MIN_SPEED), MAX_SPEED)
 
     def seek(self, time: float) -> None:
-        """Go to a time in s, within the run. ValueError for one that is no number."""
+        """Go to a time in s, within the run. ValueError for NaN and infinity."""
         _check(time)
         self._offset, self._since = min(max(time, 0.0), self.duration), self._clock()
 

@@ -58,7 +58,7 @@ class _Topic:
         return bisect_right(self.times, now) - 1
 
     def get(self, index: int) -> Any | None:
-        """A message; None if there is none, or it is malformed."""
+        """A message; None without one, or if it is malformed."""
         if not 0 <= index < len(self._payloads):
             return None
         if index not in self._decoded:

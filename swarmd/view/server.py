@@ -44,7 +44,7 @@ ROWS_PERIOD = 0.5
 FEW_ROBOTS, FEW_ROWS_PERIOD = 50, 0.2
 MAX_MESSAGE = 256 * 1024
 MAX_PAGES = {"operator": 16, "viewer": 100}
-"""Open pages by role: many who look keep out no operator."""
+"""Open pages by role: many viewers keep out no operator."""
 MAX_WATCHED = 20
 """Robots whose scans are watched for all pages together."""
 SELECT_PERIOD = 0.5
@@ -268,7 +268,7 @@ class ViewServer:
         return not any(seen == number and now - at < MAX_LATENESS for number, at in self._sent_at)
 
     def _show_estop(self, id: str, answer: Answer) -> None:
-        """Show the emergency stop on all pages; of two, the one that was begun last."""
+        """Show the emergency stop on all pages; of two, the later one."""
         current = self._estop
         is_new = answer.line == "estop: sent"
         if not is_new and (current is None or current["id"] != id):

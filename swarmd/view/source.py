@@ -65,7 +65,7 @@ class ShownArena:
 
 @dataclass(slots=True)
 class Answer:
-    """What came of a command so far: each robot's reply, and who has not answered."""
+    """What came of a command so far: each robot's reply, and which robots have not answered."""
 
     line: str
     replies: list[tuple[str, str, str]] = field(default_factory=list)

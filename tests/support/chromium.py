@@ -79,7 +79,7 @@ class Page:
         return result["result"].get("value")
 
     def until(self, condition: str, what: str, cap: float = CAP) -> Any:
-        """Wait until an expression is true; one that raises, as what is not drawn yet does, is not.
+        """Wait until an expression is true; an error, as of what is not drawn yet, counts as false.
 
         The page looks itself, ten times a second, and answers once.
         """

@@ -108,7 +108,7 @@ def test_a_robot_that_is_gone_is_told_once(presence: Presence) -> None:
     assert feed.on_view(view, START + 1.0) == []
 
 
-def test_robots_of_the_roster_that_nobody_saw_are_told_and_later_ones_join() -> None:
+def test_robots_of_the_roster_that_were_not_seen_are_named_and_later_ones_join() -> None:
     feed = EventFeed()
     assert [one.robot for one in feed.on_view(MembersView({}, roster=frozenset("a")), START)] == [
         "a"
