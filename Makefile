@@ -9,7 +9,7 @@ ARGS ?=
 # nothing. 0: one after the other, in this process.
 JOBS ?= 5
 
-.PHONY: help demo kernels wheels test evidence check static wheel format docs bench budget network network-scale paper safety outcomes voting films mutants kernel-mutants lock clean
+.PHONY: help demo kernels wheels archive test evidence check static wheel format docs bench budget network network-scale paper safety outcomes voting films mutants kernel-mutants lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -17,6 +17,7 @@ help:
 	@echo "make test      all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
 	@echo "make kernels   compiles the kernels again, after an edit of a *_kernel.py"
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"
+	@echo "make archive   archives from which robots install without a network, in dist"
 	@echo "make check     format, lint, types, the site, and the wheel tried in a fresh environment"
 	@echo "make docs      the site of the documentation, in build/site; open index.html, no network needed"
 	@echo "make format    formats the code and applies the fixes of the linter"
@@ -45,6 +46,11 @@ kernels: $(VENV)/tools
 
 wheels: $(VENV)/made
 	@.ci/build-wheels $(BIN)/python
+
+# ARGS="--python FILE --sha256 HEX" takes that Python along instead of Debian's, as for Debian 11.
+archive: wheels
+	@for machine in x86_64 aarch64; do \
+	  $(BIN)/python .ci/build-archive $$machine dist/swarmd-*_$$machine.whl $(ARGS) || exit 1; done
 
 # Compiled first: hundreds of processes would each compile what was edited, where
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else).
@@ -145,7 +151,7 @@ $(VENV)/made:
 
 $(VENV)/installed: $(VENV)/made pyproject.toml setup.py constraints.txt
 	@echo "Installing swarmd with what the demo needs."
-	@$(PIP) install --constraint constraints.txt --editable '.[sim,plot,web,record,film]'
+	@$(PIP) install --constraint constraints.txt --editable '.[sim,plot,web,record,film,keys]'
 	@$(COMPILE)
 	@touch $@
 

@@ -7,10 +7,20 @@ swarmd/core/kernels.py compares before it loads the library.
 """
 
 import hashlib
+import sys
 from pathlib import Path
 
 from Cython.Build import cythonize
 from setuptools import Extension, setup
+
+# pip of Ubuntu 22.04 builds with the system's setuptools, which ignores pyproject.toml: it would
+# install a package UNKNOWN without any code.
+if sys.version_info < (3, 11):  # noqa: UP036
+    sys.exit(
+        "swarmd needs Python 3.11 or newer, and this is"
+        f" {sys.version_info.major}.{sys.version_info.minor}; install the archive, which brings its"
+        " own: docs/installation.md"
+    )
 
 KERNELS = {
     "swarmd.protection.barrier_kernel": "swarmd/protection/barrier_kernel.py",

@@ -31,6 +31,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--loss", type=float, nargs="+", default=LOSSES, metavar="PERCENT")
     parser.add_argument("--repeat", type=int, default=1, help="rounds of the whole matrix")
     parser.add_argument("--json", type=Path, help="write a JSON line for each answer to this file")
+    parser.add_argument("--keys", action="store_true", help="a secured swarm")
     options = parser.parse_args(arguments)
     if why := lacks():
         sys.exit(why)
@@ -39,7 +40,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with contextlib.ExitStack() as left:
         folder = left.enter_context(tempfile.TemporaryDirectory())
         field = left.enter_context(contextlib.closing(Field((*ROBOTS, FAR, NEAR))))
-        swarm = left.enter_context(FieldSwarm(Path(folder), field, ROBOTS))
+        swarm = left.enter_context(FieldSwarm(Path(folder), field, ROBOTS, is_secured=options.keys))
         swarm.start()
         for _, rtt, loss in product(range(options.repeat), options.rtt, options.loss):
             for row in cell(swarm, rtt / 1000, loss / 100):

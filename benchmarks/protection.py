@@ -27,9 +27,9 @@ from swarmd.pattern_host.wire import decode_command, encode_command
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import DecisionContext
 from swarmd.protection.settings import Mode
-from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
 from swarmd.robot.sensors import Sensors
+from swarmd.robot.settings import RobotSettings
 from swarmd.sensing.conditioning import ScanConditioner
 from swarmd.sensing.odometry_history import moved
 from swarmd.settings.settings import load_platform

@@ -28,8 +28,8 @@ from swarmd.core.values import Scan, Twist
 from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros1 import serialization
 from swarmd.drivers.ros1.driver import Ros1Driver
-from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
+from swarmd.robot.settings import RobotSettings
 from swarmd.sensing.potential_field import field_twist, potential_field
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink

@@ -36,6 +36,8 @@ DRIVERS = "swarmd.drivers"
 COMMANDS = "swarmd.commands"
 EMULATORS = "swarmd.emulators"
 MISSION = ".yaml"
+IN_FOLDER = "//"
+"""Between the folder of an unpacked wheel and the `module:Class` that is imported from there."""
 MAX_MISSION_SIZE = 1 << 20
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 
@@ -44,7 +46,8 @@ _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 class Origin:
     """Where a pattern comes from.
 
-    `value` is `module:Class`, or the path of a file if `is_file`. `source` is for people: a
+    `value` is `module:Class`, or the path of a file if `is_file`; `<folder>//module:Class` is
+    imported from an unpacked wheel. `source` is for people: a
     distribution and its version, or the file. `rival` is another source of the same name.
     """
 

@@ -45,6 +45,7 @@ CLOCKS = ("time", "datetime", "asyncio", "swarmd.core.clock.boottime")
 LAYERS: tuple[tuple[str, ...], ...] = (
     ("config",),
     ("core",),
+    ("security",),
     ("sensing", "driver_api", "network"),
     ("plugins", "texts"),
     ("kit", "protection"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import shutil
 import tempfile
@@ -40,6 +41,18 @@ def sim() -> None:
     metavar="DIR",
     help="Keep logs and latches in this folder; the next start loads the latches.",
 )
+@click.option(
+    "--bases-only",
+    is_flag=True,
+    help="Start no daemons: simulate the bases for daemons that you start yourself.",
+)
+@click.option(
+    "--endpoint",
+    default="tcp/127.0.0.1:0",
+    show_default=True,
+    metavar="ENDPOINT",
+    help="Where the bases listen for drivers; anyone who reaches it can drive them.",
+)
 @page_option
 @click.pass_context
 def up(
@@ -47,6 +60,8 @@ def up(
     /,
     swarm: str | None,
     keep: Path | None,
+    bases_only: bool,
+    endpoint: str,
     page: WebOptions | None,
     **world: Any,
 ) -> None:
@@ -62,7 +77,11 @@ def up(
     given = swarm or (ctx.find_object(CommonOptions) or CommonOptions()).swarm
     name = check_id(given or os.environ.get("SWARM") or DEFAULT_SWARM, "swarm")
     with _folder(keep) as folder:
-        serve(fleet_for(name, folder, **world), page)
+        spec = dataclasses.replace(fleet_for(name, folder, **world), endpoint=endpoint)
+        if bases_only:
+            serve_bases(spec, page)
+        else:
+            serve(spec, page)
 
 
 def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
@@ -92,6 +111,23 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
             with suppress(KeyboardInterrupt):
                 _report_ends(fleet)
             click.echo("ending all")
+
+
+def serve_bases(spec: FleetSpec, page: WebOptions | None = None) -> None:
+    """Run a world without daemons until Ctrl-C or SIGTERM; SwarmError if it ends."""
+    from swarmd.sim.live.fleet import Fleet, daemon_config, end_on_signals
+
+    end_on_signals()
+    spec = dataclasses.replace(spec, absent=frozenset(spec.robots))
+    with Fleet(spec) as fleet, world_page(fleet, page):
+        config = daemon_config(spec, next(iter(spec.robots)), fleet.ready)
+        names = list(spec.robots)
+        click.echo(f"{len(names)} bases are up: {names[0]} to {names[-1]}")
+        shown = {key: config[key] for key in ("platform", "driver", "driver_options")}
+        print_section("In the file of each daemon:", [(key, str(v)) for key, v in shown.items()])
+        with suppress(KeyboardInterrupt):
+            _report_ends(fleet)
+        click.echo("ending the world")
 
 
 def _report_ends(fleet: Fleet) -> NoReturn:

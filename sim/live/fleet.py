@@ -44,7 +44,7 @@ class FleetSpec:
     gives each robot its own pose if `shared_frame`, and records `seconds` of simulation in the file
     `trace`, if given. With a `scenario`, the world and the daemons are those of its file, and
     `arena`, `layout`, `realism`, `lidar_visibility` and `radio_range` are not used. Robots in
-    `absent` get no daemon at the start.
+    `absent` get no daemon at the start. `endpoint`: where the world listens for drivers.
     """
 
     swarm: str
@@ -63,6 +63,7 @@ class FleetSpec:
     shared_frame: bool = False
     scenario: LiveScenario | None = None
     absent: frozenset[str] = frozenset()
+    endpoint: str = "tcp/127.0.0.1:0"
 
     def platforms(self) -> Mapping[str, Platform]:
         """The platform of each robot."""
@@ -100,6 +101,7 @@ class Fleet:
     def __init__(self, spec: FleetSpec) -> None:
         self.spec = spec
         self.endpoint = ""
+        self.ready = Ready("", "", {})
         self._children: list[Child] = []  # the world first
 
     def __enter__(self) -> Fleet:
@@ -165,7 +167,7 @@ class Fleet:
             spec.scenario.write(spec.folder)
         world = _spawn(WORLD, world_command(spec), spec.folder, stdout=subprocess.PIPE)
         self._children.append(world)
-        ready = _await_ready(world)
+        self.ready = ready = _await_ready(world)
         self.endpoint = ready.endpoint
         for robot in spec.robots:
             config = spec.folder / f"{robot}.yaml"
@@ -184,7 +186,7 @@ def robot_ids(platform: str, count: int) -> tuple[str, ...]:
 def world_command(spec: FleetSpec) -> list[str]:
     """Arguments of the world process."""
     command = ["swarmd.sim.live.server", "--swarm", spec.swarm, "--seed", str(spec.seed)]
-    command += ["--endpoint", "tcp/127.0.0.1:0"]
+    command += ["--endpoint", spec.endpoint]
     if spec.scenario is not None:
         command += ["--scenario", str(spec.folder / SCENARIO_FILE)]
         command += ["--trace-rate", str(spec.scenario.scenario.trace_rate)]

@@ -9,7 +9,7 @@ from typing import Any
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from swarmd.core.messages import Code, Presence, RunRequest, State, Status
-from swarmd.network.discovery import MembersView
+from swarmd.network.members_view import MembersView
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
 from swarmd.sim.live.fleet import Fleet

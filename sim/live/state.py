@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
+from swarmd.core.bounds import Count, Line, Metres, Name, Rate, Seconds, Word
 from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder
-from swarmd.core.messages import Count, Line, Metres, Name, Rate, Seconds, Word
 
 Action = Literal["start", "finish", "poses", "place", "remove", "take_out"]
 Triple = tuple[Metres, Metres, Metres]

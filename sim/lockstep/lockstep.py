@@ -27,8 +27,8 @@ from swarmd.pattern_host.loader import PatternLoader
 from swarmd.plugins import pattern_names
 from swarmd.protection.compatibility import body_of
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
+from swarmd.robot.settings import RobotSettings
 from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, Schedules

@@ -6,7 +6,7 @@ from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct, field
 
-from swarmd.core.messages import BoundedScalar
+from swarmd.core.bounds import BoundedScalar
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.settings.swarmfile import PlatformGrants
 from swarmd.sim.world.radio import RadioSettings

@@ -22,7 +22,7 @@ _GLOB = re.compile(r"[a-z0-9_*?\[\]!-]{1,63}")
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)(ms|s|m|h)?")
 _UNITS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, None: 1.0}
 _MAX_DURATION = 1e7  # s
-_NO_TARGET = 4  # as in swarmd.network.outcome, which `--help` does not import
+_USAGE, _NO_TARGET = 2, 4  # as in swarmd.network.outcome, which `--help` does not import
 
 
 class Failure(click.ClickException):
@@ -55,15 +55,20 @@ class Duration(click.ParamType[float]):
 
 @dataclass(frozen=True, slots=True)
 class Targets:
-    """Names and globs of robots, none for all robots, less those in `exclude`."""
+    """Names and globs of robots, and labels, less the robots in `exclude`.
+
+    A robot with any of the `labels` is a target. Without names and labels all robots are. Labels
+    are known by statuses alone: `swarmd.cli.labels` puts names in their place.
+    """
 
     names: tuple[str, ...] = ()
     exclude: tuple[str, ...] = ()
+    labels: tuple[str, ...] = ()
 
     @property
     def is_whole_swarm(self) -> bool:
-        """True if no robot is named or excluded."""
-        return not self.names and not self.exclude
+        """True if no robot is named, labelled or excluded."""
+        return not self.names and not self.exclude and not self.labels
 
     @property
     def full_names(self) -> tuple[str, ...]:
@@ -71,7 +76,12 @@ class Targets:
         return tuple(name for name in self.names if is_id(name) and not self._is_excluded(name))
 
     def select(self, known: Collection[str]) -> tuple[str, ...]:
-        """The targets among `known`; Failure if a name or glob, excluded or not, matches none."""
+        """The targets among `known`; Failure if a name or glob, excluded or not, matches no robot.
+
+        Also Failure if there are labels, which names alone do not show.
+        """
+        if self.labels:
+            raise Failure("this verb takes names, not labels; see `swarmctl members`", _USAGE)
         for glob in (*self.names, *self.exclude):
             if not any(fnmatchcase(name, glob) for name in known):
                 check_known(glob, known)
@@ -82,16 +92,26 @@ class Targets:
         return tuple(
             name
             for name in sorted(known)
-            if (not self.names or any(fnmatchcase(name, glob) for glob in self.names))
+            if (self._is_open or any(fnmatchcase(name, glob) for glob in self.names))
             and not self._is_excluded(name)
         )
+
+    @property
+    def _is_open(self) -> bool:
+        return not self.names and not self.labels
 
     def _is_excluded(self, name: str) -> bool:
         return any(fnmatchcase(name, glob) for glob in self.exclude)
 
 
 def read_targets(
-    verb: str, names: tuple[str, ...], is_all: bool, exclude: tuple[str, ...], *, is_required: bool
+    verb: str,
+    names: tuple[str, ...],
+    is_all: bool,
+    exclude: tuple[str, ...],
+    labels: tuple[str, ...] = (),
+    *,
+    is_required: bool,
 ) -> Targets:
     """The targets of a verb; UsageError if a word is no name or glob, or if they are missing."""
     for glob in (*names, *exclude):
@@ -99,18 +119,30 @@ def read_targets(
             raise click.UsageError(
                 f"{glob!r} is no robot name; expected a-z, 0-9, _ and -, with * ? [..] as wildcards"
             )
-    if names and is_all:
-        raise click.UsageError(f"{verb} takes names or --all, not both")
-    if is_required and not names and not is_all:
+    for label in labels:
+        if not is_id(label):
+            raise click.UsageError(f"{label!r} is no label; expected a-z, 0-9, _ and -")
+    if (names or labels) and is_all:
+        raise click.UsageError(f"{verb} takes names and labels, or --all, not both")
+    if is_required and not names and not labels and not is_all:
         raise click.UsageError(
-            f"{verb} needs targets; add robot names, a glob such as 'tb3-*', or --all"
+            f"{verb} needs targets; add robot names, a glob such as 'tb3-*', -l LABEL, or --all"
         )
-    return Targets(names, exclude)
+    return Targets(names, exclude, labels)
 
 
 def target_options(function: Function) -> Function:
-    """Give a verb the parameters `names`, `is_all` and `exclude`."""
+    """Give a verb the parameters `names`, `is_all`, `exclude` and `labels`."""
     for option in (
+        click.option(
+            "-l",
+            "--label",
+            "labels",
+            multiple=True,
+            metavar="LABEL",
+            help="Robots with this label; repeated, with any of them.",
+            shell_complete=completion.labels,
+        ),
         click.option(
             "--exclude",
             multiple=True,
@@ -131,10 +163,14 @@ def takes_targets(*, is_required: bool) -> Callable[[Callable[..., R]], Callable
     def decorate(function: Callable[..., R]) -> Callable[..., R]:
         @functools.wraps(function)
         def wrapper(
-            names: tuple[str, ...], is_all: bool, exclude: tuple[str, ...], **kwargs: Any
+            names: tuple[str, ...],
+            is_all: bool,
+            exclude: tuple[str, ...],
+            labels: tuple[str, ...],
+            **kwargs: Any,
         ) -> R:
             verb = click.get_current_context().command_path.partition(" ")[2]
-            targets = read_targets(verb, names, is_all, exclude, is_required=is_required)
+            targets = read_targets(verb, names, is_all, exclude, labels, is_required=is_required)
             return function(targets=targets, **kwargs)
 
         return target_options(wrapper)

@@ -50,6 +50,16 @@ def robots(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[
     return [name for name in names if name.startswith(incomplete) and name not in given]
 
 
+def labels(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
+    """The labels of robots that the last looks at the swarm have found."""
+    from swarmd.cli.known_robots import known_labels
+
+    given = ctx.params.get(param.name or "") or ()
+    with _options(ctx).operator() as operator:
+        names = known_labels(operator.settings)
+    return [name for name in names if name.startswith(incomplete) and name not in given]
+
+
 def swarms(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[str]:
     """The swarms that were looked at on this machine."""
     from swarmd.cli.known_robots import cache_folder

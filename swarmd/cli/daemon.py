@@ -7,12 +7,14 @@ import logging
 import os
 import resource
 import sys
+from importlib import import_module
 from pathlib import Path
-from typing import NoReturn
+from typing import NoReturn, cast
 
 import click
 
 from swarmd.cli import completion
+from swarmd.cli.options import VerbGroup
 from swarmd.cli.swarmctl import run_cli
 from swarmd.core.errors import ConfigError, DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.core.processes import die_with_parent as tie_to
@@ -21,6 +23,12 @@ from swarmd.texts.assignments import Value, read_assignments
 # Open files: a daemon needs about 40 for itself, and one for each link of an operator.
 MIN_DESCRIPTORS, WANTED_DESCRIPTORS = 128, 4096
 
+# Subcommand -> its function, and its line for --help, which must not import the subcommands.
+VERBS = {
+    "install": ("swarmd.cli.install:install", "Take a bundle: this machine becomes its robot."),
+    "service": ("swarmd.cli.service:service", "Run the daemon as a service of systemd."),
+    "stop-base": ("swarmd.cli.stop_base:stop_base", "Command zero to the base, and exit."),
+}
 _EPILOG = """\b
 Exit codes:
   0  clean end after a zero command; with --check: no problem found
@@ -31,7 +39,33 @@ Exit codes:
   5  the driver cannot be used on this robot"""
 
 
-@click.command(epilog=_EPILOG, context_settings={"help_option_names": ["-h", "--help"]})
+class Verbs(VerbGroup):
+    """The subcommands, which a daemon must not import: its start takes 0.2 s of CPU."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """All subcommands."""
+        return list(VERBS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The subcommand of that name, imported; None if it is unknown."""
+        if cmd_name not in VERBS:
+            return None
+        module, _, attribute = VERBS[cmd_name][0].partition(":")
+        return cast(click.Command, getattr(import_module(module), attribute))
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write a line for each subcommand, without importing it."""
+        with formatter.section("Verbs"):
+            formatter.write_dl([(name, text) for name, (_, text) in VERBS.items()])
+
+
+@click.group(
+    cls=Verbs,
+    invoke_without_command=True,
+    subcommand_metavar="[VERB ...]",
+    epilog=_EPILOG,
+    context_settings={"help_option_names": ["-h", "--help"]},
+)
 @click.option(
     "--config",
     type=click.Path(dir_okay=False, path_type=Path),
@@ -62,6 +96,13 @@ Exit codes:
 @click.option("--interface", metavar="NAME", help="The network interface for profile field.")
 @click.option("--seed", "seeds", multiple=True, metavar="ENDPOINT", help="A robot to dial.")
 @click.option(
+    "--identity",
+    type=click.Path(file_okay=False),
+    metavar="FOLDER",
+    help="The robot's identity [that of this user or machine for the swarm].",
+)
+@click.option("--insecure", is_flag=True, help="Start without keys: anyone may drive the robot.")
+@click.option(
     "--state-dir",
     type=click.Path(file_okay=False),
     help="Folder for latches [~/.local/state/swarmd].",
@@ -79,23 +120,32 @@ Exit codes:
 @click.option(
     "--print-effective-config", is_flag=True, help="Show each setting with its source, and exit."
 )
+@click.pass_context
 def swarmd(
+    ctx: click.Context,
+    /,
     config: Path | None,
     log_level: str,
     check: bool,
     print_effective_config: bool,
     driver_options: tuple[str, ...],
     seeds: tuple[str, ...],
+    insecure: bool,
     die_with_parent: int | None,
     **options: str | None,
 ) -> None:
     """Drive and protect one robot, and run one pattern in a child process.
 
-    Ends on SIGTERM, SIGINT and SIGHUP: commands zero, leaves the swarm, exit code 0.
+    Ends on SIGTERM, SIGINT and SIGHUP: commands zero, leaves the swarm, exit code 0. A verb
+    administers this machine instead.
     """
+    if ctx.invoked_subcommand is not None:
+        _refuse_options(ctx)
+        return
     overrides = {
         **options,
         "seeds": list(seeds) or None,
+        "insecure": insecure or None,
         "driver_options": _read_options(driver_options) or None,
         "die_with_parent": die_with_parent,
     }
@@ -107,11 +157,7 @@ def swarmd(
     from swarmd.settings.settings import load_daemon_settings
 
     settings = load_daemon_settings(config, overrides)
-    logging.basicConfig(
-        stream=sys.stderr,
-        level=log_level.upper(),
-        format=f"%(asctime)s {settings.id} %(levelname)s %(name)s: %(message)s",
-    )
+    _log_to_stderr(log_level.upper(), settings.id)
     if print_effective_config:
         from swarmd.cli.effective_config import effective_config
 
@@ -119,11 +165,24 @@ def swarmd(
     elif check:
         from swarmd.cli.preflight import check_daemon
 
-        click.get_current_context().exit(check_daemon(settings))
+        ctx.exit(check_daemon(settings))
     else:
         from swarmd.daemon.daemon import serve
 
-        click.get_current_context().exit(asyncio.run(serve(settings)))
+        ctx.exit(asyncio.run(serve(settings)))
+
+
+def _log_to_stderr(level: str, robot: str) -> None:
+    """Log to standard error; the journal of systemd adds time and level itself."""
+    from swarmd.daemon.systemd import JournalFormatter, is_journal
+
+    handler = logging.StreamHandler(sys.stderr)
+    if is_journal(sys.stderr):
+        handler.setFormatter(JournalFormatter(f"{robot} %(name)s: %(message)s"))
+    else:
+        line = f"%(asctime)s {robot} %(levelname)s %(name)s: %(message)s"
+        handler.setFormatter(logging.Formatter(line))
+    logging.basicConfig(level=level, handlers=[handler])
 
 
 def check_descriptors() -> None:
@@ -151,6 +210,18 @@ def exit_code_of(error: SwarmError) -> int:
     """The exit code for an error, for a process supervisor such as systemd; else 2."""
     codes = {IdHeldError: 3, NetworkError: 4, DriverError: 5}
     return next((code for kind, code in codes.items() if isinstance(error, kind)), 2)
+
+
+def _refuse_options(ctx: click.Context) -> None:
+    """Raise UsageError if a line with a verb has options of the daemon before it."""
+    for option in ctx.command.params:
+        source = ctx.get_parameter_source(option.name or "")
+        if source is click.core.ParameterSource.COMMANDLINE:
+            raise click.UsageError(
+                f"{option.opts[-1]} is an option of the daemon; options of"
+                f" {ctx.invoked_subcommand} follow it",
+                ctx,
+            )
 
 
 def _read_options(words: tuple[str, ...]) -> dict[str, Value]:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import time
+
 import click
 from msgspec import to_builtins
 
@@ -10,6 +12,7 @@ from swarmd.cli.arguments import check_known
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_section
 from swarmd.cli.send import exit_code_of, known_members
+from swarmd.texts.keys import key_warnings
 from swarmd.texts.status import sections
 from swarmd.texts.values import printable
 from swarmd.texts.why import why
@@ -29,6 +32,8 @@ def describe(options: CommonOptions, robot: str) -> None:
         else:
             click.echo(printable(f"{robot}: {why(member)}"))
             if member.status is not None:
+                for note in key_warnings([member.status], time.time()):
+                    click.echo(note)
                 for title, rows in sections(member, member.status):
                     print_section(title, rows)
         click.get_current_context().exit(exit_code_of(view, [robot]))

@@ -22,6 +22,8 @@ def effective_config(settings: DaemonSettings) -> str:
     keys = {
         "id": settings.id,
         **{name: to_builtins(getattr(settings.network, name)) for name in NETWORK_KEYS},
+        "identity": None if settings.identity is None else str(settings.identity.folder.absolute()),
+        "insecure": settings.is_insecure,
         "platform": settings.platform_name,
         "driver": settings.driver,
         "driver_options": dict(settings.driver_options),

@@ -11,15 +11,16 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmd.cli.arguments import Duration, Targets, takes_targets
+from swarmd.cli.labels import robots_of
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_line, warn
-from swarmd.cli.send import exit_code_of, known_members
+from swarmd.cli.send import exit_code_of, known_members, named_now
 from swarmd.cli.terminal import signals_end
 from swarmd.core.messages import MAX_EVENTS, Status
 from swarmd.texts.values import printable, seconds
 
 if TYPE_CHECKING:
-    from swarmd.network.discovery import MembersView
+    from swarmd.network.members_view import MembersView
     from swarmd.network.operator import Operator
     from swarmd.view.event_feed import EventFeed, EventLine
 
@@ -43,10 +44,11 @@ def events(options: CommonOptions, targets: Targets, follow: bool, since: float 
     feed = EventFeed(float("inf") if since is None else since)
     with options.operator() as operator:
         if follow:
+            chosen = named_now(options, operator, targets)
             with signals_end():
-                _follow(operator, feed, targets, is_json=options.is_json)
+                _follow(operator, feed, chosen, is_json=options.is_json)
         view = known_members(options, operator)
-        names = targets.select(view.members.keys() | view.roster)
+        names = robots_of(view, targets)
         lines = _of_look(feed, view, names)
         if options.is_json:
             found = [_record(line) for line in lines]

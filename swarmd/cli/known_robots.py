@@ -1,4 +1,4 @@
-"""Names of robots for completion, kept in the user's cache from one look to the next."""
+"""Names and labels of robots for completion, kept in the user's cache between looks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from swarmd.core.keys import is_id
 
 if TYPE_CHECKING:
-    from swarmd.network.discovery import MembersView
+    from swarmd.network.members_view import MembersView
     from swarmd.network.operator import Operator
     from swarmd.network.settings import NetworkSettings
 
@@ -35,19 +35,33 @@ def cache_folder() -> Path:
 
 
 def remember(settings: NetworkSettings, view: MembersView) -> None:
-    """Keep the names that a look has found, whole or not at all; a failure is no error."""
+    """Keep what a look has found, whole or not at all; a failure is no error."""
     names = view.members.keys() | view.roster
     if names:
-        _write(settings, names)
+        _write(settings, names, _labels(view))
 
 
-def _write(settings: NetworkSettings, names: Iterable[str]) -> None:
+def _labels(view: MembersView) -> list[str] | None:
+    """The labels of all robots; None if the look has no status."""
+    statuses = [one.status for one in view.members.values() if one.status is not None]
+    return [label for one in statuses for label in one.labels] if statuses else None
+
+
+def _write(
+    settings: NetworkSettings, names: Iterable[str], labels: Iterable[str] | None = None
+) -> None:
+    """Keep names and labels; without `labels` those that were kept stay."""
     with contextlib.suppress(OSError, RuntimeError):
         path = _path(settings)
         path.parent.mkdir(parents=True, exist_ok=True)
+        kept = known_labels(settings) if labels is None else labels
+        content = {
+            "names": sorted(filter(is_id, names))[:MAX_NAMES],
+            "labels": sorted({*filter(is_id, kept)})[:MAX_NAMES],
+        }
         draft = path.with_name(f".{path.name}.{os.getpid()}")  # tempfile takes 10 ms to import
         try:
-            draft.write_text(json.dumps(sorted(filter(is_id, names))[:MAX_NAMES]))
+            draft.write_text(json.dumps(content))
             draft.replace(path)
         except OSError:
             draft.unlink(missing_ok=True)
@@ -59,12 +73,23 @@ def _write(settings: NetworkSettings, names: Iterable[str]) -> None:
 def remembered(settings: NetworkSettings) -> tuple[list[str], float]:
     """The names that were kept, and their age in s: infinite without any."""
     try:
-        path = _path(settings)
-        names = json.loads(path.read_bytes()[: 128 * MAX_NAMES])
-        age = max(time.time() - path.stat().st_mtime, 0.0)
-        return [name for name in names if isinstance(name, str) and is_id(name)], age
-    except (OSError, RuntimeError, ValueError, TypeError):
+        age = max(time.time() - _path(settings).stat().st_mtime, 0.0)
+    except (OSError, RuntimeError):
         return [], float("inf")
+    return _read(settings, "names"), age
+
+
+def known_labels(settings: NetworkSettings) -> list[str]:
+    """The labels that were kept."""
+    return _read(settings, "labels")
+
+
+def _read(settings: NetworkSettings, key: str) -> list[str]:
+    try:
+        found = json.loads(_path(settings).read_bytes()[: 256 * MAX_NAMES])[key]
+        return [name for name in found if isinstance(name, str) and is_id(name)]
+    except (OSError, RuntimeError, ValueError, TypeError, LookupError):
+        return []
 
 
 def known_names(operator: Operator) -> list[str]:
@@ -75,7 +100,7 @@ def known_names(operator: Operator) -> list[str]:
         return names
     view = operator.members(timeout=LOOK_TIME, needs_status=False)
     names = sorted(view.members.keys() | view.roster) or names
-    _write(settings, names)
+    _write(settings, names, _labels(view))
     return names
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING
 
@@ -14,27 +15,32 @@ from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import print_json, print_table
 from swarmd.cli.send import exit_code_of, known_members, report, time_left
 from swarmd.core import codec
+from swarmd.core.goal import GoalState
 from swarmd.core.messages import ForgetRequest, Presence, State, Status
-from swarmd.network.discovery import Contact, SeenMember
+from swarmd.network.members_view import Contact, SeenMember
 from swarmd.network.outcome import REFUSED
+from swarmd.texts.keys import end_of_certificate, key_warnings, own_remedy
 from swarmd.texts.values import NOTHING, number, printable, seconds
 from swarmd.texts.why import activity
 
 if TYPE_CHECKING:
     from swarmd.core.values import Scalar
-    from swarmd.network.discovery import MembersView
+    from swarmd.network.members_view import MembersView
+    from swarmd.security.identity import Identity
 
 HEADER = (
     *("NAME", "STATE", "REASON", "PATTERN", "GEN", "PROTECTION", "SCAN", "LOOP99", "VERSION"),
     *("SEEN", "REPORT"),
 )
+WIDE = ("LABELS", "GOAL")
 _NOW = 1.0  # figures that are newer than this are `now`, in s
 _MAX_REPORT = 60
 
 
 @click.group(cls=VerbGroup, invoke_without_command=True)
+@click.option("-w", "--wide", is_flag=True, help="Show labels and goals, too.")
 @common_options
-def members(options: CommonOptions) -> None:
+def members(options: CommonOptions, wide: bool) -> None:
     """Print the robots of the swarm and their states.
 
     Failed robots stay listed until they return or `members forget NAME` removes them.
@@ -43,13 +49,14 @@ def members(options: CommonOptions) -> None:
         return
     with options.operator() as operator:
         view = known_members(options, operator)
-        notes = tuple(health(view))
+        notes = (*health(view), *_secured(operator.identity), *operator.trust_notes())
         if options.is_json:
             rows = [to_builtins(member) for member in view.members.values()]
             content = {"roster": sorted(view.roster), "missing": list(view.missing)}
             print_json("Members", {"members": rows, **content, "notes": list(notes)})
         else:
-            print_table(HEADER, [row(member) for member in view.members.values()])
+            found = [(row(one), wide_cells(one) if wide else ()) for one in view.members.values()]
+            print_table((*HEADER, *(WIDE if wide else ())), [(*one, *more) for one, more in found])
             for note in notes:
                 click.echo(printable(f"# {note}"))
         click.get_current_context().exit(exit_code_of(view, view.expected))
@@ -69,6 +76,15 @@ def forget(options: CommonOptions, name: str) -> None:
         epochs = view.epochs(view.alive)
         wait = time_left(options, view)
         report(options, operator.request(ForgetRequest, epochs, timeout=wait, name=name))
+
+
+def _secured(identity: Identity | None) -> Iterator[str]:
+    """With which keys a secured swarm was asked, and whether they end soon."""
+    if identity is not None:
+        roster = identity.roster
+        yield f"secured: asked as {identity.name} ({identity.role}), roster {roster.generation}"
+        if text := end_of_certificate(identity.info.expires, time.time()):
+            yield f"WARNING: {text}: {identity.name} (this user); {own_remedy(identity.name)}"
 
 
 def row(member: SeenMember) -> tuple[str, ...]:
@@ -104,6 +120,17 @@ def row(member: SeenMember) -> tuple[str, ...]:
     )
 
 
+def wide_cells(member: SeenMember) -> tuple[str, str]:
+    """The labels of a member, and its own goal with what it does about it."""
+    status = member.status
+    if status is None:
+        return NOTHING, NOTHING
+    goal = status.goal
+    own = goal.own if goal is not None else None
+    text = NOTHING if own is None or goal is None else f"{own.goal.text} ({goal.state})"
+    return " ".join(status.labels) or NOTHING, text
+
+
 def health(view: MembersView) -> Iterator[str]:
     """The count of living robots, then a line for each problem."""
     members, alive = view.members, [view.members[name] for name in view.alive]
@@ -134,9 +161,29 @@ def health(view: MembersView) -> Iterator[str]:
             lost.setdefault(status.health.driver or status.driver, []).append(status.robot)
     for text, names in lost.items():
         yield f"driver lost: {', '.join(names)} ({text})"
+    unstored: dict[str, list[str]] = {}
+    for status in statuses:
+        if status.health.storage:
+            unstored.setdefault(status.health.storage, []).append(status.robot)
+    for text, names in unstored.items():
+        yield f"an emergency stop would not outlive a restart: {', '.join(names)} ({text})"
     yield from incompatible(statuses)
-    if any(s.profile == "field" and not s.is_secured for s in statuses):
-        yield "WARNING: no certificates: anyone on this network can drive these robots"
+    yield from offered(statuses)
+    yield from key_warnings(statuses, time.time())
+    if open_to_all := [s.robot for s in statuses if s.profile != "dev" and not s.is_secured]:
+        unsafe = ", ".join(open_to_all)
+        yield f"WARNING: insecure: anyone on this network can drive {unsafe}"
+
+
+def offered(statuses: Iterable[Status]) -> Iterator[str]:
+    """A line for each goal that robots were offered."""
+    waiting: dict[str, list[str]] = {}
+    for status in statuses:
+        goal = status.goal
+        if goal is not None and goal.own is not None and goal.state is GoalState.OFFERED:
+            waiting.setdefault(goal.own.goal.text, []).append(status.robot)
+    for text, names in waiting.items():
+        yield f"offered {text}: {', '.join(names)}; swarmctl resume {' '.join(names)}"
 
 
 def incompatible(statuses: Iterable[Status]) -> Iterator[str]:

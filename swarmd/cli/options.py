@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import os
+import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -17,6 +18,8 @@ from swarmd.core.errors import unknown
 
 if TYPE_CHECKING:
     from swarmd.network.operator import Operator
+    from swarmd.network.settings import NetworkSettings
+    from swarmd.security.identity import Identity
 
 P = ParamSpec("P")
 R = TypeVar("R")
@@ -49,6 +52,13 @@ _NETWORK_OPTIONS = (
         metavar="ENDPOINT",
         help="A robot to dial, such as tcp/10.0.0.5:7440; may be repeated.",
     ),
+    click.option(
+        "--identity",
+        type=click.Path(file_okay=False, path_type=Path),
+        metavar="FOLDER",
+        help="Your identity [that of this user or machine for the swarm].",
+    ),
+    click.option("--insecure", is_flag=True, help="For a swarm without keys."),
 )
 _LOCAL_OPTIONS = (
     click.option(
@@ -90,6 +100,8 @@ class CommonOptions:
     profile: str | None = None
     interface: str | None = None
     seeds: tuple[str, ...] = ()
+    identity: Path | None = None
+    insecure: bool = False
     output: str | None = None
     timeout: float | None = None
 
@@ -98,13 +110,51 @@ class CommonOptions:
         """True if the answer is wanted as JSON."""
         return self.output == "json"
 
+    def in_context(self) -> CommonOptions:
+        """These options, and those of the context in use where neither they nor $SWARM set any.
+
+        A swarm file that the line or $SWARM_CONFIG names takes the place of the context.
+        ConfigError if the context does not exist.
+        """
+        import msgspec
+
+        from swarmd.settings.contexts import context_in_use
+
+        chosen = context_in_use() if self.config is None else None
+        if chosen is None:
+            return self
+        given = msgspec.structs.asdict(chosen[1])
+        given["swarm"] = os.environ.get("SWARM") or chosen[1].swarm
+        for name in ("config", "identity"):
+            given[name] = Path(given[name]) if given[name] else None
+        return replace(self, **{key: one for key, one in given.items() if not getattr(self, key)})
+
     def operator(self) -> Operator:
         """A session in the swarm's network, a context manager.
 
         ConfigError for a wrong file or option, NetworkError if there is no session.
         """
         from swarmd.network.operator import Operator
+
+        settings, roster, identity = self.network()
+        if identity is not None:
+            from swarmd.cli.output import warn
+            from swarmd.texts.keys import own_end
+
+            if text := own_end(identity.name, identity.info.expires, time.time()):
+                warn(text)
+        return Operator(settings, roster=roster, identity=identity)
+
+    def network(self) -> tuple[NetworkSettings, list[str], Identity | None]:
+        """The settings of the network, the robots that they name, and the identity.
+
+        ConfigError for a wrong file or option.
+        """
+        return self.in_context()._network()
+
+    def _network(self) -> tuple[NetworkSettings, list[str], Identity | None]:
         from swarmd.network.settings import NetworkSettings, Profile
+        from swarmd.security.identity import check_asker, choose_identity
 
         if self.config is not None:
             from swarmd.settings.swarmfile import load_swarm  # YAML, which most commands do without
@@ -114,16 +164,22 @@ class CommonOptions:
                 "profile": self.profile,
                 "interface": self.interface,
                 "seeds": list(self.seeds) or None,
+                "identity": None if self.identity is None else str(self.identity),
+                "insecure": self.insecure or None,
             }
-            file = load_swarm(self.config, overrides, os.environ)
-            return Operator(file, roster=file.roster)
+            file, identity = load_swarm(self.config, overrides, os.environ)
+            check_asker(identity)
+            return file, file.roster, identity
         settings = NetworkSettings(
             swarm=self.swarm or os.environ.get("SWARM") or DEFAULT_SWARM,
             profile=cast(Profile, self.profile or "dev"),
             interface=self.interface,
             seeds=self.seeds,
         )
-        return Operator(settings)
+        settings.check()
+        identity = choose_identity(settings.swarm, self.identity, insecure=self.insecure)
+        check_asker(identity)
+        return settings, [], identity
 
 
 def common_options(function: Callable[Concatenate[CommonOptions, P], R]) -> Callable[..., R]:

@@ -24,6 +24,8 @@ _COLOURS = {
     "failed": "red",
     "refused": "red",
     "no answer": "red",
+    "fault": "red",
+    "warning": "yellow",
     "stopped": "yellow",
     "left": "yellow",
 }
@@ -32,13 +34,13 @@ _COLOURS = {
 def print_json(kind: str, content: Mapping[str, Any]) -> None:
     """Print a JSON document with its kind and the version of the format."""
     document = {"apiVersion": API_VERSION, "kind": kind, **content}
-    click.echo(json.dumps(document, indent=2, ensure_ascii=False, allow_nan=False))
+    click.echo(_json_text(document, indent=2))
 
 
 def print_line(kind: str, content: Mapping[str, Any]) -> None:
     """Print a JSON document on one line, for verbs that follow (NDJSON)."""
     document = {"apiVersion": API_VERSION, "kind": kind, **content}
-    click.echo(json.dumps(document, ensure_ascii=False, allow_nan=False))
+    click.echo(_json_text(document))
 
 
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -79,6 +81,16 @@ def warn(text: str) -> None:
 def has_colour(is_terminal: bool) -> bool:
     """True on a terminal with colours, unless NO_COLOR is set (no-color.org)."""
     return is_terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
+
+
+def _json_text(document: Mapping[str, Any], indent: int | None = None) -> str:
+    """JSON in which characters that could control the terminal are escaped."""
+    text = json.dumps(document, indent=indent, ensure_ascii=False, allow_nan=False)
+    if text.isascii() and "\x7f" not in text:
+        return text
+    return "".join(
+        char if char == "\n" or char.isprintable() else json.dumps(char)[1:-1] for char in text
+    )
 
 
 def _cell(text: str, width: int, is_coloured: bool) -> str:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 
 from swarmd.cli.arguments import Targets, read_targets, takes_targets, target_options
+from swarmd.cli.labels import robots_of
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import print_json, print_table
 from swarmd.cli.send import exit_code_of, known_members, send_to
@@ -16,7 +17,7 @@ from swarmd.texts.assignments import read_assignments
 from swarmd.texts.values import NOTHING, number
 
 if TYPE_CHECKING:
-    from swarmd.network.discovery import MembersView
+    from swarmd.network.members_view import MembersView
 
 
 @click.group(cls=VerbGroup)
@@ -39,7 +40,7 @@ def _show(
     options: CommonOptions, view: MembersView, targets: Targets, keys: tuple[str, ...]
 ) -> NoReturn:
     """Print the parameters, and end with the exit code of the look."""
-    found = {name: _params(view.members[name]) for name in targets.select(view.members)}
+    found = {name: _params(view.members[name]) for name in robots_of(view, targets, view.members)}
     known = {key for params in found.values() for key in params}
     for key in keys:
         if key not in known:
@@ -76,6 +77,7 @@ def set_params(
     names: tuple[str, ...],
     is_all: bool,
     exclude: tuple[str, ...],
+    labels: tuple[str, ...],
     params: tuple[str, ...],
 ) -> None:
     """Change parameters on TARGETS, as KEY=VALUE words or with -p, until the next run.
@@ -88,7 +90,7 @@ def set_params(
     if not words:
         raise click.UsageError("param set needs values; add KEY=VALUE, such as speed=0.15")
     values = read_assignments(words)
-    targets = read_targets("param set", robots, is_all, exclude, is_required=True)
+    targets = read_targets("param set", robots, is_all, exclude, labels, is_required=True)
     send_to(options, ParamRequest, targets, params=values)
 
 

@@ -11,6 +11,8 @@ from swarmd.cli import completion
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options, local_options
 from swarmd.cli.output import print_json
+from swarmd.cli.plugin_list import list_pushed
+from swarmd.cli.plugin_push import push, remove
 from swarmd.cli.send import send_to
 from swarmd.core.keys import is_id
 from swarmd.core.messages import ReloadRequest
@@ -117,3 +119,8 @@ def reload(options: CommonOptions, name: str, targets: Targets, is_run: bool) ->
         raise click.UsageError(f"{name!r} is no pattern name; see `swarmctl patterns`")
     fields = {"pattern": name, "is_rerun": is_run}
     send_to(options, ReloadRequest, targets, least=RELOAD_TIMEOUT, **fields)
+
+
+plugin.add_command(push)
+plugin.add_command(list_pushed)
+plugin.add_command(remove)

@@ -6,7 +6,6 @@ import asyncio
 import socket
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from tempfile import TemporaryFile
 from time import monotonic
 from typing import Any
 
@@ -14,6 +13,7 @@ import click
 
 from swarmd.cli.plugin_check import Record, describe_patterns
 from swarmd.core.errors import SwarmError, unknown
+from swarmd.core.files import write_fault
 from swarmd.core.kernels import describe_kernels
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.driver_api.driver import Driver, Finding, check_protected
@@ -127,23 +127,17 @@ def _check_network(settings: DaemonSettings) -> Finding:
     if interface not in known:
         return Finding("network", False, unknown("network interface", interface, known))
     text = f"profile {settings.network.profile} on {interface}"
-    if settings.network.profile == "field":
-        text += "; without certificates anyone on this network can drive this robot"
+    if settings.identity is not None:
+        text += f", secured as {settings.identity.name}"
+    elif settings.network.profile != "dev":
+        text += "; insecure: anyone on this network can drive this robot"
     return Finding("network", True, text)
 
 
 def check_state_dir(folder: Path) -> Finding:
-    """Whether the daemon can write latches, or make the folder: writes a file, which it removes.
-
-    The modes of a folder are not enough: the disk may be full, or mounted read-only.
-    """
-    there = folder.absolute()
-    try:
-        nearest = next(path for path in (there, *there.parents) if path.exists())
-        with TemporaryFile(dir=nearest) as file:
-            file.write(b"latches")
-    except OSError as error:
-        text = f"{folder} cannot be written to ({error.strerror}), so latches would be lost"
+    """Whether the daemon can write latches, or make the folder."""
+    if fault := write_fault(folder):
+        text = f"{folder} cannot be written to ({fault}), so latches would be lost"
         return Finding("state_dir", False, f"{text}; give --state-dir")
     return Finding("state_dir", True, str(folder))
 

@@ -12,6 +12,7 @@ import click
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.questions import ASK_TIME
 from swarmd.cli.record_merge import merge
 from swarmd.cli.send import known_members, send_to, targets_of
 from swarmd.core.errors import NetworkError
@@ -22,8 +23,6 @@ from swarmd.texts.values import NOTHING, megabytes, seconds
 if TYPE_CHECKING:
     from swarmd.core.messages import RecordingFile, RecordingsReply
     from swarmd.network.operator import Operator
-
-_ASK_TIME = 5.0  # s for one answer, without --timeout
 
 
 @click.group(cls=VerbGroup)
@@ -164,7 +163,7 @@ def _recordings(
 def _ask(
     options: CommonOptions, operator: Operator, robot: str, name: str, payload: bytes
 ) -> bytes | None:
-    return operator.ask(robot, name, payload, timeout=options.timeout or _ASK_TIME)
+    return operator.ask(robot, name, payload, timeout=options.timeout or ASK_TIME)
 
 
 def _end(answered: object, failed: list[str]) -> None:

@@ -6,7 +6,7 @@ The outcome is a line for each robot, a count, and the exit code.
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from swarmd.cli.arguments import Failure, Targets
 from swarmd.cli.known_robots import remember
+from swarmd.cli.labels import STOP_LOOK, named, robots_of, stopped, unlabelled
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Refusal
@@ -23,7 +24,7 @@ from swarmd.texts.values import NOTHING, seconds
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
     from swarmd.core.messages import AnyRequest
-    from swarmd.network.discovery import MembersView
+    from swarmd.network.members_view import MembersView
     from swarmd.network.operator import Operator
 
 # What a request has at least of `--timeout`, in s: it is sent even if the look took too long.
@@ -52,11 +53,18 @@ def known_members(
     if timeout is not None and is_request_next:
         timeout /= 2.0
     view = operator.members(timeout=timeout, needs_status=needs_status)
+    _tell_notices(operator)
     remember(operator.settings, view)
     if not view.members:
         raise unreachable(operator)
     warn_of_gaps(view, view.missing)
     return view
+
+
+def _tell_notices(operator: Operator) -> None:
+    for text in operator.notices:
+        warn(text)
+    operator.notices.clear()
 
 
 def time_left(options: CommonOptions, view: MembersView) -> float | None:
@@ -68,14 +76,19 @@ def time_left(options: CommonOptions, view: MembersView) -> float | None:
 
 def unreachable(operator: Operator, sent: str = "") -> Failure:
     """The error of a swarm in which nobody was reached; `sent`: what was sent nevertheless."""
-    settings = operator.settings
-    text = f"no daemon of swarm {settings.swarm!r} can be reached{sent}"
-    others = [name for name in operator.swarms() if name != settings.swarm]
-    if others:
-        text = f"{text}; there are the swarms: {', '.join(others)} (see --swarm)"
-        return Failure(text, UNREACHABLE)
-    text = f"{text}, nor any other swarm {_where(operator)}; start swarmd, or see --profile"
-    return Failure(text, UNREACHABLE)
+    text = f"no daemon of swarm {operator.settings.swarm!r} can be reached{sent}"
+    return Failure(f"{text}{_instead(operator)}", UNREACHABLE)
+
+
+def _instead(operator: Operator) -> str:
+    """What is heard in place of a swarm in which no robot was reached."""
+    swarm, found = operator.settings.swarm, operator.swarms()
+    if swarm in found:
+        keys = "has no keys for it (--identity)" if operator.identity is None else "has other keys"
+        return f"; there is a swarm of that name, and this swarmctl {keys} or another profile"
+    if found:
+        return f"; there are the swarms: {', '.join(found)} (see --swarm)"
+    return f", nor any other swarm {_where(operator)}; start swarmd, or see --profile"
 
 
 def warn_of_gaps(view: MembersView, missing: Iterable[str]) -> None:
@@ -103,11 +116,16 @@ def exit_code_of(view: MembersView, names: Collection[str]) -> int:
 def targets_of(view: MembersView, targets: Targets) -> tuple[str, ...]:
     """The robots that must answer a request to `targets`; Failure if there are none."""
     expected = view.expected
-    names = targets.select(view.members.keys() | view.roster)
+    names = robots_of(view, targets)
     chosen = tuple(name for name in names if name in expected)
     if not chosen:
         raise _no_target(*(f"{name} has left" for name in names))
     return chosen
+
+
+def named_now(options: CommonOptions, operator: Operator, targets: Targets) -> Targets:
+    """The targets by name alone, as a look shows labels now. For verbs that follow robots."""
+    return named(known_members(options, operator), targets) if targets.labels else targets
 
 
 def send_to(
@@ -118,10 +136,12 @@ def send_to(
 ) -> NoReturn:
     """Send a request to the targets and report."""
     with options.operator() as operator:
-        view = known_members(options, operator, is_request_next=True, needs_status=False)
+        by_label = bool(targets.labels)
+        view = known_members(options, operator, is_request_next=True, needs_status=by_label)
         names = targets_of(view, targets)
         epochs, wait = view.epochs(names), time_left(options, view)
-        report(options, operator.request(kind, epochs, timeout=wait, **fields))
+        outcome = operator.request(kind, epochs, timeout=wait, **fields)
+        report(options, replace(outcome, unlabelled=unlabelled(view, targets)))
 
 
 def send_stop(
@@ -138,21 +158,37 @@ def send_stop(
     """
 
     with options.operator() as operator:
+        if targets.labels:
+            look = STOP_LOOK if options.timeout is None else min(options.timeout / 2, STOP_LOOK)
+            view = operator.members(timeout=look)
+            unclear = unlabelled(view, targets)
+            targets = stopped(view, targets)
+            if unclear:
+                warn(f"labels are not known, stopped too: {', '.join(unclear)}")
 
         def on_progress(missing: tuple[str, ...]) -> None:
             view = operator.seen()
             lines = [gap(view, name) for name in missing] or ["a robot to be heard"]
             warn(f"waiting for {'; '.join(lines)}")
 
-        outcome = operator.send_stop(
-            verb,
-            select=None if targets.is_whole_swarm else targets.matching,
-            names=targets.full_names,
-            reason=reason,
-            timeout=options.timeout,
-            until_all=until_all,
-            on_progress=on_progress,
-        )
+        def send() -> Outcome:
+            return operator.send_stop(
+                verb,
+                select=None if targets.is_whole_swarm else targets.matching,
+                names=targets.full_names,
+                reason=reason,
+                timeout=options.timeout,
+                until_all=until_all,
+                on_progress=on_progress,
+            )
+
+        before = operator.identity
+        outcome = send()
+        if outcome.missing or not outcome.replies:
+            operator.update_roster()
+            if operator.identity is not before:  # robots may have heard nothing of it
+                outcome = send()
+        _tell_notices(operator)
         view = operator.seen()
         if not outcome.reached and not outcome.replies and not view.roster:
             how = f"`{verb}` was sent {_where(operator)} for {seconds(outcome.seconds)}"
@@ -160,24 +196,45 @@ def send_stop(
         known = view.members.keys() | view.roster | outcome.replies.keys()
         lost = [name for name in outcome.missing if name not in known]
         if not outcome.targeted or len(lost) == outcome.targeted:
-            names = targets.select(view.members.keys() | view.roster)
+            names = robots_of(view, targets)
             raise _no_target(*(f"{name} has left" for name in names))
+        if not outcome.reached and not outcome.replies:
+            warn(f"no robot was heard{_instead(operator)}")
         warn_of_gaps(view, [name for name in outcome.missing if name not in lost])
         warnings = (unknown("robot", name, view.members) for name in lost)
         report(options, replace(outcome, warnings=(*outcome.warnings, *warnings)))
 
 
-def report(options: CommonOptions, outcome: Outcome) -> NoReturn:
-    """Print the outcome of a request and end with its exit code."""
+def stop_names(operator: Operator, names: Collection[str]) -> Outcome:
+    """Stop these robots, within 5 s."""
+    chosen = set(names)
+    return operator.send_stop(
+        "stop", select=lambda found: tuple(chosen & set(found)), names=tuple(names), timeout=5.0
+    )
+
+
+def report(
+    options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any] | None = None
+) -> NoReturn:
+    """Print the outcome of a request and end with its exit code. `notes`: more, for JSON."""
+    show(options, outcome, notes)
+    click.get_current_context().exit(outcome.exit_code)
+
+
+def show(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any] | None = None) -> None:
+    """Print the outcome of a request. Failure if all robots refused a mistake in it."""
     for line in outcome.warnings:
         warn(f"warning: {line}")
+    if outcome.unlabelled:
+        names = ", ".join(outcome.unlabelled)
+        warn(f"view not complete: the labels of {names} are not known; repeat it")
     if outcome.unlisted:
         names = ", ".join(outcome.unlisted)
         warn(f"view not complete: {names} did not list the robots that it knows; repeat it")
     for name in outcome.duplicates:
         warn(f"warning: {name} answered twice: two daemons have this id; stop one of them")
     try:
-        _print(options, outcome)
+        _print(options, outcome, notes or {})
     except OSError:  # what was applied must not be lost with the answer
         warn(outcome.line)
         raise
@@ -186,23 +243,27 @@ def report(options: CommonOptions, outcome: Outcome) -> NoReturn:
         name = click.get_current_context().params.get("pattern", "NAME")
         see = f" (see {_HELP[refusal]})".replace("NAME", name) if refusal in _HELP else ""
         raise Failure(f"{outcome.mistake}{see}", USAGE)
-    click.get_current_context().exit(outcome.exit_code)
 
 
-def _print(options: CommonOptions, outcome: Outcome) -> None:
+def _print(options: CommonOptions, outcome: Outcome, notes: Mapping[str, Any]) -> None:
     if options.is_json:
-        print_json("Outcome", _as_json(outcome))
+        print_json("Outcome", {**_as_json(outcome), **notes})
     else:
         rows = [
             (name, reply.code.value, reply.text or NOTHING)
             for name, reply in outcome.replies.items()
         ]
-        rows += [(name, "no answer", NOTHING) for name in outcome.missing]
+        rows += [(name, "no answer", _silence(name, outcome)) for name in outcome.missing]
         if rows:
             print_table(("NAME", "ANSWER", "TEXT"), sorted(rows))
         click.echo(outcome.line)
     if options.is_json or sys.stdout is None:
         warn(outcome.line)
+
+
+def _silence(name: str, outcome: Outcome) -> str:
+    """What is known of a robot that did not answer; it denies silently what it does not permit."""
+    return "no answer or not permitted" if name in outcome.mute else NOTHING
 
 
 def _where(operator: Operator) -> str:

@@ -30,7 +30,14 @@ VERBS = {
     ),
     "patterns": ("swarmd.cli.patterns:patterns", "List patterns and their parameters."),
     "mission": ("swarmd.cli.patterns:mission", "Check a mission before robots run it."),
-    "run": ("swarmd.cli.requests:run", "Start a pattern on robots."),
+    "run": ("swarmd.cli.run:run", "Start a pattern on robots."),
+    "goal": ("swarmd.cli.goal:goal", "Show what robots are to do beside what they do."),
+    "resume": ("swarmd.cli.goal:resume", "Let robots take up the goal that they were offered."),
+    "undo": ("swarmd.cli.goal:undo", "Set the goal before the present one again."),
+    "wait": ("swarmd.cli.wait:wait", "Wait until robots are as they are wanted."),
+    "diff": ("swarmd.cli.apply:diff", "Show what a swarm file would change."),
+    "apply": ("swarmd.cli.apply:apply", "Set labels, goal and parameters of a swarm file."),
+    "label": ("swarmd.cli.label:label", "Give labels to robots, and take them away."),
     "stop": ("swarmd.cli.requests:stop", "Stop robots, or all robots."),
     "estop": ("swarmd.cli.requests:estop", "Emergency-stop robots, or all robots; latched."),
     "reset": ("swarmd.cli.requests:reset", "Clear emergency stops and faults; moves nothing."),
@@ -42,16 +49,28 @@ VERBS = {
     "view": ("swarmd.cli.view:view", "Show a living swarm: map, list, details and commands."),
     "top": ("swarmd.cli.top:top", "Show the robots by load."),
     "events": ("swarmd.cli.events:events", "Print what happened to robots, and follow it."),
+    "logs": ("swarmd.cli.logs:logs", "Print the logs of robots and what patterns print."),
+    "audit": ("swarmd.cli.audit:audit", "Print the requests that robots had, and their answers."),
+    "links": ("swarmd.cli.links:links", "Show which robots hear which, and how well."),
+    "doctor": ("swarmd.cli.doctor:doctor", "Check this machine and robots; print what to do."),
     "record": ("swarmd.cli.record:record", "Record robots, and fetch their recordings."),
     "replay": (
         "swarmd.cli.replay:replay",
         "Repeat a recorded run without a robot, and compare its commands.",
     ),
+    "context": (
+        "swarmd.cli.context:context",
+        "Keep network options by name, and use one set of them.",
+    ),
     "completion": (
         "swarmd.cli.completion:completion",
         "Print the script that completes lines with Tab in bash, zsh or fish.",
     ),
-    "plugin": ("swarmd.cli.plugin:plugin", "Write, check and reload patterns of your own."),
+    "keys": ("swarmd.cli.keys:keys", "Make, hand out, renew and revoke the keys of a swarm."),
+    "plugin": (
+        "swarmd.cli.plugin:plugin",
+        "Write, check and reload patterns of your own, and push them to robots.",
+    ),
 }
 _EXIT_CODES = """\b
 Exit codes:
@@ -141,12 +160,15 @@ def cli(options: CommonOptions) -> None:
 
 def main(args: list[str] | None = None) -> NoReturn:
     """Run swarmctl and exit with its code; every error is one line on stderr."""
-    code = run_cli(cli, args, "swarmctl", exit_code_of)
+    try:
+        code = run_cli(cli, args, "swarmctl", exit_code_of)
+    except SystemExit as end:  # by a signal
+        code = end.code if isinstance(end.code, int) else 1
     if not _is_flushed():
         code = code or 1
-    operator = sys.modules.get("swarmd.network.operator")
-    if operator is not None and operator.is_closing():
-        # A session that is still dialling takes seconds to close. The answer is out.
+    if "zenoh" in sys.modules:
+        # A session that is still dialling takes seconds to close, and a thread of Zenoh that calls
+        # into an interpreter which ends aborts the process. The answer is out.
         os._exit(code)
     sys.exit(code)
 

@@ -11,9 +11,10 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmd.cli.arguments import Targets, takes_targets
+from swarmd.cli.labels import robots_of
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_line, print_table, table_lines
-from swarmd.cli.send import exit_code_of, gap, known_members
+from swarmd.cli.send import exit_code_of, gap, known_members, named_now
 from swarmd.cli.terminal import need_terminal, signals_end
 from swarmd.core.messages import STATUS_SILENCE, Presence, ProcessUsage, Status
 from swarmd.texts.values import NOTHING, megabytes, seconds
@@ -21,7 +22,7 @@ from swarmd.texts.values import NOTHING, megabytes, seconds
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from swarmd.network.discovery import MembersView
+    from swarmd.network.members_view import MembersView
     from swarmd.view.swarm_watch import SwarmWatch
 
 HEADER = (
@@ -50,7 +51,7 @@ def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None
     if once:
         with options.operator() as operator:
             view = known_members(options, operator)
-            names = targets.select(view.members.keys() | view.roster)
+            names = robots_of(view, targets)
             known = {n: (m.status, m.age) for n, m in view.members.items() if m.status is not None}
             if options.is_json:
                 print_json("Load", {"robots": list(records(view, names, known))})
@@ -62,11 +63,12 @@ def top(options: CommonOptions, targets: Targets, sort: str, once: bool) -> None
     from swarmd.view.swarm_watch import SwarmWatch
 
     with options.operator() as operator, signals_end():
+        chosen = named_now(options, operator, targets)
         watch = SwarmWatch(operator)
         watch.start()
         try:
             follow = _print_records if options.is_json else _show
-            follow(watch, targets, sort)
+            follow(watch, chosen, sort)
         finally:
             watch.close()
 

@@ -17,6 +17,7 @@ from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.plugins import need, pattern_names
 
 if TYPE_CHECKING:
+    from swarmd.security.identity import Identity
     from swarmd.view.commander import LiveCommander
     from swarmd.view.live import LiveSource
 
@@ -38,7 +39,7 @@ def view(options: CommonOptions, files: tuple[Path, ...], web: bool, page: WebOp
     if not web:
         if files:
             raise click.UsageError(f"{files[0]}: recordings are shown on a page; add --web")
-        if page.token or page.viewer_token or page.tls:
+        if page.token or page.viewer_token or page.tls is not None:
             raise click.UsageError("--token, --viewer-token and --tls are for a page; add --web")
         click.get_current_context().exit(_show(options))
     if files:
@@ -46,13 +47,17 @@ def view(options: CommonOptions, files: tuple[Path, ...], web: bool, page: WebOp
         check_web(page)
         _play(files, page)
         return
-    check_web(page)
-    with _live(options, "from the page") as (source, commander):
+    need("websockets", extra="web")
+    with _live(options, "from the page") as (source, commander, identity):
+        page = page.of(identity)
+        check_web(page)
         serve(source, commander, page)
 
 
 @contextmanager
-def _live(options: CommonOptions, reason: str) -> Iterator[tuple[LiveSource, LiveCommander]]:
+def _live(
+    options: CommonOptions, reason: str
+) -> Iterator[tuple[LiveSource, LiveCommander, Identity | None]]:
     """The swarm as views show it, and what carries their commands out; latches keep `reason`."""
     from swarmd.cli.known_robots import remember
     from swarmd.view.commander import LiveCommander
@@ -63,7 +68,7 @@ def _live(options: CommonOptions, reason: str) -> Iterator[tuple[LiveSource, Liv
         commander = LiveCommander(options.operator, source.expected, reason)
         source.start()
         try:
-            yield source, commander
+            yield source, commander, operator.identity
         finally:
             commander.close()
             source.close()
@@ -76,7 +81,7 @@ def _show(options: CommonOptions) -> int:
     from swarmd.view.screen import Screen
     from swarmd.view.terminal_view import TerminalView
 
-    with _live(options, "from a terminal view") as (source, commander), Screen() as screen:
+    with _live(options, "from a terminal view") as (source, commander, _), Screen() as screen:
         return asyncio.run(TerminalView(source, commander, screen).run())
 
 

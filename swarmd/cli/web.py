@@ -9,7 +9,7 @@ import signal
 import ssl
 import threading
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -18,8 +18,11 @@ import click
 from swarmd.cli.output import warn
 from swarmd.core.errors import ConfigError
 from swarmd.plugins import need
+from swarmd.security.roster import Role
 
 if TYPE_CHECKING:
+    from swarmd.security.identity import Identity
+    from swarmd.view.access import Access
     from swarmd.view.server import Commander, ViewServer
     from swarmd.view.source import Source
 
@@ -42,34 +45,55 @@ _OPTIONS = (
     click.option("--viewer-token", metavar="TEXT", help="The same for read-only pages."),
     click.option(
         "--tls",
-        nargs=2,
-        type=click.Path(exists=True, dir_okay=False, path_type=Path),
-        metavar="CERTIFICATE KEY",
-        help="Serve by https.",
+        is_flag=False,
+        flag_value="",
+        metavar="[CERTIFICATE,KEY]",
+        help="Serve by https, with these files or with the certificate of your identity.",
     ),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class WebOptions:
-    """Where a page is served, and with which tokens; an empty token is none."""
+    """Where a page is served, and with which tokens; an empty token counts as absent.
+
+    `tls`: certificate and key; an empty tuple: those of the identity. `is_read_only`: no page may
+    command.
+    """
 
     bind: str
     port: int
     token: str = ""
     viewer_token: str = ""
-    tls: tuple[Path, Path] | None = None
+    tls: tuple[Path, Path] | tuple[()] | None = None
+    is_read_only: bool = False
+
+    @property
+    def access(self) -> Access:
+        """The tokens and what they permit."""
+        from swarmd.view.access import Access
+
+        return Access(self.token, self.viewer_token, self.is_read_only)
+
+    def of(self, identity: Identity | None) -> WebOptions:
+        """These options for a page that looks and commands as `identity`."""
+        if identity is None:
+            return self
+        tls = (identity.certificate, identity.key) if self.tls == () else self.tls
+        return replace(self, tls=tls, is_read_only=identity.role is not Role.OPERATOR)
 
     def context(self) -> ssl.SSLContext | None:
         """The certificate; ConfigError if it cannot be used."""
         if self.tls is None:
             return None
+        if not self.tls:
+            raise ConfigError("--tls: there is no identity here; give CERTIFICATE,KEY")
         context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
         try:
             context.load_cert_chain(*self.tls)
         except (ssl.SSLError, OSError) as error:
             raise ConfigError(
-                f"--tls {self.tls[0]} {self.tls[1]}: {error}; expected PEM files"
+                f"--tls {self.tls[0]},{self.tls[1]}: {error}; expected PEM files"
             ) from error
         return context
 
@@ -84,12 +108,12 @@ def web_options(function: Callable[..., R]) -> Callable[..., R]:
         port: int,
         token: str | None,
         viewer_token: str | None,
-        tls: tuple[Path, Path] | None,
+        tls: str | None,
         **kwargs: Any,
     ) -> R:
         if viewer_token and not token:
             token = "-"  # else a page without a token would command
-        web = WebOptions(bind, port, _token(token), _token(viewer_token), tls)
+        web = WebOptions(bind, port, _token(token), _token(viewer_token), _files(tls))
         return function(*args, page=web, **kwargs)
 
     for option in reversed(_OPTIONS):
@@ -100,10 +124,9 @@ def web_options(function: Callable[..., R]) -> Callable[..., R]:
 def check_web(web: WebOptions) -> None:
     """Raise before anything has started: PluginError for a missing library, else as `serve`."""
     need("websockets", extra="web")
-    from swarmd.view.access import Access
-    from swarmd.view.server import check_address
+    from swarmd.view.address import check_address
 
-    check_address(web.bind, web.port, Access(web.token, web.viewer_token))
+    check_address(web.bind, web.port, web.access)
     web.context()
 
 
@@ -167,17 +190,27 @@ async def _started(
 ) -> ViewServer:
     """A server that listens; `on_address` takes a line for each address of its page."""
     from swarmd.network.settings import is_loopback
-    from swarmd.view.access import Access
     from swarmd.view.server import ViewServer
 
-    server = ViewServer(source, commander, Access(web.token, web.viewer_token))
+    server = ViewServer(source, commander, web.access)
     address = await server.start(web.bind, web.port, web.context())
-    for role, secret in (("page", web.token), ("read only", web.viewer_token)):
-        if secret or role == "page":
-            on_address(f"{role}: {address}{f'?token={secret}' if secret else ''}")
+    first = "read only" if web.is_read_only else "page"
+    on_address(f"{first}: {address}{f'?token={web.token}' if web.token else ''}")
+    if web.viewer_token:
+        on_address(f"read only: {address}?token={web.viewer_token}")
     if web.tls is None and not is_loopback(web.bind):
         warn("without --tls others in this network can read the tokens and what the page shows")
     return server
+
+
+def _files(text: str | None) -> tuple[Path, Path] | tuple[()] | None:
+    """The files of `--tls`; UsageError if there is one only."""
+    if not text:
+        return None if text is None else ()
+    certificate, comma, key = text.partition(",")
+    if not (certificate and comma and key):
+        raise click.UsageError(f"--tls is {text!r}; expected CERTIFICATE,KEY, or nothing")
+    return Path(certificate), Path(key)
 
 
 def _token(text: str | None) -> str:

@@ -29,6 +29,21 @@ def whole_file(path: Path) -> Iterator[Path]:
         raise
 
 
+def write_whole(path: Path, content: bytes, mode: int = 0o666) -> None:
+    """Write a file to the disk: after a power cut it has its old or its new content. OSError.
+
+    `mode`: the permissions of the file, less those that the umask of the process removes.
+    """
+    with whole_file(path) as partial:
+        partial.unlink(missing_ok=True)  # of a write that was cut off, with its mode
+        handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, mode)
+        with open(handle, "wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(handle)
+    sync_folder(path.parent)
+
+
 def sync_folder(folder: Path) -> None:
     """Write the entries of a folder to the disk, so that a new name outlives a power cut."""
     handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
@@ -36,3 +51,21 @@ def sync_folder(folder: Path) -> None:
         os.fsync(handle)
     finally:
         os.close(handle)
+
+
+def write_fault(folder: Path) -> str:
+    """Why files cannot be written to a folder, or the folder cannot be made; empty if they can.
+
+    Writes a block and removes it: modes are not enough, since the disk may be full or read-only.
+    """
+    from tempfile import TemporaryFile  # 10 ms of each start of swarmctl
+
+    there = folder.absolute()
+    try:
+        nearest = next(path for path in (there, *there.parents) if path.exists())
+        with TemporaryFile(dir=nearest) as file:
+            file.write(bytes(4096))
+            file.flush()
+    except (OSError, StopIteration) as error:
+        return getattr(error, "strerror", None) or "there is no such folder"
+    return ""

@@ -29,6 +29,7 @@ class Load(Struct, frozen=True, eq=False, array_like=True, tag="load"):
     `is_fresh`: load it in a new host, because the present one hangs. `until`: conditions, the first
     of which to hold ends the run (`swarmd.kit.conditions`). `origins`: where each pattern is
     found, name -> (module:Class or path, whether it is a file); the runner fills it in.
+    `is_restart`: of a pattern that failed, with the code that it ran.
     """
 
     generation: int
@@ -40,6 +41,7 @@ class Load(Struct, frozen=True, eq=False, array_like=True, tag="load"):
     is_fresh: bool = False
     until: tuple[str, ...] = ()
     origins: Mapping[str, tuple[str, bool]] = {}
+    is_restart: bool = False
 
 
 class Step(Struct, frozen=True, eq=False, array_like=True, tag="step"):

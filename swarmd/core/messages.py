@@ -1,7 +1,6 @@
 """The messages between robots and operators: typed structs, no numpy (swarmctl imports them).
 
-Every float is bounded, since bounds also refuse NaN and infinity. Unknown fields are ignored, so
-that a newer peer can add fields.
+Unknown fields are ignored, so that a newer peer can add fields. Types with bounds: bounds.py.
 """
 
 from __future__ import annotations
@@ -12,23 +11,27 @@ from typing import Annotated, Literal, get_args
 
 from msgspec import Meta, Struct
 
-Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
-Speed = Annotated[float, Meta(ge=-100.0, le=100.0)]
-Count = Annotated[int, Meta(ge=0, le=2**53)]
-Rate = Annotated[float, Meta(ge=0.0, le=1e6)]
-Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
-Height = Annotated[float, Meta(ge=0.0, le=100.0)]
-Name = Annotated[str, Meta(min_length=1, max_length=63)]
-Word = Annotated[str, Meta(max_length=64)]
-Line = Annotated[str, Meta(max_length=1000)]
-ReasonText = Annotated[str, Meta(max_length=256)]
-BoundedScalar = (
-    bool
-    | Annotated[int, Meta(ge=-(2**53), le=2**53)]
-    | Annotated[float, Meta(ge=-1e300, le=1e300)]
-    | Annotated[str, Meta(max_length=256)]
+from swarmd.core.bounds import (
+    BoundedScalar,
+    Count,
+    Height,
+    Id,
+    Line,
+    Metres,
+    Name,
+    ParamValues,
+    Rate,
+    ReasonText,
+    Seconds,
+    Speed,
+    Word,
 )
+from swarmd.core.goal import MAX_LABELS, Goal, GoalStatus
 
+MAX_LATE = 0.5
+"""A run that is to start at a time is refused so many seconds after it."""
+MAX_AHEAD = 60.0
+"""A run is to start at most so many seconds ahead."""
 
 MAX_EVENTS = 10
 """Events that a robot keeps and tells."""
@@ -64,6 +67,9 @@ class Reason(StrEnum):
     QUARANTINED = "pattern_quarantined"
     LEAVING = "leaving"
     NETWORK_CHANGED = "network_changed"
+    ROSTER_CHANGED = "roster_changed"
+    SUPERSEDED = "superseded"  # by a greater goal
+    LEASE_ENDED = "lease_ended"  # the operator of the run was not heard for its lease
     # holds: they zero the command; a hold that lasts ends the run
     NO_SCAN = "no_scan"
     INVALID_SCAN = "invalid_scan"
@@ -97,7 +103,10 @@ class Refusal(StrEnum):
     ESTOPPED = "estopped"
     FAULTED = "faulted"
     BUSY = "busy"  # an earlier request is still under way
-    OVERTAKEN = "overtaken"  # a stop, a fault or another change came first
+    OVERTAKEN = "overtaken"  # a stop, a fault, a greater goal or another change came first
+    TOO_LATE = "too_late"  # the time at which the run was to start is over
+    NO_GOAL = "no_goal"  # there is no goal that could be resumed
+    INVALID_GOAL = "invalid_goal"  # for other robots, of another run, or not signed by its issuer
     NOT_RUNNING = "not_running"
     DUPLICATE_ID = "duplicate_id"
     UNKNOWN_PATTERN = "unknown_pattern"
@@ -106,7 +115,12 @@ class Refusal(StrEnum):
     MISSING_SENSOR = "missing_sensor"
     PATTERN_FAILED = "pattern_failed"  # the pattern's code raised, ended or took too long
     MEMBER_ALIVE = "member_alive"
+    REVOKED = "revoked"  # the robot is no longer on the roster
+    NOT_WRITTEN = "not_written"  # the disk is full or read-only
+    INVALID_ROSTER = "invalid_roster"  # of another swarm, older, or not signed by its authority
     OTHER_VERSION = "other_version"  # the request is of another wire version
+    NOT_SIGNED = "not_signed"  # by an operator of the roster
+    NAME_TAKEN = "name_taken"  # the robot has a pattern of that name by other means
 
 
 class Epoch(Struct, frozen=True):
@@ -117,7 +131,11 @@ class Epoch(Struct, frozen=True):
 
 
 Epochs = dict[Name, Epoch | None]
-ParamValues = dict[Word, BoundedScalar | None]
+
+
+MAX_ROSTER_PART = 40 * 1024
+"""Bytes of a roster in one request: about 2000 names."""
+CertificatePem = Annotated[bytes, Meta(max_length=2048)]
 
 
 class _AnyRequest(Struct, frozen=True, kw_only=True, tag_field="verb"):
@@ -139,12 +157,42 @@ class _EpochRequest(_AnyRequest, frozen=True, kw_only=True):
 
 
 class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
-    """Run a pattern; the run ends after `seconds`, or when any condition of `until` holds."""
+    """Run a pattern; the run ends after `seconds`, or when any condition of `until` holds.
+
+    `goal`: the goal that the run belongs to, with the same pattern, parameters and ends. It must
+    be greater than the goal that the robot holds, or the same. `at`: when each robot is to start,
+    in s on its own clock (CLOCK_BOOTTIME); the pattern is loaded before, and robots without an
+    entry start when it is loaded. More than MAX_LATE after that time the robot refuses.
+    """
 
     pattern: Name
     params: ParamValues = {}
     seconds: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
     until: tuple[Word, ...] = ()
+    goal: Goal | None = None
+    at: dict[Name, Seconds] = {}
+
+
+class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
+    """Run the robot's own goal, which is offered or whose run has ended.
+
+    `digest`: of the goal that the operator saw, in hex; the robot refuses if it has another. Empty:
+    whichever it is.
+    """
+
+    digest: Word = ""
+
+
+class GoalRequest(_EpochRequest, frozen=True, kw_only=True, tag="goal"):
+    """Set a goal without a run: robots stand by a goal without a pattern, and offer any other."""
+
+    goal: Goal
+
+
+class LabelRequest(_EpochRequest, frozen=True, kw_only=True, tag="label"):
+    """Replace the labels of a robot; it keeps them on disk. None: those of its swarm file again."""
+
+    labels: Annotated[tuple[Id, ...], Meta(max_length=MAX_LABELS)] | None
 
 
 class ResetRequest(_EpochRequest, frozen=True, kw_only=True, tag="reset"):
@@ -161,9 +209,27 @@ class ParamRequest(_EpochRequest, frozen=True, kw_only=True, tag="param"):
 
 
 class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
-    """Replace a pattern's code; with `is_rerun` a robot that runs the pattern runs it again."""
+    """Replace a pattern's code; with `is_rerun` a robot that runs the pattern runs it again.
+
+    `keeps_running`: a robot that runs the pattern goes on with the old code until its next run.
+    """
 
     pattern: Name
+    is_rerun: bool = False
+    keeps_running: bool = False
+
+
+class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
+    """A piece of a behaviour for robots; with the last one they try it and take it.
+
+    `content` and `signature`: of the manifest (`core/behaviour.py`). `is_rerun`: as in
+    `ReloadRequest`; without it nothing moves or stops, and the epoch is not compared.
+    """
+
+    content: Annotated[bytes, Meta(max_length=8192)]
+    signature: Annotated[bytes, Meta(max_length=64)] = b""
+    offset: Count = 0
+    data: Annotated[bytes, Meta(max_length=32768)] = b""
     is_rerun: bool = False
 
 
@@ -177,6 +243,18 @@ class RecordRequest(_EpochRequest, frozen=True, kw_only=True, tag="record"):
     """Start or stop the recording of a robot; it moves nothing, so the epoch is not compared."""
 
     action: Literal["start", "stop"]
+
+
+class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):
+    """Take a signed roster, and the new certificate of the robot's name if there is one.
+
+    `secret`: the swarm's at that generation; empty for a robot that is no longer on it. It ends the
+    run, so the epoch is not compared. `certificates`: PEM, by robot, for the keys that they have.
+    """
+
+    roster: Annotated[bytes, Meta(max_length=MAX_ROSTER_PART)]
+    secret: Annotated[bytes, Meta(max_length=32)] = b""
+    certificates: Annotated[dict[Name, CertificatePem], Meta(max_length=32)] = {}
 
 
 class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
@@ -201,8 +279,18 @@ class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
     is_relayed: bool = False
 
 
-Request = RunRequest | StopRequest | EstopRequest | ResetRequest | ParamRequest | ReloadRequest
-AnyRequest = Request | ForgetRequest | RecordRequest
+Request = (
+    RunRequest
+    | StopRequest
+    | EstopRequest
+    | ResetRequest
+    | ParamRequest
+    | ReloadRequest
+    | ResumeRequest
+    | GoalRequest
+    | LabelRequest
+)
+AnyRequest = Request | ForgetRequest | RecordRequest | RosterRequest | PushRequest
 REQUEST_TYPES: Mapping[str, type[AnyRequest]] = {
     str(kind.__struct_config__.tag): kind for kind in get_args(AnyRequest)
 }
@@ -279,6 +367,40 @@ class FetchReply(Struct, frozen=True, kw_only=True):
     data: bytes
     crc: Count
     text: Line = ""
+
+
+class BehaviourReport(Struct, frozen=True, kw_only=True):
+    """A pushed behaviour on a robot.
+
+    `standing`: provisional, held, returned, missing (not pulled yet) or removed. `version` and
+    `digest` (hex) of the code that a run takes, empty if there is none; `pushed` those of the
+    newest push. `ran`: s without a fault. `source`: the operator or robot that handed it over.
+    `text`: why it was returned, or cannot be used.
+    """
+
+    name: Name
+    standing: Word
+    version: Word = ""
+    digest: Word = ""
+    pushed: Word = ""
+    ran: Seconds = 0.0
+    source: Line = ""
+    issuer: Word = ""
+    generation: Count = 0
+    text: Line = ""
+
+
+class BehavioursReply(Struct, frozen=True, kw_only=True):
+    """The pushed behaviours of a robot; `generation`: the greatest that it knows.
+
+    `newest`, `signature`: the manifest of that generation, which proves it.
+    """
+
+    robot: Name
+    generation: Count = 0
+    behaviours: tuple[BehaviourReport, ...] = ()
+    newest: Annotated[bytes, Meta(max_length=8192)] = b""
+    signature: Annotated[bytes, Meta(max_length=64)] = b""
 
 
 class Reply(Struct, frozen=True, kw_only=True):
@@ -395,7 +517,8 @@ class Health(Struct, frozen=True, kw_only=True):
     """Measurements of the daemon itself. Rates in Hz, times in s.
 
     `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`. `usage` of the daemon,
-    `pattern_usage` of its pattern host; None in the first second.
+    `pattern_usage` of its pattern host; None in the first second. `storage`: why latches would be
+    lost by a restart; empty if they would not.
     """
 
     scan_rate: Rate = 0.0
@@ -406,6 +529,7 @@ class Health(Struct, frozen=True, kw_only=True):
     driver: Line = ""
     driver_up: bool = False
     network: Line = ""
+    storage: Line = ""
     usage: ProcessUsage | None = None
     pattern_usage: ProcessUsage | None = None
 
@@ -459,6 +583,13 @@ class Param(Struct, frozen=True, kw_only=True):
     source: Word
 
 
+class KeySummary(Struct, frozen=True, kw_only=True):
+    """The roster that a daemon has, and when its certificate ends, in s since 1970 (UTC)."""
+
+    generation: Count
+    expires: Count
+
+
 class Status(Struct, frozen=True, kw_only=True):
     """The published status of a robot: on each change and at 1 Hz.
 
@@ -466,7 +597,8 @@ class Status(Struct, frozen=True, kw_only=True):
     `stale_readings`: those without a fresh value. `version`:
     of the daemon's package. `kernels`: which code decides, see `describe_kernels`. `body`: what its
     beacons tell of it. `peers`: those that it may not see, or that are faster than it assumes.
-    `passage`: what protection lets it through; None if its mode has no such width.
+    `passage`: what protection lets it through; None if its mode has no such width. `goal`: None
+    before the robot has seen any. `keys`: None in an insecure swarm.
     """
 
     robot: Name
@@ -500,7 +632,10 @@ class Status(Struct, frozen=True, kw_only=True):
     body: Body | None = None
     peers: tuple[PeerFinding, ...] = ()
     passage: NarrowestPassage | None = None
+    neighbors: tuple[Name, ...] = ()
     recording: RecordingSummary | None = None
+    goal: GoalStatus | None = None
+    keys: KeySummary | None = None
 
 
 class Motion(Struct, frozen=True, array_like=True):

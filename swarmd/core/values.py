@@ -169,7 +169,8 @@ class Neighbor(Struct, frozen=True, array_like=True):
     """A robot nearby, as far as it is sensed.
 
     `age` is the time in s since it was last heard, to within 0.5 s. `distance` in m, `bearing` and
-    `heading` in rad are relative to this robot; None means not sensed.
+    `heading` in rad are relative to this robot; None means not sensed. Protection regards each that
+    is sensed; a pattern gets those `in_reach`, which the settings of neighbors decide.
     """
 
     id: str
@@ -177,6 +178,7 @@ class Neighbor(Struct, frozen=True, array_like=True):
     distance: float | None = None
     bearing: float | None = None
     heading: float | None = None
+    in_reach: bool = True
 
 
 class Message(Struct, frozen=True, array_like=True):

@@ -14,41 +14,65 @@ import os
 import secrets
 import signal
 import socket
+import time
 from collections.abc import Callable, Mapping
 from importlib.metadata import version
 from typing import Any
 
 from msgspec.structs import replace
 
+from swarmd.core.behaviour import Entry
 from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.codec import decode_value, encode, encode_value
-from swarmd.core.errors import CodecError, SwarmError
+from swarmd.core.errors import CodecError, PluginError, SwarmError
+from swarmd.core.host_messages import Layers
 from swarmd.core.kernels import describe_kernels
-from swarmd.core.messages import Latch, Reply, Request, Status
+from swarmd.core.messages import (
+    REQUEST_TYPES,
+    Epoch,
+    Latch,
+    ReloadRequest,
+    Reply,
+    Request,
+    Status,
+)
 from swarmd.core.values import ZERO, Neighbor, PeerPlace, Twist
+from swarmd.daemon.audit import Audit
+from swarmd.daemon.behaviour_files import BehaviourFiles
+from swarmd.daemon.behaviour_runs import CodeRuns
+from swarmd.daemon.behaviour_state import BehaviourState
+from swarmd.daemon.behaviour_store import BehaviourStore
+from swarmd.daemon.behaviour_sync import BehaviourSync
 from swarmd.daemon.driver_factory import make_driver
 from swarmd.daemon.driver_sink import DriverSink
+from swarmd.daemon.field_tools import FieldTools
+from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.latchfile import LatchFile
+from swarmd.daemon.neighbor_selection import NeighborSelection
 from swarmd.daemon.network import Network, NetworkHandlers
 from swarmd.daemon.recorded_robot import RecordedRobot
 from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.request_server import RequestServer
+from swarmd.daemon.roster_service import RosterService
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.daemon.usage import UsageMeter
 from swarmd.driver_api.driver import Driver, check_protected, message_carrier
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.bus import ZenohBus
-from swarmd.network.datagram import Address, Message, Stop
+from swarmd.network.datagram import Address, Message, RunLease, Stop
+from swarmd.network.goal_sync import FoundGoal
 from swarmd.network.interface_watch import InterfaceChange
 from swarmd.network.peer import Summary
+from swarmd.network.pull import Puller, serve_shared
 from swarmd.pattern_host.runner import ProcessRunner
-from swarmd.plugins import pattern_names
+from swarmd.plugins import Origin, pattern_names
 from swarmd.protection.compatibility import body_of
 from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.robot.actions import Actions
-from swarmd.robot.lifecycle import RobotSettings
+from swarmd.robot.settings import RobotSettings
+from swarmd.security.roster_change import TakenRoster
 from swarmd.settings.driver_options import IdleOutputFilter, base_options
 from swarmd.settings.settings import DaemonSettings
 
@@ -58,6 +82,7 @@ DRIVER_RETRY_PERIOD = 1.0
 NEIGHBORS_PERIOD = 10  # ticks
 USAGE_PERIOD = 20  # ticks
 MOTION_PERIOD = 2  # ticks
+STORAGE_PERIOD = 100  # ticks between two tries to write to a folder that could not be written
 
 
 async def serve(settings: DaemonSettings) -> int:
@@ -89,29 +114,27 @@ class Daemon:
         self._instance = secrets.token_hex(6)
         self._seed = secrets.randbits(48)
         self._notify = Notifier()
-        self._latches = LatchFile(settings.state_dir / settings.network.swarm / settings.id)
-        self._runner = ProcessRunner(self._loop, settings.plugin_dir, self._on_host_events)
-        self._network = Network(
-            settings.network,
+        folder = settings.state_dir / settings.network.swarm / settings.id
+        self._latches = LatchFile(folder)
+        self._rosters = RosterService(settings.id, settings.identity, self._on_roster)
+        self._goals = GoalService(folder, lambda: self._rosters.identity, self._on_network_event)
+        self._puller = Puller(settings.network, settings.id, settings.identity)
+        self._behaviour_state = BehaviourState(
+            BehaviourFiles(folder / "behaviours"),
             settings.id,
-            self._instance,
-            settings.roster,
-            NetworkHandlers(
-                summary=self._summary,
-                on_stop=self._on_stop,
-                on_latches=self._on_latches,
-                on_message=self._on_message,
-                on_place=self._on_place,
-                on_clock=self._on_clock,
-                on_members=self._update_neighbors,
-                on_duplicate=self._on_duplicate,
-                on_interface=self._on_interface,
-                on_event=self._on_network_event,
-                serve=self._serve,
-            ),
-            version=version("swarmd"),
-            body=body_of(settings.platform),
+            settings.network.swarm,
+            self._operators,
+            self,
         )
+        self._behaviours = BehaviourStore(self._behaviour_state)
+        self._code_runs = CodeRuns(self._behaviour_state)
+        self._behaviour_sync = BehaviourSync(
+            self._behaviour_state, self._behaviours, self._puller, self._on_pulled_code
+        )
+        self._runner = ProcessRunner(
+            self._loop, settings.plugin_dir, self._on_host_events, self._code_runs.overlay
+        )
+        self._network = self._make_network()
         self._has_joined = False
         self._recording = RecordingService(
             settings.id,
@@ -120,38 +143,96 @@ class Daemon:
             self._on_network_event,
             self._network.drop,
         )
+        self._tools = FieldTools(
+            settings,
+            self._instance,
+            self._network,
+            version=version("swarmd"),
+            keys=lambda: self._rosters.summary,
+        )
+        self._audit = Audit(self._on_audit, self._tools.audit.add, clock=clock_id(), wall=time.time)
         self._requests = RequestServer(
             settings.id,
             self._on_request,
-            self._on_audit,
+            self._audit,
             forget=self._network.forget,
             record=self._recording.answer,
+            roster=self._rosters.answer,
+            is_secured=settings.identity is not None,
+            push=self._behaviours.push,
         )
         self._usage, self._pattern_usage = UsageMeter(), UsageMeter()
         self._ticks = 0
         self._shown_scan = -1  # sequence of the last scan for viewers
-        self._robot = RecordedRobot(
+        self._robot = self._make_robot()
+        self._neighborhood = NeighborSelection(
+            settings.neighbors,
+            self._network.heard,
+            settings.network.interface_name,
+            self._loop,
+        )
+        self.sink = DriverSink(self._robot, self._carry_out, self._neighborhood)
+        self._timer = TickTimer(self._loop, self._on_tick)
+
+    def _make_network(self) -> Network:
+        """The network, with what the daemon does about what comes from it."""
+        settings = self._settings
+        return Network(
+            settings.network,
+            settings.id,
+            self._instance,
+            settings.roster,
+            NetworkHandlers(
+                summary=self._summary,
+                on_stop=self._on_stop,
+                on_latches=self._on_latches,
+                on_goal=self._on_goal,
+                on_run_lease=self._on_run_lease,
+                check_goal=self._goals.check,
+                on_message=self._on_message,
+                on_place=self._on_place,
+                on_clock=self._on_clock,
+                on_members=self._update_neighbors,
+                on_duplicate=self._on_duplicate,
+                on_interface=self._on_interface,
+                on_event=self._on_network_event,
+                on_newer_roster=self._on_newer_roster,
+                serve=self._serve,
+                on_table=self._on_table,
+            ),
+            version=version("swarmd"),
+            body=body_of(settings.platform),
+            identity=settings.identity,
+            stop_counters=self._latches.path.with_name("stops"),
+        )
+
+    def _make_robot(self) -> RecordedRobot:
+        """The robot as its settings and its files have it."""
+        settings = self._settings
+        return RecordedRobot(
             settings.id,
             settings.platform,
             RobotSettings(
                 driver=settings.driver,
-                layers=settings.pattern_layers,
+                layers=self._layers,
                 host=socket.gethostname(),
                 profile=settings.network.profile,
+                is_secured=settings.identity is not None,
                 version=version("swarmd"),
                 kernels=describe_kernels(),
                 labels=settings.labels,
                 touch=settings.touch_zones,
                 accepts=settings.accepts,
+                tells_pose=settings.neighbors.neighborhood == "range",
+                is_provisional=self._code_runs.is_provisional,
             ),
             seed=self._seed,
             instance=self._instance,
             now=boottime(),
             latches=self._latches.read(),
+            goals=self._goals.read(),
             recorder=self._recording.recorder,
         )
-        self.sink = DriverSink(self._robot, self._carry_out)
-        self._timer = TickTimer(self._loop, self._on_tick)
 
     async def run(self, stop: asyncio.Event) -> None:
         """Serve until `stop` is set. Raises SwarmError without a network or if the id is held."""
@@ -175,6 +256,7 @@ class Daemon:
             finally:
                 for end in ends:
                     await _end(end)
+                await self._goals.close()
         if self._crash is not None:  # while it was leaving
             raise self._crash
 
@@ -182,6 +264,7 @@ class Daemon:
 
     async def _live(self) -> None:
         self._recording.start_if_wanted()  # before any input, so that a replay has all of them
+        self._check_storage()
         await self._join()
         gc.collect()
         gc.freeze()
@@ -220,21 +303,25 @@ class Daemon:
             self._crashed.set()
 
     async def _join(self) -> None:
-        if self._settings.network.profile == "field":
-            log.warning("no certificates: anyone on this network can drive this robot")
+        if self._settings.network.profile != "dev" and self._settings.identity is None:
+            log.warning("insecure: anyone on this network can drive this robot")
+        await self._behaviour_state.open()
         await self._network.join()
         self._has_joined = True
         self._update_neighbors()
 
     def _serve(self, bus: ZenohBus) -> None:
         """Answer requests on a bus that was opened, the first one or a later one."""
-        self._requests.serve(bus, ("reset", "param", "forget", "record", "run", "reload"))
+        self._requests.serve(bus, [verb for verb in REQUEST_TYPES if verb not in ("stop", "estop")])
         self._recording.serve(bus)
+        self._behaviour_sync.serve(bus)
+        self._tools.serve(bus)
         bus.serve_view(
             self._status,
             lambda: tuple(self._network.members.values()),
-            self._settings.roster,
+            self._network.roster,
         )
+        serve_shared(bus, "roster", self._rosters.share)
 
     def _leave(self) -> None:
         """Command zero, tell the peers and close; the driver's own exit sends zero once more.
@@ -248,13 +335,22 @@ class Daemon:
                 self._carry_out(self._robot.on_leave(boottime()))
                 self._timer.stop()
         finally:
+            self._neighborhood.close()
+            self._rosters.close()
+            self._puller.close()
+            self._behaviour_sync.close()
+            self._behaviours.close()
             self._recording.close()
             self._runner.close()
             self._network.close(is_leaving=self._crash is None)
+            self._tools.close()
 
     # Inputs from the network
 
     def _on_request(self, request: Request) -> None:
+        if refusal := self._goals.refusal_of(request, self._robot.id):
+            self._requests.reply(refusal)
+            return
         self._carry_out(self._robot.on_request(request, boottime()))
 
     def _on_audit(self, line: str) -> None:
@@ -265,11 +361,25 @@ class Daemon:
         self._requests.stop(stop, f"{source[0]}:{source[1]}", answer)
 
     def _on_latches(self, latches: Mapping[str, Latch]) -> None:
-        before = self._robot.state
+        before, held = self._robot.state, set(self._robot.latches)
         self._carry_out(self._robot.on_latches(latches, boottime()))
+        for id in sorted(self._robot.latches.keys() - held):
+            latch = self._robot.latches[id]
+            self._audit.note(f"latch {id}", latch.issuer, "a peer", latch.reason, boottime())
         if self._robot.state is not before:
             text = self._robot.status(boottime()).detail
             log.info("estopped by the latch of a peer: %s", text)
+
+    def _on_goal(self, found: FoundGoal) -> None:
+        goal, before = found.goal, self._robot.goal
+        self._carry_out(self._robot.on_goal(goal, found.age, boottime()))
+        held = self._robot.goal
+        if held is not None and held.goal == goal and (before is None or before.goal != goal):
+            on_join = f"on_join {goal.on_join}" if goal.pattern else ""
+            self._audit.note(goal.text, goal.issuer, "a peer", on_join, boottime())
+
+    def _on_run_lease(self, lease: RunLease) -> None:
+        self._robot.on_run_lease(lease.id, lease.count, boottime())
 
     def _on_message(self, message: Message) -> None:
         try:
@@ -282,6 +392,7 @@ class Daemon:
             self._network.drop("msg:not_a_neighbor")
 
     def _on_place(self, place: PeerPlace) -> None:
+        self._neighborhood.on_place(place, boottime())
         self._robot.on_peer_place(place, boottime())
 
     def _on_clock(self, sample: ClockSample) -> None:
@@ -301,6 +412,24 @@ class Daemon:
         else:
             self._robot.log(change.line, boottime())
 
+    def _on_roster(self, taken: TakenRoster) -> None:
+        """The identity took a roster: the robot stands, and the network opens anew."""
+        log.warning("roster: %s", taken.text)
+        now = boottime()
+        what = f"roster {taken.identity.roster.generation}"
+        self._audit.note(what, "the authority", "an operator or peer", taken.text, now)
+        self._carry_out(self._robot.on_roster(taken.text, now, is_revoked=taken.is_revoked))
+        if foreign := self._goals.foreign(self._robot.goals):
+            self._carry_out(self._robot.forget_goals(foreign, now))
+        self._network.take_identity(taken.identity)
+        self._puller.take_identity(taken.identity)
+        self._behaviours.check_again()
+
+    def _on_newer_roster(self, robot: str, address: Address, generation: int) -> None:
+        """A beacon, which is not proven, shows a roster of a greater generation: ask for it."""
+        if self._puller.pull(robot, address, "roster", on_done=self._rosters.on_pulled):
+            log.info("%s at %s may have roster %d: asking for it", robot, address[0], generation)
+
     def _on_network_event(self, text: str) -> None:
         log.warning("%s", text)
         self._robot.log(text, boottime())
@@ -311,11 +440,64 @@ class Daemon:
         if not self._has_joined or self.sink.has_neighbors:
             return
         alive = tuple(Neighbor(robot, 0.0) for robot in sorted(self._network.alive))
-        self._robot.on_neighbors(alive, boottime())
+        now = boottime()
+        self._robot.on_neighbors(self._neighborhood.select(alive, now), now)
 
     def _summary(self) -> Summary:
         robot = self._robot
-        return Summary(robot.state, robot.epoch.revision, robot.latches)
+        revision, behaviours = robot.epoch.revision, self._behaviour_state.digest
+        return Summary(robot.state, revision, robot.latches, robot.goal, behaviours=behaviours)
+
+    # Pushed behaviours: what the store asks of the daemon
+
+    def _operators(self) -> Mapping[str, bytes] | None:
+        """The public keys of the operators whose code is taken; None: code needs no signature.
+
+        Without keys that is on loopback only: on a network it would let everyone run code here.
+        """
+        identity = self._rosters.identity
+        if identity is not None:
+            return identity.roster.operators
+        return None if self._settings.network.profile == "dev" else {}
+
+    def _on_table(self, robot: str, digest: bytes, address: Address) -> None:
+        self._behaviour_sync.on_beacon(robot, digest, address, boottime())
+
+    def _on_pulled_code(self, robot: str, entry: Entry) -> None:
+        manifest = entry.manifest
+        self._audit.note(f"push {manifest.label}", manifest.issuer, robot, "", boottime())
+
+    def try_code(self, request: ReloadRequest) -> None:
+        """Hand a reload of pushed code to the robot."""
+        self._on_request(request)
+
+    def code_changed(self) -> None:
+        """Let the next run have a fresh pattern host."""
+        self._carry_out(self._robot.on_code_changed(boottime()))
+
+    def reply(self, reply: Reply) -> None:
+        """Answer a push."""
+        self._requests.reply(reply)
+
+    def event(self, text: str) -> None:
+        """A line for the events and the log."""
+        log.info("%s", text)
+        self._robot.log(text, boottime())
+
+    def epoch(self) -> Epoch:
+        """The robot's present epoch."""
+        return self._robot.epoch
+
+    def labels(self) -> tuple[str, ...]:
+        """The robot's present labels."""
+        return self._robot.labels
+
+    def own_patterns(self) -> Mapping[str, Origin]:
+        """The patterns that the robot has beside pushed ones."""
+        try:
+            return self._runner.own_patterns()
+        except PluginError:  # the folder is gone; a run is refused with the reason
+            return {}
 
     # Ticks and actions
 
@@ -329,24 +511,46 @@ class Daemon:
             self._network.publish_pose(*told)
         if self._ticks % MOTION_PERIOD == 0:
             self._publish_motion()
+        self._tools.advance(boottime())
+        if self._latches.fault and self._ticks % STORAGE_PERIOD == 0:
+            self._check_storage()
         if self._ticks % USAGE_PERIOD == 0:
+            robot = self._robot
+            self._code_runs.advance(
+                boottime(), robot.running_generation, is_running=robot.is_running
+            )
             self._usage.measure(os.getpid(), boottime())
             self._pattern_usage.measure(self._runner.pid, boottime())
         if self._ticks % NEIGHBORS_PERIOD == 0:
             self._update_neighbors()
-            if self._notify.pings:
-                self._notify("WATCHDOG=1")
+            self._notify.feed_watchdog(self._robot.decided_at, boottime())
 
     def _publish_motion(self) -> None:
-        motion, scan = self._robot.motion(boottime()), self._robot.scan
-        if motion is not None:
-            self._network.publish("motion", lambda: encode(motion))
+        self._network.publish("motion", self._motion)
+        scan = self._robot.scan
         if scan is not None and scan.seq != self._shown_scan:
             self._shown_scan = scan.seq
             self._network.publish("scan", lambda: encode_scan(scan))
 
+    def _motion(self) -> bytes | None:
+        motion = self._robot.motion(boottime())
+        return None if motion is None else encode(motion)
+
+    def _check_storage(self) -> None:
+        """Try the state folder, and tell of a change; write a latch that is in memory only."""
+        if not self._latches.check():
+            return
+        if fault := self._latches.fault:
+            text = f"{fault}: an emergency stop would be lost by a restart, or has been by this one"
+            log.error("%s", text)
+        else:
+            text = f"{self._latches.path.parent} can be written again"
+            log.info("%s", text)
+        self._robot.log(text, boottime())
+
     def _on_host_events(self) -> None:
         for event in self._runner.events():
+            event = self._behaviours.on_event(event)
             self._carry_out(self._robot.on_host(event, boottime()))
 
     def _carry_out(self, actions: Actions) -> None:
@@ -359,7 +563,10 @@ class Daemon:
             )
         if actions.is_quiet:
             return
+        if actions.goals is not None:
+            self._goals.store(actions.goals)
         is_stored = actions.latches is None or self._latches.write(actions.latches)
+        self._tools.storage = self._latches.fault
         for command in (actions.trial, actions.host):
             if command is not None:
                 self._runner.send(command)
@@ -376,8 +583,10 @@ class Daemon:
                 self._carrier.send_message(name, payload)
         if actions.status is not None:
             self._network.publish("status", lambda: encode(self._status()))
+        if actions.failed_code is not None:
+            self._code_runs.on_failed(actions.failed_code)
         for reply in actions.replies:
-            self._requests.reply(reply, is_stored=is_stored)
+            self._requests.reply(self._behaviours.on_reply(reply), is_stored=is_stored)
         wake_at = self._robot.wake_at(boottime())
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())
 
@@ -396,17 +605,23 @@ class Daemon:
             loop_stalls=self._timer.stalls,
             dropped=dropped,
             network=self._network.interface_text,
+            storage=self._latches.fault[:1000],
             usage=self._usage.usage,
             pattern_usage=self._pattern_usage.usage,
         )
-        return replace(status, health=health, recording=self._recording.summary)
+        return replace(
+            status, health=health, recording=self._recording.summary, keys=self._rosters.summary
+        )
+
+    def _layers(self, pattern: str) -> Layers:
+        """The configured parameters of a pattern, by the present labels."""
+        return self._settings.pattern_layers(pattern, self._robot.labels)
 
     def _head(self) -> RecordingHead:
         """What recordings tell of this robot."""
         settings = self._settings
-        layers = {
-            name: settings.pattern_layers(name) for name in pattern_names(settings.plugin_dir)
-        }
+        names = {*pattern_names(settings.plugin_dir), *self._behaviour_state.versions}
+        layers = {name: self._layers(name) for name in sorted(names)}
         return RecordingHead(
             robot=settings.id,
             swarm=settings.network.swarm,
@@ -417,7 +632,7 @@ class Daemon:
             version=version("swarmd"),
             kernels=describe_kernels(),
             platform=settings.platform,
-            labels=settings.labels,
+            labels=self._robot.labels,
             layers={name: values for name, values in layers.items() if values},
             touch=settings.touch_zones,
             accepts=settings.accepts,
@@ -425,6 +640,7 @@ class Daemon:
             generation=self._robot.generation,
             latches=self._robot.latches,
             cleared=self._robot.cleared,
+            goals=self._robot.goals,
         )
 
 

@@ -10,6 +10,21 @@ from swarmd.settings.driver_options import BaseOptions, base_options, effective_
 from swarmd.settings.settings import DaemonSettings
 
 
+def make_bare_driver(settings: DaemonSettings) -> Driver:
+    """The driver that the settings name, not yet connected, without a watchdog.
+
+    Raises SwarmError if the driver or its options are wrong.
+    """
+    common = BaseOptions.__struct_fields__
+    driver: Driver = load_driver(settings.driver)(
+        swarm=settings.network.swarm,
+        robot=settings.id,
+        platform=settings.platform,
+        options={k: v for k, v in settings.driver_options.items() if k not in common},
+    )
+    return driver
+
+
 def make_driver(settings: DaemonSettings) -> Driver:
     """The daemon's driver, not yet connected, watched as its options say.
 
@@ -17,14 +32,7 @@ def make_driver(settings: DaemonSettings) -> Driver:
     """
     name = settings.driver
     base = base_options(settings.driver_options, f"driver {name}")
-    common = BaseOptions.__struct_fields__
-    factory = load_driver(name)
-    driver: Driver = factory(
-        swarm=settings.network.swarm,
-        robot=settings.id,
-        platform=settings.platform,
-        options={k: v for k, v in settings.driver_options.items() if k not in common},
-    )
+    driver = make_bare_driver(settings)
     if effective_command_timeout(base, driver) != "none":
         return driver
     if base.idle_output == "silent":

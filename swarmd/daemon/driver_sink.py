@@ -9,6 +9,7 @@ from swarmd.core.codec import decode_value
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose
+from swarmd.daemon.neighbor_selection import NeighborSelection
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 
@@ -18,12 +19,19 @@ MAX_KIND_LENGTH = 64
 class DriverSink:
     """The driver's sink. `carry_out` is called with the actions that follow from an input.
 
-    `has_neighbors`: the driver measures neighbors itself. `dropped`: unreadable inputs by kind.
+    `neighborhood` marks which of the sensed robots are in reach. `has_neighbors`: the driver senses
+    robots itself. `dropped`: unreadable inputs by kind.
     """
 
-    def __init__(self, robot: Robot, carry_out: Callable[[Actions], None]) -> None:
+    def __init__(
+        self,
+        robot: Robot,
+        carry_out: Callable[[Actions], None],
+        neighborhood: NeighborSelection,
+    ) -> None:
         self._robot = robot
         self._carry_out = carry_out
+        self._neighborhood = neighborhood
         self.has_neighbors = False
         self.drops: dict[str, int] = {}
 
@@ -36,12 +44,14 @@ class DriverSink:
         self._robot.on_odometry(odometry, boottime())
 
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        """The robots within communication range, as the driver measures them."""
+        """The robots that the driver senses, or whose messages it can receive."""
         self.has_neighbors = True
-        self._robot.on_neighbors(neighbors, boottime())
+        now = boottime()
+        self._robot.on_neighbors(self._neighborhood.select(neighbors, now), now)
 
     def pose(self, pose: SharedPose) -> None:
         """The robot's own pose in a frame that robots share."""
+        self._neighborhood.on_pose(pose)
         self._robot.on_pose(pose, boottime())
 
     def readings(self, values: Mapping[str, float]) -> None:

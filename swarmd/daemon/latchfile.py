@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import logging
-import os
 from pathlib import Path
 
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
-from swarmd.core.files import sync_folder
+from swarmd.core.files import write_fault, write_whole
 from swarmd.core.messages import Latch
 from swarmd.robot.latches import LatchRecord
 
@@ -16,12 +15,17 @@ log = logging.getLogger(__name__)
 
 
 class LatchFile:
-    """The file `latches` in a robot's state folder."""
+    """The file `latches` in a robot's state folder.
+
+    `fault`: why what is latched now would be lost by a restart; empty if it would not.
+    """
 
     def __init__(self, folder: Path) -> None:
         self.path = folder / "latches"
         self._decode = Decoder(LatchRecord)
         self._written: LatchRecord | None = None
+        self._unwritten: LatchRecord | None = None
+        self.fault = ""
 
     def read(self) -> LatchRecord:
         """The record that was written last, else an empty one. An unreadable file latches."""
@@ -35,6 +39,16 @@ class LatchFile:
             latch = Latch(issuer="swarmd", scope="robots", reason=reason[:300])
             return LatchRecord(held={"unreadable": latch})
 
+    def check(self) -> bool:
+        """Write what could not be written before, else try the folder; True if `fault` changed."""
+        before = self.fault
+        if self._unwritten is not None:
+            self.write(self._unwritten)
+        else:
+            why = write_fault(self.path.parent)
+            self.fault = f"{self.path.parent} cannot be written ({why})" if why else ""
+        return self.fault != before
+
     def write(self, record: LatchRecord) -> bool:
         """Write the record and wait until it is on the disk; False, with a log line, if that fails.
 
@@ -42,17 +56,14 @@ class LatchFile:
         """
         if record == self._written:
             return True
-        temporary = self.path.with_suffix(".new")
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            with temporary.open("wb") as file:
-                file.write(encode(record))
-                file.flush()
-                os.fsync(file.fileno())
-            temporary.replace(self.path)
-            sync_folder(self.path.parent)  # without it the rename may be lost
+            write_whole(self.path, encode(record))
         except OSError as error:
-            log.error("%s cannot be written (%s): latched in memory only", self.path, error)
+            if not self.fault:
+                log.error("%s cannot be written (%s): latched in memory only", self.path, error)
+            self._unwritten = record
+            self.fault = f"{self.path.parent} cannot be written ({error.strerror})"
             return False
-        self._written = record
+        self._written, self._unwritten, self.fault = record, None, ""
         return True

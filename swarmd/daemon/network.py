@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import zenoh
 from msgspec.structs import replace
@@ -22,36 +23,49 @@ from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.errors import CodecError, IdHeldError, NetworkError
 from swarmd.core.messages import Body, Latch, Member, Presence, Reply
 from swarmd.core.values import PeerPlace, SharedPose
+from swarmd.daemon.datagram_guard import DatagramGuard
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import (
     ANY_SWARM,
     Ack,
     Address,
+    Beacon,
     Datagram,
+    Flag,
     Message,
+    RunLease,
     Stop,
     Swarm,
     is_for_any_swarm,
+    is_of_swarm,
     pack,
     tag_of,
     unpack,
 )
+from swarmd.network.goal_sync import FoundGoal
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.interface_watch import InterfaceChange, InterfaceWatch
+from swarmd.network.link_quality import LinkQuality
+from swarmd.network.link_watch import watch_links
 from swarmd.network.membership import MAX_MEMBERS
-from swarmd.network.peer import Effects, Peer, Summary
+from swarmd.network.peer import CheckGoal, Effects, Peer, Summary
 from swarmd.network.routed import RoutedCarrier
 from swarmd.network.session import default_listen, open_in_thread, open_session
 from swarmd.network.settings import Endpoint, NetworkSettings, parse_endpoint
+from swarmd.network.signature import Author
 from swarmd.network.udp import UdpCarrier
+from swarmd.security.identity import Identity, authority_of
+from swarmd.security.roster_change import is_revoked
 
 log = logging.getLogger(__name__)
 
 MAX_PORT_TRIES = 5
-MAX_ACK_TEXT = 300
+MAX_ACK_TEXT = 300  # bytes
 CLOSE_TIMEOUT = 1.0  # s
 CLAIM_WARNING = 5.0
 REOPEN_PERIOD = 1.0
+ANSWER_TIME = 0.1
+"""How long an answer has, in s, to be sent before the session closes; the asker repeats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,11 +82,19 @@ class NetworkHandlers:
     on_duplicate: Callable[[str | None], None]
     on_interface: Callable[[InterfaceChange], None]
     on_event: Callable[[str], None]
+    on_newer_roster: Callable[[str, Address, int], None]
     serve: Callable[[ZenohBus], None]
+    on_table: Callable[[str, bytes, Address], None] = lambda robot, digest, address: None
+    on_goal: Callable[[FoundGoal], None] = lambda found: None
+    on_run_lease: Callable[[RunLease], None] = lambda lease: None
+    check_goal: CheckGoal = lambda goal, now: True
 
 
 class Network:
-    """The network of the daemon `robot`; `instance` is that of this life of the daemon, in hex."""
+    """The network of the daemon `robot`; `instance` is that of this life of the daemon, in hex.
+
+    With an `identity` the swarm is secured; the file `stop_counters` then outlives the daemon.
+    """
 
     def __init__(
         self,
@@ -84,7 +106,10 @@ class Network:
         *,
         version: str,
         body: Body | None = None,
+        identity: Identity | None = None,
+        stop_counters: Path = Path("stops"),
     ) -> None:
+        self._identity = identity
         self._version = version
         self._body = body
         self._settings = settings
@@ -92,8 +117,19 @@ class Network:
         self._instance = bytes.fromhex(instance)
         self._handlers = handlers
         self._loop = asyncio.get_running_loop()
-        self._tag = tag_of(settings.profile, settings.swarm)
+        self._tag = tag_of(settings.profile, settings.swarm, authority_of(identity))
         self._drops = DropCounter()
+        self._guard: DatagramGuard | None = None
+        if identity is not None:
+            self._guard = DatagramGuard(
+                identity,
+                self._tag,
+                settings.lease_seconds,
+                stop_counters,
+                self._drops,
+                on_event=handlers.on_event,
+                on_newer_roster=handlers.on_newer_roster,
+            )
         self._lost = 0
         self._carrier: UdpCarrier | RoutedCarrier | None = None
         self._session: zenoh.Session | None = None
@@ -130,6 +166,36 @@ class Network:
         if self._peer is None:
             return ()
         return tuple(robot for robot, _ in self._peer.membership.alive_addresses())
+
+    def links(self) -> Iterator[tuple[str, LinkQuality, tuple[str, ...]]]:
+        """Each robot that is heard or was: how well, and by which ways its datagrams come."""
+        if self._peer is None:
+            return
+        now = boottime()
+        for robot in self._peer.membership.members(now):
+            quality = self._peer.links.quality(robot, now)
+            address = self._peer.membership.address(robot)
+            if quality is not None and address is not None:
+                yield robot, quality, self._ways_of(address, now)
+
+    def _ways_of(self, address: Address, now: float) -> tuple[str, ...]:
+        carrier = self._carrier
+        return carrier.ways.of(address, now) if isinstance(carrier, UdpCarrier) else ("routed",)
+
+    def heard(self) -> Iterator[tuple[str, str, float]]:
+        """Each robot that is alive: its host, and the share of its beacons that arrive here."""
+        if self._peer is None:
+            return
+        now = boottime()
+        for robot, address in self._peer.membership.alive_addresses():
+            quality = self._peer.links.quality(robot, now)
+            if quality is not None:
+                yield robot, address[0], 1.0 - quality.loss
+
+    @property
+    def roster(self) -> tuple[str, ...]:
+        """The robots that are expected."""
+        return self._roster
 
     @property
     def dropped(self) -> dict[str, int]:
@@ -173,6 +239,8 @@ class Network:
             now=boottime(),
             body=self._body,
             clock=clock_id(),
+            admission=None if self._guard is None else self._guard.admission,
+            check_goal=self._handlers.check_goal,
         )
         warn_at = boottime() + CLAIM_WARNING
         while not self._peer.owns_id:
@@ -198,6 +266,8 @@ class Network:
             return
         now = boottime()
         self._carry_out(peer.advance(now, self._handlers.summary()))
+        if self._guard is not None and self._guard.has_new_counters():
+            self._loop.run_in_executor(None, self._guard.write_counters)
         if peer.membership.ignored and not self._is_full:
             self._is_full = True
             self._handlers.on_event(
@@ -224,8 +294,14 @@ class Network:
             for body, address in self._peer.clock_queries(boottime()):
                 self._send(body, address)
 
-    def publish(self, name: str, payload: Callable[[], bytes]) -> None:
-        """Publish status, motion or scan to the viewers that subscribe to it."""
+    def ping(self, robots: Iterable[str]) -> None:
+        """Ask robots that are alive for an answer, which gives the round trips in `links`."""
+        if self._peer is not None:
+            for body, address in self._peer.pings(robots, boottime()):
+                self._send(body, address)
+
+    def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
+        """Publish status, motion, scan or log to those that subscribe to it."""
         if self.bus is not None and self.owns_id:
             self.bus.publish(name, payload)
 
@@ -255,12 +331,33 @@ class Network:
         if session is not None:
             _close(session)
 
+    def take_identity(self, identity: Identity) -> None:
+        """Speak as this identity from now on: with its roster, its keys and its certificate.
+
+        The network is opened again, after a moment in which answers under way are sent; not for an
+        identity that is no longer on the roster.
+        """
+        self._identity, self._roster = identity, identity.roster.robots
+        if self._guard is not None:
+            self._guard.take(identity)
+        if self._peer is not None:
+            self._peer.take_roster(self._roster)
+        self._is_stale = True
+        if self._reopening is None:
+            self._reopening = self._loop.create_task(self._reopen(ANSWER_TIME))
+            self._reopening.add_done_callback(self._on_reopened)
+
     # Datagrams
 
     def _on_datagram(self, payload: bytes, source: Address, by_group: bool) -> None:
         peer = self._peer
         if peer is None:
             return
+        now, author = boottime(), None
+        if self._guard is not None and is_of_swarm(self._tag, payload):
+            author = self._guard.author_of(payload, source, now)
+            if author is None:
+                return
         try:
             body = unpack(self._tag, payload)
         except CodecError:
@@ -268,35 +365,78 @@ class Network:
             return
         if body is None:
             return
-        is_any = is_for_any_swarm(payload)
-        now = boottime()
-        effects = peer.on_datagram(body, source, now, self._handlers.summary(), is_any=is_any)
+        effects = peer.on_datagram(
+            body,
+            source,
+            now,
+            self._handlers.summary(),
+            is_any=is_for_any_swarm(payload),
+            author=author,
+        )
         for stop, sender in effects.stops:
-            self._handlers.on_stop(stop, sender, partial(self._ack, stop, sender))
-        self._carry_out(effects)
+            # A copy counts as relayed by a robot: it renews no latch that was reset.
+            shown = replace(stop, hops=max(stop.hops, 1)) if effects.is_repeated else stop
+            self._handlers.on_stop(shown, sender, partial(self._ack, stop, sender, author))
+        if self._guard is not None:
+            self._note_flaws(self._guard, body, source, author, effects)
+        self._carry_out(effects, source, author)
 
-    def _carry_out(self, effects: Effects) -> None:
+    def _note_flaws(
+        self,
+        guard: DatagramGuard,
+        body: Datagram,
+        source: Address,
+        author: Author | None,
+        effects: Effects,
+    ) -> None:
+        """What follows in a secured swarm from a datagram that counts, or does not."""
+        now = boottime()
+        if effects.flaw is not None:
+            guard.count(effects.flaw, source, now)
+        is_member = isinstance(body, Beacon) and not body.flags & Flag.JOINING
+        if effects.flaw is None and is_member and self._carrier is not None:
+            self._carrier.confirm(source)
+        for stop, sender in effects.replayed:
+            ack = Ack(
+                id=stop.id, robot=self._robot, instance=self._instance, revision=0, code="refused"
+            )
+            refusal = guard.refusal(stop, sender, ack, now)
+            if refusal is not None:
+                self._send(refusal, sender, author)
+
+    def _carry_out(
+        self, effects: Effects, source: Address | None = None, author: Author | None = None
+    ) -> None:
+        """Carry out what follows; `source` and `author`: of the datagram from which it does."""
         for body, address in effects.sends:
-            self._send(body, address)
+            self._send(body, address, author if address == source else None)
         if self._carrier is not None:
             for address in effects.indirect_addresses:
                 self._carrier.recipients.on_mentioned(self._local(address), boottime())
         self._lost += effects.lost
         if effects.latches:
             self._handlers.on_latches(effects.latches)
+        for found in effects.goals:
+            self._handlers.on_goal(found)
+        for lease in effects.leases:
+            self._handlers.on_run_lease(lease)
+        for _ in range(effects.invalid_goals):
+            self._drops.add("goal:invalid")
         for message in effects.messages:
             self._handlers.on_message(message)
         for place in effects.places:
             self._handlers.on_place(place)
         for sample in effects.clocks:
             self._handlers.on_clock(sample)
+        for robot, digest, address in effects.tables:
+            self._handlers.on_table(robot, digest, self._local(address))
         if effects.duplicate:
             self._is_duplicate = True
             self._handlers.on_duplicate(f"instance {effects.duplicate}")
         if effects.changed:
             self._handlers.on_members()
 
-    def _ack(self, stop: Stop, source: Address, reply: Reply) -> None:
+    def _ack(self, stop: Stop, source: Address, author: Author | None, reply: Reply) -> None:
         """Send the robot's reply to the sender of the stop, if it is to have it now."""
         peer = self._peer
         if peer is None or not peer.owns_id or not peer.wants_ack(stop, source, boottime()):
@@ -308,15 +448,21 @@ class Network:
             revision=0 if reply.epoch is None else reply.epoch.revision,
             code=reply.code,
             refusal=reply.refusal,
-            text=reply.text[:MAX_ACK_TEXT],
+            text=reply.text.encode()[:MAX_ACK_TEXT].decode(errors="ignore"),
         )
-        self._send(ack, source)
+        if self._guard is not None:
+            ack = self._guard.proven(ack, stop)
+        self._send(ack, source, author)
 
-    def _send(self, body: Datagram, address: Address | None) -> None:
+    def _send(self, body: Datagram, address: Address | None, asker: Author | None = None) -> None:
+        """Send to all or to one; `asker`: the operator or viewer that it answers."""
         if self._carrier is None:
             return
+        is_any = isinstance(body, Swarm)
         try:
-            payload = pack(ANY_SWARM if isinstance(body, Swarm) else self._tag, body)
+            payload = pack(ANY_SWARM if is_any else self._tag, body)
+            if self._guard is not None and not is_any:
+                payload = self._guard.sign(payload, asker)
         except CodecError:
             self._drops.add("datagram:oversized")
             return
@@ -352,8 +498,9 @@ class Network:
         elif change.must_rejoin and self._carrier is not None:
             self._carrier.rejoin()
 
-    async def _reopen(self) -> None:
+    async def _reopen(self, delay: float = 0.0) -> None:
         """Close carrier and session, and open them again as soon as that is possible."""
+        await asyncio.sleep(delay)
         while self._is_stale:
             self._is_stale = False
             old = self._release()
@@ -361,6 +508,9 @@ class Network:
                 # A close that waits for a vanished operator must not delay the new session.
                 closing = self._loop.run_in_executor(None, _close, old)
                 await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT)
+            if self._identity is not None and is_revoked(self._identity):
+                log.error("no longer on the roster: the network stays closed")
+                return
             await self._open_again()
         self._serve()
         log.info("the network is open again")
@@ -395,12 +545,14 @@ class Network:
     async def _open(self) -> None:
         settings = self._settings
         if settings.profile == "routed":
-            session = await open_in_thread(partial(open_session, settings))
+            session = await open_in_thread(partial(open_session, settings, self._identity))
             self._carrier = RoutedCarrier(session, settings.swarm, self._robot)
         else:
             self._carrier, session = await self._open_udp()
         self._session = session
         self.bus = ZenohBus(session, swarm=settings.swarm, robot=self._robot, drops=self._drops)
+        if self._identity is not None and settings.profile != "routed":
+            watch_links(session, self._identity.roster, self._loop, self._handlers.on_event)
         self._carrier.attach(self._loop, self._on_datagram)
 
     async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
@@ -409,11 +561,13 @@ class Network:
         listen = settings.listen or (default_listen(settings),)
         first = parse_endpoint(listen[0])
         for trial in range(MAX_PORT_TRIES):
-            carrier = UdpCarrier(settings, self._tag, port=first.port)
+            carrier = UdpCarrier(
+                settings, self._tag, port=first.port, is_secured=self._guard is not None
+            )
             endpoint = f"{first.protocol}/{_host(first)}:{carrier.port}{first.suffix}"
             opening = replace(settings, listen=(endpoint, *listen[1:]))
             try:
-                return carrier, await open_in_thread(partial(open_session, opening))
+                return carrier, await open_in_thread(partial(open_session, opening, self._identity))
             except BaseException as error:
                 carrier.close()
                 is_retried = isinstance(error, NetworkError) and not first.port

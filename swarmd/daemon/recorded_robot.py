@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from swarmd.core.goal import Goal
 from swarmd.core.host_messages import HostEvent, Stepped
 from swarmd.core.messages import Body, Latch, Reason, Request, Status
 from swarmd.core.values import (
@@ -28,6 +29,7 @@ class RecordedRobot(Robot):
     def __init__(self, *args: Any, recorder: Recorder, **kwargs: Any) -> None:
         self._recorder = recorder
         self._logged_to = -1.0
+        self._provisional: tuple[int, ...] = ()
         super().__init__(*args, **kwargs)
 
     def on_scan(self, scan: Scan, now: float) -> Actions:
@@ -88,6 +90,7 @@ class RecordedRobot(Robot):
 
     def on_host(self, event: HostEvent, now: float) -> Actions:
         """An event of the pattern host arrived."""
+        self._record_provisional(now)
         if self._recorder.is_on:
             self._recorder.add(frames.HostEntry(now, frames.encode_host(event)))
             if isinstance(event, Stepped):
@@ -100,10 +103,30 @@ class RecordedRobot(Robot):
         self._recorder.text("/request", request, now)
         return self._decided("request", now, super().on_request(request, now))
 
+    def on_code_changed(self, now: float) -> Actions:
+        """The code of patterns was replaced or removed."""
+        self._recorder.text("/code_changed", None, now)
+        return self._decided("code", now, super().on_code_changed(now))
+
     def on_latches(self, latches: Mapping[str, Latch], now: float) -> Actions:
         """A peer holds latches."""
         self._recorder.text("/latches", latches, now)
         return self._decided("latches", now, super().on_latches(latches, now))
+
+    def on_goal(self, goal: Goal, age: float | None, now: float) -> Actions:
+        """A peer holds a goal."""
+        self._recorder.text("/goal", (goal, age), now)
+        return self._decided("goal", now, super().on_goal(goal, age, now))
+
+    def forget_goals(self, digests: tuple[str, ...], now: float) -> Actions:
+        """Goals whose issuers are not operators any more."""
+        self._recorder.text("/forget_goals", digests, now)
+        return self._decided("roster", now, super().forget_goals(digests, now))
+
+    def on_run_lease(self, goal: str, count: int, now: float) -> None:
+        """The operator of a goal is there."""
+        self._recorder.text("/run_lease", (goal, count), now)
+        super().on_run_lease(goal, count, now)
 
     def on_duplicate(self, holder: str | None, now: float) -> Actions:
         """Another instance has this id."""
@@ -115,11 +138,30 @@ class RecordedRobot(Robot):
         self._recorder.text("/network", text, now)
         return self._decided("network", now, super().on_network_changed(text, now))
 
+    def on_roster(self, text: str, now: float, *, is_revoked: bool) -> Actions:
+        """The daemon takes a roster."""
+        self._recorder.text("/roster", (text, is_revoked), now)
+        return self._decided("roster", now, super().on_roster(text, now, is_revoked=is_revoked))
+
     def tick(self, now: float) -> Actions:
         """Check all deadlines."""
+        self._record_provisional(now)
         actions = self._decided("tick", now, super().tick(now))
         self._recorder.flush_if_due(now)
         return actions
+
+    def _record_provisional(self, now: float) -> None:
+        """Record which of the patterns that run or load are provisional: their faults end runs."""
+        run, settings = self._run, self._lifecycle.identity.settings
+        current = tuple(
+            one.generation
+            for one in (run.running, run.loading)
+            if one is not None and settings.is_provisional(one.generation)
+        )
+        if current != self._provisional:
+            self._provisional = current
+            entry = frames.TextEntry(now, "/provisional", frames.as_json(current))
+            self._recorder.latest("provisional", entry)
 
     def _decided(self, cause: str, now: float, actions: Actions) -> Actions:
         recorder = self._recorder

@@ -12,7 +12,7 @@ from typing import Any
 
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.errors import CodecError, ConfigError, PluginError
+from swarmd.core.errors import ConfigError, PluginError
 from swarmd.core.messages import (
     Code,
     FetchQuery,
@@ -25,7 +25,8 @@ from swarmd.core.messages import (
     Reply,
 )
 from swarmd.daemon.recorder import Recorder
-from swarmd.network.bus import Query, ZenohBus
+from swarmd.daemon.threaded_answers import ThreadedAnswers
+from swarmd.network.bus import ZenohBus
 from swarmd.plugins import need
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import clock_of
@@ -52,10 +53,9 @@ class RecordingService:
         self._robot, self._section, self._head = robot, section, head
         self._folder = Path(section.folder or "recordings")
         self._on_event = on_event
-        self._loop = asyncio.get_running_loop()
-        self._drop = drop
-        self._tasks: set[asyncio.Task[None]] = set()
-        self.recorder = Recorder(self._loop, on_event)
+        loop = asyncio.get_running_loop()
+        self._answers = ThreadedAnswers(loop, drop)
+        self.recorder = Recorder(loop, on_event)
 
     @property
     def summary(self) -> RecordingSummary | None:
@@ -106,29 +106,12 @@ class RecordingService:
 
     def serve(self, bus: ZenohBus) -> None:
         """Answer which recordings there are, and hand out their bytes."""
-        bus.serve("control", "recordings", lambda query: self._later(query, self._list))
-        bus.serve("control", "fetch", lambda query: self._later(query, self._fetch))
+        self._answers.serve(bus, "recordings", self._list)
+        self._answers.serve(bus, "fetch", self._fetch)
 
     def close(self) -> None:
         """Finish the recording."""
         self.recorder.close()
-
-    def _later(self, query: Query, answer: Callable[[bytes], bytes]) -> None:
-        """Answer from a thread, since a disk may be slow."""
-
-        async def run() -> None:
-            try:
-                query.reply(await asyncio.to_thread(answer, query.payload))
-            except CodecError:
-                self._drop("control/fetch:malformed")
-                query.drop()
-
-        if len(self._tasks) >= 8:  # the asker repeats
-            query.drop()
-            return
-        task = self._loop.create_task(run())
-        self._tasks.add(task)
-        task.add_done_callback(self._tasks.discard)
 
     def _list(self, _: bytes) -> bytes:
         try:

@@ -22,11 +22,13 @@ from swarmd.core.messages import (
     Code,
     EstopRequest,
     ForgetRequest,
+    PushRequest,
     RecordRequest,
     Refusal,
     Reply,
     Request,
     RequestHeader,
+    RosterRequest,
     StopRequest,
 )
 from swarmd.daemon.audit import Audit, describe_request
@@ -50,6 +52,7 @@ class _Pending:
     request: AnyRequest
     answer: Callable[[Reply], None]
     source: Callable[[], str]
+    is_relayed: bool = False
 
 
 class RequestServer:
@@ -58,25 +61,33 @@ class RequestServer:
     An operator repeats a request until it has the reply. A repeat is not carried out again: it gets
     the reply of its id, now or once there is one. Only a stop or estop is carried out each time.
     Beyond MAX_PENDING requests without a reply further ones are dropped, never a stop or estop.
-    `on_audit` takes one line for each request that was answered: who, from where, what, result.
+    `audit` takes each request that was answered: operator, address, request, result.
     `forget` removes a member, and returns False if that is alive; `record` starts or stops a
-    recording.
+    recording; `roster` takes a roster and replies later; `push` takes a behaviour, and
+    returns None if its reply follows. If the swarm `is_secured`, the operator is the asker that the
+    link has proved, not the name in the request.
     """
 
     def __init__(
         self,
         robot: str,
         on_request: Callable[[Request], None],
-        on_audit: Callable[[str], None] = lambda line: None,
+        audit: Audit,
         *,
         forget: Callable[[str], bool],
         record: Callable[[RecordRequest], Reply],
+        roster: Callable[[RosterRequest, Callable[[Reply], None]], None],
+        push: Callable[[PushRequest], Reply | None],
+        is_secured: bool = False,
     ) -> None:
+        self._is_secured = is_secured
+        self._push = push
         self._robot = robot
         self._forget_member = forget
         self._record = record
+        self._take_roster = roster
         self._on_request = on_request
-        self._audit = Audit(on_audit)
+        self._audit = audit
         self._bus: ZenohBus | None = None
         self._pending: dict[str, _Pending] = {}
         self._replies: dict[str, Reply] = {}  # the last MAX_REPLIES, by request id
@@ -87,8 +98,11 @@ class RequestServer:
         for verb in verbs:
             bus.serve("control", verb, partial(self.handle, verb))
 
-    def reply(self, reply: Reply, *, is_stored: bool = True) -> None:
-        """Send a reply. `is_stored` False: the latches could not be written to disk."""
+    def reply(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:
+        """Send a reply. `is_stored` False: the latches could not be written to disk.
+
+        `is_audited` False: it is one of many parts of a request.
+        """
         pending = self._pending.pop(reply.id, None)
         if pending is None:
             return
@@ -97,10 +111,20 @@ class RequestServer:
             reply = msgspec.structs.replace(reply, text=text)
         is_repeat = self._keep(reply)
         pending.answer(reply)
-        if not is_repeat:
+        if is_audited and not is_repeat:
             request = pending.request
             what = describe_request(request)
-            self._audit.record(what, request.operator, pending.source(), reply, boottime())
+            count = None if request.targets is None else len(request.targets)
+            source = pending.source()
+            self._audit.record(
+                what,
+                request.operator,
+                source,
+                reply,
+                boottime(),
+                targets=count,
+                is_relayed=pending.is_relayed,
+            )
 
     def stop(self, stop: Stop, source: str, answer: Callable[[Reply], None]) -> None:
         """Carry out a stop or estop that came as a datagram, if it is for this robot.
@@ -127,7 +151,7 @@ class RequestServer:
                 reason=stop.reason,
                 is_relayed=stop.hops > 0,
             )
-        self._pending[stop.id] = _Pending(request, answer, lambda: source)
+        self._pending[stop.id] = _Pending(request, answer, lambda: source, is_relayed=stop.hops > 0)
         self._on_request(request)
 
     def handle(self, verb: str, query: Query) -> None:
@@ -139,6 +163,8 @@ class RequestServer:
                 self._bus.drop(f"control/{verb}:malformed")
             self._refuse_unread(query, str(error))
             return
+        if self._is_secured:
+            request = msgspec.structs.replace(request, operator=query.asker)
         is_for_this = request.targets is None or self._robot in request.targets
         is_pending = request.id in self._pending
         if not is_for_this or (not is_pending and len(self._pending) >= MAX_PENDING):
@@ -154,7 +180,14 @@ class RequestServer:
                 self._forget(request)
             elif isinstance(request, RecordRequest):
                 self.reply(self._record(request))
-            elif not is_pending:
+            elif is_pending:
+                return
+            elif isinstance(request, RosterRequest):
+                self._take_roster(request, self.reply)
+            elif isinstance(request, PushRequest):
+                if (answer := self._push(request)) is not None:
+                    self.reply(answer, is_audited=answer.code is not Code.APPLIED)
+            else:
                 self._on_request(request)
 
     def _keep(self, reply: Reply) -> bool:
@@ -174,7 +207,8 @@ class RequestServer:
         if not 0 < len(header.id) <= MAX_ID or self._robot not in (header.targets or ()):
             query.drop()
             return
-        verb, operator = header.verb[:MAX_ID], header.operator[:MAX_OPERATOR]
+        verb = header.verb[:MAX_ID]
+        operator = query.asker if self._is_secured else header.operator[:MAX_OPERATOR]
         version = codec.version_of(query.payload)
         refusal, text = Refusal.INVALID_REQUEST, f"{verb}: {text}"
         if version != codec.VERSION:
@@ -189,7 +223,8 @@ class RequestServer:
         )
         query.reply(encode(reply))
         if not self._keep(reply):
-            self._audit.record(verb, operator, query.source, reply, boottime())
+            count = len(header.targets or ())
+            self._audit.record(verb, operator, query.source, reply, boottime(), targets=count)
 
     def _forget(self, request: ForgetRequest) -> None:
         name = request.name

@@ -1,19 +1,28 @@
-"""Notifies systemd that the daemon is ready, alive or stopping (sd_notify)."""
+"""Notices of the daemon to systemd: ready, alive, stopping (sd_notify), and log levels."""
 
 from __future__ import annotations
 
+import logging
 import os
 import socket
+from collections.abc import Mapping
 from contextlib import suppress
+from typing import IO
+
+from swarmd.core.clock import TICK
+
+DECISION_TIMEOUT = 4 * TICK
+"""Seconds without a decision of protection after which systemd's watchdog is not fed."""
+_LEVELS = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR: 3}
 
 
 class Notifier:
-    """Writes to `$NOTIFY_SOCKET`, if that is set. `pings`: systemd's watchdog expects pings."""
+    """Writes to `$NOTIFY_SOCKET`, if that is set."""
 
     def __init__(self) -> None:
         address = os.environ.get("NOTIFY_SOCKET", "")
         self._address = "\0" + address[1:] if address.startswith("@") else address
-        self.pings = bool(os.environ.get("WATCHDOG_USEC"))
+        self._is_watched = bool(os.environ.get("WATCHDOG_USEC"))
 
     def __call__(self, message: str) -> None:
         """Send one line such as `READY=1`."""
@@ -22,6 +31,32 @@ class Notifier:
             with socket.socket(socket.AF_UNIX, kind) as notify, suppress(OSError):
                 notify.sendto(message.encode(), self._address)
 
+    def feed_watchdog(self, decided_at: float, now: float) -> None:
+        """Tell systemd's watchdog that protection decides, if it did so just now.
+
+        A loop that runs while protection does not decide is no living daemon. Times in s.
+        """
+        if self._is_watched and now - decided_at <= DECISION_TIMEOUT:
+            self("WATCHDOG=1")
+
     def status(self, text: str) -> None:
         """Send the line that `systemctl status` shows."""
         self(f"STATUS={' '.join(text.split())}")
+
+
+class JournalFormatter(logging.Formatter):
+    """Formats for the journal, which adds time and host itself: `<level>` before each line."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The lines of a record, each with its level (sd-daemon(3))."""
+        level = _LEVELS.get(record.levelno, 2)
+        return "\n".join(f"<{level}>{line}" for line in super().format(record).splitlines())
+
+
+def is_journal(stream: IO[str], environ: Mapping[str, str] = os.environ) -> bool:
+    """True if the stream leads to the journal: `$JOURNAL_STREAM` has its device and inode."""
+    try:
+        found = os.fstat(stream.fileno())
+    except (OSError, ValueError):  # closed, or no file
+        return False
+    return environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"

@@ -14,9 +14,9 @@ from typing import Annotated
 import numpy as np
 from msgspec import Meta, Struct
 
+from swarmd.core.bounds import Count, Metres, Name, Seconds, Speed, Word
 from swarmd.core.codec import MAX_MESSAGE, MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Count, Metres, Name, Seconds, Speed, Word
 from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, ScanSpec, SharedPose, Twist
 from swarmd.driver_api.driver import Sink
 

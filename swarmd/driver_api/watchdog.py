@@ -21,7 +21,7 @@ import select
 import signal
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from hashlib import sha256
 from importlib import import_module
 from typing import TYPE_CHECKING, NoReturn, cast
@@ -30,6 +30,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import DriverError, SwarmError
 
 if TYPE_CHECKING:
+    from swarmd.core.values import Value
     from swarmd.driver_api.driver import ZeroSender
 
 TICK_TIMEOUT = 0.4
@@ -145,7 +146,9 @@ class Watchdog:
         self._next = 0.0
         self._faults = 0
         self._is_asked = False
-        signal.signal(signal.SIGTERM, self._on_sigterm)
+        # systemd sends SIGABRT to each process of a service whose main process no longer feeds it.
+        for number in (signal.SIGTERM, signal.SIGABRT):
+            signal.signal(number, self._on_sigterm)
 
     def serve(self) -> None:
         """Run until done."""
@@ -276,10 +279,11 @@ def _pidfd(pid: int) -> int:
         raise DriverError(f"process {pid}, which the daemon is tied to, has ended") from error
 
 
-def _made(maker: str, options: str) -> ZeroSender:
+def made_zero_sender(maker: str, options: Mapping[str, Value]) -> ZeroSender:
+    """The sender of a `ZeroSenderSpec`, not connected yet."""
     module, _, attribute = maker.partition(":")
     make = cast("Callable[..., ZeroSender]", getattr(import_module(module), attribute))
-    return make(**json.loads(options))
+    return make(**options)
 
 
 def main() -> NoReturn:
@@ -307,7 +311,7 @@ def main() -> NoReturn:
 def _serve(args: argparse.Namespace) -> None:
     with socket.socket(fileno=args.fd) as daemon, contextlib.ExitStack() as left:
         try:
-            sender = _made(args.maker, args.options)
+            sender = made_zero_sender(args.maker, json.loads(args.options))
             sender.open()
             left.callback(sender.close)
             watchdog = Watchdog(daemon, sender, args.name, args.tie)

@@ -13,8 +13,8 @@ from typing import Annotated, TypeAlias
 
 from msgspec import Meta, Struct, field
 
+from swarmd.core.bounds import BoundedScalar
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.messages import BoundedScalar
 
 MAX_SECONDS = 1e7
 MAX_CONDITIONS = 16

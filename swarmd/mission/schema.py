@@ -16,9 +16,9 @@ from typing import Annotated, Any, Literal, TypeAlias
 import msgspec
 from msgspec import Meta, Struct
 
+from swarmd.core.bounds import BoundedScalar
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import is_id
-from swarmd.core.messages import BoundedScalar
 from swarmd.kit.conditions import Condition, Done, Report, Settled
 from swarmd.settings.layered import Fault, Keys, fault_at, read
 from swarmd.settings.yamlfile import key_lines, shown

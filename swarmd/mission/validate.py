@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 
 import msgspec
 
+from swarmd.core.bounds import BoundedScalar
 from swarmd.core.errors import SwarmError, unknown
-from swarmd.core.messages import BoundedScalar
 from swarmd.core.values import Inputs
 from swarmd.kit.behavior import Make, Pattern
 from swarmd.kit.combined import outer_name

@@ -23,7 +23,7 @@ import zenoh
 
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.errors import CodecError
-from swarmd.core.keys import ANY, build
+from swarmd.core.keys import ANY, CONTROL, SHARED, Key, build, parse
 from swarmd.core.messages import Member, MembersQuery, PeerView, Status
 from swarmd.network.inbound_queue import DropCounter, InboundQueue
 from swarmd.network.session import has_subscriber, undeclare
@@ -33,6 +33,8 @@ class Query(Protocol):
     """A question or request put to this robot, on its own key."""
 
     payload: bytes
+    asker: str
+    """The last chunk of its key; in a secured swarm the name that the link has proved."""
 
     @property
     def source(self) -> str:
@@ -51,11 +53,12 @@ _members_query = Decoder(MembersQuery)
 class ZenohQuery:
     """A `Query` of Zenoh that came on a session, answered on this robot's own key."""
 
-    __slots__ = ("_info", "_key", "_query", "_session", "payload")
+    __slots__ = ("_info", "_key", "_query", "_session", "asker", "payload")
 
     def __init__(
-        self, session: zenoh.Session, query: zenoh.Query, key: str, payload: bytes
+        self, session: zenoh.Session, query: zenoh.Query, key: str, asker: str, payload: bytes
     ) -> None:
+        self.asker = asker
         self._session = session
         self._query: zenoh.Query | None = query
         self._info = query.source_info
@@ -68,8 +71,10 @@ class ZenohQuery:
         asker = None if self._info is None else self._info.source_id.zid
         with suppress(zenoh.ZError):
             for link in self._session.info.links():
-                if link.zid == asker:
-                    return str(link.dst).partition("/")[2].partition("?")[0].partition("#")[0]
+                is_proved = link.auth_identifier is None or link.auth_identifier == self.asker
+                if link.zid == asker and is_proved:
+                    address = str(link.dst).partition("/")[2].partition("?")[0].partition("#")[0]
+                    return without_mapping(address)
         return "an unknown address"
 
     def reply(self, payload: bytes) -> None:
@@ -88,6 +93,14 @@ class ZenohQuery:
         query, self._query = self._query, None
         if query is not None:
             query.drop()
+
+
+def without_mapping(address: str) -> str:
+    """An address and port; an IPv4 address within IPv6, `[::ffff:10.0.0.7]:7440`, as IPv4."""
+    start, end = "[::ffff:", "]:"
+    if not address.startswith(start) or "." not in address:
+        return address
+    return address.removeprefix(start).replace(end, ":", 1)
 
 
 class ZenohBus:
@@ -112,7 +125,7 @@ class ZenohBus:
                 congestion_control=zenoh.CongestionControl.DROP,
                 express=True,
             )
-            for name in ("status", "motion", "scan")
+            for name in ("status", "motion", "scan", "log")
         }
         self._is_closed = False
 
@@ -120,23 +133,24 @@ class ZenohBus:
         """Count what could not be read, such as `control/run:malformed`."""
         self._drops.add(kind)
 
-    def publish(self, name: str, payload: Callable[[], bytes]) -> None:
+    def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
         """Publish `state/<name>` to the viewers that subscribe to it; without any it is not made.
 
-        `name`: status, motion or scan.
+        `name`: status, motion, scan or log. A `payload` of None: there is nothing to publish.
         """
         publisher = self._publishers[name]
         if self._is_closed or not has_subscriber(publisher):
             return
         try:
-            publisher.put(payload())
+            content = payload()
+            if content is not None:
+                publisher.put(content)
         except zenoh.ZError:
             self._drops.add(f"state/{name}:unsent")
 
     def serve(self, plane: str, name: str, handler: Callable[[Query], None]) -> None:
-        """Answer queries to this robot or to all."""
-        own = build(self.swarm, self.robot, plane, name)
-        accepted = frozenset({own, build(self.swarm, ANY, plane, name)})
+        """Answer queries to this robot or to all, of any asker that links let pass."""
+        asker = ANY if plane in (CONTROL, SHARED) else ""
         kind = f"{plane}/{name}"
         queue = InboundQueue(self._loop, self._drops, kind)
         self._queues.append(queue)
@@ -144,15 +158,20 @@ class ZenohBus:
         def on_query(query: zenoh.Query) -> None:
             if not queue.is_full():
                 payload = b"" if query.payload is None else query.payload
-                if str(query.key_expr) not in accepted:
+                key = parse(str(query.key_expr), is_query=True)
+                if key is None or not self._is_own(key, plane, name):
                     self._drops.add(f"{kind}:key")
                 elif len(payload) > MAX_CONTROL:
                     self._drops.add(f"{kind}:oversized")
-                elif queue.offer(handler, ZenohQuery(self._session, query, own, bytes(payload))):
-                    return
+                else:
+                    own = build(self.swarm, self.robot, plane, name, key.asker)
+                    asked = ZenohQuery(self._session, query, own, key.asker, bytes(payload))
+                    if queue.offer(handler, asked):
+                        return
             query.drop()
 
-        self._entities.append(self._session.declare_queryable(own, on_query))
+        everyone = build(self.swarm, self.robot, plane, name, asker)
+        self._entities.append(self._session.declare_queryable(everyone, on_query))
 
     def serve_view(
         self,
@@ -180,6 +199,10 @@ class ZenohBus:
         for queue in self._queues:
             queue.close()
         undeclare(*self._entities, *self._publishers.values())
+
+    def _is_own(self, key: Key, plane: str, name: str) -> bool:
+        asked = (key.swarm, key.plane, key.name)
+        return asked == (self.swarm, plane, name) and key.robot in (self.robot, ANY)
 
     def _is_excused(self, payload: bytes) -> bool:
         """True if the asker has this robot's answer already, or the query is malformed."""

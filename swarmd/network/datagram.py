@@ -7,10 +7,10 @@ what they do not know::
     offset  bytes
     0       4      magic b"SWMD"
     4       1      kind
-    5       8      tag of profile and swarm; zeros: any swarm
+    5       8      tag of profile, swarm and authority; zeros: any swarm
     13      2      length of the body, big endian
     15      n      body
-    15 + n  0..    room for a signature; ignored so far
+    15 + n  0..    the signature of a secured swarm (`signature.py`); ignored here
 
 Reading raises nothing but `CodecError`. The bounds of the fields also refuse NaN and infinity.
 """
@@ -20,15 +20,17 @@ from __future__ import annotations
 import hashlib
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from enum import IntEnum, IntFlag
 from typing import Annotated, Any, Literal
 
 import msgspec
 from msgspec import Meta, Struct
 
+from swarmd.core.bounds import Line, Name
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Body, Latch, Line, Name, Presence, State
+from swarmd.core.goal import MAX_GOAL
+from swarmd.core.messages import Body, Latch, Presence, State
 
 MAGIC = b"SWMD"
 TAG_BYTES = 8
@@ -37,6 +39,7 @@ Address = tuple[str, int]
 """Host and port; a link-local IPv6 host ends with `%` and the number of the interface."""
 # Fits one frame of WiFi and Ethernet with the heads of IPv6 and UDP.
 MAX_DATAGRAM = 1400
+MAX_TRAILER = 77  # bytes of it for the longest signature
 MAX_HOPS = 4  # a stop or a report travels at most this far from robot to robot
 _HEAD = struct.Struct(f">4sB{TAG_BYTES}sH")
 _MAX_MS = 2**40
@@ -72,6 +75,8 @@ class Kind(IntEnum):
     PLACE = 9
     CLOCK_QUERY = 10
     CLOCK_REPLY = 11
+    GOAL = 12
+    RUN_LEASE = 13
 
 
 class Flag(IntFlag):
@@ -139,10 +144,13 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
     """Shows that a robot is there: sent once a second, at each change, and when solicited.
 
     `sequence` rises with each beacon of an instance. `state` is an index in STATES; a later
-    version may send an unknown one. `revision` counts the changes of the robot. `latches` and
-    `goal` are digests, empty without any. `echo`: the number of the `Solicit` that it answers.
-    `wire` is the version of the requests that the daemon reads, `version` that of its package,
-    which only answers have. `body`: None from an older version.
+    version may send an unknown one. `revision` counts the changes of the robot. `latches`,
+    `goal` and `behaviours` are digests, empty without any. `echo`: the number of the `Solicit` that
+    it answers. `wire` is the version of the requests that the daemon reads, `version` that of its
+    package, which only answers have. `body`: None from an older version. `number` counts the
+    beacons to all, so that losses show; 0: this one was sent to one receiver. `said`: how many
+    messages of patterns it has sent, and `clock`: ms on its clock, that of `Place`; only answers
+    have them.
     """
 
     robot: RobotId
@@ -157,17 +165,25 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
     echo: Number = 0
     version: Annotated[str, Meta(max_length=32)] = ""
     body: BodyReport | None = None
+    number: Number = 0
+    said: Number = 0
+    clock: Milliseconds = 0
+    behaviours: Digest = b""
 
 
 class Solicit(_Datagram, frozen=True, kw_only=True):
-    """Asks robots to answer at once: a beacon, and member lists and latches as wanted.
+    """Asks robots to answer at once: a beacon, and member lists, latches and the goal as wanted.
 
-    `echo` is repeated in the answer, so that the asker knows the round trip.
+    `echo` is repeated in the answer, so that the asker knows the round trip, and in a secured swarm
+    that the robot lives now. `robot`: only this one is asked, which answers also while it claims
+    its id.
     """
 
     echo: Number
     wants_members: bool = False
     wants_latches: bool = False
+    wants_goal: bool = False
+    robot: RobotId | None = None
 
 
 class MemberReport(_Datagram, frozen=True, kw_only=True):
@@ -206,7 +222,8 @@ class Stop(_Datagram, frozen=True, kw_only=True):
 
     `targets` None: every robot. `scope` swarm: the latch spreads to robots that join. `age`: ms
     since the operator issued it, summed hop by hop without clocks and without the time on the way.
-    `hops`: how often it was relayed.
+    `hops`: how often it was relayed. `origin` and `counter`: of the operator's installation and its
+    stop (`stop_freshness.py`); only in a secured swarm.
     """
 
     id: Name
@@ -217,12 +234,15 @@ class Stop(_Datagram, frozen=True, kw_only=True):
     reason: Reason = ""
     age: Milliseconds = 0
     hops: Hops = 0
+    origin: Annotated[bytes, Meta(max_length=4)] = b""
+    counter: Number = 0
 
 
 class Ack(_Datagram, frozen=True, kw_only=True):
     """A robot's answer to a stop or estop, or such an answer handed on by another robot (`via`).
 
     `code` and `refusal` are values of `Code` and `Refusal`; a later version may send others.
+    `proof`: by which the operator knows that this robot made it (`signature.py`).
     """
 
     id: Name
@@ -233,6 +253,7 @@ class Ack(_Datagram, frozen=True, kw_only=True):
     refusal: Annotated[str, Meta(max_length=64)] | None = None
     text: Line = ""
     via: Annotated[str, Meta(max_length=63)] = ""
+    proof: Annotated[bytes, Meta(max_length=8)] = b""
 
 
 class Latches(_Datagram, frozen=True, kw_only=True):
@@ -242,6 +263,32 @@ class Latches(_Datagram, frozen=True, kw_only=True):
     instance: Bytes6
     digest: Digest
     held: Annotated[dict[Name, Latch], Meta(max_length=33)]
+
+
+class GoalReport(_Datagram, frozen=True, kw_only=True):
+    """The answer to a `Solicit` with `wants_goal` and this `echo`: the goal that a robot holds.
+
+    `goal`: its bytes, see core/goal.py. `age`: ms since it was set, summed hop by hop without
+    clocks; None if the robot does not know it.
+    """
+
+    robot: RobotId
+    instance: Bytes6
+    echo: Number
+    goal: Annotated[bytes, Meta(max_length=MAX_GOAL)]
+    age: Milliseconds | None
+
+
+class RunLease(_Datagram, frozen=True, kw_only=True):
+    """Shows that the operator of a run is there; sent at least each third of the goal's lease.
+
+    `id`: of the goal. `count` rises with each: a robot ignores a count that is not greater than the
+    last, so that an old one cannot keep a run going.
+    """
+
+    id: Name
+    operator: Short
+    count: Number
 
 
 class Message(_Datagram, frozen=True, kw_only=True):
@@ -309,6 +356,8 @@ Datagram = (
     | Place
     | ClockQuery
     | ClockReply
+    | GoalReport
+    | RunLease
 )
 _TYPES: dict[int, type[_Datagram]] = {
     Kind.BEACON: Beacon,
@@ -322,15 +371,21 @@ _TYPES: dict[int, type[_Datagram]] = {
     Kind.PLACE: Place,
     Kind.CLOCK_QUERY: ClockQuery,
     Kind.CLOCK_REPLY: ClockReply,
+    Kind.GOAL: GoalReport,
+    Kind.RUN_LEASE: RunLease,
 }
 _KINDS = {kind: number for number, kind in _TYPES.items()}
 _encoder = msgspec.msgpack.Encoder()
 _DECODERS = {number: msgspec.msgpack.Decoder[Any](kind) for number, kind in _TYPES.items()}
 
 
-def tag_of(profile: str, swarm: str) -> bytes:
-    """The tag of a swarm: two profiles, or two swarms, do not meet."""
-    return hashlib.blake2b(f"{profile}/{swarm}".encode(), digest_size=TAG_BYTES).digest()
+def tag_of(profile: str, swarm: str, authority: bytes = b"") -> bytes:
+    """The tag of a swarm: two profiles, swarms or authorities do not meet.
+
+    `authority`: the public key of a secured swarm; empty: insecure.
+    """
+    content = f"{profile}/{swarm}".encode() + (b"/" + authority if authority else b"")
+    return hashlib.blake2b(content, digest_size=TAG_BYTES).digest()
 
 
 def pack(tag: bytes, body: Datagram) -> bytes:
@@ -362,9 +417,31 @@ def unpack(tag: bytes, payload: bytes) -> Datagram | None:
     return body
 
 
+def length_without_trailer(payload: bytes) -> int:
+    """The length of head and body. Raises CodecError if the datagram is cut short."""
+    if len(payload) < _HEAD.size:
+        raise CodecError("a datagram that is cut short")
+    length: int = _HEAD.size + _HEAD.unpack_from(payload)[3]
+    if length > len(payload):
+        raise CodecError("a datagram that is cut short")
+    return length
+
+
+def is_of_swarm(tag: bytes, payload: bytes) -> bool:
+    """True if a datagram has the tag of this swarm."""
+    return payload[5 : 5 + TAG_BYTES] == tag
+
+
 def is_for_any_swarm(payload: bytes) -> bool:
     """True if the tag of a valid datagram is that of any swarm."""
     return payload[5 : 5 + TAG_BYTES] == ANY_SWARM
+
+
+def only_names(word: MemberList, names: Collection[str]) -> MemberList:
+    """A member list without robots that are not among `names`."""
+    members = tuple(one for one in word.members if one.robot in names)
+    roster = tuple(name for name in word.roster if name in names)
+    return msgspec.structs.replace(word, members=members, roster=roster)
 
 
 def in_parts(
@@ -388,4 +465,6 @@ def in_parts(
     return [(tuple(some), tuple(names)) for some, names in parts[:256]]
 
 
-_ROOM = MAX_DATAGRAM - _HEAD.size - 110  # beside the sender's name, instance and numbers
+_ROOM = (
+    MAX_DATAGRAM - MAX_TRAILER - _HEAD.size - 110
+)  # beside the sender's name, instance and numbers

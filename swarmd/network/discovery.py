@@ -9,26 +9,17 @@ Until then it goes on for a time that follows from the measured round trip and l
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Iterable, Mapping
-from enum import StrEnum
-from typing import Annotated
+from collections.abc import Iterable, Iterator, Mapping
 
-from msgspec import Meta, Struct
+from msgspec import Struct
 
 from swarmd.core import codec
+from swarmd.core.goal import generation_of
 from swarmd.core.keys import is_id
-from swarmd.core.messages import (
-    Epoch,
-    Latch,
-    Member,
-    PeerView,
-    Presence,
-    Status,
-    StatusHeader,
-    Word,
-)
+from swarmd.core.messages import Epoch, Member, PeerView, Presence, Status, StatusHeader
 from swarmd.network import datagram
 from swarmd.network.datagram import PRESENCES, STATES, Address, Beacon, Flag
+from swarmd.network.members_view import Contact, MembersView, SeenMember
 
 # Without two views that agree, this long must pass without news, in s; or two round trips.
 QUIET_TIME = 0.1
@@ -48,6 +39,7 @@ LISTS_PERIOD, LIST_REPEAT_PERIOD = 2.0, 0.25
 # How long a look waits, in s, and in round trips.
 FIRST_ROBOT_TIMEOUT, DEV_WAIT = 3.0, 1.0  # nobody is heard; on loopback
 ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # since the last robot was found that is heard directly
+SECURED_WAIT = 1.5  # times that with keys: a link is signed and verified by both ends
 UNREACHABLE_WAIT, UNREACHABLE_TRIPS = 2.0, 6.0  # one that is alive by the word of others
 GONE_WAIT, GONE_TRIPS = 0.5, 4.0  # one that failed, or is on a roster and was not seen
 LOSS_WAIT = 15.0  # times the share of solicits without an answer: TCP repeats after 1, 3 and 7 s
@@ -57,95 +49,6 @@ LOOK_CAP, MAX_ROUND_TRIP, FEW_ROBOTS = 45.0, 5.0, 8
 # A robot that is found later than this in a look, in s, prolongs it only if another robot knows it
 # or it answered.
 PROLONGING_TIME = 3.0
-
-
-class Contact(StrEnum):
-    """How far an operator reached a member."""
-
-    ANSWERED = "answered"
-    NO_ANSWER = "no answer"  # heard, but without a status
-    OTHER_VERSION = "other version"  # heard; its beacon has the state
-    UNREACHABLE = "unreachable"  # alive by the word of another robot
-    GONE = "gone"  # it failed or left
-
-
-class SeenMember(Member, frozen=True, kw_only=True):
-    """A member as one operator sees it.
-
-    `age`: seconds since the figures were sent, or since it was heard last, or failed or left.
-    `by`: the robot by whose word it is known, if it was not heard here. `state` is that of its
-    beacon, `wire` the version of its requests, `header` what is read of another version's status.
-    `epoch`: of its status, else of its newest beacon.
-    """
-
-    contact: Contact = Contact.ANSWERED
-    by: Annotated[str, Meta(max_length=63)] = ""
-    state: Word = ""
-    wire: int | None = None
-    version: Word = ""
-    header: StatusHeader | None = None
-    epoch: Epoch | None = None
-
-
-class MembersView(Struct, frozen=True):
-    """The swarm as one operator sees it.
-
-    `members`: all robots by id. `answered`: those that answered for themselves, in this version
-    with a status. `absent` robots are on the roster and nowhere else. `duplicates`: ids that
-    several instances hold, with those instances. `round_trip` in s, the longest; `loss` the largest
-    share of solicits that a robot left unanswered. `seconds`: how long the look took.
-    """
-
-    members: Mapping[str, SeenMember]
-    answered: frozenset[str] = frozenset()
-    roster: frozenset[str] = frozenset()
-    duplicates: Mapping[str, tuple[str, ...]] = {}
-    round_trip: float = 0.0
-    loss: float = 0.0
-    seconds: float = 0.0
-
-    @property
-    def alive(self) -> tuple[str, ...]:
-        """The names of the robots that are alive."""
-        members = self.members.items()
-        return tuple(name for name, one in members if one.presence is Presence.ALIVE)
-
-    @property
-    def absent(self) -> tuple[str, ...]:
-        """The names on the roster that no robot mentions."""
-        return tuple(sorted(self.roster - self.members.keys()))
-
-    @property
-    def expected(self) -> frozenset[str]:
-        """The robots that must answer: the roster, and all that did not leave in order."""
-        members = self.members.items()
-        there = {name for name, one in members if one.presence is not Presence.LEFT}
-        return frozenset(there | self.roster)
-
-    @property
-    def missing(self) -> tuple[str, ...]:
-        """The expected robots that did not answer."""
-        return tuple(sorted(self.expected - self.answered))
-
-    def is_in_reach(self, name: str) -> bool:
-        """True if this operator hears the robot, or has its answer."""
-        member = self.members.get(name)
-        return member is not None and member.contact not in (Contact.UNREACHABLE, Contact.GONE)
-
-    def of_other_version(self) -> tuple[str, ...]:
-        """The robots that speak another version."""
-        members = self.members.items()
-        return tuple(name for name, one in members if one.contact is Contact.OTHER_VERSION)
-
-    def epochs(self, names: Iterable[str]) -> dict[str, Epoch | None]:
-        """The epoch seen of each robot, to quote in a request; None if it was not heard."""
-        members = ((name, self.members.get(name)) for name in names)
-        return {name: one.epoch if one else None for name, one in members}
-
-    def latches(self, names: Iterable[str]) -> dict[str, Latch]:
-        """The emergency stops that these robots hold, by id."""
-        statuses = [self.members[name].status for name in names if name in self.members]
-        return {key: latch for one in statuses if one for key, latch in one.latches.items()}
 
 
 class _DirectMember(Struct):
@@ -201,7 +104,8 @@ class Discovery:
 
     `first_robot_timeout`: how long to wait for a first robot, in s. `earlier`: the result of an
     earlier look: its robots stay expected, and count as failed until they are heard again.
-    `is_local`: all robots are on this machine, by the loopback interface. `needs_status`: only a
+    `is_local`: all robots are on this machine, by the loopback interface. `is_secured`: links take
+    longer to open. `needs_status`: only a
     status is an answer; else also a beacon that echoes a solicit, with a whole member list.
     """
 
@@ -213,10 +117,12 @@ class Discovery:
         first_robot_timeout: float = FIRST_ROBOT_TIMEOUT,
         earlier: MembersView | None = None,
         is_local: bool = False,
+        is_secured: bool = False,
         needs_status: bool = True,
     ) -> None:
         self.started = now
         self._is_local = is_local
+        self._answer_wait = ANSWER_WAIT * (SECURED_WAIT if is_secured else 1.0)
         self._needs_status = needs_status
         self._nobody_wait = first_robot_timeout
         self.found_at = now  # when the last robot was found
@@ -540,7 +446,7 @@ class Discovery:
             since = self._mentioned.get(robot, self.started)
             best = self._best(robot)
             if self._is_heard(robot, now):
-                wait = max(ANSWER_WAIT, ANSWER_TRIPS * trip) + LOSS_WAIT * self._loss(now)
+                wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * self._loss(now)
                 since = max(since, found_at)
             elif best is not None and best.presence is Presence.ALIVE:
                 wait = UNREACHABLE_WAIT + UNREACHABLE_TRIPS * trip
@@ -589,7 +495,18 @@ class Discovery:
             round_trip=self.round_trip,
             loss=self._loss(now),
             seconds=now - self.started,
+            goal_generation=max(self._generations(), default=0),
         )
+
+    def _generations(self) -> Iterator[int]:
+        """Those of the goals that robots show in beacons and in statuses."""
+        for instances in self._heard.values():
+            yield from (generation_of(one.beacon.goal) for one in instances.values())
+        for answers in self._answers.values():
+            for answer in answers.values():
+                goal = answer.status.goal if isinstance(answer.status, Status) else None
+                if goal is not None and goal.held is not None:
+                    yield goal.held.goal.generation
 
     def _member(self, robot: str, now: float) -> SeenMember | None:
         answer = self._answer_of(robot)

@@ -14,7 +14,7 @@ Times are in s on the caller's monotonic clock.
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 
 from msgspec.structs import replace
@@ -197,6 +197,12 @@ class Membership:
         del self._records[robot]
         return True
 
+    def keep_only(self, robots: Collection[str]) -> None:
+        """Remove all other robots, alive or not: they are no longer on the roster."""
+        for known in (self._records, self._indirect):
+            for robot in known.keys() - set(robots):
+                del known[robot]
+
     def member(self, robot: str, now: float) -> Member | None:
         """One member, or None if it was never heard or is forgotten."""
         record = self._records.get(robot)
@@ -240,6 +246,17 @@ class Membership:
         """The address at which others hear a robot that is not heard here."""
         indirect = self._indirect.get(robot)
         return None if indirect is None else (indirect.heard.host, indirect.heard.port)
+
+    def is_present(self, robot: str, instance: bytes) -> bool:
+        """True if this instance is shown as alive."""
+        record = self._records.get(robot)
+        return record is not None and record.shown == (instance, Presence.ALIVE)
+
+    def latches_of(self, robot: str, instance: bytes) -> bytes | None:
+        """The digest of latches in the newest beacon of an instance that is alive."""
+        if not self.is_present(robot, instance):
+            return None
+        return self._records[robot].instances[instance].beacon.latches
 
     def is_established(self, robot: str) -> bool:
         """True if the robot was heard here for longer than a stranger."""

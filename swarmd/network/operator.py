@@ -20,14 +20,17 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from functools import partial
 from typing import TYPE_CHECKING, Any, Literal, Protocol, Self, TypeVar
+
+from msgspec.structs import replace
 
 from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode, version_of
-from swarmd.core.errors import CodecError, NetworkError
-from swarmd.core.keys import ANY, build, parse
+from swarmd.core.errors import CodecError, ConfigError, NetworkError
+from swarmd.core.keys import ANY, ANYONE, CONTROL, build, parse
 from swarmd.core.messages import (
     AnyRequest,
     Code,
@@ -39,6 +42,7 @@ from swarmd.core.messages import (
     ReplyHeader,
     StatusHeader,
 )
+from swarmd.network.access import may_ask
 from swarmd.network.datagram import (
     ANY_SWARM,
     Ack,
@@ -54,13 +58,20 @@ from swarmd.network.datagram import (
     tag_of,
     unpack,
 )
-from swarmd.network.discovery import DEV_WAIT, FIRST_ROBOT_TIMEOUT, Discovery, MembersView
+from swarmd.network.discovery import DEV_WAIT, FIRST_ROBOT_TIMEOUT, Discovery
+from swarmd.network.members_view import MembersView
 from swarmd.network.outcome import Acks, Outcome
+from swarmd.network.query_links import QueryLinks
+from swarmd.network.repeat_timer import RepeatTimer
+from swarmd.network.roster_follower import CLOSING, RosterFollower
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.stop_request import PendingStop, Select
+from swarmd.network.stop_request import PendingStop, Renew, Select
+from swarmd.security.identity import Identity, authority_of
 
 if TYPE_CHECKING:
     import zenoh
+
+    from swarmd.network.answers import Answers
 
 # (until, period) in s since the start: often at first, then sparing the network.
 SOLICIT_PACE = ((0.5, 0.1), (float("inf"), 0.5))
@@ -89,12 +100,11 @@ PROGRESS_PERIOD = 3.0
 # What a request may hold, in characters, and in bytes where it must fit a datagram.
 MAX_OPERATOR, MAX_OPERATOR_BYTES = 128, 256
 MAX_REASON, MAX_REASON_BYTES = 256, 512
-CLOSING = "swarmd-closing"
-"""The name of the threads that close sessions."""
 COMMANDING, LOOKING = "swarmd-commanding", "swarmd-looking"
 """The names of the daemon threads that carry commands of a view out, and that look for it."""
 
 R = TypeVar("R", bound=AnyRequest)
+D = TypeVar("D")
 
 StopVerb = Literal["stop", "estop"]
 
@@ -111,6 +121,9 @@ class Carrier(Protocol):
 
     def send_to(self, payload: bytes, address: Address) -> None:
         """Send to one address."""
+
+    def confirm(self, source: Address) -> None:
+        """The last beacon from this source counts, in a secured swarm."""
 
     def start_thread(self, on_datagram: OnDatagram) -> None:
         """Hand what arrives to `on_datagram`."""
@@ -140,37 +153,52 @@ def _sendable(text: str, length: int, room: int) -> str:
 class Operator:
     """An operator in a swarm; a context manager.
 
-    `settings` are those of the swarm. `roster` names robots that are expected even if no daemon
-    has seen them. Raises NetworkError in one line if the network cannot be used.
+    `settings` are those of the swarm. With an `identity` the swarm is secured, and the operator's
+    name is that of the identity. `roster` names robots that are expected even if no daemon
+    has seen them. `takes_rosters` False: it stays with the identity's roster. Raises
+    NetworkError in one line if the network cannot be used.
     """
 
     def __init__(
         self,
         settings: NetworkSettings,
         *,
+        identity: Identity | None = None,
         name: str | None = None,
         roster: Iterable[str] = (),
         carrier: Carrier | None = None,
+        takes_rosters: bool = True,
     ) -> None:
         settings.check()
         self.settings = settings
-        whole = name or operator_name()
+        self.identity = identity
+        whole = name or operator_name() if identity is None else identity.name
         self.name = _sendable(whole, MAX_OPERATOR, MAX_OPERATOR_BYTES)
+        self._asker = ANYONE if identity is None else identity.name
         self._roster = frozenset(roster)
-        self._tag = tag_of(settings.profile, settings.swarm)
+        if identity is not None:
+            self._roster |= frozenset(identity.roster.robots)
+        self._tag = tag_of(settings.profile, settings.swarm, authority_of(identity))
         self._news = threading.Condition()
         self._version = 0
         self._discovery: Discovery | None = None
         self._looked = MembersView({})
         self._stop: PendingStop | None = None
         self._swarms: set[str] = set()
-        self._echo = int.from_bytes(os.urandom(4), "big")
+        self._echo = int.from_bytes(os.urandom(6), "big")
+        self._rosters = RosterFollower(self, is_on=takes_rosters)
+        self._answers: Answers | None = None  # in a secured swarm
+        if identity is not None:
+            from swarmd.network.answers import Answers
+
+            self._answers = Answers(identity, settings.lease_seconds, self._rosters.on_shown)
         self._sessions: list[zenoh.Session] = []
         self._dial_at = 0.0
         self._wanted_at: float | None = None
         self._dialled: dict[tuple[str, str], tuple[Address, float]] = {}
         self._watched: dict[tuple[str, str], Callable[[str, bytes], object]] = {}
         self._subscribers: dict[tuple[str, str], list[zenoh.Subscriber[None]]] = {}
+        self._listeners: dict[type, Callable[[Any, float], object]] = {}
         self._carrier = carrier or self._open_carrier()
         self._carrier.start_thread(self._on_datagram)
 
@@ -189,6 +217,50 @@ class Operator:
         for thread in closing:
             thread.join(max(0.0, deadline - boottime()))
 
+    def trust_notes(self) -> tuple[str, ...]:
+        """Lines about robots whose keys do not fit those of this identity; for an answer."""
+        with self._news:
+            if self._answers is None:
+                return ()
+            notes = list(self._unproven(self._answers.unproven))
+            for robot, (host, _) in sorted(self._answers.outdated.items()):
+                notes.append(f"{robot} at {host} seems to have an older roster, and is not counted")
+            if self._rosters.shown is not None:
+                robot, (host, _), generation = self._rosters.shown
+                notes.append(f"{robot} at {host} seems to have a newer roster, {generation}")
+            return tuple(notes)
+
+    @property
+    def notices(self) -> list[str]:
+        """Lines about rosters that were taken, or could not be, for the user."""
+        return self._rosters.notices
+
+    @property
+    def outdated(self) -> Mapping[str, Address]:
+        """The robots that were heard with an older roster than that of the identity, not proven."""
+        with self._news:
+            return {} if self._answers is None else dict(self._answers.outdated)
+
+    def update_roster(self) -> bool:
+        """Take the newer roster that a robot has shown, if any; True if it was taken.
+
+        `notices` gets a line. Raises NetworkError if the own name is no longer on it.
+        """
+        before = self.identity
+        self._rosters.update()
+        return self.identity is not before
+
+    def take_identity(self, identity: Identity) -> None:
+        """Ask with this identity from the next look on: with its keys, on links of its own."""
+        from swarmd.network.answers import Answers
+
+        answers = Answers(identity, self.settings.lease_seconds, self._rosters.on_shown)
+        with self._news:
+            self.identity, self._answers, self._rosters.shown = identity, answers, None
+            self._roster |= frozenset(identity.roster.robots)
+            self._dialled.clear()
+        self._close_sessions()
+
     def expect(self, names: Iterable[str]) -> None:
         """Expect these robots as well, as if they were on the roster."""
         self._roster |= frozenset(names)
@@ -199,8 +271,15 @@ class Operator:
         """The members, once all that are expected have answered.
 
         Else after `timeout` s, or after a time that follows from the round trip. Without
-        `needs_status` a datagram is answer enough: its beacon has the epoch for a request.
+        `needs_status` a datagram is answer enough: its beacon has the epoch for a request. If
+        robots are missing that may have a newer roster, it is taken, and the look repeated.
         """
+        view = self._look(timeout, needs_status=needs_status)
+        if view.missing and self.update_roster():
+            view = self._look(timeout, needs_status=needs_status)
+        return view
+
+    def _look(self, timeout: float | None, *, needs_status: bool) -> MembersView:
         now = boottime()
         discovery = self._new_discovery(now, needs_status=needs_status)
         solicit, poll = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
@@ -239,6 +318,18 @@ class Operator:
         with self._news:
             return frozenset() if self._discovery is None else self._discovery.links(boottime())
 
+    def ways(self, robot: str) -> tuple[str, ...]:
+        """By which ways beacons of a robot came lately; empty without any, and by routers."""
+        from swarmd.network.udp import UdpCarrier
+
+        now = boottime()
+        with self._news:
+            found = {} if self._discovery is None else self._discovery.to_dial(now)
+            addresses = [address for (name, _), address in found.items() if name == robot]
+        if not isinstance(self._carrier, UdpCarrier):
+            return ()
+        return tuple(way for one in addresses[:1] for way in self._carrier.ways.of(one, now))
+
     def swarms(self, *, timeout: float = SWARMS_TIME) -> tuple[str, ...]:
         """The names of all swarms within reach, for an operator who finds no member of this one."""
         pace = RepeatTimer(boottime(), ((float("inf"), 0.1),))
@@ -265,6 +356,24 @@ class Operator:
         self._watched.pop((name, robot), None)
         undeclare(*self._subscribers.pop((name, robot), ()))
 
+    def listen(self, kind: type[D], handler: Callable[[D, float], object] | None) -> None:
+        """Hand datagrams of a kind to `handler` with the time, on the carrier's thread; None ends.
+
+        The handler must not block and takes no lock.
+        """
+        with self._news:
+            self._listeners.pop(kind, None)
+            if handler is not None:
+                self._listeners[kind] = handler
+
+    def send_to_robots(self, make: Callable[[], Datagram], robots: Collection[str]) -> None:
+        """Send a datagram, made anew for each, to robots that the last look has found."""
+        with self._news:
+            found = {} if self._discovery is None else self._discovery.to_dial(boottime())
+        for (robot, _), address in found.items():
+            if robot in robots:
+                self._carrier.send_to(self._packed(make()), self._reachable(address))
+
     # Requests
 
     def request(
@@ -281,8 +390,10 @@ class Operator:
         `fields` are those of `kind`. Repeated under one id to each robot without a reply. Returns
         as soon as all have answered, else after `timeout` s, or by default after `least` s and more
         by the round trip and the loss. Robots that the last look, and all that was heard since,
-        show unreachable or gone count as missing and are not waited for.
+        show unreachable or gone count as missing and are not waited for. ConfigError if the role of
+        the own identity does not permit it: robots would refuse it silently.
         """
+        self._check_role(str(kind.__struct_config__.tag))
         view, fresh = self._looked, self.seen()
         asked = {
             name: epoch
@@ -297,7 +408,7 @@ class Operator:
             timeout = min(timeout, max(least, REQUEST_CAP))
         patience = min(timeout, 1.0 + 6.0 * view.round_trip)
         started = now = boottime()
-        links = _Links(build(self.settings.swarm, ANY, "control", request.verb))
+        links = QueryLinks(build(self.settings.swarm, ANY, CONTROL, request.verb, self._asker))
         unlinked = set() if self.settings.profile == "routed" else set(asked)
         robots = tuple(asked)
         repeat_at = now
@@ -309,7 +420,7 @@ class Operator:
                 repeat_at = now + REPEAT_PERIOD if is_due else repeat_at
                 asking = set(robots) - unlinked if is_due else linked
                 for robot in (ANY,) if len(asking) == len(asked) else sorted(asking):
-                    self._get(robot, "control", request.verb, payload, left, _collect(acks))
+                    self._get(robot, CONTROL, request.verb, payload, left, _collect(acks))
             if unlinked and self._discovery is not None:
                 self._dial(self._discovery, now, only=unlinked)
             pause = min(left, repeat_at - now, LINK_PERIOD if unlinked else REPEAT_PERIOD)
@@ -322,22 +433,32 @@ class Operator:
         with self._news:
             for name in acks.missing(others):
                 acks.on_reply(name, _refused(request.id, name, view.members[name].wire))
-            return acks.outcome(targets, seconds=now - started, reached=len(asked))
+            outcome = acks.outcome(targets, seconds=now - started, reached=len(asked))
+            return replace(outcome, mute=self._mute(asked.keys() - unlinked, outcome.missing))
 
     def ask(self, robot: str, name: str, payload: bytes = b"", *, timeout: float) -> bytes | None:
         """The answer of one robot to a query of `control/<name>`, which moves nothing.
 
         Repeated while there is none, for `timeout` s; None without an answer. Call `members` first.
+        ConfigError as `request`.
         """
-        answers: list[bytes] = []
+        return self.ask_all((robot,), name, payload, timeout=timeout).get(robot)
+
+    def ask_all(
+        self, robots: Iterable[str], name: str, payload: bytes = b"", *, timeout: float
+    ) -> dict[str, bytes]:
+        """As `ask`, for several robots at once: the answers of those that did answer."""
+        self._check_role(name)
+        asked, answers = sorted(set(robots)), dict[str, bytes]()
         until = boottime() + timeout
-        while not answers and (left := until - boottime()) > 0:
-            self._get(
-                robot, "control", name, payload, left, lambda _, answer: answers.append(answer)
-            )
+        while len(answers) < len(asked) and (left := until - boottime()) > 0:
+            for robot in asked:
+                if robot not in answers:
+                    self._get(robot, CONTROL, name, payload, left, answers.setdefault)
             with self._news:
-                self._news.wait_for(lambda: bool(answers), min(left, REPEAT_PERIOD))
-        return answers[0] if answers else None
+                self._news.wait_for(lambda: len(answers) == len(asked), min(left, REPEAT_PERIOD))
+        with self._news:
+            return dict(answers)
 
     def send_stop(
         self,
@@ -360,6 +481,7 @@ class Operator:
         KeyboardInterrupt, which is an end like any other. `on_progress` takes the robots without an
         ack, when they change.
         """
+        self._check_role(verb)
         now = boottime()
         discovery = self._new_discovery(now)
         stop = Stop(
@@ -369,7 +491,15 @@ class Operator:
             scope="swarm" if select is None else "robots",
             reason=_sendable(reason, MAX_REASON, MAX_REASON_BYTES) if verb == "estop" else "",
         )
-        pending = PendingStop(stop, discovery, now, select=select, names=names)
+        renew: Renew | None = None
+        if self.identity is not None:
+            from swarmd.network.stop_origin import StopOrigin
+
+            numbers = StopOrigin(self.identity.folder)
+            origin, counter = numbers.next()
+            stop = replace(stop, origin=origin, counter=counter)
+            renew = partial(numbers.next, is_new=True)
+        pending = PendingStop(stop, discovery, now, select=select, names=names, renew=renew)
         with self._news:
             self._stop = pending
         until = None if timeout is None or until_all else now + timeout
@@ -387,7 +517,8 @@ class Operator:
                 raise
         with self._news:
             self._stop = None
-            return pending.outcome(boottime())
+            outcome = pending.outcome(boottime())
+            return replace(outcome, warnings=(*outcome.warnings, *self._unproven(outcome.replies)))
 
     def _send_until_acked(
         self,
@@ -419,11 +550,12 @@ class Operator:
                 # Robots that were just found get a copy of their own before the next repeat.
                 stops = tuple(pending.datagrams(now, None if is_due else new))
             for one, addresses in stops if is_due or new else ():
-                payload = pack(self._tag, one)
+                payload = self._packed(one)
                 if is_due:
                     self._carrier.send(payload)
                 for address in addresses:
                     self._carrier.send_to(payload, self._reachable(address))
+            self._rosters.begin()
             if solicit.is_due(now):
                 self._solicit(discovery, now)
             if until_all and lacking != shown and progress.is_due(now):
@@ -434,16 +566,40 @@ class Operator:
 
     # Parts
 
+    def _unproven(self, robots: Collection[str]) -> Iterator[str]:
+        """A warning about robots whose answers this identity cannot prove."""
+        unproven = set() if self._answers is None else self._answers.unproven & set(robots)
+        if unproven:
+            yield (
+                f"answers of {', '.join(sorted(unproven))} are not proven: this identity has no key"
+                " of them; install its new bundle"
+            )
+
+    def _check_role(self, verb: str) -> None:
+        """Raise ConfigError if the role of the own identity does not permit a verb."""
+        one = self.identity
+        if one is not None and not may_ask(one.role, verb):
+            raise ConfigError(
+                f"{one.name} is a {one.role} of swarm {self.settings.swarm}, which may only look;"
+                f" {verb} needs the identity of an operator; nothing was sent"
+            )
+
+    def _mute(self, linked: Collection[str], missing: Collection[str]) -> tuple[str, ...]:
+        """Those of `missing` that answer this operator otherwise, in a secured swarm."""
+        if self.identity is None:
+            return ()
+        return tuple(sorted((self._looked.answered | set(linked)) & set(missing)))
+
     def _open_carrier(self) -> Carrier:
         settings = self.settings
         if settings.profile != "routed":
             from swarmd.network.udp import UdpCarrier
 
-            return UdpCarrier(settings, self._tag)
+            return UdpCarrier(settings, self._tag, is_secured=self.identity is not None)
         from swarmd.network.routed import RoutedCarrier
         from swarmd.network.session import open_operator_session
 
-        session = open_operator_session(settings, ())
+        session = open_operator_session(settings, (), self.identity)
         self._sessions.append(session)
         return RoutedCarrier(session, settings.swarm, f"operator-{os.urandom(6).hex()}")
 
@@ -462,6 +618,7 @@ class Operator:
                 first_robot_timeout=wait,
                 earlier=earlier,
                 is_local=self.settings.interface_name == "lo",
+                is_secured=self.identity is not None,
                 needs_status=needs_status,
             )
             self._discovery = discovery
@@ -470,10 +627,12 @@ class Operator:
     def _solicit(self, discovery: Discovery, now: float) -> None:
         self._echo += 1
         with self._news:
+            if self._answers is not None:
+                self._answers.liveness.note_echo(self._echo, now)
             discovery.on_solicit(self._echo, now)
             wants_members = discovery.wants_members(now)
             addresses = discovery.to_solicit()
-        payload = pack(self._tag, Solicit(echo=self._echo, wants_members=wants_members))
+        payload = self._packed(Solicit(echo=self._echo, wants_members=wants_members))
         self._carrier.send(payload)
         for address in addresses:
             self._carrier.send_to(payload, self._reachable(address))
@@ -522,7 +681,7 @@ class Operator:
         from swarmd.network.session import open_operator_session
 
         try:
-            return [open_operator_session(self.settings, endpoints)]
+            return [open_operator_session(self.settings, endpoints, self.identity)]
         except NetworkError:
             if len(endpoints) < 2:
                 return []
@@ -572,7 +731,7 @@ class Operator:
                 discovery.on_header(header, boottime())
 
         query = encode(MembersQuery(answered=tuple(known[:MAX_EXCUSED])))
-        self._get(ANY, "control", "members", query, 10.0, on_view)
+        self._get(ANY, CONTROL, "members", query, 10.0, on_view)
         with self._news:
             others = discovery.of_other_version - set(known)
         for robot in sorted(others):
@@ -597,16 +756,14 @@ class Operator:
 
         from swarmd.network.session import MAX_WIRE
 
+        asker = self._asker if plane == CONTROL else ""
+
         def on_reply(reply: zenoh.Reply) -> None:
             sample = reply.ok
             if sample is None or len(sample.payload) > MAX_WIRE:
                 return
             key = parse(str(sample.key_expr))
-            if key is None or (key.swarm, key.plane, key.name) != (
-                self.settings.swarm,
-                plane,
-                name,
-            ):
+            if key is None or (key.swarm, *key[2:]) != (self.settings.swarm, plane, name, asker):
                 return
             answer = sample.payload.to_bytes()
             with self._news, contextlib.suppress(CodecError):
@@ -616,7 +773,7 @@ class Operator:
         for session in self._sessions:
             with contextlib.suppress(zenoh.ZError):
                 session.get(
-                    build(self.settings.swarm, robot, plane, name),
+                    build(self.settings.swarm, robot, plane, name, asker),
                     Callback(on_reply, indirect=False),
                     target=zenoh.QueryTarget.ALL,
                     consolidation=zenoh.ConsolidationMode.NONE,
@@ -656,17 +813,26 @@ class Operator:
         if body is None:
             return
         with self._news:
-            if self._take(body, source, boottime()):
+            now = boottime()
+            if self._answers is not None and not isinstance(body, Swarm):
+                body = self._answers.admit(body, payload, source, now)
+                if body is None:
+                    return
+                if isinstance(body, Beacon):
+                    self._carrier.confirm(source)
+            if self._take(body, source, now):
                 self._notify()
 
     def _take(self, body: Datagram, source: Address, now: float) -> bool:
-        """Note what a datagram says; False if nobody waits for it."""
+        """Note what a datagram tells; False if no call waits for it."""
         if isinstance(body, Swarm):
             if len(self._swarms) < MAX_SWARMS:
                 self._swarms.add(body.swarm)
             return False
         if isinstance(body, Ack):
-            return self._stop is not None and self._stop.on_ack(body)
+            return self._stop is not None and self._stop.on_ack(body, now)
+        if listener := self._listeners.get(type(body)):
+            listener(body, now)
         if self._discovery is None:
             return False
         if isinstance(body, Beacon):
@@ -677,6 +843,11 @@ class Operator:
             return False
         return True
 
+    def _packed(self, body: Datagram) -> bytes:
+        """The bytes of a datagram of this swarm, signed if it is secured."""
+        payload = pack(self._tag, body)
+        return payload if self._answers is None else self._answers.sign(payload)
+
     def _notify(self) -> None:
         self._version += 1
         self._news.notify_all()
@@ -684,50 +855,6 @@ class Operator:
     def _wait(self, version: int, timeout: float) -> None:
         with self._news:
             self._news.wait_for(lambda: self._version != version, max(0.001, timeout))
-
-
-class _Links:
-    """The robots that a query on `key` (with any robot) reaches by now."""
-
-    def __init__(self, key: str) -> None:
-        self._key = key
-        self._queriers: list[tuple[zenoh.Session, dict[str, zenoh.Querier]]] = []
-
-    def of(self, robots: Collection[str], sessions: Iterable[zenoh.Session]) -> set[str]:
-        """Those of `robots` that have declared the key in one of the sessions."""
-        if not robots:
-            return set()
-        known = [session for session, _ in self._queriers]
-        self._queriers += [(one, {}) for one in sessions if not any(one is old for old in known)]
-        return {robot for robot in robots if self._is_linked(robot)}
-
-    def close(self) -> None:
-        """Undeclare the queriers."""
-        from swarmd.network.session import undeclare
-
-        undeclare(*(one for _, queriers in self._queriers for one in queriers.values()))
-
-    def _is_linked(self, robot: str) -> bool:
-        import zenoh
-
-        from swarmd.network.session import has_queryable
-
-        for session, queriers in self._queriers:
-            with contextlib.suppress(zenoh.ZError):  # the session is closed
-                if robot not in queriers:
-                    queriers[robot] = session.declare_querier(self._key.replace(ANY, robot, 1))
-                if has_queryable(queriers[robot]):
-                    return True
-        return False
-
-
-def is_closing() -> bool:
-    """True while a session that was closed, a command or a look of a view has not ended.
-
-    Python must not end then: their threads use a library that fails without it.
-    """
-    names = (CLOSING, COMMANDING, LOOKING)
-    return any(thread.name in names for thread in threading.enumerate())
 
 
 def _view_decoder() -> Decoder[PeerView]:
@@ -775,27 +902,3 @@ def _endpoint(address: Address) -> str:
 def _close(session: zenoh.Session) -> None:
     with contextlib.suppress(Exception):  # whatever it is, the answer is out already
         session.close()
-
-
-class RepeatTimer:
-    """When to do something again; `steps`: (until, period) in s since the start."""
-
-    def __init__(self, now: float, steps: tuple[tuple[float, float], ...]) -> None:
-        self._started = self._next = now
-        self._steps = steps
-
-    def age(self, now: float) -> float:
-        """Seconds since the start."""
-        return now - self._started
-
-    def is_due(self, now: float) -> bool:
-        """True once a period."""
-        if now < self._next:
-            return False
-        age = now - self._started
-        self._next = now + next(period for until, period in self._steps if age < until)
-        return True
-
-    def pause(self, now: float) -> float:
-        """Seconds until it is due."""
-        return max(0.001, self._next - now)

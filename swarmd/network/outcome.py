@@ -44,6 +44,8 @@ class Outcome(Struct, frozen=True):
 
     `reached`: how many robots were heard at all, whether or not they answered. `unlisted`: robots
     that were heard and did not list the members that they know, so that there may be more.
+    `unlabelled`: robots that may be targets by a label, since theirs are not known. `mute`: robots
+    in `missing` that answer this operator otherwise: in a secured swarm they may not permit it.
     """
 
     replies: Mapping[str, Reply]
@@ -53,6 +55,8 @@ class Outcome(Struct, frozen=True):
     duplicates: tuple[str, ...] = ()
     reached: int = 0
     unlisted: tuple[str, ...] = ()
+    unlabelled: tuple[str, ...] = ()
+    mute: tuple[str, ...] = ()
 
     @property
     def targeted(self) -> int:
@@ -104,7 +108,8 @@ class Outcome(Struct, frozen=True):
             return NO_TARGET
         if self.mistake:
             return USAGE
-        if len(self.applied) == self.targeted and not self.unlisted:
+        is_whole = not self.unlisted and not self.unlabelled
+        if len(self.applied) == self.targeted and is_whole:
             return APPLIED
         if self.applied:
             return PARTIAL
@@ -114,6 +119,21 @@ class Outcome(Struct, frozen=True):
 
     def _with(self, code: Code) -> tuple[str, ...]:
         return tuple(sorted(name for name, reply in self.replies.items() if reply.code is code))
+
+
+def joined(outcomes: Iterable[Outcome], unlabelled: tuple[str, ...] = ()) -> Outcome:
+    """One outcome of requests to different robots."""
+    some = list(outcomes)
+    return Outcome(
+        replies={name: reply for one in some for name, reply in one.replies.items()},
+        missing=tuple(sorted({name for one in some for name in one.missing})),
+        warnings=tuple(line for one in some for line in one.warnings),
+        seconds=sum(one.seconds for one in some),
+        duplicates=tuple(sorted({name for one in some for name in one.duplicates})),
+        reached=sum(one.reached for one in some),
+        unlisted=tuple(sorted({name for one in some for name in one.unlisted})),
+        unlabelled=unlabelled,
+    )
 
 
 class Acks:

@@ -8,14 +8,17 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 
-from swarmd.core.arrival_delay import ArrivalDelay
+from msgspec.structs import replace
+
 from swarmd.core.clock import ClockSample
+from swarmd.core.goal import Goal, HeldGoal
 from swarmd.core.messages import Body, Latch, State
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.values import PeerPlace, SharedPose
+from swarmd.network.admission import Admission
 from swarmd.network.claim import CLAIM_PERIOD, Claim
 from swarmd.network.datagram import (
     STATES,
@@ -27,47 +30,55 @@ from swarmd.network.datagram import (
     ClockReply,
     Datagram,
     Flag,
+    GoalReport,
     Latches,
     MemberList,
     Message,
     Place,
+    RunLease,
     Solicit,
     Stop,
     Swarm,
     in_parts,
 )
+from swarmd.network.goal_sync import FoundGoal, GoalSync
 from swarmd.network.latch_sync import LatchSync, digest_of, latch_parts
+from swarmd.network.link_quality import LinkQualities
 from swarmd.network.membership import Membership
+from swarmd.network.message_windows import MessageWindows
+from swarmd.network.peer_clocks import PeerClocks
+from swarmd.network.peer_places import PeerPlaces
+from swarmd.network.signature import Author, Flaw
 from swarmd.network.stop_relay import REDUNDANCY, StopRelay
+from swarmd.security.roster import Role
 
 BEACON_PERIOD = 1.0  # s
 # While a latch is new, and at least between beacons of changes.
 FAST_BEACON_PERIOD = 0.1
 NEW_LATCH_TIME = 1.0
 LATCH_REPEATS = (0.0, 0.1, 0.3)  # s after a latch is new: so often the latch itself is sent to all
-# s between two questions for the clocks of peers; FIRST at the beginning, then twice as long.
-CLOCK_PERIOD, FIRST_CLOCK_PERIOD = 10.0, 1.0
 LIST_PERIOD = 10.0  # between questions for words, each to another member
 # Datagrams a second that answer solicits, of all and of one host, and that answer a claimer.
 ANSWER_RATE, ANSWER_RATE_OF_HOST = 100.0, 30.0
+SCOUT_ANSWER_RATE = 20.0  # to those that look for any swarm, who need no keys
 CLAIM_ANSWER_RATE = 40.0
 MAX_HOSTS = 128
 SYNC_TIMEOUT = 1.0  # a robot that joins waits so long for the latches of the others
 MEMBERS_PERIOD = 0.25  # between looks for members that are silent
-MESSAGE_WINDOW = 64
-PLACE_PERIOD = 0.1  # s between datagrams of the own place, at least
-FASTEST_DATAGRAM = 0.02  # s that the fastest takes at most: no clock shows it
-_JITTER = 0.01  # s by which a tick may be early
-_MAX_SENDERS = 1024
+MAX_DUPLICATES = 64  # other instances with the own id
+
+CheckGoal = Callable[[Goal, float], bool | None]
 
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a robot's beacon shows of it."""
+    """What a robot's beacon shows of it; `behaviours`: the digest of its table."""
 
     state: State
     revision: int
     latches: Mapping[str, Latch]
+    goal: HeldGoal | None = None
+    behaviours: bytes = b""
 
 
 @dataclass(slots=True)
@@ -77,9 +88,12 @@ class Effects:
     `sends`: datagrams, each to an address or (None) to all. `stops`: to be carried out, with their
     sources; the ack goes to the source if `wants_ack`. `latches`: of peers. `changed`: robots whose
     presence changed. `messages`: of patterns. `indirect_addresses`: of robots that others hear.
+    `tables`: robots with digests of their behaviours, and addresses.
     `places`: of peers in a shared frame. `clocks`: times that peers answered. `duplicate`: another
     instance that has begun to own the id. `lost`: messages that are missing, or less than 0 for
-    those that came late.
+    those that came late. In a secured swarm, `flaw`: why the datagram does not count, `replayed`:
+    stops that count as replayed, and `is_repeated`: the stop was heard before.
+    `goals`: of peers; `invalid_goals` were not signed by their issuer.
     """
 
     sends: list[tuple[Datagram, Address | None]] = field(default_factory=list)
@@ -90,37 +104,23 @@ class Effects:
     places: list[PeerPlace] = field(default_factory=list)
     clocks: list[ClockSample] = field(default_factory=list)
     indirect_addresses: list[Address] = field(default_factory=list)
+    tables: list[tuple[str, bytes, Address]] = field(default_factory=list)
     duplicate: str = ""
     lost: int = 0
-
-
-@dataclass(slots=True)
-class _Window:
-    """The messages of one sender: the highest sequence, and a bit for each of those before it."""
-
-    instance: bytes
-    highest: int
-    seen: int = 1
-
-    def take(self, sequence: int) -> tuple[bool, int]:
-        """Whether a message is new, and the change of the number of lost ones."""
-        ahead = sequence - self.highest
-        if ahead >= MESSAGE_WINDOW:  # more are missing than can be told from another beginning
-            self.seen, self.highest = 1, sequence
-            return True, MESSAGE_WINDOW
-        if ahead > 0:
-            self.seen = ((self.seen << ahead) | 1) & ((1 << MESSAGE_WINDOW) - 1)
-            self.highest = sequence
-            return True, ahead - 1
-        bit = 1 << -ahead
-        if -ahead >= MESSAGE_WINDOW or self.seen & bit:
-            return False, 0
-        self.seen |= bit
-        return True, -1
+    flaw: Flaw | None = None
+    replayed: list[tuple[Stop, Address]] = field(default_factory=list)
+    is_repeated: bool = False
+    goals: list[FoundGoal] = field(default_factory=list)
+    invalid_goals: int = 0
+    leases: list[RunLease] = field(default_factory=list)
 
 
 class Peer:
-    """One robot among the others; `instance` has 6 bytes, `clock` is that of `clock_id`."""
+    """One robot among the others; `instance` has 6 bytes, `clock` is that of `clock_id`.
+
+    With an `admission` the swarm is secured.
+    `check_goal`: whether a goal of a peer counts, see `GoalCheck`.
+    """
 
     def __init__(
         self,
@@ -137,9 +137,13 @@ class Peer:
         now: float,
         body: Body | None = None,
         clock: str = "000000000000",
+        admission: Admission | None = None,
+        check_goal: CheckGoal = lambda goal, now: True,
     ) -> None:
         self.robot = robot
         self.membership = Membership(robot, lease)
+        self.links = LinkQualities(BEACON_PERIOD)
+        self._admission = admission
         self._instance = instance
         self._lease = lease
         self._swarm = Swarm(swarm=swarm, profile=profile, robot=robot)
@@ -151,8 +155,11 @@ class Peer:
         self._claim: Claim | None = Claim(robot, instance, settle, now)
         self._settle = settle
         self._sync = LatchSync()
+        self._goal_sync = GoalSync(self._random.getrandbits(32))
+        self._check_goal = check_goal
         self._relay = StopRelay(robot, self._random.getrandbits(32))
         self._sequence = 0
+        self._beacons = 0  # sent to all
         self._message_sequence = 0
         self._beacon_at = now
         self._last_beacon = -math.inf
@@ -163,17 +170,15 @@ class Peer:
         self._latch_copies = 0  # how often others have sent the same latches to all
         self._lists_at = now + self._random.uniform(0.0, 1.0)
         self._began = now
-        self._windows: dict[str, _Window] = {}
-        self._place_at = -math.inf
-        self._place_delays: dict[str, tuple[bytes, ArrivalDelay]] = {}
-        self._clock = clock
-        self._clocks_at, self._clocks_pause = -math.inf, FIRST_CLOCK_PERIOD
-        self._clocks_asked: dict[str, int] = {}
+        self._windows = MessageWindows()
+        self._places = PeerPlaces(robot, instance)
+        self._clocks = PeerClocks(robot, clock)
         self._duplicates: dict[bytes, float] = {}
         self._answers = TokenBucket(ANSWER_RATE, ANSWER_RATE)
         self._members_at = now
         self._answers_by_host: dict[str, TokenBucket] = {}
         self._claim_answers = TokenBucket(CLAIM_ANSWER_RATE, CLAIM_ANSWER_RATE)
+        self._scout_answers = TokenBucket(SCOUT_ANSWER_RATE, SCOUT_ANSWER_RATE)
         self._solicits_at = [now, now + 0.3]
 
     # State
@@ -197,20 +202,41 @@ class Peer:
 
     def is_in_sync(self, now: float) -> bool:
         """True once the latches of all peers that were heard are here, or SYNC_TIMEOUT is over."""
-        return now - self._began >= self._settle + SYNC_TIMEOUT or not self._sync.is_open
+        admission = self._admission
+        is_open = self._sync.is_open
+        is_open |= admission is not None and admission.liveness.awaits_latches(now)
+        return now - self._began >= self._settle + SYNC_TIMEOUT or not is_open
 
     # Inputs
 
     def on_datagram(
-        self, body: Datagram, source: Address, now: float, summary: Summary, *, is_any: bool = False
+        self,
+        body: Datagram,
+        source: Address,
+        now: float,
+        summary: Summary,
+        *,
+        is_any: bool = False,
+        author: Author | None = None,
     ) -> Effects:
-        """A datagram arrived; `is_any`: it is for any swarm."""
+        """A datagram arrived; `is_any`: it is for any swarm. `author`: in a secured swarm."""
         effects = Effects()
+        if self._admission is not None and not is_any:
+            found = self._admit(body, author, now)
+            if isinstance(found, Flaw):
+                effects.flaw = found
+                self._question(body, found, source, now, effects)
+                return effects
+            body = found
         match body:
             case Beacon():
                 self._on_beacon(body, source, now, summary, effects)
+            case Solicit() if is_any:
+                if self._scout_answers.take(1.0, now):
+                    effects.sends.append((self._swarm, source))
             case Solicit():
-                self._on_solicit(body, source, now, summary, effects, is_any=is_any)
+                is_robot = author is not None and author.role is Role.ROBOT
+                self._on_solicit(body, source, now, summary, effects, is_robot=is_robot)
             case MemberList():
                 self.membership.on_member_list(body, now)
                 effects.indirect_addresses = [
@@ -220,29 +246,41 @@ class Peer:
                     and self.membership.indirect_address(heard.robot) == (heard.host, heard.port)
                 ]  # fmt: skip
             case Stop():
-                is_member = self.membership.is_address(source)
-                sends = self._relay.on_stop(body, source, now, is_member=is_member)
-                effects.sends.extend(sends)
-                effects.stops.append((body, source))
+                self._on_stop(body, source, now, effects)
             case Ack() if self.membership.knows(body.robot):
                 effects.sends.extend(self._relay.on_ack(body, source, now))
             case Latches() if body.instance != self._instance:
                 self._latch_copies += body.digest == self._digest
                 self._sync.on_latches(body)
                 effects.latches = dict(body.held)
+            case GoalReport() if body.instance != self._instance:
+                self._on_goal(body, now, effects)
+            case RunLease():
+                effects.leases.append(body)
             case Message() if body.robot != self.robot:
-                self._on_message(body, effects)
+                is_new, effects.lost = self._windows.take(body)
+                if is_new:
+                    effects.messages.append(body)
             case ClockQuery() if self._claim is None and self._may_answer(source, 1, now):
-                effects.sends.append((self._clock_reply(body, now), source))
+                effects.sends.append((self._clocks.reply(body, now), source))
             case ClockReply():
                 self._on_clock(body, now, effects)
             case Place() if body.robot != self.robot and self.membership.knows(body.robot):
-                self._on_place(body, now, effects)
+                place = self._places.take(body, now)
+                if place is not None:
+                    effects.places.append(place)
         return effects
 
     def wants_ack(self, stop: Stop, source: Address, now: float) -> bool:
         """True if the sender of this stop is to have this robot's ack now."""
         return self._relay.wants_ack(stop, source, now)
+
+    def take_roster(self, robots: tuple[str, ...]) -> None:
+        """Report these robots as expected, and forget all others."""
+        self._roster = robots
+        self.membership.keep_only(robots)
+        if self._admission is not None:
+            self._admission.names = frozenset(robots)
 
     def message(self, channel: str, payload: bytes) -> Message:
         """The datagram of a pattern's message."""
@@ -257,40 +295,19 @@ class Peer:
 
     def place(self, pose: SharedPose, age: float, now: float) -> Place | None:
         """The datagram of the own pose, measured `age` s ago; None if it is not due yet."""
-        if self._claim is not None or now < self._place_at:
-            return None
-        self._place_at = now + PLACE_PERIOD - _JITTER
-        return Place(
-            robot=self.robot,
-            instance=self._instance,
-            sent=max(round(1000.0 * now), 0),
-            age=math.ceil(1000.0 * max(age, 0.0)),
-            frame=pose.frame,
-            x=round(1000.0 * pose.pose.x),
-            y=round(1000.0 * pose.pose.y),
-            error=math.ceil(1000.0 * pose.error) + 1,  # that of rounding
-        )
+        return None if self._claim is not None else self._places.place(pose, age, now)
 
     def clock_queries(self, now: float) -> list[tuple[Datagram, Address | None]]:
-        """Questions for the clocks of peers, if they are due: call it while a recording is made.
-
-        Of all robots in the order of their names, in a ring, each asks those 1, 2, 4, ... places
-        further: few questions, and a short path between any two.
-        """
-        if self._claim is not None or now < self._clocks_at:
+        """Questions for the clocks of peers, if they are due: call it while a recording is made."""
+        if self._claim is not None:
             return []
-        is_first = now > self._clocks_at + FIRST_CLOCK_PERIOD  # nothing was recorded until now
-        self._clocks_pause = (
-            FIRST_CLOCK_PERIOD if is_first else min(2 * self._clocks_pause, CLOCK_PERIOD)
-        )
-        self._clocks_at = now + self._clocks_pause
-        alive = dict(self.membership.alive_addresses())
-        ring = sorted([*alive, self.robot])
-        place = ring.index(self.robot)
-        asked = [ring[(place + 2**k) % len(ring)] for k in range((len(ring) - 1).bit_length())]
-        query = ClockQuery(sent=max(round(1e9 * now), 0))
-        self._clocks_asked = dict.fromkeys(asked, query.sent)
-        return [(query, alive[robot]) for robot in dict.fromkeys(asked)]
+        return [*self._clocks.queries(self.membership.alive_addresses(), now)]
+
+    def pings(self, robots: Iterable[str], now: float) -> list[tuple[Datagram, Address | None]]:
+        """Questions to these robots whose answers give the round trips in `links`."""
+        if self._claim is not None:
+            return []
+        return [*self._clocks.pings(robots, self.membership.alive_addresses(), now)]
 
     def leave_beacon(self, summary: Summary) -> Beacon:
         """The last beacon of a robot that leaves in order."""
@@ -302,30 +319,37 @@ class Peer:
         if self._claim is not None and self._claim.is_won(now):
             self._claim = None
             self._beacon_at = now
-            effects.sends.append((Solicit(echo=0), None))
+            effects.sends.append((self._solicit(now), None))
         while self._claim is not None and self._solicits_at and now >= self._solicits_at[0]:
             # The answers show the latches of the others before the claim is won.
             self._solicits_at.pop(0)
-            effects.sends.append((Solicit(echo=0), None))
+            effects.sends.append((self._solicit(now), None))
         if now >= self._members_at:
             self._members_at = now + MEMBERS_PERIOD
             self._advance_members(now, effects)
+        self._note_latches(now, summary)
+        self._send_beacon_if_due(now, summary, effects)  # first: others compare its digest
         self._send_latches_if_due(now, summary, effects)
-        self._send_beacon_if_due(now, summary, effects)
         effects.sends.extend((stop, None) for stop in self._relay.advance(now))
+        effects.sends.extend(
+            (Solicit(echo=echo, wants_goal=True), address)
+            for echo, address in self._goal_sync.repeats(summary.goal, now)
+        )
         if now >= self._lists_at:
             self._lists_at = now + self._random.uniform(0.5, 1.5) * LIST_PERIOD
             alive = sorted(self.membership.alive_addresses())
             if alive:
-                ask = Solicit(echo=0, wants_members=True)
+                ask = self._solicit(now, members=True)
                 effects.sends.append((ask, self._random.choice(alive)[1]))
         return effects
 
     def _advance_members(self, now: float, effects: Effects) -> None:
         """End leases and solicit silent members, which takes a microsecond a member."""
         effects.changed = self.membership.advance(now)
-        probe = Solicit(echo=0)
-        effects.sends.extend((probe, address) for address in self.membership.to_probe(now))
+        silent = self.membership.to_probe(now)
+        if silent:
+            probe = self._solicit(now)
+            effects.sends.extend((probe, address) for address in silent)
         for instance, heard in list(self._duplicates.items()):
             if now - heard > self._lease:
                 del self._duplicates[instance]
@@ -345,15 +369,35 @@ class Peer:
         if beacon.robot == self.robot:
             self._on_own_id(beacon, source, now, summary, effects)
             return
+        self.links.on_beacon(beacon.robot, beacon.instance, beacon.number, now)
         if self.membership.on_beacon(beacon, source, now):
             effects.changed.append(beacon.robot)
         own = digest_of(summary.latches)
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
+        if is_owner and beacon.behaviours:
+            effects.tables.append((beacon.robot, beacon.behaviours, source))
         is_stranger = not self.membership.is_established(beacon.robot)
         if is_owner and self._sync.wants(
             beacon.instance, beacon.latches, own, now, is_stranger=is_stranger
         ):
-            effects.sends.append((Solicit(echo=0, wants_latches=True), source))
+            effects.sends.append((self._solicit(now, latches=True), source))
+        if is_owner and self._claim is None and self.is_in_sync(now):  # latches come first
+            goal = beacon.goal, source, summary.goal
+            echo = self._goal_sync.wants(beacon.instance, *goal, now)
+            if echo is not None:
+                effects.sends.append((Solicit(echo=echo, wants_goal=True), source))
+
+    def _on_goal(self, report: GoalReport, now: float, effects: Effects) -> None:
+        found = self._goal_sync.on_report(report, now)
+        if found is None:
+            return
+        counts = self._check_goal(found.goal, now)
+        if counts:
+            effects.goals.append(found)
+        elif counts is None:
+            self._goal_sync.retry(report.instance)
+        else:
+            effects.invalid_goals += 1
 
     def _on_own_id(
         self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: Effects
@@ -365,7 +409,7 @@ class Peer:
                 effects.sends.append((self._beacon(summary), source))
         elif beacon.flags & Flag.LEFT:
             self._duplicates.pop(beacon.instance, None)
-        elif len(self._duplicates) < MESSAGE_WINDOW:
+        elif len(self._duplicates) < MAX_DUPLICATES:
             if beacon.instance not in self._duplicates:
                 effects.duplicate = beacon.instance.hex()
             self._duplicates[beacon.instance] = now
@@ -378,16 +422,21 @@ class Peer:
         summary: Summary,
         effects: Effects,
         *,
-        is_any: bool,
+        is_robot: bool,
     ) -> None:
-        if not self._may_answer(source, 1, now):
-            return
-        if is_any:
-            effects.sends.append((self._swarm, source))
+        is_for_this = solicit.robot in (None, self.robot)
+        if not is_for_this or not self._may_answer(source, 1, now):
             return
         if self._claim is not None:
+            if solicit.robot is not None and is_robot:  # a rival asks whether this one lives
+                rival = self._beacon(summary, Flag.JOINING, echo=solicit.echo)
+                effects.sends.append((rival, source))
             return
-        beacon = self._beacon(summary, echo=solicit.echo, version=self._version)
+        beacon = replace(
+            self._beacon(summary, echo=solicit.echo, version=self._version),
+            said=self._message_sequence,
+            clock=max(round(1000.0 * now), 0),
+        )
         effects.sends.append((beacon, source))
         if solicit.wants_members:
             parts = in_parts(self.membership.reports(now), roster=self._roster)
@@ -404,54 +453,61 @@ class Peer:
                     roster=roster,
                 )
                 effects.sends.append((word, source))
+        if solicit.wants_goal and summary.goal is not None and self._may_answer(source, 1, now):
+            effects.sends.append((self._goal_report(summary.goal, solicit.echo, now), source))
         if solicit.wants_latches:
             parts_ = latch_parts(self.robot, self._instance, summary.latches)
             effects.sends.extend((latches, source) for latches in parts_)
 
-    def _clock_reply(self, query: ClockQuery, now: float) -> ClockReply:
-        return ClockReply(
+    def _admit(self, body: Datagram, author: Author | None, now: float) -> Datagram | Flaw:
+        assert self._admission is not None
+        if author is None:
+            return Flaw.UNSIGNED
+        is_claiming = self._claim is not None
+        return self._admission.admit(body, author, now, self.membership, is_claiming=is_claiming)
+
+    def _question(
+        self, body: Datagram, flaw: Flaw, source: Address, now: float, effects: Effects
+    ) -> None:
+        """Ask the sender of a beacon whether it lives now, if that is not known."""
+        if self._admission is not None and flaw is Flaw.UNPROVEN and isinstance(body, Beacon):
+            question = self._admission.liveness.question(body, now)
+            if question is not None:
+                effects.sends.append((question, source))
+
+    def _solicit(self, now: float, *, members: bool = False, latches: bool = False) -> Solicit:
+        """A question; in a secured swarm its answer proves that a robot lives now."""
+        echo = 0 if self._admission is None else self._admission.liveness.new_echo(now)
+        return Solicit(echo=echo, wants_members=members, wants_latches=latches)
+
+    def _on_stop(self, stop: Stop, source: Address, now: float, effects: Effects) -> None:
+        if self._admission is not None:
+            taken = self._admission.stops.take(stop, now)
+            if taken is None:
+                effects.replayed.append((stop, source))
+                return
+            stop, effects.is_repeated = taken.stop, taken.is_repeated
+        is_member = self.membership.is_address(source)
+        effects.sends.extend(self._relay.on_stop(stop, source, now, is_member=is_member))
+        effects.stops.append((stop, source))
+
+    def _goal_report(self, held: HeldGoal, echo: int, now: float) -> GoalReport:
+        age = held.age(now)
+        return GoalReport(
             robot=self.robot,
-            clock=bytes.fromhex(self._clock),
-            sent=query.sent,
-            answered=max(round(1e9 * now), 0),
+            instance=self._instance,
+            echo=echo,
+            goal=held.content,
+            age=None if age is None else math.ceil(1000.0 * age),
         )
 
     def _on_clock(self, reply: ClockReply, now: float, effects: Effects) -> None:
-        if self._clocks_asked.get(reply.robot) != reply.sent:
-            return  # late, or not asked for
-        del self._clocks_asked[reply.robot]
-        sent, answered = 1e-9 * reply.sent, 1e-9 * reply.answered
-        sample = ClockSample(reply.robot, reply.clock.hex(), sent, answered, now)
-        effects.clocks.append(sample)
+        sample = self._clocks.sample(reply, now)
+        if sample is not None:
+            self.links.on_round_trip(reply.robot, max(now - sample.sent, 0.0), now)
+            effects.clocks.append(sample)
 
-    def _on_message(self, message: Message, effects: Effects) -> None:
-        window = self._windows.get(message.robot)
-        if window is None or window.instance != message.instance:
-            self._windows.pop(message.robot, None)
-            while len(self._windows) >= 1024:
-                del self._windows[next(iter(self._windows))]
-            self._windows[message.robot] = _Window(message.instance, message.sequence)
-            effects.messages.append(message)
-            return
-        is_new, effects.lost = window.take(message.sequence)
-        if is_new:
-            effects.messages.append(message)
-
-    def _on_place(self, place: Place, now: float, effects: Effects) -> None:
-        instance, delay = self._place_delays.get(place.robot, (b"", ArrivalDelay()))
-        if instance != place.instance:
-            delay = ArrivalDelay()
-            self._place_delays.pop(place.robot, None)
-            while len(self._place_delays) >= _MAX_SENDERS:
-                del self._place_delays[next(iter(self._place_delays))]
-            self._place_delays[place.robot] = place.instance, delay
-        late = delay.take(place.sent / 1000.0, now)
-        if late is not None:
-            x, y, error = place.x / 1000.0, place.y / 1000.0, place.error / 1000.0
-            age = place.age / 1000.0 + late + FASTEST_DATAGRAM
-            effects.places.append(PeerPlace(place.robot, place.frame, x, y, error, age))
-
-    def _send_latches_if_due(self, now: float, summary: Summary, effects: Effects) -> None:
+    def _note_latches(self, now: float, summary: Summary) -> None:
         digest = digest_of(summary.latches)
         if digest != self._digest:
             self._digest = digest
@@ -459,6 +515,8 @@ class Peer:
             self._latches_due = [now + delay for delay in LATCH_REPEATS] if digest else []
             self._digest_since = now if digest else -math.inf
             self._beacon_at = now
+
+    def _send_latches_if_due(self, now: float, summary: Summary, effects: Effects) -> None:
         if self._latches_due and now >= self._latches_due[0] and self._claim is None:
             self._latches_due.pop(0)
             if self._latch_copies < REDUNDANCY:
@@ -466,7 +524,8 @@ class Peer:
                 effects.sends.extend((latches, None) for latches in parts)
 
     def _send_beacon_if_due(self, now: float, summary: Summary, effects: Effects) -> None:
-        shown = (summary.state, summary.revision, self._claim is None)
+        goal = b"" if summary.goal is None else summary.goal.digest
+        shown = (summary.state, summary.revision, goal, summary.behaviours, self._claim is None)
         if shown != self._shown:
             self._shown = shown
             self._beacon_at = min(self._beacon_at, self._last_beacon + FAST_BEACON_PERIOD)
@@ -479,10 +538,17 @@ class Peer:
             period = FAST_BEACON_PERIOD if is_new else BEACON_PERIOD
         self._last_beacon, self._beacon_at = now, now + period
         flags = 0 if self._claim is None else Flag.JOINING
-        effects.sends.append((self._beacon(summary, flags), None))
+        self._beacons += 1
+        effects.sends.append((self._beacon(summary, flags, number=self._beacons), None))
 
     def _beacon(
-        self, summary: Summary, flags: int = 0, *, echo: int = 0, version: str = ""
+        self,
+        summary: Summary,
+        flags: int = 0,
+        *,
+        echo: int = 0,
+        version: str = "",
+        number: int = 0,
     ) -> Beacon:
         self._sequence += 1
         return Beacon(
@@ -494,9 +560,12 @@ class Peer:
             revision=summary.revision,
             flags=flags,
             latches=digest_of(summary.latches),
+            goal=b"" if summary.goal is None else summary.goal.digest,
             echo=echo,
             version=version,
             body=self._body,
+            number=number,
+            behaviours=summary.behaviours,
         )
 
     def _may_answer(self, source: Address, count: int, now: float) -> bool:

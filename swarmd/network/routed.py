@@ -90,6 +90,9 @@ class RoutedCarrier:
             for plane, name in ((ALL, "all"), (ONE, self._own))
         )
 
+    def confirm(self, source: Address) -> None:
+        """Nothing: routers know the ways."""
+
     def rejoin(self) -> None:
         """Nothing: Zenoh dials its routers again by itself."""
 

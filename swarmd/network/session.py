@@ -26,10 +26,12 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import zenoh
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
+from swarmd.network.access import asker_access, robot_access
 from swarmd.network.settings import FIELD_PORT, NetworkSettings, parse_endpoint
 
 MAX_WIRE = 1024 * 1024
 MAX_PORT_TRIES = 5
+PULL_LINK_TIMEOUT = 3.0  # s
 # How long a full link may hold up the caller, in us: Zenoh's own 5 s would stall the daemon.
 _MAX_BLOCK_US = 250_000
 # The timeout of dialling, in ms: TCP's handshake and two round trips of Zenoh, on a network that
@@ -49,27 +51,52 @@ _NO_LINGER = struct.pack("ii", 0, 0)
 if TYPE_CHECKING:
     from concurrent.futures import Future
 
+    from swarmd.security.identity import Identity
+
 Address = tuple[str, int]
 S = TypeVar("S", bound=zenoh.Session | None)
 
 
-def open_session(settings: NetworkSettings) -> zenoh.Session:
+def open_session(settings: NetworkSettings, identity: Identity | None = None) -> zenoh.Session:
     """Open the session of a daemon, which listens only. Raises NetworkError in one line."""
-    return _open(settings, session_options(settings))
+    return _open(settings, session_options(settings, identity))
 
 
-def open_operator_session(settings: NetworkSettings, endpoints: Sequence[str]) -> zenoh.Session:
+def open_operator_session(
+    settings: NetworkSettings, endpoints: Sequence[str], identity: Identity | None = None
+) -> zenoh.Session:
     """Open a session that dials `endpoints` in the background; takes about 1 ms.
 
     All are dialled at once and for as long as the session is open. More cannot be added: robots
     that are found later need a further session. Raises NetworkError in one line.
     """
-    return _open(settings, operator_options(settings, endpoints))
+    return _open(settings, operator_options(settings, endpoints, identity))
 
 
-def _open(settings: NetworkSettings, options: Mapping[str, object]) -> zenoh.Session:
+def open_pull_session(
+    settings: NetworkSettings, address: Address, identity: Identity | None = None
+) -> zenoh.Session:
+    """Open a session to one peer, or to the routers; returns once it is linked.
+
+    Raises NetworkError in one line, at the latest after PULL_LINK_TIMEOUT.
+    """
+    host, port = address
+    endpoint = f"tcp/[{host}]:{port}" if ":" in host else f"tcp/{host}:{port}"
+    options = {
+        **operator_options(settings, [endpoint], identity),
+        "mode": "client",
+        "connect/timeout_ms": round(1000 * PULL_LINK_TIMEOUT),
+        "connect/exit_on_failure": True,
+    }
+    return _open(settings, options)
+
+
+def _open(settings: NetworkSettings, options: dict[str, object]) -> zenoh.Session:
     if settings.profile != "routed":
         check_interface(settings.interface_name)
+    connect = options["connect/endpoints"]
+    assert isinstance(connect, list)
+    options = {**options, "connect/endpoints": [_dialled(one) for one in connect]}
     session = open_with(options, what=f"swarm {settings.swarm!r}")
     tune_sockets(session, settings.lease_seconds)
     return session
@@ -172,28 +199,87 @@ def undeclare(*entities: Any) -> None:
             entity.undeclare()
 
 
-def session_options(settings: NetworkSettings) -> dict[str, object]:
+def session_options(
+    settings: NetworkSettings, identity: Identity | None = None
+) -> dict[str, object]:
     """Zenoh's configuration of a daemon, path to value. Raises ConfigError for wrong settings."""
     if settings.profile == "routed":
-        return _options(settings, "client", (), settings.routers)
-    return _options(settings, "peer", _listen(settings), ())
+        return _options(settings, "client", (), settings.routers, identity)
+    options = _options(settings, "peer", _listen(settings), (), identity)
+    if identity is not None:
+        options["access_control"] = robot_access(identity.roster, identity.name)
+    return options
 
 
-def operator_options(settings: NetworkSettings, endpoints: Sequence[str]) -> dict[str, object]:
+def operator_options(
+    settings: NetworkSettings, endpoints: Sequence[str], identity: Identity | None = None
+) -> dict[str, object]:
     """Zenoh's configuration of an operator; dials `endpoints`, or the routers in profile routed.
 
     Raises ConfigError for wrong settings.
     """
     if settings.profile == "routed":
-        return _options(settings, "client", (), settings.routers)
-    return _options(settings, "peer", (), endpoints)
+        return _options(settings, "client", (), settings.routers, identity)
+    options = _options(settings, "peer", (), endpoints, identity)
+    if identity is not None:
+        options["access_control"] = asker_access(identity.roster, identity.name)
+    return options
+
+
+def tls_options(identity: Identity) -> dict[str, object]:
+    """The options of links on which both ends show a certificate of the swarm's authority.
+
+    The names in them are not compared with addresses: those of robots change. Access rules compare
+    them with keys. A link ends when the certificate of its other end does.
+    """
+    certificate, key = str(identity.certificate), str(identity.key)
+    return {
+        "transport/link/protocols": ["tls"],
+        "transport/link/tls": {
+            "root_ca_certificate": str(identity.authority),
+            "listen_certificate": certificate,
+            "listen_private_key": key,
+            "connect_certificate": certificate,
+            "connect_private_key": key,
+            "enable_mtls": True,
+            "verify_name_on_connect": False,
+            "close_link_on_expiration": True,
+        },
+    }
+
+
+def _secured(endpoints: Sequence[str]) -> list[str]:
+    """The endpoints with TLS in place of TCP. Raises ConfigError for another protocol."""
+    made = []
+    for text in endpoints:
+        if not text.startswith(("tcp/", "tls/")):
+            raise ConfigError(f"{text!r}; a secured swarm expects an endpoint tls/HOST:PORT")
+        made.append(f"tls/{text[4:]}")
+    return made
+
+
+def _dialled(endpoint: str) -> str:
+    """The endpoint, or one on loopback from which bytes are forwarded to an IPv6 address."""
+    if not endpoint.startswith("tls/["):
+        return endpoint
+    _, host, port, _ = parse_endpoint(endpoint)
+    from swarmd.network.ipv6_forward import forward_to
+
+    return f"tls/127.0.0.1:{forward_to(host, port)}"
 
 
 def _options(
-    settings: NetworkSettings, mode: str, listen: Sequence[str], connect: Sequence[str]
+    settings: NetworkSettings,
+    mode: str,
+    listen: Sequence[str],
+    connect: Sequence[str],
+    identity: Identity | None,
 ) -> dict[str, object]:
     settings.check()
+    if identity is not None:
+        listen, connect = _secured(listen), _secured(connect)
     return {
+        **({} if identity is None else tls_options(identity)),
         "mode": mode,
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,

@@ -18,6 +18,7 @@ from dataclasses import dataclass, field
 from msgspec.structs import replace
 
 from swarmd.network.datagram import MAX_HOPS, Ack, Address, Stop
+from swarmd.network.stop_freshness import REPLAYED
 
 _Key = tuple[str, str, tuple[str, ...] | None]
 Send = tuple[Stop | Ack, Address | None]  # None: to all
@@ -93,7 +94,8 @@ class StopRelay:
         relayed.issued = max(min(relayed.issued, issued), relayed.first_issued - MAX_AGE_SHIFT)
         if stop.hops <= relayed.stop.hops:
             relayed.fed = now
-            relayed.stop = replace(relayed.stop, hops=stop.hops)
+            origin = {"origin": stop.origin, "counter": stop.counter}
+            relayed.stop = replace(relayed.stop, hops=stop.hops, **origin)
         if stop.hops == 0:
             relayed.heard_directly = now
         elif is_member:
@@ -139,10 +141,14 @@ class StopRelay:
         for relayed in found:
             if ack.robot == self._own or len(relayed.acks) >= MAX_ACKS:
                 continue
-            relayed.acks[ack.robot] = ack
             handed = replace(ack, via=self._own)
-            for address in relayed.sources:
-                if address != source and (ack.robot, address) not in relayed.handed_on:
+            others = [address for address in relayed.sources if address != source]
+            if ack.refusal == REPLAYED:  # the operator repeats the stop for this robot
+                sends += [(handed, address) for address in others]
+                continue
+            relayed.acks[ack.robot] = ack
+            for address in others:
+                if (ack.robot, address) not in relayed.handed_on:
                     relayed.handed_on.add((ack.robot, address))
                     sends.append((handed, address))
         return sends

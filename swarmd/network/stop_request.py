@@ -10,8 +10,12 @@ from swarmd.core.messages import Presence
 from swarmd.network.datagram import Ack, Address, Stop
 from swarmd.network.discovery import Discovery
 from swarmd.network.outcome import Acks, Outcome
+from swarmd.network.stop_freshness import REPLAYED
 
 Select = Callable[[Collection[str]], Collection[str]]
+Renew = Callable[[], tuple[bytes, int]]
+"""Gives an origin that was never used, and a counter."""
+RENEW_PERIOD = 0.5  # s between two new origins: answers to the one before are on their way
 # Names in one datagram, in bytes: beside an operator's name and a reason of full length.
 _ROOM = 400
 # By default it goes on for this long, in s, and for so many round trips since the last news.
@@ -25,6 +29,7 @@ class PendingStop:
 
     `select` picks from the names known so far; None: all. `names` are targets from the start, known
     or not. A stop of all has no targets, and needs no membership. Every repeat has the same id.
+    `renew`: for robots that refuse it as replayed (`stop_freshness.py`).
     """
 
     def __init__(
@@ -35,6 +40,7 @@ class PendingStop:
         *,
         select: Select | None = None,
         names: Collection[str] = (),
+        renew: Renew | None = None,
     ) -> None:
         self.acks = Acks(stop.id)
         self._stop = stop
@@ -42,6 +48,8 @@ class PendingStop:
         self._started = started
         self._select = select
         self._names = frozenset(names)
+        self._renew = renew
+        self._renewed = started - RENEW_PERIOD
 
     def datagrams(
         self, now: float, names: Collection[str] | None = None
@@ -73,9 +81,15 @@ class PendingStop:
         found = {self._discovery.address(name) for name in names}
         return tuple(sorted(one for one in found if one is not None))
 
-    def on_ack(self, ack: Ack) -> bool:
+    def on_ack(self, ack: Ack, now: float) -> bool:
         """Take an ack; False if it is of another request."""
-        return self.acks.on_ack(ack)
+        if ack.refusal != REPLAYED or self._renew is None:
+            return self.acks.on_ack(ack)
+        if ack.id == self._stop.id and now - self._renewed >= RENEW_PERIOD:
+            self._renewed = now
+            origin, counter = self._renew()
+            self._stop = replace(self._stop, origin=origin, counter=counter)
+        return False
 
     def selected(self) -> frozenset[str]:
         """The targets among the names known so far."""

@@ -45,8 +45,9 @@ from swarmd.network.datagram import (
 )
 from swarmd.network.flood_limits import FloodLimits
 from swarmd.network.interface_watch import addresses_of, index_of
+from swarmd.network.link_quality import WaysHeard
 from swarmd.network.packet_filter import swarm_filter
-from swarmd.network.recipients import Recipients
+from swarmd.network.recipients import MAX_ADDRESSES, Recipients
 from swarmd.network.settings import NetworkSettings, parse_endpoint
 
 if TYPE_CHECKING:
@@ -96,11 +97,18 @@ class UdpCarrier:
     """Sends and receives the datagrams of a swarm; raises NetworkError if it cannot be opened.
 
     `port`: the unicast port, from which everything is sent; 0 for a free one. Sending and receiving
-    may be done by two threads.
+    may be done by two threads. `is_secured`: the source of a beacon gets datagrams only after
+    `confirm`.
     """
 
     def __init__(
-        self, settings: NetworkSettings, tag: bytes, *, port: int = 0, clock: Clock = boottime
+        self,
+        settings: NetworkSettings,
+        tag: bytes,
+        *,
+        port: int = 0,
+        is_secured: bool = False,
+        clock: Clock = boottime,
     ) -> None:
         self._interface = settings.interface_name
         self._is_dev = settings.profile == "dev"
@@ -120,12 +128,16 @@ class UdpCarrier:
         self._beacons = 0
         self._multicast_at = self._ipv6_only_at = -1e9
         self._twins: dict[tuple[Address, bytes], tuple[float, _Way]] = {}
+        self._is_secured = is_secured
+        self._unconfirmed: dict[Address, _Way] = {}
         self._detach: Callable[[], None] = lambda: None
         self._is_full = False
         self._limits = FloodLimits()
         self._rules = self._limits.rules(0.0)
         self._turns = 0
         self.recipients = Recipients(self._lease, with_group=self._multicast)
+        # Every fifth beacon is a broadcast.
+        self.ways = WaysHeard(max(2 * self._lease, 2.0 * BEACONS_A_BROADCAST))
         self.unsent = 0
         try:
             self.port = self._open(port)
@@ -270,11 +282,26 @@ class UdpCarrier:
             return None
         if not self._limits.admits(source, payload[KIND_OFFSET], now):
             return None
+        is_of_robot = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
+        if is_of_robot:
+            self.ways.on_heard(source, _Way.MULTICAST.value if way is _Way.COPY else way.value, now)
         if self._is_twin(payload, source, way, now):
             return None
-        if payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag:
+        if is_of_robot and self._is_secured:
+            self._unconfirmed.pop(source, None)
+            self._unconfirmed[source] = way
+            if len(self._unconfirmed) > MAX_ADDRESSES:
+                del self._unconfirmed[next(iter(self._unconfirmed))]
+        elif is_of_robot:
             self._note_robot(source, way, now)
         return source
+
+    def confirm(self, source: Address) -> None:
+        """The last beacon from this source is signed and fresh."""
+        with self._lock:
+            way = self._unconfirmed.pop(source, None)
+            if way is not None:
+                self._note_robot(source, way, self._clock())
 
     def _note_robot(self, source: Address, way: _Way, now: float) -> None:
         """A robot of this swarm was heard: its way decides how the next datagrams are sent."""

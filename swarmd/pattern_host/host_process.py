@@ -47,9 +47,9 @@ def why_it_ended(code: int) -> str:
 
 
 class HostProcess:
-    """One child process and the daemon's end of its socket."""
+    """One child process and the daemon's end of its socket; it prints into `printed`, a file."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, owner: HostOwner) -> None:
+    def __init__(self, loop: asyncio.AbstractEventLoop, owner: HostOwner, printed: int) -> None:
         self._loop = loop
         self.owner = owner
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -66,6 +66,7 @@ class HostProcess:
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,
                 stdin=subprocess.DEVNULL,
+                stderr=printed,
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
             )
         self._pidfd = os.pidfd_open(self.process.pid)
@@ -146,12 +147,13 @@ class TrialProcess:
         frame: bytes,
         on_done: Callable[[TrialDone], None],
         on_reaped: Callable[[HostProcess], None],
+        printed: int,
     ) -> None:
         self.on_reaped = on_reaped
         self._generation = generation
         self._on_done = on_done
         self._is_done = False
-        self._host: HostProcess | None = HostProcess(loop, self)
+        self._host: HostProcess | None = HostProcess(loop, self, printed)
         with contextlib.suppress(OSError):  # it has just ended: the pidfd is watched
             self._host.socket.send(frame)
 

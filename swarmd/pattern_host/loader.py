@@ -15,7 +15,7 @@ from typing import Any, get_args
 from swarmd.core.errors import PluginError, UnknownPatternError, unknown
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.params import Params
-from swarmd.plugins import MISSION
+from swarmd.plugins import IN_FOLDER, MISSION
 
 _CHANNEL_TYPES = (bool, int, float, str, bytes, list, dict)
 
@@ -74,13 +74,30 @@ class PatternLoader:
 
 
 def _from_entry_point(name: str, value: str) -> type[Pattern[Any]]:
+    folder, _, value = value.rpartition(IN_FOLDER)
     module_name, _, attribute = value.partition(":")
+    if folder:
+        _import_first_from(Path(folder))
     module = importlib.import_module(module_name)
     kind = getattr(module, attribute, None)
     if not isinstance(kind, type) or not issubclass(kind, Pattern):
         raise PluginError(f"pattern {name!r}: {value} is no Pattern; ask its authors")
     _check_declarations(kind)
     return kind
+
+
+def _import_first_from(folder: Path) -> None:
+    """Let modules be imported from an unpacked wheel, in place of an earlier version of it.
+
+    An installed package of the same name yields: the folder holds what was pushed and tried.
+    """
+    tops = {entry.name.removesuffix(".py") for entry in folder.iterdir()}
+    for module in list(sys.modules):
+        file = getattr(sys.modules[module], "__file__", None) or ""
+        if module.partition(".")[0] in tops and not file.startswith(f"{folder}/"):
+            del sys.modules[module]
+    sys.path[:] = [str(folder), *(one for one in sys.path if one != str(folder))]
+    importlib.invalidate_caches()
 
 
 def _from_file(path: Path) -> type[Pattern[Any]]:

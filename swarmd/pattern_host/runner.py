@@ -6,7 +6,7 @@ import asyncio
 import dataclasses
 import logging
 from collections import deque
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -27,8 +27,9 @@ from swarmd.core.host_messages import (
     refusal_of,
 )
 from swarmd.pattern_host.host_process import HostProcess, TrialProcess, trial_done, why_it_ended
+from swarmd.pattern_host.printed import PrintPipe
 from swarmd.pattern_host.wire import decode_event, encode_command
-from swarmd.plugins import check_single, installed_patterns, pattern_names, places_of
+from swarmd.plugins import Origin, check_single, installed_patterns, pattern_names, places_of
 
 if TYPE_CHECKING:
     # It brings 7 MB of numpy.random, which only patterns need.
@@ -38,6 +39,10 @@ log = logging.getLogger(__name__)
 
 MIN_RESPAWN_DELAY = 0.05
 MAX_RESPAWN_DELAY = 5.0
+
+
+Overlay = Callable[[Mapping[str, Origin], Load, bool], Mapping[str, Origin]]
+"""The robot's own patterns, a load and whether it is a trial, to all patterns for that load."""
 
 
 class InlineRunner:
@@ -66,12 +71,18 @@ class ProcessRunner:
     """Keeps one warm pattern host; made on the loop's thread, before Zenoh is opened.
 
     It calls `wake` when there are events. A host that ends by itself is replaced after a delay,
-    which doubles while hosts end before they have sent an event.
+    which doubles while hosts end before they have sent an event. What patterns print is logged.
+    `overlay` adds patterns to those of packages and of the folder.
     """
 
     def __init__(
-        self, loop: asyncio.AbstractEventLoop, plugin_dir: Path | None, wake: Callable[[], None]
+        self,
+        loop: asyncio.AbstractEventLoop,
+        plugin_dir: Path | None,
+        wake: Callable[[], None],
+        overlay: Overlay = lambda found, load, is_trial: found,
     ) -> None:
+        self._overlay = overlay
         self._loop = loop
         self._plugin_dir = plugin_dir
         self._installed = installed_patterns()
@@ -84,7 +95,8 @@ class ProcessRunner:
         self._dying: list[HostProcess] = []
         self._trial: TrialProcess | None = None
         self.dropped = 0
-        self._host: HostProcess | None = HostProcess(loop, self)
+        self._printed = PrintPipe()
+        self._host: HostProcess | None = HostProcess(loop, self, self._printed.write)
 
     @property
     def pid(self) -> int | None:
@@ -108,7 +120,9 @@ class ProcessRunner:
         self._generation = command.generation
         try:
             frame = encode_command(
-                self._with_origins(command) if isinstance(command, Load) else command
+                self._with_origins(command, is_trial=False)
+                if isinstance(command, Load)
+                else command
             )
         except (PluginError, CodecError) as error:
             self._events.append(
@@ -138,6 +152,7 @@ class ProcessRunner:
         self._kill()
         for host in list(self._dying):
             host.reap()
+        self._printed.close()
 
     def on_reaped(self, host: HostProcess) -> None:
         """A host's process has been waited for."""
@@ -167,11 +182,18 @@ class ProcessRunner:
             self._respawn_delay = min(2.0 * self._respawn_delay, MAX_RESPAWN_DELAY)
         self._wake()
 
-    def _with_origins(self, load: Load) -> Load:
-        found = pattern_names(self._plugin_dir, self._installed)
+    def own_patterns(self) -> Mapping[str, Origin]:
+        """The patterns of packages and of the folder, without those of the overlay."""
+        return pattern_names(self._plugin_dir, self._installed)
+
+    def _found(self, load: Load, *, is_trial: bool) -> Mapping[str, Origin]:
+        return self._overlay(self.own_patterns(), load, is_trial)
+
+    def _with_origins(self, load: Load, *, is_trial: bool) -> Load:
+        found = self._found(load, is_trial=is_trial)
         if load.pattern not in found:  # perhaps installed meanwhile; reading that takes 2 ms
             self._installed = installed_patterns()
-            found = pattern_names(self._plugin_dir, self._installed)
+            found = self._found(load, is_trial=is_trial)
         if load.pattern not in found:
             raise UnknownPatternError(unknown("pattern", load.pattern, found))
         check_single(load.pattern, found[load.pattern])
@@ -185,9 +207,14 @@ class ProcessRunner:
         self._installed = installed_patterns()  # a new version may have it elsewhere
         number = load.generation
         try:
-            frame = encode_command(self._with_origins(load))
+            frame = encode_command(self._with_origins(load, is_trial=True))
             self._trial = TrialProcess(
-                self._loop, number, frame, self._on_trial_done, self.on_reaped
+                self._loop,
+                number,
+                frame,
+                self._on_trial_done,
+                self.on_reaped,
+                self._printed.write,
             )
         except (PluginError, CodecError, OSError) as error:
             self._events.append(TrialDone(number, str(error), refusal_of(error)))
@@ -225,5 +252,5 @@ class ProcessRunner:
         if self._respawn is not None:
             self._respawn.cancel()
             self._respawn = None
-        self._host = HostProcess(self._loop, self)
+        self._host = HostProcess(self._loop, self, self._printed.write)
         return self._host

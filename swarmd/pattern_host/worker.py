@@ -8,10 +8,12 @@ The daemon starts it with one end of a SOCK_SEQPACKET pair. It ends with the dae
 from __future__ import annotations
 
 import contextlib
+import io
 import os
 import socket
 import sys
 import time
+from typing import cast
 
 from msgspec.structs import replace
 
@@ -34,7 +36,8 @@ def main() -> None:
     die_with_parent(parent)
     _lower_priority()
     os.set_inheritable(fd, False)
-    os.dup2(2, 1)  # what a pattern prints belongs into the daemon's log
+    os.dup2(2, 1)  # what a pattern prints belongs into the daemon's log, line by line
+    cast("io.TextIOWrapper", sys.stdout).reconfigure(line_buffering=True)
     with socket.socket(fileno=fd) as daemon:
         try:
             _serve(daemon)

@@ -11,6 +11,7 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.goal import GoalRecord
 from swarmd.core.host_messages import Layers
 from swarmd.core.messages import Latch
 from swarmd.core.values import Array, Platform, TouchZone
@@ -21,8 +22,8 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     """The robot, and the settings that decide what it does.
 
     `clock`: which clock, see `core/clock.py`. `layers`: parameters
-    by pattern and source, weakest first. `revision`, `generation`, `latches`, and `cleared`, the
-    ids of latches that were reset: of the robot when the recording began.
+    by pattern and source, weakest first. `revision`, `generation`, `latches`, `goals`, and
+    `cleared`, the ids of latches that were reset: of the robot when the recording began.
     """
 
     robot: str
@@ -42,6 +43,7 @@ class RecordingHead(Struct, frozen=True, kw_only=True):
     generation: int
     latches: Mapping[str, Latch]
     cleared: tuple[str, ...] = ()
+    goals: GoalRecord = GoalRecord()
 
     def texts(self) -> dict[str, str]:
         """The head as texts for a file: the main ones readable, all of them in `head`."""

@@ -36,7 +36,7 @@ OWN = {
     ),
     "Neighbors": (
         "std_msgs/Header header\nstring[] robots\n"
-        "float64[] distances\nfloat64[] bearings\nfloat64[] headings"
+        "float64[] distances\nfloat64[] bearings\nfloat64[] headings\nuint8[] in_reach"
     ),
     "SharedPose": (
         "std_msgs/Header header\ngeometry_msgs/Pose pose\nfloat64 error\nfloat64 yaw_error"
@@ -139,20 +139,24 @@ def odometry_of(message: Any) -> Odometry:
 
 
 def neighbors_message(neighbors: tuple[Neighbor, ...], stamp: float) -> Message:
-    """The robots within radio range."""
+    """The robots that are sensed or heard."""
     cdr = CdrWriter().header(stamp, "").texts([one.id for one in neighbors])
     cdr.array(_optional(one.distance for one in neighbors))
     cdr.array(_optional(one.bearing for one in neighbors))
-    return cdr.array(_optional(one.heading for one in neighbors)).as_message("Neighbors")
+    cdr.array(_optional(one.heading for one in neighbors))
+    return cdr.array(bytes(one.in_reach for one in neighbors)).as_message("Neighbors")
 
 
 def neighbors_of(message: Any) -> tuple[Neighbor, ...]:
-    """The robots within radio range; their age is 0, counted from arrival."""
-    columns = message.distances, message.bearings, message.headings
-    rows = zip(*(column.tolist() for column in columns), strict=True)
-    sensed = [tuple(None if math.isnan(value) else value for value in row) for row in rows]
+    """The robots that are sensed or heard; their age is 0, counted from arrival."""
+    columns = (
+        column.tolist() for column in (message.distances, message.bearings, message.headings)
+    )
+    sensed = ([None if math.isnan(value) else value for value in column] for column in columns)
+    rows = zip(message.robots, *sensed, message.in_reach, strict=True)
     return tuple(
-        Neighbor(robot, 0.0, *values) for robot, values in zip(message.robots, sensed, strict=True)
+        Neighbor(robot, 0.0, distance, bearing, heading, bool(near))
+        for robot, distance, bearing, heading, near in rows
     )
 
 

@@ -15,6 +15,7 @@ from typing import Any
 import msgspec
 
 from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.goal import Goal
 from swarmd.core.host_messages import (
     HostEvent,
     KillHost,
@@ -34,8 +35,8 @@ from swarmd.recording.head import RecordingHead, head_of
 from swarmd.recording.reader import RecordedFile, RecordedMessage, clock_of
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
+from swarmd.robot.settings import RobotSettings
 
 TOLERANCE = 1e-6
 """m/s and rad/s: two commands that differ by less are equal."""
@@ -123,6 +124,7 @@ class Replay:
         self._begin: float | None = None
         self._actions: Actions | None = None
         self._notes: dict[str, None] = {}
+        self._provisional: tuple[int, ...] = ()
         self._has_parted = False  # one of the two robots ran while the other did not
         self.safe, self.requested = Compared(), Compared()
 
@@ -136,6 +138,7 @@ class Replay:
             labels=head.labels,
             touch=head.touch,
             accepts=head.accepts,
+            is_provisional=lambda generation: generation in self._provisional,
         )
         return Robot(
             head.robot,
@@ -145,6 +148,7 @@ class Replay:
             instance=head.instance,
             now=now,
             latches=LatchRecord(held=dict(head.latches), cleared=head.cleared),
+            goals=head.goals,
             revision=head.revision,
             generation=head.generation,
         )
@@ -218,12 +222,26 @@ class Replay:
             if isinstance(request, StopRequest) and now - request.age < (self._begin or 0.0):
                 return  # a late copy: the robot had carried it out before the recording began
             self._carry_out(robot.on_request(request, now))
+        elif topic == "/code_changed":
+            self._carry_out(robot.on_code_changed(now))
+        elif topic == "/provisional":
+            self._provisional = decode(text, type=tuple[int, ...])
         elif topic == "/latches":
             self._carry_out(robot.on_latches(decode(text, type=dict[str, Latch]), now))
+        elif topic == "/goal":
+            goal, age = decode(text, type=tuple[Goal, float | None])
+            self._carry_out(robot.on_goal(goal, age, now))
+        elif topic == "/forget_goals":
+            self._carry_out(robot.forget_goals(decode(text, type=tuple[str, ...]), now))
+        elif topic == "/run_lease":
+            robot.on_run_lease(*decode(text, type=tuple[str, int]), now)
         elif topic == "/duplicate":
             self._carry_out(robot.on_duplicate(decode(text, type=str | None), now))
         elif topic == "/network":
             self._carry_out(robot.on_network_changed(decode(text, type=str), now))
+        elif topic == "/roster":
+            words, is_revoked = decode(text, type=tuple[str, bool])
+            self._carry_out(robot.on_roster(words, now, is_revoked=is_revoked))
         else:
             self._note(f"{topic} is not known to this version")
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 
 from msgspec import Struct, structs
 
+from swarmd.core.goal import GoalRecord
 from swarmd.core.host_messages import (
     CancelTrial,
     HostCommand,
@@ -21,16 +22,23 @@ from swarmd.protection.decision import Decision
 from swarmd.robot.latches import LatchRecord
 
 
+class FailedCode(Struct, frozen=True):
+    """Provisional code that failed: the generation of its load, and why."""
+
+    generation: int
+    text: str
+
+
 class Actions(Struct, frozen=True, eq=False):
     """The work of the shell after one event, in this order.
 
-    Hand `twist` to the driver, write `latches` to disk, send `trial` and `host` to the pattern
-    host, publish `messages` (by `<pattern>/<channel>`), `status` and `replies`.
+    Hand `twist` to the driver, write `latches` and `goals` to disk, send `trial` and `host` to the
+    pattern host, publish `messages` (by `<pattern>/<channel>`), `status` and `replies`.
     `requested_scan_seq` is the scan behind `twist` (-1: none). `is_idle`: the state is idle and the
     base is connected. `is_stopped`: the state is stopped, estopped or faulted. `replies` may answer
     earlier requests: a run is answered when its pattern has been loaded. A `trial` has a process of
     its own and leaves the running pattern alone. `is_quiet`: there is nothing but the command, and
-    `wake_at` is as before.
+    `wake_at` is as before. `failed_code`: provisional code has failed.
     """
 
     twist: Twist
@@ -40,11 +48,13 @@ class Actions(Struct, frozen=True, eq=False):
     is_stopped: bool = False
     is_quiet: bool = False
     latches: LatchRecord | None = None
+    goals: GoalRecord | None = None
     trial: StartTrial | CancelTrial | None = None
     host: HostCommand | None = None
     messages: Mapping[str, Value] = {}
     status: Status | None = None
     replies: tuple[Reply, ...] = ()
+    failed_code: FailedCode | None = None
 
 
 class Effects(Struct, eq=False):
@@ -64,6 +74,7 @@ class Effects(Struct, eq=False):
     messages: Mapping[str, Value] = {}
     replies: tuple[Reply, ...] = ()
     host: HostCommand | None = None
+    failed_code: FailedCode | None = None
 
     def command_host(self, command: KillHost | Load | SetParams | Step) -> None:
         """Choose the one command of this event for the pattern host.

@@ -7,7 +7,8 @@ from collections.abc import Iterable, Mapping
 import msgspec
 from msgspec import Struct
 
-from swarmd.core.messages import Latch, Name
+from swarmd.core.bounds import Name
+from swarmd.core.messages import Latch
 
 MAX_CLEARED = 256  # ids of reset latches that are remembered
 MAX_HELD = 32  # latches held by id

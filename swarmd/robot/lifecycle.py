@@ -8,18 +8,18 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 
 from msgspec import structs
 
+from swarmd.core.goal import Goal, GoalRecord, GoalState, digest_of
 from swarmd.core.host_messages import (
     REQUEST_LAYER,
     CancelTrial,
     HostDied,
     HostEvent,
     KillHost,
-    Layers,
     Load,
     Loaded,
     LoadRefused,
@@ -30,35 +30,38 @@ from swarmd.core.host_messages import (
 )
 from swarmd.core.messages import (
     MAX_EVENTS,
+    MAX_LATE,
     Code,
     Epoch,
     Latch,
     LoggedEvent,
-    NarrowestPassage,
     ParamRequest,
     Reason,
     Refusal,
     ReloadRequest,
     Reply,
     Request,
+    ResumeRequest,
     RunRequest,
     State,
 )
-from swarmd.core.values import Platform, Scalar, TouchZone
+from swarmd.core.values import Scalar
 from swarmd.kit.touch import effective_zone
-from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
 from swarmd.protection.decision import Permit
-from swarmd.robot.actions import Effects
+from swarmd.robot.actions import Effects, FailedCode
+from swarmd.robot.goals import Goals
 from swarmd.robot.latches import Latches, LatchRecord
 from swarmd.robot.outbox import Outbox
 from swarmd.robot.pattern_run import (
     FAULTS_BEFORE_QUARANTINE,
     LOAD_TIMEOUT,
+    ROUNDING,
     STEP_TIMEOUT,
     Loading,
     PatternRun,
     Trial,
 )
+from swarmd.robot.settings import RobotIdentity
 from swarmd.robot.state_machine import StateMachine, Trigger
 
 MAX_HOLD_TIME = 2.0  # s after which a hold ends the run
@@ -66,51 +69,27 @@ MAX_TEXT = 300  # characters
 _ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL, Trigger.NETWORK})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotSettings:
-    """Settings of a robot beside its platform.
-
-    `layers` gives the configured parameters of a pattern by layer, weakest first; `touch` the
-    granted touch zones by pattern; `accepts` the platforms that it may drive beside unseen.
-    """
-
-    driver: str
-    layers: Callable[[str], Layers]
-    host: str = ""
-    profile: str = "dev"
-    is_secured: bool = False
-    version: str = ""
-    kernels: str = ""
-    labels: tuple[str, ...] = ()
-    touch: Mapping[str, TouchZone] = field(default_factory=dict)
-    accepts: Accepts = ACCEPTS_NONE
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RobotIdentity:
-    """The robot that a pattern is loaded for, in the life `instance` of its daemon."""
-
-    robot: str
-    platform: Platform
-    settings: RobotSettings
-    seed: int
-    instance: str
-    passage: NarrowestPassage | None
-
-
 class Lifecycle:
     """State, pattern and latches of one robot. Times are in s and come with `effects`."""
 
-    def __init__(self, identity: RobotIdentity, latches: LatchRecord | None, now: float) -> None:
+    def __init__(
+        self,
+        identity: RobotIdentity,
+        latches: LatchRecord | None,
+        goals: GoalRecord | None,
+        now: float,
+    ) -> None:
         self.identity = identity
         self.born = now
         self.state_machine = StateMachine(now)
         self.pattern_run = PatternRun()
         self.latches = Latches(latches)
+        self.goals = Goals(identity.robot, identity.settings.labels, goals)
         self.outbox = Outbox()
         self.revision = 0
         self.changed_by = "no one yet"
         self.duplicate: str | None = None
+        self.revoked = ""  # why this robot is no longer one of its swarm
         self.report: Mapping[str, Scalar] = {}
         self.events: deque[LoggedEvent] = deque(maxlen=MAX_EVENTS)
         self.params_request: tuple[ParamRequest, float] | None = None
@@ -192,16 +171,45 @@ class Lifecycle:
             self._on_host_died(event.text, effects)
 
     def _on_loaded(self, event: Loaded, effects: Effects) -> None:
-        loading = self.pattern_run.ready(event, effects.now)
+        """The pattern is loaded: run it, or keep it for the time at which the run is to start."""
+        run = self.pattern_run
+        loading = run.loading
+        assert loading is not None
+        late = 0.0 if loading.start_at is None else effects.now - loading.start_at + ROUNDING
+        if late > MAX_LATE:
+            self._end_late_load(late, effects)
+        elif late < 0.0:
+            run.awaiting_since = None
+            run.loading = replace(loading, loaded=event)
+        else:
+            self._begin_run(event, effects)
+
+    def _end_late_load(self, late: float, effects: Effects) -> None:
+        loading, self.pattern_run.loading = self.pattern_run.loading, None
+        effects.command_host(KillHost())
+        assert loading is not None
+        text = f"{loading.pattern} was loaded {late:.1f} s after the time at which it was to start"
+        if loading.request is not None:
+            self.refuse(effects, loading.request, Refusal.TOO_LATE, text)
+        self.end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
+
+    def _begin_run(self, event: Loaded, effects: Effects) -> None:
+        now = effects.now
+        loading = self.pattern_run.ready(event, now)
         self.hold_since = None
-        self.state_machine.apply(Trigger.RUN, None, "", effects.now)
-        if loading.request is None:
-            self.log(f"{loading.pattern} restarted", effects.now)
+        self.state_machine.apply(Trigger.RUN, None, "", now)
+        if loading.is_restart:
+            self.log(f"{loading.pattern} restarted", now)
         else:
             effects.is_new_run = True
             self.report = {}
+            self.goals.on_running(loading.goal, loading.pattern, now - loading.since, now)
             text = f"runs {loading.pattern}"
-            self.applied(effects, loading.request, f"{text}; {event.note}" if event.note else text)
+            text = f"{text}; {event.note}" if event.note else text
+            if loading.request is None:
+                self.log(text, now)
+            else:
+                self.applied(effects, loading.request, text)
         # The touch zone is granted to this generation alone: it ends with `pattern_run.running`.
         running = self.pattern_run.running
         assert running is not None
@@ -216,8 +224,15 @@ class Lifecycle:
         loading, self.pattern_run.loading = self.pattern_run.loading, None
         if loading is None or loading.request is None:
             self.end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
+            is_unknown = event.refusal is Refusal.UNKNOWN_PATTERN
+            if loading is not None and loading.goal is not None and is_unknown:
+                self.goals.await_code(loading.generation)
             return
         self.refuse(effects, loading.request, event.refusal, text)
+        if self.goals.state is GoalState.LOADING:  # peers run it: what runs here is superseded
+            self.goals.on_end(f"not loaded: {text}")
+            if self.is_running and loading.goal is not None:
+                self.end(Trigger.STOP, Reason.SUPERSEDED, f"by {loading.goal.text}", effects)
         if self._load is not None and self._load.is_fresh:  # it replaced the host that ran
             self.fault("its host was replaced", effects)
 
@@ -256,12 +271,14 @@ class Lifecycle:
         running.values = event.params
         running.permit = Permit(_may_recover(event.params), running.permit.touch)
         running.params = {**running.params, **request.params}
+        names = ", ".join(request.params)
+        self.goals.note(f"param set by {request.operator}: {names}"[:MAX_TEXT])
         self.applied(effects, request, event.text or "set")
 
     def _on_host_died(self, text: str, effects: Effects) -> None:
         self.pattern_run.awaiting_since = None
         loading = self.pattern_run.loading
-        if loading is not None and loading.request is not None:
+        if loading is not None and not loading.is_restart:
             self.fail_load(text, effects)
         elif self.is_running and self.pattern_run.restart_at is None:
             self.fault(text, effects)
@@ -279,11 +296,22 @@ class Lifecycle:
         self.log(f"{running.pattern} failed: {text}", effects.now)
         if loading is not None and loading.request is not None:
             self.fail_load(text, effects)
+        elif self._is_provisional(running.generation, text, effects):
+            run.fault(effects.now)
+            detail = f"{running.pattern} failed while it was provisional: {text}"
+            self.end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
         elif not run.fault(effects.now):
             self.hold_since = None  # the restart may take as long as any other hold
         else:
             detail = f"{running.pattern} failed {FAULTS_BEFORE_QUARANTINE} times, last: {text}"
             self.end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
+
+    def _is_provisional(self, generation: int, text: str, effects: Effects) -> bool:
+        """True, with the failure in `effects`, if the pattern of a generation is provisional."""
+        is_provisional = self.identity.settings.is_provisional(generation)
+        if is_provisional:
+            effects.failed_code = FailedCode(generation, text)
+        return is_provisional
 
     def fail_load(self, text: str, effects: Effects) -> None:
         """End a load that failed, and its host."""
@@ -292,6 +320,7 @@ class Lifecycle:
         if loading is None:
             return
         self.log(f"{loading.pattern} was not loaded: {text}", effects.now)
+        self._is_provisional(loading.generation, text, effects)
         detail = f"{loading.pattern}: {text}"
         if loading.request is not None:
             self._reply(effects, loading.request, Code.FAILED, Refusal.PATTERN_FAILED, detail)
@@ -319,8 +348,11 @@ class Lifecycle:
         self.hold_since = None
         before = self.state_machine.state
         self.state_machine.apply(trigger, reason, detail[:MAX_TEXT], effects.now)
+        text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
+        if reason is not Reason.LEAVING:  # a robot that restarts offers its goal again
+            self.goals.on_end(text[:MAX_TEXT])
         if self.state_machine.state is not before:
-            self.log(f"{self.state_machine.state} ({reason}) {detail}".rstrip(), effects.now)
+            self.log(text, effects.now)
 
     def end_trial(self, refusal: Refusal, text: str, effects: Effects) -> None:
         """End the trial under way, if any, without success; the running pattern goes on."""
@@ -340,23 +372,37 @@ class Lifecycle:
         *,
         seconds: float | None = None,
         until: tuple[str, ...] = (),
-        request: RunRequest | ReloadRequest | None = None,
+        request: RunRequest | ReloadRequest | ResumeRequest | None = None,
+        goal: Goal | None = None,
+        start_at: float | None = None,
         is_fresh: bool = False,
     ) -> None:
-        """Load a pattern; it runs once its host reports Loaded. `request` None: a restart.
+        """Load a pattern; it runs once its host reports Loaded, and not before `start_at`.
 
-        `is_fresh`: in a fresh host. `until`: conditions of which any ends the run.
+        Without `request` and `goal` it is a restart. `is_fresh`: in a fresh host. `until`:
+        conditions of which any ends the run.
         """
         run = self.pattern_run
         run.generation += 1
         now = effects.now
-        run.loading = Loading(run.generation, pattern, params, seconds, now, request, until)
+        run.loading = Loading(
+            run.generation, pattern, params, seconds, now, request, until, goal, start_at
+        )
         run.restart_at = None
         load = self.load_of(run.generation, pattern, params)
         is_fresh = is_fresh or run.is_outdated
-        self._load = structs.replace(load, is_fresh=is_fresh, until=until)
+        is_restart = request is None
+        self._load = structs.replace(load, is_fresh=is_fresh, until=until, is_restart=is_restart)
         effects.command_host(self._load)
         run.is_outdated = False
+
+    def outdate_host(self, effects: Effects) -> None:
+        """Let the next run have a fresh host; the running pattern goes on."""
+        run = self.pattern_run
+        if run.running is None and run.loading is None:
+            effects.command_host(KillHost())
+        else:
+            run.is_outdated = True
 
     def load_of(self, generation: int, pattern: str, params: Mapping[str, Scalar | None]) -> Load:
         """The command that loads a pattern for this robot; `params` form the strongest layer."""
@@ -393,6 +439,19 @@ class Lifecycle:
         self.log(f"network: {text}", effects.now)
         self.end(Trigger.NETWORK, Reason.NETWORK_CHANGED, text, effects)
 
+    def on_roster(self, text: str, effects: Effects, *, is_revoked: bool) -> None:
+        """The daemon takes a roster: the run ends. A revoked robot refuses runs from then on."""
+        self.revoked = text if is_revoked else ""
+        self.raise_revision("a change of the roster")
+        self.log(f"roster: {text}", effects.now)
+        trigger = Trigger.STOP if is_revoked else Trigger.NETWORK
+        self.end(trigger, Reason.ROSTER_CHANGED, text, effects)
+
+    def forget_goals(self, digests: tuple[str, ...], effects: Effects) -> None:
+        """Drop goals, whose issuers are not operators any more; a run of one has ended."""
+        self.log(f"forgets {len(digests)} goals that no operator of the roster signed", effects.now)
+        self.goals.forget(lambda goal: digest_of(goal).hex() not in digests)
+
     def on_duplicate(self, holder: str | None, effects: Effects) -> None:
         """Another instance has this id; None: it has left."""
         if holder is not None and holder != self.duplicate:
@@ -406,13 +465,19 @@ class Lifecycle:
     def due_at(self) -> float:
         """A time before which `advance` without a hold changes nothing; inf without one."""
         is_waiting = self.params_request is not None or self.trial is not None
-        return -math.inf if is_waiting else self.pattern_run.lifecycle_due_at()
+        if is_waiting:
+            return -math.inf
+        due, lease_ends = self.pattern_run.lifecycle_due_at(), self.goals.lease_ends
+        return due if lease_ends is None else min(due, lease_ends)
 
     def advance(self, hold: Reason | None, effects: Effects) -> Reason | None:
         """Act on all deadlines that have passed; returns the present hold, if any."""
         run, now = self.pattern_run, effects.now
         loading = run.loading
-        if loading is not None and now - loading.since >= LOAD_TIMEOUT:
+        if loading is not None and loading.loaded is not None:
+            if loading.start_at is None or now >= loading.start_at - ROUNDING:
+                self._on_loaded(loading.loaded, effects)
+        elif loading is not None and now - loading.since >= LOAD_TIMEOUT:
             self.fail_load(f"loading took more than {LOAD_TIMEOUT:.0f} s", effects)
         if run.awaiting_since is not None and now - run.awaiting_since >= STEP_TIMEOUT:
             run.awaiting_since = None
@@ -426,6 +491,12 @@ class Lifecycle:
             return None
         if running.finish_at is not None and now >= running.finish_at:
             self.end(Trigger.FINISH, Reason.FINISHED, "its seconds are over", effects)
+            return None
+        lease_ends, own = self.goals.lease_ends, self.goals.own
+        if lease_ends is not None and own is not None and now >= lease_ends:
+            text = f"{own.goal.issuer} was not heard for {own.goal.lease:g} s"
+            self.raise_revision(f"the end of the run lease of {own.goal.issuer}")
+            self.end(Trigger.STOP, Reason.LEASE_ENDED, text, effects)
             return None
         return self._present_hold(hold, effects)
 

@@ -9,8 +9,9 @@ from dataclasses import dataclass, field
 
 from msgspec import Struct
 
+from swarmd.core.goal import Goal
 from swarmd.core.host_messages import Loaded, Stepped
-from swarmd.core.messages import ReloadRequest, RunRequest
+from swarmd.core.messages import ReloadRequest, ResumeRequest, RunRequest
 from swarmd.core.values import Scalar, Twist
 from swarmd.protection.decision import NO_PERMIT, Permit
 
@@ -39,7 +40,9 @@ class RequestedCommand(Struct, frozen=True):
 class Loading:
     """A pattern that is being loaded; the running one stays, without steps, until then.
 
-    `request` None: a restart after a fault. `until`: conditions of which any ends the run.
+    `until`: conditions of which any ends the run. `request` is answered when it runs.
+    `goal`: the goal of the run. `start_at`: s on the own clock before which it does not begin;
+    `loaded`: the host's answer, which waits for that time.
     """
 
     generation: int
@@ -47,8 +50,16 @@ class Loading:
     params: Mapping[str, Scalar | None]
     seconds: float | None
     since: float
-    request: RunRequest | ReloadRequest | None
+    request: RunRequest | ReloadRequest | ResumeRequest | None
     until: tuple[str, ...] = ()
+    goal: Goal | None = None
+    start_at: float | None = None
+    loaded: Loaded | None = None
+
+    @property
+    def is_restart(self) -> bool:
+        """True if it restarts a pattern that failed: no request and no goal asks for it."""
+        return self.request is None and self.goal is None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,7 +129,7 @@ class PatternRun:
         loading, self.loading = self.loading, None
         assert loading is not None
         finish_at = None if loading.seconds is None else now + loading.seconds
-        if loading.request is None and self.running is not None:
+        if loading.is_restart and self.running is not None:
             finish_at = self.running.finish_at
         else:
             self._faults.clear()
@@ -175,7 +186,7 @@ class PatternRun:
     @property
     def is_restarting(self) -> bool:
         """True while a failed pattern waits for its restart or is being loaded again."""
-        is_reloading = self.loading is not None and self.loading.request is None
+        is_reloading = self.loading is not None and self.loading.is_restart
         return self.restart_at is not None or is_reloading
 
     def fault(self, now: float) -> bool:
@@ -239,6 +250,8 @@ class PatternRun:
                 soonest = _sooner(running.finish_at, soonest, now)
         if self.loading is not None:
             soonest = _sooner(self.loading.since + LOAD_TIMEOUT, soonest, now)
+            if self.loading.start_at is not None:
+                soonest = _sooner(self.loading.start_at, soonest, now)
         if self.awaiting_since is not None:
             soonest = _sooner(self.awaiting_since + STEP_TIMEOUT, soonest, now)
         if self.restart_at is not None:

@@ -48,10 +48,12 @@ class _OwnPose(NamedTuple):
 class Peers:
     """Findings about peers, and the places of those that are not seen for certain.
 
-    All times are in s on the robot's monotonic clock and come with each call.
+    All times are in s on the robot's monotonic clock and come with each call. With `tells_pose`
+    the robot tells its pose to all peers, else only if one of them may not see it.
     """
 
-    def __init__(self, platform: Platform, accepts: Accepts) -> None:
+    def __init__(self, platform: Platform, accepts: Accepts, *, tells_pose: bool = False) -> None:
+        self._tells_pose = tells_pose
         self.own = body_of(platform)
         self._others_speed = assumed_speed(platform)
         self._is_off = platform.protection.get("mode") == "off"
@@ -138,8 +140,8 @@ class Peers:
         self._own_pose = _OwnPose(pose, now - late - half, shift, half * abs(twist.angular))
 
     def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
-        """The own pose and its highest age in s, if a peer may not see this robot."""
-        if not self._is_missed or self._own_pose is None:
+        """The own pose and its highest age in s, if peers are to know it."""
+        if not (self._is_missed or self._tells_pose) or self._own_pose is None:
             return None
         age = now - self._own_pose.at + 0.5 * FASTEST_POSE
         return (self._own_pose.shared, age) if age <= POSE_TIMEOUT else None

@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 
-from swarmd.core.errors import ConfigError
+from swarmd.core.goal import GoalState
 from swarmd.core.host_messages import (
     CancelTrial,
     KillHost,
@@ -23,7 +23,12 @@ from swarmd.core.host_messages import (
 )
 from swarmd.core.keys import is_id
 from swarmd.core.messages import (
+    MAX_AHEAD,
+    MAX_LATE,
+    Epoch,
     EstopRequest,
+    GoalRequest,
+    LabelRequest,
     Latch,
     ParamRequest,
     Reason,
@@ -31,12 +36,13 @@ from swarmd.core.messages import (
     ReloadRequest,
     Request,
     ResetRequest,
+    ResumeRequest,
     RunRequest,
     State,
     StopRequest,
 )
-from swarmd.kit.conditions import parse_conditions
 from swarmd.robot.actions import Effects
+from swarmd.robot.goal_handler import GoalHandler, fault_of
 from swarmd.robot.lifecycle import Lifecycle
 from swarmd.robot.pattern_run import Trial
 from swarmd.robot.state_machine import Trigger
@@ -47,12 +53,20 @@ TRIAL_TIMEOUT = 10.0
 class RequestHandler:
     """Carries out the requests of operators. `stop_text`: the text of a stop's ack at a time."""
 
-    def __init__(self, robot: str, lifecycle: Lifecycle, stop_text: Callable[[float], str]) -> None:
+    def __init__(
+        self,
+        robot: str,
+        lifecycle: Lifecycle,
+        goals: GoalHandler,
+        stop_text: Callable[[float], str],
+    ) -> None:
         self._robot = robot
+        self._goals = goals
         self._lifecycle = lifecycle
         self._stop_text = stop_text
         self._trials = 0
         self._last_stop = ("", -1)  # its id, and the revision that it led to
+        self._stopped = -math.inf  # when the latest stop that was carried out was issued
         self._last_run = -math.inf, ""  # when a run was begun, and by whom
         self._last_reset = -math.inf
 
@@ -64,17 +78,29 @@ class RequestHandler:
             self._estop(request, effects)
         elif isinstance(request, StopRequest):
             self._stop(request, effects)
-        elif request.targets[self._robot] != self._lifecycle.epoch:
+        elif self._lifecycle.revoked and not isinstance(request, ResetRequest):
+            text = f"{self._lifecycle.revoked}; it is no longer a robot of this swarm"
+            self._lifecycle.refuse(effects, request, Refusal.REVOKED, text)
+        elif not self._is_fresh(request, request.targets[self._robot]):
             text = f"robot changed since you looked, by {self._lifecycle.changed_by}"
             self._lifecycle.refuse(effects, request, Refusal.STALE_EPOCH, text)
-        elif isinstance(request, RunRequest):
+        elif isinstance(request, RunRequest | ResumeRequest):
             self._run(request, effects)
+        elif isinstance(request, GoalRequest):
+            self._goals.set_goal(request, effects)
+        elif isinstance(request, LabelRequest):
+            self._goals.set_labels(request, effects)
         elif isinstance(request, ResetRequest):
             self._reset(request, effects)
         elif isinstance(request, ReloadRequest):
             self._begin_trial(request, effects)
         else:
             self._set_params(request, effects)
+
+    def _is_fresh(self, request: Request, quoted: Epoch | None) -> bool:
+        """True if nothing but the goal of this request changed the robot since the epoch quoted."""
+        is_same = quoted == self._lifecycle.epoch
+        return is_same or self._goals.is_of_found_goal(request, quoted)
 
     def _stop(self, request: StopRequest, effects: Effects) -> None:
         lifecycle = self._lifecycle
@@ -87,12 +113,26 @@ class RequestHandler:
             # Another robot handed it on late: this one was stopped, reset, and has stood since.
             lifecycle.applied(effects, request, self._stop_text(effects.now))
             return
+        if request.age > 0.0 and self._is_stopped_since(request, effects.now):
+            # Robots hand a stop on for a minute: what was asked since, such as a trial, goes on.
+            self._goals.on_stop(request, effects)
+            lifecycle.applied(effects, request, self._stop_text(effects.now))
+            return
+        self._stopped = max(self._stopped, effects.now - request.age)
         # An operator repeats a stop until it is acked; the repeats count as one change.
         if self._last_stop != (request.id, lifecycle.revision):
             lifecycle.raise_revision(f"{request.operator} (stop)")
             self._last_stop = (request.id, lifecycle.revision)
         lifecycle.end(Trigger.STOP, Reason.OPERATOR, f"by {request.operator}", effects)
+        self._goals.on_stop(request, effects)
         lifecycle.applied(effects, request, self._stop_text(effects.now))
+
+    def _is_stopped_since(self, request: StopRequest, now: float) -> bool:
+        """True if this stop or a later stop stopped the robot, and it stands."""
+        is_known = request.id == self._last_stop[0] or now - request.age <= self._stopped
+        lifecycle = self._lifecycle
+        is_stopped = lifecycle.state_machine.state is State.STOPPED
+        return is_known and is_stopped and lifecycle.pattern_run.loading is None
 
     def _estop(self, request: EstopRequest, effects: Effects) -> None:
         latch_id = request.id if is_id(request.id) else "unnamed"
@@ -104,17 +144,20 @@ class RequestHandler:
         self._lifecycle.latch(latch_id, latch, effects)
         self._lifecycle.applied(effects, request, self._stop_text(effects.now))
 
-    def _run(self, request: RunRequest, effects: Effects) -> None:
+    def _run(self, request: RunRequest | ResumeRequest, effects: Effects) -> None:
         lifecycle, machine = self._lifecycle, self._lifecycle.state_machine
         if machine.state in (State.ESTOPPED, State.FAULTED):
             is_estopped = machine.state is State.ESTOPPED
             refusal = Refusal.ESTOPPED if is_estopped else Refusal.FAULTED
             text = f"{machine.state} ({machine.reason}) {machine.detail}; reset it first"
             lifecycle.refuse(effects, request, refusal, text)
-        elif fault := _fault_of(request.until):
-            lifecycle.refuse(effects, request, Refusal.INVALID_CONDITION, fault)
         elif text := under_way(lifecycle):
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
+        elif isinstance(request, ResumeRequest):
+            self._last_run = effects.now, request.operator
+            self._goals.resume(request, effects)
+        elif why := self._refusal_of(request, effects.now):
+            lifecycle.refuse(effects, request, *why)
         else:
             lifecycle.raise_revision(f"{request.operator} (run {request.pattern})")
             self._last_run = effects.now, request.operator
@@ -125,7 +168,21 @@ class RequestHandler:
                 seconds=request.seconds,
                 until=request.until,
                 request=request,
+                goal=request.goal,
+                start_at=request.at.get(self._robot),
             )
+
+    def _refusal_of(self, request: RunRequest, now: float) -> tuple[Refusal, str] | None:
+        """Why a run is refused because of its conditions, its time or its goal."""
+        if fault := fault_of(request.until):
+            return Refusal.INVALID_CONDITION, fault
+        ahead = request.at.get(self._robot, now) - now
+        if ahead < -MAX_LATE:
+            return Refusal.TOO_LATE, f"the run was to start {-ahead:.1f} s ago"
+        if ahead > MAX_AHEAD:
+            text = f"the run is to start in {ahead:.0f} s; at most {MAX_AHEAD:.0f} s ahead"
+            return Refusal.INVALID_REQUEST, text
+        return self._lifecycle.goals.refusal_of(request)
 
     def _reset(self, request: ResetRequest, effects: Effects) -> None:
         lifecycle = self._lifecycle
@@ -190,16 +247,20 @@ class RequestHandler:
         lifecycle.trial = None
         new_code = f"a run of {trial.request.pattern} takes the new code"
         run, state = lifecycle.pattern_run, lifecycle.state_machine.state
-        running = run.running
-        if running is not None and running.pattern == trial.request.pattern:
-            self._replace(trial.request, effects)
+        running, request = run.running, trial.request
+        is_same = running is not None and running.pattern == request.pattern
+        if is_same and not request.keeps_running:
+            self._replace(request, effects)
         elif running is not None:
             run.is_outdated = True
             effects.trial = CancelTrial()
-            lifecycle.applied(effects, trial.request, f"{new_code}; {running.pattern} goes on")
+            goes_on = f"{running.pattern} goes on{' with the old code' if is_same else ''}"
+            lifecycle.applied(effects, request, f"{new_code}; {goes_on}")
         else:
             effects.command_host(KillHost())
             lifecycle.applied(effects, trial.request, f"{new_code}; {state}, as before")
+            if request.keeps_running:  # it was pushed
+                self._goals.on_new_code(request.pattern, effects)
 
     def advance(self, effects: Effects) -> None:
         """End a trial that takes longer than TRIAL_TIMEOUT."""
@@ -211,8 +272,9 @@ class RequestHandler:
     def _replace(self, request: ReloadRequest, effects: Effects) -> None:
         """Stop the running pattern and its host; run the new code in a fresh host if asked to."""
         lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
-        running = run.running
+        running, goals = run.running, lifecycle.goals
         assert running is not None
+        goal = goals.own.goal if goals.own and goals.state is GoalState.RUNNING else None
         left = None if running.finish_at is None else max(running.finish_at - effects.now, 1e-3)
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
@@ -226,6 +288,7 @@ class RequestHandler:
                 seconds=left,
                 until=running.until,
                 request=request,
+                goal=goal,
                 is_fresh=True,
             )
         else:
@@ -239,13 +302,3 @@ def under_way(lifecycle: Lifecycle) -> str:
     if loading is not None and loading.request is not None:
         return f"still loading {loading.pattern}, by {loading.request.operator}"
     return f"still trying {trial.request.pattern}, by {trial.request.operator}" if trial else ""
-
-
-def _fault_of(until: tuple[str, ...]) -> str:
-    """What is wrong with the conditions that end a run; empty if nothing."""
-    try:
-        if until:
-            parse_conditions(until)
-    except ConfigError as error:
-        return str(error)
-    return ""

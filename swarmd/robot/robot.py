@@ -11,6 +11,7 @@ from collections.abc import Mapping
 
 from msgspec.structs import astuple
 
+from swarmd.core.goal import Goal, GoalRecord, HeldGoal
 from swarmd.core.host_messages import HostEvent, Step, TrialDone
 from swarmd.core.messages import Body, Epoch, Latch, Motion, Reason, Request, State, Status
 from swarmd.core.values import (
@@ -27,11 +28,13 @@ from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import NO_PERMIT, Decision
 from swarmd.robot.actions import Actions, Effects
 from swarmd.robot.event_limit import EventLimit
+from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.lifecycle import MAX_HOLD_TIME, Lifecycle, RobotIdentity, RobotSettings
+from swarmd.robot.lifecycle import MAX_HOLD_TIME, Lifecycle
 from swarmd.robot.pattern_run import ROUNDING
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
+from swarmd.robot.settings import RobotIdentity, RobotSettings
 from swarmd.robot.state_machine import Trigger
 from swarmd.robot.status import DutyCycle, make_status, status_reason
 
@@ -44,7 +47,8 @@ class Robot:
     """Lifecycle, sensors, protection and status of one robot.
 
     `seed` makes the random choices of its patterns repeatable, `instance` identifies this life of
-    the daemon, `now` is in s on a monotonic clock, `latches` were written by an earlier instance.
+    the daemon, `now` is in s on a monotonic clock, `latches` and `goals` were written by an earlier
+    instance.
     `revision`, `generation`: of the epoch and of the last pattern, to continue from.
     """
 
@@ -58,6 +62,7 @@ class Robot:
         instance: str,
         now: float,
         latches: LatchRecord | None = None,
+        goals: GoalRecord | None = None,
         revision: int = 0,
         generation: int = 0,
     ) -> None:
@@ -72,18 +77,20 @@ class Robot:
         self._hold: Reason | None = Reason.NO_SCAN  # that of the last event
         self._is_status_due = True  # the lifecycle may have changed since the last look at it
         self._settled: Actions  # those of the last event but a quiet tick
-        self._sensors = Sensors(platform, settings.accepts)
+        self._sensors = Sensors(platform, settings.accepts, tells_pose=settings.tells_pose)
         self._protection = Protection(platform, f"{seed}/{id}")
         identity = RobotIdentity(id, platform, settings, seed, instance, self._protection.passage)
-        self._lifecycle = Lifecycle(identity, latches, now)
+        self._lifecycle = Lifecycle(identity, latches, goals, now)
         self._lifecycle.revision = revision
         self._lifecycle.pattern_run.generation = generation
         self._events = EventLimit(self._lifecycle.log)
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
-        self._requests = RequestHandler(id, self._lifecycle, self._stop_text)
+        self._goals = GoalHandler(self._lifecycle)
+        self._requests = RequestHandler(id, self._lifecycle, self._goals, self._stop_text)
         self._duty = DutyCycle()
         self._published: tuple[object, ...] = ()
         self._published_at = -math.inf
+        self.decided_at = -math.inf  # s; when protection decided last
         self.decision = self._decide(None, now)  # the last one
 
     # Present state
@@ -114,6 +121,13 @@ class Robot:
         return self._lifecycle.pattern_run.generation
 
     @property
+    def running_generation(self) -> int | None:
+        """The generation of the pattern that runs or is being loaded; None without one."""
+        run = self._lifecycle.pattern_run
+        present = run.loading or run.running
+        return None if present is None else present.generation
+
+    @property
     def latches(self) -> Mapping[str, Latch]:
         """The emergency stops that hold the robot, by id."""
         return self._lifecycle.latches.held
@@ -122,6 +136,21 @@ class Robot:
     def cleared(self) -> tuple[str, ...]:
         """The ids of emergency stops that were reset: their late copies do not latch again."""
         return self._lifecycle.latches.record().cleared
+
+    @property
+    def goal(self) -> HeldGoal | None:
+        """The greatest goal that the robot has seen."""
+        return self._lifecycle.goals.held
+
+    @property
+    def goals(self) -> GoalRecord:
+        """The goals and labels as they are kept on disk."""
+        return self._lifecycle.goals.record()
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The labels of the robot."""
+        return self._lifecycle.goals.labels
 
     @property
     def report(self) -> Mapping[str, Scalar]:
@@ -237,11 +266,33 @@ class Robot:
         self._requests.answer(request, effects)
         return self._settle(effects)
 
+    def on_code_changed(self, now: float) -> Actions:
+        """The code of patterns was replaced or removed: the next run has a fresh host."""
+        effects = self._begin(now)
+        self._lifecycle.outdate_host(effects)
+        return self._settle(effects)
+
     def on_latches(self, latches: Mapping[str, Latch], now: float) -> Actions:
         """A peer holds latches; swarm-wide ones hold this robot, too."""
         effects = self._begin(now)
         self._lifecycle.adopt_latches(latches, effects)
         return self._settle(effects)
+
+    def on_goal(self, goal: Goal, age: float | None, now: float) -> Actions:
+        """A peer holds this goal, set `age` s ago (None: the peer does not know)."""
+        effects = self._begin(now)
+        self._goals.on_goal(goal, age, effects)
+        return self._settle(effects)
+
+    def forget_goals(self, digests: tuple[str, ...], now: float) -> Actions:
+        """Drop goals by digest, in hex: their issuers are not operators any more."""
+        effects = self._begin(now)
+        self._lifecycle.forget_goals(digests, effects)
+        return self._settle(effects)
+
+    def on_run_lease(self, goal: str, count: int, now: float) -> None:
+        """The operator of the goal with this id is there; see `RunLease`."""
+        self._lifecycle.goals.on_lease(goal, count, now)
 
     def on_duplicate(self, holder: str | None, now: float) -> Actions:
         """Another instance has this id; None: it has left."""
@@ -253,6 +304,12 @@ class Robot:
         """The daemon speaks on another network; `text` says what changed. The run ends."""
         effects = self._begin(now)
         self._lifecycle.on_network_changed(text, effects)
+        return self._settle(effects)
+
+    def on_roster(self, text: str, now: float, *, is_revoked: bool) -> Actions:
+        """The daemon takes a roster, described by `text`. The run ends; see `Lifecycle`."""
+        effects = self._begin(now)
+        self._lifecycle.on_roster(text, effects, is_revoked=is_revoked)
         return self._settle(effects)
 
     def on_leave(self, now: float) -> Actions:
@@ -296,6 +353,9 @@ class Robot:
         lifecycle = self._lifecycle
         soonest = lifecycle.pattern_run.next_deadline(now)
         if lifecycle.is_running:
+            lease_ends = lifecycle.goals.lease_ends
+            if lease_ends is not None and now < lease_ends < soonest:
+                soonest = lease_ends
             stale_at = self._sensors.stale_at()
             if stale_at is not None and now < stale_at + 1e-4 < soonest:
                 soonest = stale_at + 1e-4
@@ -367,11 +427,13 @@ class Robot:
             self._sensors.is_driver_up and state is State.IDLE,
             state is not State.IDLE and state is not State.RUNNING,
             latches=lifecycle.latches.record() if effects.is_latched else None,
+            goals=lifecycle.goals.take_record(),
             trial=effects.trial,
             host=effects.host,
             messages=effects.messages,
             status=status,
             replies=effects.replies,
+            failed_code=effects.failed_code,
         )
         return actions
 
@@ -401,15 +463,18 @@ class Robot:
     def _decide(self, hold: Reason | None, now: float) -> Decision:
         running, context = self._run.running, self._sensors.context(now)
         if running is None:
-            return self._protection.decide(None, context, is_running=False, hold=hold)
-        return self._protection.decide(
-            running.requested.twist,
-            context,
-            is_running=self._machine.state is State.RUNNING,
-            hold=hold,
-            # Nothing is permitted under a hold, and a pattern that restarts is held.
-            permit=running.permit if hold is None else NO_PERMIT,
-        )
+            decision = self._protection.decide(None, context, is_running=False, hold=hold)
+        else:
+            decision = self._protection.decide(
+                running.requested.twist,
+                context,
+                is_running=self._machine.state is State.RUNNING,
+                hold=hold,
+                # Nothing is permitted under a hold, and a pattern that restarts is held.
+                permit=running.permit if hold is None else NO_PERMIT,
+            )
+        self.decided_at = now
+        return decision
 
     def _restart(self, effects: Effects) -> None:
         """Load a failed pattern again once its backoff is over."""

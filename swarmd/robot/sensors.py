@@ -49,7 +49,13 @@ class Sensors:
     All times are in s on the robot's monotonic clock and come with each call.
     """
 
-    def __init__(self, platform: Platform, accepts: Accepts = ACCEPTS_NONE) -> None:
+    def __init__(
+        self,
+        platform: Platform,
+        accepts: Accepts = ACCEPTS_NONE,
+        *,
+        tells_pose: bool = False,
+    ) -> None:
         self._stale_after = platform.scan.stale_after
         self._needs_odometry = "odometry" in platform.provides
         # Mode barrier has a better memory of its own for its blind zone.
@@ -63,12 +69,13 @@ class Sensors:
         self._scan_times: deque[float] = deque(maxlen=12)
         self._is_new_scan = False
         self._context: DecisionContext | None = None  # the last one; a scan or odometry ends it
+        self._given: tuple[Neighbor, ...] = ()
         self._neighbors: tuple[Neighbor, ...] = ()
         self._neighbor_ids: frozenset[str] = frozenset()
         self._aged: tuple[Neighbor, ...] = ()
         self._renewals = 0.0
         self._neighbors_at = 0.0
-        self.peers = Peers(platform, accepts)
+        self.peers = Peers(platform, accepts, tells_pose=tells_pose)
         self._inbox: deque[_Received] = deque()
         self._inbox_bytes = 0
         self.overflowed = 0
@@ -122,14 +129,17 @@ class Sensors:
         self._deskewer.on_odometry(odometry)
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
-        """Take in the present neighbours."""
-        if neighbors is not self._neighbors:
+        """Take in the robots that are sensed or heard; those in reach are the neighbours."""
+        if neighbors is not self._given:
+            self._given = neighbors
+            if not all(neighbor.in_reach for neighbor in neighbors):
+                neighbors = tuple(neighbor for neighbor in neighbors if neighbor.in_reach)
             self._neighbors = neighbors
             self._neighbor_ids = frozenset(neighbor.id for neighbor in neighbors)
         self._neighbors_at = now
-        if self.peers.on_neighbors(neighbors, now):
+        if self.peers.on_neighbors(self._given, now):
             self._context = None
-        self._aged, self._renewals = neighbors, 0.0
+        self._aged, self._renewals = self._neighbors, 0.0
 
     def on_pose(self, pose: SharedPose, now: float) -> None:
         """Take in the own pose in a shared frame."""

@@ -8,10 +8,14 @@
 | FINISH      | a step returns `done`; the seconds of the run are over | finished             |
 | STOP        | a stop request; the reload of the running pattern      | operator, reloaded   |
 |             | (requests); the daemon leaves (robot)                  | leaving              |
+|             | a greater goal (goal_handler); a load that peers run   | superseded           |
+|             | is refused; the run lease ends                         | lease_ended          |
+|             | a roster without this robot                            | roster_changed       |
 | HOLD_LASTED | a hold has lasted for MAX_HOLD_TIME                    | the hold             |
 | LOAD_FAILED | a load fails or times out; a restart is refused        | load_failed          |
 | STALL       | the daemon's loop was late by STALL_TIMEOUT (robot)    | loop_stalled         |
 | NETWORK     | the network that the daemon speaks on has changed      | network_changed      |
+|             | the daemon takes a roster                              | roster_changed       |
 | ESTOP       | an estop request; the latch of a peer; a latch on disk | estop                |
 | FAULT       | too many failures of a pattern; a second robot has     | pattern_quarantined  |
 |             | the same id                                            | duplicate_id         |

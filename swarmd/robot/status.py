@@ -8,16 +8,19 @@ from typing import Any
 
 import msgspec
 
-from swarmd.core.messages import BoundedScalar, DecisionSummary, Health, Param, Reason, Status
+from swarmd.core.bounds import BoundedScalar
+from swarmd.core.messages import DecisionSummary, Health, Param, Reason, Status
 from swarmd.core.values import Scalar
 from swarmd.protection.decision import Decision
 from swarmd.robot.lifecycle import Lifecycle
+from swarmd.robot.pattern_run import Loading
 from swarmd.robot.sensors import Sensors
 
 MAX_REPORTED = 16
 MAX_ROWS = 4
 MAX_GAP = 1e6  # m, which the message can tell: odometry that jumps puts obstacles anywhere
 MAX_PEERS = 16
+MAX_NEIGHBORS = 64
 SCALAR: Any = BoundedScalar  # the type as msgspec reads it, with its bounds
 MAX_NAME = 64
 MAX_VALUE = 256
@@ -59,14 +62,14 @@ def make_status(
         is_secured=settings.is_secured,
         state=machine.state,
         reason=status_reason(lifecycle, decision),
-        detail=machine.detail if loading is None else f"loading {loading.pattern}",
+        detail=machine.detail if loading is None else _loading_text(loading, now),
         pattern=None if running is None else running.pattern,
         generation=lifecycle.pattern_run.generation,
         since=max(now - machine.since, 0.0),
         epoch=lifecycle.epoch,
         changed_by=lifecycle.changed_by,
         latches=dict(lifecycle.latches.held),
-        labels=settings.labels,
+        labels=lifecycle.goals.labels,
         params={name: Param(value=value, source=src) for name, (value, src) in values.items()},
         report=_clean(lifecycle.report),
         decision=_summary(decision, duty),
@@ -87,7 +90,15 @@ def make_status(
         body=sensors.peers.own,
         peers=sensors.peers.findings(now)[:MAX_PEERS],
         passage=identity.passage,
+        neighbors=tuple(one.id for one in sensors.neighbors(now)[:MAX_NEIGHBORS]),
+        goal=lifecycle.goals.status(now),
     )
+
+
+def _loading_text(loading: Loading, now: float) -> str:
+    if loading.start_at is None:
+        return f"loading {loading.pattern}"
+    return f"{loading.pattern} starts in {max(loading.start_at - now, 0.0):.1f} s"
 
 
 def status_reason(lifecycle: Lifecycle, decision: Decision) -> Reason | None:

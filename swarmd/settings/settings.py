@@ -22,8 +22,12 @@ from swarmd.core.keys import check_id
 from swarmd.core.values import Platform, TouchZone, Value
 from swarmd.kit.touch import granted_zones
 from swarmd.kit.touch_config import TouchGrants
+from swarmd.network.neighbor_settings import NeighborSettings
 from swarmd.network.settings import NetworkSettings
 from swarmd.protection.compatibility import Accepts
+from swarmd.security.identity import Identity
+from swarmd.security.roster import Role
+from swarmd.security.roster_change import is_revoked
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.settings.swarmfile import (
@@ -32,9 +36,10 @@ from swarmd.settings.swarmfile import (
     ParametersSection,
     RecordingSection,
     check,
+    identity_of,
     layered,
+    path_of,
 )
-from swarmd.settings.yamlfile import shown
 
 __all__ = ["DaemonSettings", "load_daemon_settings", "load_platform", "platform_names"]
 
@@ -47,8 +52,9 @@ class DaemonSettings:
 
     `platform_name` is the configured name, or the absolute path of a file. `labels` are those of
     this robot, `label_members` the robots of every label. All daemons of a user share `state_dir`;
-    `<state_dir>/<swarm>/<id>` belongs to this one. `recording` names its folder. `provenance`:
-    key -> file, `--option`, `$VARIABLE`, `host name` or `default`.
+    `<state_dir>/<swarm>/<id>` belongs to this one. `recording` names its folder. With an
+    `identity` the swarm is secured; `is_insecure`: insecure by intent. `provenance`: key -> file,
+    `--option`, `$VARIABLE`, `host name`, `identity` or `default`.
     """
 
     id: str
@@ -62,10 +68,13 @@ class DaemonSettings:
     parameters: ParametersSection
     touch: TouchGrants
     accepts: Accepts
+    neighbors: NeighborSettings
     roster: tuple[str, ...]
     state_dir: Path
     plugin_dir: Path | None
     recording: RecordingSection
+    identity: Identity | None = None
+    is_insecure: bool = False
     die_with_parent: int | None = None
     provenance: Mapping[str, str] = field(default_factory=dict)
 
@@ -74,16 +83,17 @@ class DaemonSettings:
         """The zones in which patterns may touch obstacles."""
         return granted_zones(self.touch)
 
-    def pattern_layers(self, pattern: str) -> Layers:
+    def pattern_layers(self, pattern: str, labels: tuple[str, ...] | None = None) -> Layers:
         """The parameters configured for a pattern by source, weakest first; empty ones left out.
 
-        Sources: `platform`, `label <name>` in the order of the file, `robot`.
+        Sources: `platform`, `label <name>` in the order of `labels` (None: those of the file),
+        `robot`.
         """
         labelled = self.parameters.labels
         layers = [("platform", self.platform.patterns.get(pattern, {}))]
         layers += [
             (f"label {name}"[:_MAX_SOURCE_LENGTH], labelled.get(name, {}).get(pattern, {}))
-            for name in self.labels
+            for name in (self.labels if labels is None else labels)
         ]
         layers += [("robot", self.parameters.robots.get(self.id, {}).get(pattern, {}))]
         return tuple((source, values) for source, values in layers if values)
@@ -105,9 +115,11 @@ def load_daemon_settings(
     file = layers.build(DaemonFile, check)
     near = config.parent if config is not None and "platform" not in given else Path()
     platform = load_platform(file.platform, near)
-    robot = file.id or _host_id()
-    state_dir = _path(layers, "state_dir", file.state_dir, config) or _state_dir(environ)
-    recordings = _path(layers, "recording", file.recording.folder, config) or (
+    identity = identity_of(layers, file, config, environ)
+    robot = file.id or (_host_id() if identity is None else identity.name)
+    _check_identity(robot, identity, file)
+    state_dir = path_of(layers, "state_dir", file.state_dir, config) or _state_dir(environ)
+    recordings = path_of(layers, "recording", file.recording.folder, config) or (
         state_dir / file.swarm / robot / "recordings"
     )
     options = _driver_options(platform, file)
@@ -127,13 +139,42 @@ def load_daemon_settings(
         parameters=file.parameters,
         touch=file.touch,
         accepts=Accepts.of(file.accepts_unseen, file.accepts_faster),
-        roster=tuple(file.roster),
+        neighbors=file.neighbors,
+        roster=tuple(file.roster) if identity is None else identity.roster.robots,
         state_dir=state_dir,
-        plugin_dir=_path(layers, "plugin_dir", file.plugin_dir, config),
+        plugin_dir=path_of(layers, "plugin_dir", file.plugin_dir, config),
         recording=structs.replace(file.recording, folder=str(recordings.absolute())),
+        identity=identity,
+        is_insecure=file.insecure,
         die_with_parent=cast("int | None", parent),
-        provenance=_provenance(layers, file, platform),
+        provenance=_provenance(layers, file, platform, identity),
     )
+
+
+def _check_identity(robot: str, identity: Identity | None, file: DaemonFile) -> None:
+    """ConfigError if the identity is not of this robot, or is missing where one is required."""
+    if identity is None:
+        if file.profile != "dev" and not file.insecure:
+            raise ConfigError(
+                f"profile {file.profile} needs an identity of swarm {file.swarm!r}: make keys with"
+                " `swarmctl keys init` and install the bundle of this robot with `swarmd install`,"
+                " or let anyone on the network drive it with --insecure (insecure: true)"
+            )
+    elif identity.role is not Role.ROBOT:
+        raise ConfigError(
+            f"identity {identity.folder} is of the {identity.role} {identity.name}; a daemon needs"
+            " that of a robot (--identity), or --insecure"
+        )
+    elif is_revoked(identity):
+        raise ConfigError(
+            f"{identity.name} is no longer on the roster of swarm {identity.info.swarm} (generation"
+            f" {identity.roster.generation}); install a bundle of another name with --force"
+        )
+    elif identity.name != robot:
+        raise ConfigError(
+            f"identity {identity.folder} is of robot {identity.name!r}, and the id is {robot!r};"
+            f" leave the id out, or give the identity of {robot}"
+        )
 
 
 def _host_id() -> str:
@@ -151,15 +192,10 @@ def _driver_options(platform: Platform, file: DaemonFile) -> Mapping[str, Value]
     return options.data
 
 
-def _path(layers: Layered, key: str, value: str | None, config: Path | None) -> Path | None:
-    """The path; relative to the file that holds it, or to the working directory."""
-    if value is None:
-        return None
-    is_ours = config is not None and layers.source(key) == shown(config)
-    return (config.parent if is_ours and config else Path()) / Path(value).expanduser()
-
-
 def _state_dir(environ: Mapping[str, str]) -> Path:
+    service = environ.get("STATE_DIRECTORY", "").partition(":")[0]
+    if os.path.isabs(service):  # of systemd
+        return Path(service)
     base = environ.get("XDG_STATE_HOME", "")
     if os.path.isabs(base):  # the XDG specification: relative paths are ignored
         return Path(base) / "swarmd"
@@ -169,8 +205,12 @@ def _state_dir(environ: Mapping[str, str]) -> Path:
     return Path(home) / ".local/state/swarmd"
 
 
-def _provenance(layers: Layered, file: DaemonFile, platform: Platform) -> Mapping[str, str]:
-    derived = {"id": "host name"}
+def _provenance(
+    layers: Layered, file: DaemonFile, platform: Platform, identity: Identity | None
+) -> Mapping[str, str]:
+    derived = {"id": "host name" if identity is None else "identity"}
+    if identity is not None and file.identity is None:
+        derived["identity"] = "found for the swarm"
     found = {
         key: layers.source(key) or derived.get(key, DEFAULT)
         for key in DaemonFile.__struct_fields__

@@ -5,22 +5,28 @@ Imports no numpy: swarmctl reads swarm.yaml too, for the network settings of the
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 
+from swarmd.core.bounds import BoundedScalar, Name, ParamValues, Word
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.keys import check_id
-from swarmd.core.messages import BoundedScalar
+from swarmd.core.goal import LABEL, Target, Validity
+from swarmd.core.keys import check_id, is_id
+from swarmd.kit.conditions import parse_conditions
 from swarmd.kit.touch_config import TouchGrants
+from swarmd.network.neighbor_settings import NeighborSettings
 from swarmd.network.settings import NetworkSettings
 from swarmd.recording.limits import FileLimits
+from swarmd.security.identity import Identity, choose_identity
 from swarmd.settings.layered import Fault, Keys, Layered, dotted, fault_at
 from swarmd.settings.yamlfile import Data, read, shown
 
 DEFAULT = "default"
+_GLOB = re.compile(r"[a-z0-9_*?\[\]!-]{1,63}")
 _LIMITS = FileLimits()
 PlatformName = Annotated[str, Meta(min_length=1, max_length=63)]
 PlatformGrants = list[PlatformName] | dict[PlatformName, Annotated[str, Meta(max_length=256)]]
@@ -45,21 +51,63 @@ class ParametersSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields
     robots: dict[str, Parameters] = {}
 
 
+class GoalSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """What robots are to run.
+
+    - `pattern`: null: they stand.
+    - `params`: its parameters.
+    - `targets`: names, globs and labels (`label:red`) of robots; empty: all.
+    - `seconds`, `until`: the run ends after that time, or with the first condition that is met.
+    - `on_join`: what robots do that join later: `offer` waits for `swarmctl resume`, `run` runs it
+      while the goal is younger than `valid` seconds.
+    """
+
+    pattern: Name | None = None
+    params: ParamValues = {}
+    targets: list[Target] = []
+    seconds: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
+    until: list[Word] = []
+    on_join: Literal["offer", "run"] = "offer"
+    valid: Validity | None = None
+
+    @property
+    def content(self) -> dict[str, Any]:
+        """The fields of a goal that wants this."""
+        return {
+            "pattern": self.pattern,
+            "params": self.params,
+            "targets": tuple(self.targets),
+            "seconds": self.seconds,
+            "conditions": tuple(self.until),
+            "on_join": self.on_join,
+            "valid": self.valid,
+        }
+
+
 class SwarmFile(NetworkSettings, Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """The keys of swarm.yaml, which the robots of one swarm share, beside those of the network.
 
+    - `identity`: the folder of the identity; by default that of the user, or of the machine, for
+      this swarm.
+    - `insecure`: without keys, so that anyone on the network can drive the robots.
     - `roster`: ids of all robots; then an unknown id in this file is an error, and missing robots
       are reported.
     - `labels`: names for groups of robots, as targets and for `parameters`.
+    - `goal`: what `swarmctl apply` lets robots run; daemons ignore it.
+    - `neighbors`: which robots are neighbors, and so whose messages a pattern hears.
     - `touch`: the zones in which patterns may touch obstacles.
     - `accepts_unseen`, `accepts_faster`: platforms of which robots may drive beside a robot that
       does not see them, or that assumes less than their speed; a list, or reasons by platform.
       Such a robot may be driven into.
     """
 
+    identity: str | None = None
+    insecure: bool = False
     roster: list[str] = []
     labels: dict[str, list[str]] = {}
+    goal: GoalSection | None = None
     parameters: ParametersSection = ParametersSection()
+    neighbors: NeighborSettings = NeighborSettings()
     touch: TouchGrants = {}
     accepts_unseen: PlatformGrants = []
     accepts_faster: PlatformGrants = []
@@ -110,9 +158,27 @@ class DaemonFile(SwarmFile, frozen=True, kw_only=True, forbid_unknown_fields=Tru
 
 def load_swarm(
     config: Path | None, overrides: Mapping[str, object], environ: Mapping[str, str]
-) -> SwarmFile:
-    """The swarm's settings for an operator, from swarm.yaml or a daemon's own file."""
-    return layered(config, overrides, environ).build(DaemonFile, check)
+) -> tuple[SwarmFile, Identity | None]:
+    """The swarm's settings and identity for an operator, from swarm.yaml or a daemon's own file."""
+    layers = layered(config, overrides, environ)
+    file = layers.build(DaemonFile, check)
+    return file, identity_of(layers, file, config, environ)
+
+
+def identity_of(
+    layers: Layered, file: SwarmFile, config: Path | None, environ: Mapping[str, str]
+) -> Identity | None:
+    """The identity that the settings name, or that there is for the swarm."""
+    folder = path_of(layers, "identity", file.identity, config)
+    return choose_identity(file.swarm, folder, insecure=file.insecure, environ=environ)
+
+
+def path_of(layers: Layered, key: str, value: str | None, config: Path | None) -> Path | None:
+    """The path; relative to the file that holds it, or to the working directory."""
+    if value is None:
+        return None
+    is_ours = config is not None and layers.source(key) == shown(config)
+    return (config.parent if is_ours and config else Path()) / Path(value).expanduser()
 
 
 def layered(
@@ -137,6 +203,8 @@ def check(file: Any, _: Keys) -> Iterator[Fault]:
     if isinstance(file, DaemonFile):
         yield from file.faults()
         yield from _check_names(file)
+        for key, text in file.neighbors.faults():
+            yield fault_at(("neighbors", key), text)
         if file.recording.keep_bytes < 2 * file.recording.file_bytes:
             text = f"is {file.recording.keep_bytes}; expected at least two files of file_bytes"
             yield fault_at(("recording", "keep_bytes"), text)
@@ -163,12 +231,31 @@ def _check_names(file: DaemonFile) -> Iterator[Fault]:
         yield from _check_id(("labels", label), label)
         for name in robots:
             yield from _check_robot(("labels", label), name, file.roster)
+    if file.goal is not None:
+        yield from _check_goal(file.goal)
     for label in file.parameters.labels:
         if label not in file.labels:
             text = f"names {unknown('label', label, file.labels)}"
             yield fault_at(("parameters", "labels", label), text)
     for name in file.parameters.robots:
         yield from _check_robot(("parameters", "robots", name), name, file.roster)
+
+
+def _check_goal(goal: GoalSection) -> Iterator[Fault]:
+    if goal.pattern is not None:
+        yield from _check_id(("goal", "pattern"), goal.pattern)
+    if goal.until:
+        try:
+            parse_conditions(goal.until)
+        except ConfigError as error:
+            yield ("goal", "until"), str(error)
+    if (goal.on_join == "run") != (goal.valid is not None):
+        yield fault_at(("goal",), "has one of `on_join: run` and `valid`; expected both or neither")
+    for index, target in enumerate(goal.targets):
+        name = target.removeprefix(LABEL)
+        if not (is_id(name) or (name == target and _GLOB.fullmatch(name))):
+            text = f"is {target!r}; expected a robot, a glob such as tb3-*, or label:red"
+            yield fault_at(("goal", "targets", index), text)
 
 
 def _check_robot(keys: Keys, name: str, roster: list[str]) -> Iterator[Fault]:

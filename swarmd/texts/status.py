@@ -13,6 +13,7 @@ from swarmd.core.messages import (
     State,
     Status,
 )
+from swarmd.texts.keys import day
 from swarmd.texts.values import NOTHING, megabytes, number, seconds
 from swarmd.texts.why import activity, obstacles
 
@@ -48,7 +49,11 @@ def _report_title(status: Status) -> str:
 
 
 def _robot(status: Status, seen: str) -> list[tuple[str, str]]:
-    secured = "with certificates" if status.is_secured else "without certificates"
+    secured = "secured" if status.is_secured else "insecure"
+    if status.keys is not None:
+        secured += (
+            f", roster {status.keys.generation}, certificate until {day(status.keys.expires)}"
+        )
     return [
         ("platform", status.platform),
         ("body", NOTHING if status.body is None else body_text(status.body)),
@@ -155,4 +160,6 @@ def _health(status: Status) -> list[tuple[str, str]]:
         ),
         ("driver", health.driver or NOTHING),
         ("network", health.network or NOTHING),
+        *([("storage", health.storage)] if health.storage else []),
+        ("neighbors", ", ".join(status.neighbors) or NOTHING),
     ]

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 from swarmd.core import codec
 from swarmd.core.messages import DecisionSummary, LimitingObstacle, Presence, Reason, State, Status
-from swarmd.network.discovery import Contact, SeenMember
+from swarmd.network.members_view import Contact, SeenMember
 from swarmd.texts.values import NOTHING, seconds
 
 _SAME_OBSTACLE = math.radians(10.0)
@@ -26,6 +26,9 @@ SENTENCES = {
     Reason.QUARANTINED: "the pattern failed repeatedly{detail}; correct it, then reset",
     Reason.LEAVING: "its daemon is shutting down",
     Reason.NETWORK_CHANGED: f"its network has changed{{detail}}; {_START}",
+    Reason.ROSTER_CHANGED: f"it has taken another roster{{detail}}; {_START}",
+    Reason.SUPERSEDED: "a later goal ended its run{detail}; see `swarmctl goal`",
+    Reason.LEASE_ENDED: f"the operator of its run was not heard{{detail}}; {_START}",
     Reason.NO_SCAN: "no scan arrives{detail}; check the driver{driver}",
     Reason.INVALID_SCAN: "too many rays are missing in its scans{detail}; check the lidar",
     Reason.STALE_SCAN: "its last scan is too old{age}; check the lidar and the driver{driver}",

@@ -30,7 +30,7 @@ HEADERS = {
 
 @dataclass(frozen=True, slots=True)
 class Access:
-    """Tokens of pages: of operators, and of viewers.
+    """Tokens of pages: of operators, and of viewers; if `is_read_only`, all pages only look.
 
     Without tokens each page may command, so a server without them listens on loopback only.
     ConfigError for tokens that protect nothing.
@@ -38,6 +38,7 @@ class Access:
 
     operator: str = ""
     viewer: str = ""
+    is_read_only: bool = False
 
     def __post_init__(self) -> None:
         for name, token in (("--token", self.operator), ("--viewer-token", self.viewer)):
@@ -53,6 +54,10 @@ class Access:
 
     def role(self, token: str) -> str:
         """`operator`, `viewer`, or empty for a wrong token."""
+        role = self._role(token)
+        return "viewer" if role and self.is_read_only else role
+
+    def _role(self, token: str) -> str:
         if not self.operator:
             return "operator"
         given = token.encode()

@@ -10,10 +10,13 @@ from typing import Any, Literal, TypeVar
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.keys import is_id
-from swarmd.core.messages import ParamRequest, ResetRequest, RunRequest
+from swarmd.core.messages import LabelRequest, ParamRequest, ResetRequest, RunRequest
+from swarmd.network.members_view import MembersView
+from swarmd.network.next_goal import next_goal
 from swarmd.network.operator import COMMANDING, Operator
-from swarmd.network.outcome import Outcome
+from swarmd.network.outcome import Outcome, joined
 from swarmd.texts.assignments import read_assignments
+from swarmd.texts.labels import changed, read_changes
 from swarmd.view.source import Answer
 
 Tell = Callable[[Answer], None]
@@ -95,7 +98,7 @@ class LiveCommander:
         """The work of a command, for a thread. Raises ValueError or TypeError for a wrong one."""
         targets = fields.get("targets")
         names = None if targets is None else tuple(map(str, targets))
-        if verb not in ("estop", "stop", "run", "param", "reset"):
+        if verb not in ("estop", "stop", "run", "param", "reset", "label"):
             raise ValueError(f"there is no command {verb!r}")
         if isinstance(targets, str) or names == ():
             raise ValueError("no robot was targeted")
@@ -134,17 +137,41 @@ class LiveCommander:
         pattern = str(fields.get("pattern"))
         if verb == "run" and not is_id(pattern):
             raise ValueError(f"{pattern!r} is no pattern name")
+        if verb == "label":
+            read_changes(str(fields.get("labels") or "").split())
         with self._make() as operator:
-            view = operator.members(timeout=3.0, needs_status=verb == "reset")
+            view = operator.members(timeout=3.0, needs_status=verb in ("reset", "label"))
             epochs = view.epochs(names)
             if verb == "reset":
                 ids = tuple(sorted(view.latches(names)))
                 outcome = operator.request(ResetRequest, epochs, ids=ids, reason=self._reason)
             elif verb == "param":
                 outcome = operator.request(ParamRequest, epochs, params=params)
+            elif verb == "label":
+                outcome = _label(operator, view, names, str(fields.get("labels")))
             else:
-                outcome = operator.request(RunRequest, epochs, pattern=pattern, params=params)
+                is_all = bool(view.expected) and view.expected <= set(names)
+                targets = () if is_all else names
+                goal = next_goal(operator, view, targets=targets, pattern=pattern, params=params)
+                outcome = operator.request(
+                    RunRequest, epochs, pattern=pattern, params=params, goal=goal
+                )
         return _answer(verb, outcome)
+
+
+def _label(operator: Operator, view: MembersView, names: tuple[str, ...], words: str) -> Outcome:
+    """Change the labels of robots; those whose labels are not known count as missing."""
+    added, removed = read_changes(words.split())
+    known = {name: one.status for name, one in view.members.items() if name in names}
+    unseen = tuple(name for name in names if known.get(name) is None)
+    outcomes = [
+        operator.request(
+            LabelRequest, view.epochs([name]), labels=changed(status.labels, added, removed)
+        )
+        for name, status in sorted(known.items())
+        if status is not None
+    ]
+    return joined([*outcomes, Outcome({}, missing=unseen)])
 
 
 def _answer(verb: str, outcome: Outcome) -> Answer:

@@ -9,14 +9,11 @@ lacks acknowledgements, so that a page which opens later shows it too.
 from __future__ import annotations
 
 import asyncio
-import errno
 import http
 import json
 import logging
 import mimetypes
-import os
 import re
-import socket
 import ssl
 from collections import deque
 from collections.abc import Mapping
@@ -30,8 +27,9 @@ from websockets.datastructures import Headers
 from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
-from swarmd.core.errors import NetworkError, SwarmError
+from swarmd.core.errors import SwarmError
 from swarmd.view.access import HEADERS, Access
+from swarmd.view.address import check_address, page_url, unusable
 from swarmd.view.client import Client, Rows
 from swarmd.view.connections import limited
 from swarmd.view.playback import Playback
@@ -70,25 +68,6 @@ class Commander(Protocol):
 
     def end_estop(self) -> None:
         """Repeat the emergency stop no longer."""
-
-
-def check_address(host: str, port: int, access: Access) -> None:
-    """ConfigError if the address needs a token, NetworkError if it cannot be used."""
-    access.check_bind(host)
-    family = socket.AF_INET6 if ":" in host else socket.AF_INET
-    try:
-        socket.create_server((host, port), family=family).close()
-    except OSError as error:
-        raise _in_use(host, port, error) from error
-
-
-def _in_use(host: str, port: int, error: OSError) -> NetworkError:
-    why = (
-        "is in use"
-        if error.errno == errno.EADDRINUSE
-        else f"cannot be used ({os.strerror(error.errno or 0)})"
-    )
-    return NetworkError(f"port {port} of {host} {why}; expected a free one, such as --port 0")
 
 
 class ViewServer:
@@ -130,12 +109,11 @@ class ViewServer:
                 logger=log,
             )
         except OSError as error:
-            raise _in_use(host, port, error) from error
+            raise unusable(host, port, error) from error
         self._begin(self._send_frames())
         bound = next(iter(self._server.sockets)).getsockname()
         scheme = "https" if tls is not None else "http"
-        name = _own_address() if bound[0] in ("0.0.0.0", "::") else bound[0]
-        return f"{scheme}://{f'[{name}]' if ':' in name else name}:{bound[1]}/"
+        return page_url(scheme, bound[0], bound[1])
 
     async def close(self, reason: str = "") -> None:
         """End the server; its pages show `reason` why it has ended, at most 120 bytes of it."""
@@ -259,7 +237,7 @@ class ViewServer:
             self._commander.end_estop()
         else:
             if verb == "estop":
-                self._show_estop(id, Answer("estop: sent"))
+                self._show_estop(id, Answer("estop: sent"), is_new=True)
             await self._commander.act(verb, message, tell)
 
     def _is_late(self, seen: Any) -> bool:
@@ -267,10 +245,9 @@ class ViewServer:
         now = asyncio.get_running_loop().time()
         return not any(seen == number and now - at < MAX_LATENESS for number, at in self._sent_at)
 
-    def _show_estop(self, id: str, answer: Answer) -> None:
+    def _show_estop(self, id: str, answer: Answer, *, is_new: bool = False) -> None:
         """Show the emergency stop on all pages; of two, the later one."""
         current = self._estop
-        is_new = answer.line == "estop: sent"
         if not is_new and (current is None or current["id"] != id):
             return
         message = {"kind": "estop", "id": id, **answer.plain()}
@@ -351,11 +328,3 @@ class ViewServer:
 
 def _refusal(id: str, text: str) -> dict[str, Any]:
     return {"kind": "answer", "id": id, **Answer(text, is_final=True).plain()}
-
-
-def _own_address() -> str:
-    """The address of this machine in its network, for pages on others; else its name."""
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
-        probe.connect(("192.0.2.1", 9))  # sends nothing
-        return str(probe.getsockname()[0])
-    return socket.gethostname()

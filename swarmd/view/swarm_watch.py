@@ -10,7 +10,7 @@ from collections.abc import Callable
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import STATUS_SILENCE, Status
-from swarmd.network.discovery import Contact, MembersView
+from swarmd.network.members_view import Contact, MembersView
 from swarmd.network.operator import LOOKING, Operator
 
 LOOK_PERIOD = 1.0

@@ -17,7 +17,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.cli.known_robots import EMPTY_AGE, MAX_AGE, MAX_SWARMS, known_names, remember
-from swarmd.network.discovery import MembersView
+from swarmd.network.members_view import MembersView
 from swarmd.network.settings import NetworkSettings
 from tests.support.processes import unique_swarm, wait_until
 from tests.support.statuses import make_member
@@ -65,6 +65,7 @@ def completed(*words: str, shell: str = "bash", **environ: str) -> list[str]:
         (("stop", "tb3-01", ""), ["tb3-02", "waffle"]),
         (("run", "attr"), ["attraction"]),
         (("run", "attraction", "--exclude", "w"), ["waffle"]),
+        (("run", "attraction", "-l", "r"), ["red"]),
         (("top", "--sort", "l"), ["loop"]),
         (("patterns", "list", "--platform", "burg"), ["burger", "burger_lds02"]),
         (("demo", "circ"), ["circle_formation"]),
@@ -99,7 +100,7 @@ def test_what_is_wrong_is_silent(cache: Path, environ: dict[str, str]) -> None:
 
 def test_a_damaged_cache_is_ignored(cache: Path) -> None:
     (file,) = cache.iterdir()
-    for text in ("[", "{}", '[1, "a b", "good"]', "7"):
+    for text in ("[", "{}", '{"names": [1, "a b", "good"]}', "7", '{"names": 7}', "[]"):
         file.write_text(text)
         assert completed("describe", "g") == (["good"] if "good" in text else [])
 
@@ -127,7 +128,7 @@ def test_names_that_are_old_are_looked_up_and_kept_if_no_robot_answers(cache: Pa
     os.utime(file, (past, past))
     looks.found = view()
     assert known_names(looks) == ["new"]  # type: ignore[arg-type]
-    assert json.loads(file.read_text()) == ["new"]
+    assert json.loads(file.read_text()) == {"names": ["new"], "labels": ["red"]}
     assert known_names(looks) == ["new"]  # type: ignore[arg-type]
     assert looks.count == 2
 

@@ -71,6 +71,9 @@ def swarmd(*args: str, cwd: Path) -> subprocess.CompletedProcess[str]:
         (["--driver-option", "x"], "--driver-option 'x'"),
         (["--chek"], "'--check'"),
         (["--driver-option", "endpont=x"], "endpont"),
+        (["stop-bas"], "'stop-base'"),
+        (["stop-base", "--config", "none.yaml"], "none.yaml"),
+        (["--id", "r1", "stop-base"], "--id"),
     ],
 )
 def test_a_wrong_option_is_one_line_and_exit_2(
@@ -83,7 +86,8 @@ def test_a_wrong_option_is_one_line_and_exit_2(
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("HOME", str(tmp_path))
     (tmp_path / "twice.yaml").write_text("id: a\nid: b")
-    words = [*args, *([] if "--id" in args else ["--id", "r1"])]
+    has_id = "--id" in args or "stop-b" in args[0]
+    words = args if has_id else [*args, "--id", "r1"]
     assert run_cli(command, words, "swarmd", exit_code_of) == 2
     captured = capsys.readouterr()
     assert captured.out == ""
@@ -253,7 +257,9 @@ def test_3_if_the_id_is_held(tmp_path: Path) -> None:
 
 
 def test_4_without_a_network(tmp_path: Path) -> None:
-    done = with_drivers(tmp_path, "--id", "r1", "--profile", "field", "--interface", "wlan77")
+    done = with_drivers(
+        tmp_path, "--id", "r1", "--profile", "field", "--interface", "wlan77", "--insecure"
+    )
     assert done.returncode == 4
     assert "'wlan77'" in done.stderr.splitlines()[-1]
 

@@ -11,7 +11,7 @@ from swarmd.cli.options import CommonOptions
 from swarmd.cli.send import LEAST_REQUEST_TIME
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.messages import Presence
-from swarmd.network.discovery import Contact, MembersView, SeenMember
+from swarmd.network.members_view import Contact, MembersView, SeenMember
 from swarmd.network.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 
@@ -23,6 +23,9 @@ class Slow:
         self._share = share
         self.settings = NetworkSettings()
         self.waits: list[float] = []
+        self.notices: list[str] = []
+        self.identity = None
+        self.name = "anna"
 
     def __enter__(self) -> Self:
         return self
@@ -41,6 +44,9 @@ class Slow:
             contact=Contact.NO_ANSWER,
         )
         return MembersView({"a": seen}, seconds=self._share * timeout)
+
+    def trust_notes(self) -> tuple[str, ...]:
+        return ()
 
     def request(self, *_: object, timeout: float, **fields: Any) -> Outcome:
         self.waits.append(timeout)

@@ -7,10 +7,12 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from swarmd.cli.members import HEADER, health, row
+from swarmd.cli.members import HEADER, health, row, wide_cells
 from swarmd.core import codec
+from swarmd.core.goal import GoalState
 from swarmd.core.messages import DecisionSummary, Health, Presence, Reason, State, StatusHeader
-from swarmd.network.discovery import Contact, MembersView, SeenMember
+from swarmd.network.members_view import Contact, MembersView, SeenMember
+from tests.support.goals import goal_status, make_goal, member_with, view_of
 from tests.support.statuses import make_member
 
 
@@ -138,8 +140,27 @@ def test_names_robots_with_problems() -> None:
     ]
 
 
+def test_names_robots_whose_emergency_stops_would_not_outlive_a_restart() -> None:
+    full = Health(driver_up=True, storage="/s cannot be written (No space left on device)")
+    (note,) = notes(make_member("r1", health=full), make_member("r2"))[1:]
+    assert "r1" in note
+    assert "r2" not in note
+    assert full.storage in note
+
+
 def test_warns_that_anyone_on_an_open_network_can_drive() -> None:
     open_to_all = make_member("r2", profile="field")
     text = notes(make_member(profile="field", is_secured=True), open_to_all)[-1]
-    assert "anyone on this network can drive these robots" in text
+    assert "anyone on this network can drive r2" in text
     assert notes(make_member(profile="field", is_secured=True)) == ["1/1 alive"]
+
+
+def test_wide_shows_labels_and_goals_and_a_note_names_offers() -> None:
+    goal = make_goal(7, "flocking")
+    offered = member_with("r2", goal_status(goal, state=GoalState.OFFERED), labels=("red", "fast"))
+    assert wide_cells(offered) == ("red fast", "goal 7 of anna: flocking (offered)")
+    assert wide_cells(make_member("r1", Presence.FAILED)) == ("-", "-")
+    running = member_with("r1", goal_status(goal))
+    notes = [note for note in health(view_of(running, offered)) if "offered" in note]
+    assert len(notes) == 1
+    assert "swarmctl resume r2" in notes[0]

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import json
+
 import pytest
 
-from swarmd.cli.output import has_colour, print_section, print_table
+from swarmd.cli.output import has_colour, print_json, print_line, print_section, print_table
 from swarmd.texts.values import seconds
 
 
@@ -65,3 +67,13 @@ def test_texts_of_robots_cannot_control_the_terminal(capsys: pytest.CaptureFixtu
     printed = capsys.readouterr().out
     assert "\x1b" not in printed
     assert "tb3?[2J?" in printed
+
+
+def test_json_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    texts = ["\x1b[2J", "\x9b2J", "\x7f", "\u202egnp", "\u2028", "\U000e0001", "Straße"]
+    print_json("Texts", {"texts": texts})
+    print_line("Texts", {"texts": texts})
+    printed = capsys.readouterr().out
+    assert all(char.isprintable() or char == "\n" for char in printed)
+    assert "Straße" in printed
+    assert json.loads(printed.splitlines()[-1])["texts"] == texts

@@ -289,14 +289,17 @@ def test_files_of_the_working_directory_are_not_imported(tmp_path: Path) -> None
     assert "\nattraction " in done.stdout
 
 
-@pytest.mark.parametrize("is_closing", [True, False])
-def test_a_session_that_is_still_closing_does_not_keep_the_process(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], is_closing: bool
+@pytest.mark.parametrize("has_zenoh", [True, False])
+def test_threads_of_zenoh_do_not_keep_the_process(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], has_zenoh: bool
 ) -> None:
     left: list[int] = []
-    monkeypatch.setattr("swarmd.network.operator.is_closing", lambda: is_closing)
+    if has_zenoh:
+        monkeypatch.setitem(sys.modules, "zenoh", sys)
+    else:
+        monkeypatch.delitem(sys.modules, "zenoh", raising=False)
     monkeypatch.setattr(os, "_exit", left.append)
     with pytest.raises(SystemExit) as ended:
         main(["mebers"])
-    assert (left, ended.value.code) == ([2] if is_closing else [], 2)
+    assert (left, ended.value.code) == ([2] if has_zenoh else [], 2)
     assert "'members'" in capsys.readouterr().err

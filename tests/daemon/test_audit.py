@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import pytest
 
+from swarmd.core.goal import Goal
 from swarmd.core.messages import (
     AnyRequest,
     Code,
     Epoch,
     EstopRequest,
     ForgetRequest,
+    GoalRequest,
+    LabelRequest,
     ParamRequest,
     Refusal,
     ReloadRequest,
@@ -18,15 +21,20 @@ from swarmd.core.messages import (
     RunRequest,
     StopRequest,
 )
+from swarmd.core.tool_messages import AuditEntry
 from swarmd.daemon.audit import (
     APPLIED_BURST,
+    ENTRY_BURST,
     MAX_LINE,
     OTHER_BURST,
     OTHER_RATE,
+    PEER_BURST,
+    PEER_RATE,
     Audit,
     describe_request,
 )
 
+GOAL = Goal(generation=7, issuer="bob", id="g7", pattern=None)
 TARGETS: dict[str, Epoch | None] = {"r1": Epoch("i", 1), "r2": Epoch("i", 2)}
 ONE: dict[str, Epoch | None] = {"r1": Epoch("i", 1)}
 APPLIED = Reply(id="x", robot="r1", code=Code.APPLIED, text="fine")
@@ -61,6 +69,18 @@ REFUSED = Reply(id="x", robot="r1", code=Code.REFUSED, refusal=Refusal.BUSY, tex
         (ResetRequest(id="a", operator="o", targets=TARGETS), "reset to 2 robots"),
         (ParamRequest(id="a", operator="o", targets=ONE, params={"k": 1}), "param k=1 to 1 robot"),
         (ReloadRequest(id="a", operator="o", targets=ONE, pattern="own"), "reload own to 1 robot"),
+        (
+            LabelRequest(id="a", operator="o", targets=ONE, labels=("red", "big")),
+            "label red, big to 1 robot",
+        ),
+        (
+            GoalRequest(id="a", operator="o", targets=ONE, goal=GOAL),
+            "goal 7: stand to 1 robot",
+        ),
+        (
+            RunRequest(id="a", operator="o", targets=ONE, pattern="drive", goal=GOAL),
+            "run drive as goal 7 to 1 robot",
+        ),
         (ForgetRequest(id="a", operator="o", targets=ONE, name="r9"), "forget r9 to 1 robot"),
     ],
 )
@@ -110,3 +130,55 @@ def test_texts_of_an_operator_are_bounded_and_stay_in_one_line() -> None:
     assert len(lines[0]) <= MAX_LINE
     assert lines[0].isprintable()
     assert ": refused (busy): loading" in lines[0]
+
+
+def test_an_entry_has_times_operator_and_targets() -> None:
+    kept: list[AuditEntry] = []
+    audit = Audit(lambda line: None, kept.append, clock="c0", wall=lambda: 1.8e9)
+    audit.record("stop to 2 robots", "anna", "10.0.0.5:4", APPLIED, 7.5, targets=2)
+    audit.note("latch 1f", "ben", "a peer", "cable", 8.0)
+    assert kept[0] == AuditEntry(
+        boot=7.5,
+        clock="c0",
+        wall=1.8e9,
+        operator="anna",
+        source="10.0.0.5:4",
+        verb="stop",
+        targets=2,
+        what="stop to 2 robots",
+        result="applied",
+        text="fine",
+    )
+    assert (kept[1].verb, kept[1].operator, kept[1].result) == ("latch", "ben", "taken")
+
+
+def test_a_clock_that_was_not_set_is_no_wall_time() -> None:
+    kept: list[AuditEntry] = []
+    Audit(lambda line: None, kept.append, wall=lambda: 12.0).note("latch", "ben", "peer", "", 1.0)
+    assert kept[0].wall is None
+
+
+def test_more_entries_than_lines_are_kept_and_a_flood_is_counted() -> None:
+    kept: list[AuditEntry] = []
+    audit = Audit(lambda line: None, kept.append)
+    for _ in range(1000):
+        audit.record("run x", "eve", "zenoh", REFUSED, 1.0)
+    assert len(kept) == ENTRY_BURST
+    audit.record("stop", "anna", "zenoh", APPLIED, 1.0)
+    assert kept[-1].left_out == 1000 - ENTRY_BURST
+
+
+def test_what_robots_hand_on_does_not_push_requests_out() -> None:
+    lines: list[str] = []
+    entries: list[AuditEntry] = []
+    audit = Audit(lines.append, entries.append)
+    for number in range(10_000):  # of a robot that was taken over, for 1000 s
+        now = number / 10.0
+        audit.record("estop", "bob", "10.0.0.5:7440", APPLIED, now, is_relayed=True)
+        audit.note(f"goal {number} of bob: stand", "bob", "a peer", "", now)
+    assert len(entries) <= PEER_BURST + 1000 * PEER_RATE
+    assert len(lines) <= PEER_BURST + 1000 * PEER_RATE
+    assert entries[0].source == "handed on by 10.0.0.5:7440"
+    audit.record("run drive", "bob", "10.0.0.7:50000", APPLIED, 1000.0)
+    assert (entries[-1].what, entries[-1].source) == ("run drive", "10.0.0.7:50000")
+    assert "run drive" in lines[-1]

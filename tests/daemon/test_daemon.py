@@ -170,7 +170,8 @@ async def test_a_daemon_whose_driver_raised_does_not_leave_in_order(
 async def test_a_daemon_stopped_while_joining_never_serves(tmp_path: Path) -> None:
     """In profile field a claim settles for 1 s."""
     driver, stop = RecordingDriver(), asyncio.Event()
-    values = {"profile": "field", "interface": "lo", "listen": ["tcp/127.0.0.1:0"]}
+    values: dict[str, object] = {"profile": "field", "interface": "lo", "insecure": True}
+    values["listen"] = ["tcp/127.0.0.1:0"]
     slow = {"id": "tb3-01", "swarm": unique_swarm(), "state_dir": str(tmp_path), **values}
     daemon = Daemon(load_daemon_settings(None, slow), driver)
     await run(daemon, stop, stop.set)

@@ -56,3 +56,27 @@ def test_unreadable_file_latches(tmp_path: Path) -> None:
 def test_unwritable_disk_returns_false(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("in the way")
     assert not LatchFile(tmp_path / "file" / "state").write(Latches().record())
+
+
+def test_a_folder_that_cannot_be_written_is_a_fault_until_it_can(tmp_path: Path) -> None:
+    blocker = tmp_path / "state"
+    blocker.write_text("in the way")
+    file = LatchFile(blocker)
+    assert file.check()
+    assert str(blocker) in file.fault
+    assert not file.check()  # nothing has changed
+    blocker.unlink()
+    assert file.check()
+    assert file.fault == ""
+
+
+def test_a_latch_in_memory_is_written_once_that_is_possible(tmp_path: Path) -> None:
+    blocker = tmp_path / "state"
+    blocker.write_text("in the way")
+    file, record = LatchFile(blocker), LatchRecord(cleared=("e1",))
+    assert not file.write(record)
+    assert file.fault
+    blocker.unlink()
+    assert file.check()
+    assert file.fault == ""
+    assert LatchFile(blocker).read() == record

@@ -22,6 +22,7 @@ from swarmd.core.messages import (
     RunRequest,
     StopRequest,
 )
+from swarmd.daemon.audit import Audit
 from swarmd.daemon.request_server import MAX_PENDING, RequestServer
 from swarmd.network.datagram import Stop
 
@@ -36,7 +37,8 @@ def raw(*, version: int = 1, **fields: object) -> bytes:
 class RecordingQuery:
     source = "10.0.0.5:40000"
 
-    def __init__(self, payload: bytes) -> None:
+    def __init__(self, payload: bytes, asker: str = "anyone") -> None:
+        self.asker = asker
         self.payload = payload
         self.replies: list[Reply] = []
         self.is_dropped = False
@@ -52,11 +54,22 @@ def server_of(
     robot: str,
     on_request: Callable[[Request], None],
     on_audit: Callable[[str], None] = lambda line: None,
+    *,
+    is_secured: bool = False,
 ) -> RequestServer:
     def record(request: RecordRequest) -> Reply:
         return Reply(id=request.id, robot=robot, code=Code.APPLIED, text=request.action)
 
-    return RequestServer(robot, on_request, on_audit, forget=lambda name: True, record=record)
+    return RequestServer(
+        robot,
+        on_request,
+        Audit(on_audit),
+        forget=lambda name: True,
+        record=record,
+        roster=lambda request, answer: None,
+        is_secured=is_secured,
+        push=lambda request: None,
+    )
 
 
 def run_request(id: str = "r1") -> RunRequest:
@@ -196,6 +209,17 @@ def test_a_reply_names_the_latches_that_are_not_on_disk() -> None:
     assert [one.text != "zero" for one in answers] == [True]
     server.reply(reply)
     assert len(answers) == 1
+
+
+def test_in_a_secured_swarm_the_operator_is_the_asker_of_the_key() -> None:
+    taken: list[Request] = []
+    lines: list[str] = []
+    server = server_of("tb3-01", taken.append, lines.append, is_secured=True)
+    server.handle("run", RecordingQuery(encode(run_request()), "bob"))
+    assert [request.operator for request in taken] == ["bob"]
+    header = raw(id="r2", operator="anna", verb="run", targets={"tb3-01": None})
+    server.handle("run", RecordingQuery(header, "bob"))
+    assert ["by bob" in line for line in lines] == [True]
 
 
 def test_each_request_gives_one_line_also_when_it_is_repeated() -> None:

@@ -125,6 +125,8 @@ def test_commands_are_as_swarmctl_takes_them(page: Path, monkeypatch: pytest.Mon
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_commands_are_as_swarmd_takes_them(page: Path) -> None:
     for words in commands(page, "swarmd"):
+        with click.Context(swarmd) as ctx:
+            _parse(swarmd, ctx, words)
         said = swarmd.make_context("swarmd", words).params
         platform, driver = said["platform"], said["driver"]
         assert platform is None or platform.endswith(".yaml") or platform in platform_names()

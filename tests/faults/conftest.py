@@ -113,6 +113,7 @@ class Bench:
         self.witness = self._left.enter_context(Witness(self.swarm))
         self.daemon: DaemonProcess
         self.driver_options: Mapping[str, Value] = {}
+        self.prefix: tuple[str, ...] = ()  # of the daemon's command line
         self._born = 0.0
 
     def close(self) -> None:
@@ -147,6 +148,7 @@ class Bench:
                 plugin_dir=self._plugins,
                 options={"driver_options": {"endpoint": self.body.endpoint, **self.driver_options}},
                 environ=environ,
+                prefix=self.prefix,
             )
         )
         return self.daemon

@@ -188,7 +188,7 @@ def test_an_unreadable_latch_file_holds_the_robot_until_reset(
 
 
 def test_an_estop_that_cannot_be_written_down_latches_all_the_same(bench: Bench) -> None:
-    (bench.state / "latches.new").mkdir(parents=True)  # where it would be written first
+    (bench.state / ".latches.partial").mkdir(parents=True)  # where it would be written first
     bench.start()
     moving = bench.drive()
     ack = bench.halt("estop")

@@ -12,9 +12,12 @@ from typing import TYPE_CHECKING, Literal
 import pytest
 
 from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder, encode
 from swarmd.core.messages import Code, Reason, State
+from swarmd.core.tool_messages import LogBatch, LogsQuery
 from swarmd.robot.pattern_run import FIRST_BACKOFF
 from swarmd.testing.driver_contract import is_running
+from tests.faults.conftest import ROBOT
 from tests.support.processes import wait_until
 
 if TYPE_CHECKING:
@@ -175,7 +178,10 @@ def test_output_of_a_pattern_goes_to_the_log(robot: Bench) -> None:
     status = robot.status()
     assert status.state is State.RUNNING
     assert not any("talker failed" in event.text for event in status.events)
-    assert "hello from a pattern" in robot.daemon.text()
+    wait_until(lambda: "hello from a pattern" in robot.daemon.text(), "it is in the log")
+    answer = robot.operator.ask(ROBOT, "logs", encode(LogsQuery(grep="hello")), timeout=10.0)
+    assert answer is not None
+    assert {one.source for one in Decoder(LogBatch)(answer).records} == {"pattern"}
     assert robot.daemon.out.read_bytes() == b""
 
 

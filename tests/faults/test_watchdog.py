@@ -86,7 +86,7 @@ def test_signals_meant_for_everyone_leave_the_watchdog_at_its_post(guarded: Benc
     guarded.drive()
     watchdog = watchdog_of(guarded)
     assert os.getsid(watchdog) != os.getsid(guarded.daemon.process.pid), "Ctrl-C"
-    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM, signal.SIGABRT):
         os.kill(watchdog, number)
     signalled = boottime()
     guarded.body.wait(lambda one: one.at > signalled + 1.0)

@@ -11,7 +11,7 @@ import zenoh
 
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.messages import Member, MembersQuery, PeerView, Presence, Status
-from swarmd.network.bus import Query, ZenohBus
+from swarmd.network.bus import Query, ZenohBus, without_mapping
 from swarmd.network.inbound_queue import CAPACITY, DropCounter
 from swarmd.network.session import open_listening, open_with
 from swarmd.network.settings import NetworkSettings
@@ -20,6 +20,7 @@ from tests.support.fake_daemon import light_status
 Until = Callable[[Callable[[], bool]], Awaitable[None]]
 
 view_of = Decoder(PeerView)
+WILD = ("**", "*/*/run/*", "me/control/*/eve", "*/control/run/*", "*/control/*/*", "me/**")
 OFF = {"scouting/multicast/enabled": False, "scouting/gossip/enabled": False}
 
 
@@ -38,7 +39,7 @@ class BusRig:
     async def serve(self, handler: Callable[[Query], None]) -> None:
         """Return when a query has been answered."""
         self.bus.serve("control", "run", handler)
-        while not await self.get("me/control/run"):
+        while not await self.get("me/control/run/eve"):
             continue
 
     async def get(self, rest: str, payload: bytes = b"") -> list[tuple[str, bytes]]:
@@ -81,14 +82,16 @@ def echo(query: Query) -> None:
 @pytest.mark.parametrize("robot", ["me", "*"])
 async def test_queries_to_this_robot_and_to_all_are_answered(rig: BusRig, robot: str) -> None:
     await rig.serve(echo)
-    assert await rig.get(f"{robot}/control/run", b"go") == [(rig.key("me/control/run"), b"go!")]
+    assert await rig.get(f"{robot}/control/run/eve", b"go") == [
+        (rig.key("me/control/run/eve"), b"go!")
+    ]
 
 
 @pytest.mark.parametrize(
     ("rest", "size", "cause"),
     [
-        *((rest, 0, "key") for rest in ("**", "*/*/run", "me/control/*", "*/control/*", "me/**")),
-        ("me/control/run", MAX_CONTROL + 1, "oversized"),
+        *((rest, 0, "key") for rest in WILD),
+        ("me/control/run/eve", MAX_CONTROL + 1, "oversized"),
     ],
 )
 async def test_wild_and_oversized_queries_are_dropped_counted_and_ended(
@@ -101,11 +104,11 @@ async def test_wild_and_oversized_queries_are_dropped_counted_and_ended(
 
 async def test_the_address_of_an_asker_that_names_its_session_is_known(rig: BusRig) -> None:
     await rig.serve(lambda query: query.reply(query.source.encode()))
-    ((_, unnamed),) = await rig.get("me/control/run")
+    ((_, unnamed),) = await rig.get("me/control/run/eve")
     assert unnamed == b"an unknown address"
     named = zenoh.SourceInfo(rig.foreign.id, 0)
     replies = await asyncio.to_thread(
-        lambda: list(rig.foreign.get(rig.key("me/control/run"), source_info=named, timeout=5.0))
+        lambda: list(rig.foreign.get(rig.key("me/control/run/eve"), source_info=named, timeout=5.0))
     )
     assert [reply.ok.payload.to_bytes()[:10] for reply in replies if reply.ok] == [b"127.0.0.1:"]
 
@@ -119,7 +122,7 @@ async def test_an_answer_may_come_later_and_only_once(rig: BusRig) -> None:
         loop.call_later(0.07, query.drop)
 
     await rig.serve(later)
-    assert await rig.get("me/control/run") == [(rig.key("me/control/run"), b"first")]
+    assert await rig.get("me/control/run/eve") == [(rig.key("me/control/run/eve"), b"first")]
 
 
 async def test_a_flood_of_queries_is_bounded_and_leaves_other_verbs_alone(rig: BusRig) -> None:
@@ -137,7 +140,7 @@ async def test_a_flood_of_queries_is_bounded_and_leaves_other_verbs_alone(rig: B
     def flood() -> None:
         for _ in range(total):
             rig.foreign.get(
-                rig.key("me/control/param"),
+                rig.key("me/control/param/eve"),
                 zenoh.handlers.RingChannel(1),
                 congestion_control=zenoh.CongestionControl.BLOCK,
                 timeout=20.0,
@@ -149,7 +152,7 @@ async def test_a_flood_of_queries_is_bounded_and_leaves_other_verbs_alone(rig: B
         before = time.monotonic()
         await asyncio.sleep(0.005)
         longest = max(longest, time.monotonic() - before)
-        assert await rig.get("me/control/run", b"go")
+        assert await rig.get("me/control/run/eve", b"go")
     await flooding
     dropped = rig.drops.counts().get("control/param:full", 0)
     assert 0 < len(handled) + dropped <= total
@@ -159,14 +162,16 @@ async def test_a_flood_of_queries_is_bounded_and_leaves_other_verbs_alone(rig: B
 async def test_the_view_has_the_members_and_is_not_sent_twice_to_one_asker(rig: BusRig) -> None:
     member = Member(robot="r2", instance="b", presence=Presence.FAILED, age=3.0)
     rig.bus.serve_view(lambda: light_status("me", "a"), lambda: (member,), ("r3",))
-    while not await rig.get("me/control/members"):
+    while not await rig.get("me/control/members/eve"):
         continue
-    ((key, payload),) = await rig.get("*/control/members", encode(MembersQuery(answered=("x",))))
-    assert key == rig.key("me/control/members")
+    ((key, payload),) = await rig.get(
+        "*/control/members/eve", encode(MembersQuery(answered=("x",)))
+    )
+    assert key == rig.key("me/control/members/eve")
     view = view_of(payload)
     assert (view.members, view.roster) == ((member,), ("r3",))
-    assert await rig.get("me/control/members", encode(MembersQuery(answered=("me",)))) == []
-    assert await rig.get("me/control/members", b"junk") == []
+    assert await rig.get("me/control/members/eve", encode(MembersQuery(answered=("me",)))) == []
+    assert await rig.get("me/control/members/eve", b"junk") == []
     assert rig.drops.counts() == {"control/members:malformed": 1}
 
 
@@ -207,4 +212,16 @@ async def test_after_close_nothing_is_called_and_nothing_raises(rig: BusRig) -> 
     rig.bus.close()
     rig.bus.close()
     rig.bus.publish("status", lambda: encode(light_status("me", "a")))
-    assert await rig.get("me/control/run") == []
+    assert await rig.get("me/control/run/eve") == []
+
+
+@pytest.mark.parametrize(
+    ("given", "shown"),
+    [
+        ("[::ffff:10.0.0.7]:4242", "10.0.0.7:4242"),
+        ("10.0.0.7:4242", "10.0.0.7:4242"),
+        ("[fe80::1]:4242", "[fe80::1]:4242"),
+    ],
+)
+def test_an_ipv4_address_is_shown_as_one(given: str, shown: str) -> None:
+    assert without_mapping(given) == shown

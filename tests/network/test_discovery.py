@@ -22,10 +22,10 @@ from swarmd.network.discovery import (
     MAX_ROUND_TRIP,
     QUIET_TIME,
     UNREACHABLE_WAIT,
-    Contact,
     Discovery,
     reported_address,
 )
+from swarmd.network.members_view import Contact
 from tests.support.fake_daemon import light_status
 
 ALIVE, LEFT, FAILED = Presence.ALIVE, Presence.LEFT, Presence.FAILED

@@ -19,11 +19,12 @@ from swarmd.core import codec
 from swarmd.core.messages import Code, Epoch, Presence, ResetRequest, RunRequest
 from swarmd.network import operator as operator_module
 from swarmd.network.datagram import Address, Beacon, Solicit, Stop, pack, tag_of, unpack
-from swarmd.network.operator import Operator, StopVerb, is_closing, operator_name
+from swarmd.network.operator import Operator, StopVerb, operator_name
 from swarmd.network.outcome import NO_TARGET, PARTIAL
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.udp import UdpCarrier
 from tests.support.fake_daemon import FakeSwarm
+from tests.support.operator_threads import is_closing
 from tests.support.processes import run_command, wait_until
 
 Robots = Callable[..., FakeSwarm]
@@ -401,6 +402,9 @@ class Suspended:
 
     def send_to(self, payload: bytes, address: Address) -> None:
         raise AssertionError("no robot is known")
+
+    def confirm(self, source: Address) -> None:
+        """Nothing."""
 
     def start_thread(self, on_datagram: object) -> None:
         """Nothing arrives."""

@@ -19,7 +19,8 @@ from swarmd.network.datagram import (
     Solicit,
     Stop,
 )
-from swarmd.network.peer import BEACON_PERIOD, FASTEST_DATAGRAM
+from swarmd.network.peer import BEACON_PERIOD
+from swarmd.network.peer_places import FASTEST_DATAGRAM
 from tests.network.virtual_network import OPERATOR, VirtualNetwork
 
 
@@ -183,7 +184,7 @@ def test_a_robot_that_reset_its_latches_asks_its_peers_once_and_is_silent() -> N
     network.until(lambda: bool(network.robots["r2"].latches), cap=5.0)
     network.run(5.0)
     network.robots["r2"].latches.clear()
-    network._carry_out = lambda name, effects: None  # type: ignore[method-assign]
+    network._carry_out = lambda *_: None  # type: ignore[method-assign]
     peer, robot = network.robots["r2"].peer, network.robots["r1"]
     beacon = robot.peer._beacon(robot.summary)
     for second in range(5):

@@ -2,17 +2,24 @@
 
 from __future__ import annotations
 
+import json
 import socket
 import time
 from collections.abc import Iterator
+from pathlib import Path
 
 import pytest
+import zenoh
 
-from swarmd.core.errors import NetworkError
+from swarmd.cli.keys_router import router_configuration
+from swarmd.core.errors import ConfigError, NetworkError
+from swarmd.core.keys import CONTROL, build
 from swarmd.core.messages import Presence, RunRequest
 from swarmd.network.operator import Operator
+from swarmd.network.session import open_with, operator_options
 from swarmd.network.settings import NetworkSettings
 from tests.support.fake_daemon import FakeSwarm
+from tests.support.keys import SwarmKeys
 from tests.support.processes import unique_swarm, wait_until
 from tests.support.router import Router
 
@@ -47,6 +54,38 @@ def routed(routers: list[Router]) -> NetworkSettings:
 def answered(settings: NetworkSettings) -> set[str]:
     with Operator(settings, name="anna") as operator:
         return set(operator.members().answered)
+
+
+def test_a_router_with_keys_lets_each_name_do_what_its_role_may(tmp_path: Path) -> None:
+    swarm = unique_swarm()
+    keys = SwarmKeys(tmp_path, swarm, ROBOTS, operators=["alice"], viewers=["eve", "router"])
+    (endpoint,) = free_endpoints(1)
+    configuration = router_configuration(keys["router"], endpoint.replace("tcp/", "tls/"))
+    (tmp_path / "router.json").write_text(json.dumps(configuration))
+    router = Router(str(tmp_path / "router.json"))
+    settings = NetworkSettings(profile="routed", swarm=swarm, routers=(endpoint,))
+    robots = FakeSwarm(settings, ROBOTS, keys=keys)
+    thief = open_with(operator_options(settings, (), keys["r2"]), "a thief")
+    try:
+        with Operator(settings, identity=keys["alice"]) as operator:
+            view = operator.members()
+            assert view.answered == set(ROBOTS)
+            outcome = operator.request(RunRequest, view.epochs(ROBOTS), pattern="x")
+            assert outcome.applied == ROBOTS
+        with Operator(settings, identity=keys["eve"]) as viewer:
+            assert viewer.members().answered == set(ROBOTS)
+            with pytest.raises(ConfigError, match="viewer"):
+                viewer.request(RunRequest, view.epochs(ROBOTS), pattern="x")
+        wait_until(lambda: bool(list(thief.info.routers_zid())), "the thief has a link")
+        before = len(robots["r1"].requests)
+        for asker in ("alice", "r2"):
+            key = build(swarm, "r1", CONTROL, "members", asker)
+            assert list(thief.get(key, target=zenoh.QueryTarget.ALL, timeout=2.0)) == []
+        assert len(robots["r1"].requests) == before
+    finally:
+        thief.close()
+        robots.close()
+        router.kill()
 
 
 def test_robots_behind_routers_are_found_commanded_and_stopped(routers: list[Router]) -> None:

@@ -19,7 +19,7 @@ REQUEST = Stop(id="q", verb="estop", operator="anna@laptop")
 def ack(pending: PendingStop, robot: str, *, instance: int = 1, via: str = "") -> None:
     code = Code.APPLIED
     pending.on_ack(
-        Ack(id="q", robot=robot, instance=life(instance), revision=0, code=code, via=via)
+        Ack(id="q", robot=robot, instance=life(instance), revision=0, code=code, via=via), 0.0
     )
 
 

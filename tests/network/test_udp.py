@@ -48,8 +48,11 @@ class Peers:
     def __init__(self, settings: NetworkSettings, left: contextlib.ExitStack) -> None:
         self._settings, self._left = settings, left
 
-    def open(self, tag: bytes = TAG, port: int = 0, **changes: object) -> UdpCarrier:
-        made = UdpCarrier(replace(self._settings, **changes), tag, port=port)
+    def open(
+        self, tag: bytes = TAG, port: int = 0, is_secured: bool = False, **changes: object
+    ) -> UdpCarrier:
+        settings = replace(self._settings, **changes)
+        made = UdpCarrier(settings, tag, port=port, is_secured=is_secured)
         self._left.callback(made.close)
         return made
 
@@ -89,6 +92,17 @@ def test_a_datagram_by_unicast_reaches_one(peers: Peers) -> None:
     assert arrived(b) == [(stop("s1"), of(a), False)]
     a.send(beacon())
     assert arrived(c) == [(beacon(), of(a), True)]
+
+
+def test_in_a_secured_swarm_only_confirmed_sources_get_copies(peers: Peers) -> None:
+    a, stranger = peers.open(is_secured=True), peers.open()
+    stranger.send_to(beacon(), of(a))
+    assert arrived(a)
+    assert a.recipients.unicast(boottime()) == []
+    a.confirm(("127.0.0.1", 9))  # of which no beacon came
+    assert a.recipients.unicast(boottime()) == []
+    a.confirm(of(stranger))
+    assert a.recipients.unicast(boottime()) == [of(stranger)]
 
 
 def test_other_swarms_and_junk_are_dropped_by_the_kernel(peers: Peers) -> None:

@@ -6,14 +6,22 @@ import heapq
 import itertools
 import random
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+from msgspec.structs import replace
+
 from swarmd.core.clock import ClockSample
+from swarmd.core.goal import Goal
 from swarmd.core.messages import Code, Latch, State
+from swarmd.core.values import PeerPlace
+from swarmd.network.admission import Admission
 from swarmd.network.datagram import Ack, Address, Datagram, Solicit, Stop, pack, tag_of, unpack
-from swarmd.network.peer import Effects, Peer, Summary
+from swarmd.network.peer import CheckGoal, Effects, Peer, Summary
+from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust
+from swarmd.robot.goals import Found, Goals
+from tests.network.keyring import Keyring
 
 TAG = tag_of("field", "lab")
 OPERATOR: Address = ("10.0.0.250", 5000)
@@ -33,18 +41,50 @@ class Robot:
     messages: list[bytes] = field(default_factory=list)
     changes: list[str] = field(default_factory=list)
     clocks: list[ClockSample] = field(default_factory=list)
+    places: list[PeerPlace] = field(default_factory=list)
+    goals: Goals = field(default_factory=lambda: Goals("robot", (), None))
     is_recording: bool = False
     is_up: bool = True
+    invalid_goals: int = 0
+    trust: Trust | None = None
+    flaws: Counter[str] = field(default_factory=Counter)
+    replayed: list[str] = field(default_factory=list)
+    duplicates: list[str] = field(default_factory=list)
 
     @property
     def summary(self) -> Summary:
-        return Summary(self.state, self.revision, self.latches)
+        return Summary(self.state, self.revision, self.latches, self.goals.held)
+
+    def find(self, goal: Goal, age: float | None, now: float) -> None:
+        """Adopt a goal if it is greater."""
+        if self.goals.judge(goal) in (Found.OWN, Found.OTHER):
+            self.goals.adopt(goal, age, now, may_join=False)
+        elif self.goals.is_held(goal):
+            self.goals.learn_age(age, now)
 
 
 class VirtualNetwork:
-    """Robots `r1` to `r<count>`; `reaches(sender, receiver)` cuts, `loss` and `delay` disturb."""
+    """Robots `r1` to `r<count>`; `reaches(sender, receiver)` cuts, `loss` and `delay` disturb.
 
-    def __init__(self, count: int, *, seed: int = 1, lease: float = 3.0, joined: bool = True):
+    With a `keyring` the swarm is secured, and its operator is `anna`. `tapped` has all datagrams
+    that were sent, as one hears them who has no keys; `inject` sends such.
+    """
+
+    def __init__(
+        self,
+        count: int,
+        *,
+        seed: int = 1,
+        lease: float = 3.0,
+        settle: float = 1.0,
+        joined: bool = True,
+        keyring: Keyring | None = None,
+    ):
+        self.keyring = keyring
+        self.tapped: list[tuple[str, Datagram, bytes, Address]] = []
+        self.is_tapped = False
+        self.unicast: Counter[Address] = Counter()
+        self.ages: dict[str, list[int]] = {}
         self.now = 100.0
         self.random = random.Random(seed)
         self.loss = 0.0
@@ -55,7 +95,7 @@ class VirtualNetwork:
         self.sent_kinds: Counter[type] = Counter()
         self._queue: list[tuple[float, int, str, bytes, Address]] = []
         self._order = itertools.count()
-        self._lease = lease
+        self._lease, self._settle = lease, settle
         self._lives = 0
         self.robots: dict[str, Robot] = {}
         for number in range(1, count + 1):
@@ -63,7 +103,9 @@ class VirtualNetwork:
         if joined:
             self.run(3.0)
 
-    def add(self, name: str, key: str = "") -> Robot:
+    def add(
+        self, name: str, key: str = "", *, check_goal: CheckGoal = lambda goal, now: True
+    ) -> Robot:
         """A robot that starts; `key`: its name in this network, if an id is used twice."""
         self._lives += 1
         peer = Peer(
@@ -72,21 +114,48 @@ class VirtualNetwork:
             swarm="lab",
             profile="field",
             lease=self._lease,
-            settle=1.0,
+            settle=self._settle,
             wire=1,
             version="1.0",
             roster=(),
             now=self.now,
             clock=self._lives.to_bytes(6, "big").hex(),
+            admission=None if self.keyring is None else self._admission(name),
+            check_goal=check_goal,
         )
         key = key or name
         number = self._lives
-        self.robots[key] = Robot(peer, (f"10.0.0.{number}", 7440))
+        trust = None if self.keyring is None else self.keyring.trust(name)
+        self.robots[key] = Robot(peer, (f"10.0.0.{number}", 7440), trust=trust)
         return self.robots[key]
+
+    def _admission(self, name: str) -> Admission:
+        assert self.keyring is not None
+        numbers = random.Random(f"{name} {self._lives}")
+        return Admission(
+            name, self.keyring.roster.robots, self._lease, lambda: numbers.getrandbits(53)
+        )
+
+    def change_roster(self, remove: Collection[str]) -> None:
+        """All robots take the next generation of the roster."""
+        assert self.keyring is not None
+        until = self.now + PREVIOUS_TIME
+        before = self.keyring.roster
+        keys = {name: self.keyring.keys(name) for name in self.robots}
+        self.keyring.renew(remove=remove)
+        for name, robot in self.robots.items():
+            previous = Previous(keys[name], before, until)
+            robot.trust = Trust.of(self.keyring.identity(name), previous)
+
+    def inject(self, payload: bytes, source: Address, to: str | None = None) -> None:
+        """A stranger sends these bytes from this address, to one robot or all."""
+        for name in list(self.robots) if to is None else [to]:
+            self._queue_up(name, payload, source)
 
     def send(self, body: Datagram, to: str | None = None) -> None:
         """What the operator sends, to one robot or all."""
-        self._send("operator", OPERATOR, body, None if to is None else self.robots[to].address)
+        address = None if to is None else self.robots[to].address
+        self._send("operator", OPERATOR, body, address)
 
     def acks(self) -> Mapping[str, Ack]:
         """The last ack of each robot that the operator heard."""
@@ -146,15 +215,26 @@ class VirtualNetwork:
         robot = self.robots.get(receiver)
         if robot is None or not robot.is_up:
             return
-        effects = robot.peer.on_datagram(body, source, self.now, robot.summary)
+        author = None
+        if robot.trust is not None:
+            found = robot.trust.verifier.verify(payload, self.now)
+            if isinstance(found, Flaw):
+                robot.flaws[found] += 1
+                return
+            author = found
+        effects = robot.peer.on_datagram(body, source, self.now, robot.summary, author=author)
+        if effects.flaw is not None:
+            robot.flaws[effects.flaw] += 1
+        robot.replayed.extend(stop.id for stop, _ in effects.replayed)
         for stop, sender in effects.stops:
             self._on_stop(receiver, robot, stop, sender)
-        self._carry_out(receiver, effects)
+        self._carry_out(receiver, effects, (source, author))
 
     def _on_stop(self, name: str, robot: Robot, stop: Stop, sender: Address) -> None:
         if stop.targets is not None and robot.peer.robot not in stop.targets:
             return
         robot.stops.append(stop.id)
+        self.ages.setdefault(stop.id, []).append(stop.age)
         if stop.verb == "estop":
             robot.state = State.ESTOPPED
             robot.latches[stop.id] = Latch(issuer=stop.operator, scope=stop.scope)
@@ -166,29 +246,63 @@ class VirtualNetwork:
                 revision=1,
                 code=Code.APPLIED,
             )
+            if robot.trust is not None:
+                ack = replace(ack, proof=robot.trust.signer.proof(ack, stop.operator))
             self._send(name, robot.address, ack, sender)
 
-    def _carry_out(self, name: str, effects: Effects) -> None:
+    def _carry_out(
+        self,
+        name: str,
+        effects: Effects,
+        asker: tuple[Address, Author | None] | None = None,
+    ) -> None:
         robot = self.robots[name]
         for body, address in effects.sends:
-            self._send(name, robot.address, body, address)
+            author = asker[1] if asker is not None and asker[0] == address else None
+            self._send(name, robot.address, body, address, author)
+        if effects.duplicate:
+            robot.duplicates.append(effects.duplicate)
         robot.latches.update(effects.latches)
         if robot.latches:
             robot.state = State.ESTOPPED
         robot.messages.extend(message.payload for message in effects.messages)
         robot.changes.extend(effects.changed)
         robot.clocks.extend(effects.clocks)
+        robot.places.extend(effects.places)
+        robot.invalid_goals += effects.invalid_goals
+        for found in effects.goals:
+            robot.find(found.goal, found.age, self.now)
 
-    def _send(self, name: str, source: Address, body: Datagram, to: Address | None) -> None:
+    def _send(
+        self,
+        name: str,
+        source: Address,
+        body: Datagram,
+        to: Address | None,
+        asker: Author | None = None,
+    ) -> None:
         payload = pack(TAG, body)
+        trust = self.robots[name].trust if name in self.robots else self._trust_of_operator()
+        if trust is not None:
+            payload = trust.signer.sign(payload, asker)
+        if self.is_tapped:
+            self.tapped.append((name, body, payload, source))
         self.sent[name] = self.sent.get(name, 0) + 1
         self.sent_kinds[type(body)] += 1
         addresses = {robot.address: key for key, robot in self.robots.items()}
         addresses[OPERATOR] = "operator"
+        if to is not None:
+            self.unicast[to] += 1
         receivers = list(addresses.values()) if to is None else [addresses.get(to, "")]
         for receiver in receivers:
             is_own = receiver == name and to is None
             if is_own or not self.reaches(name, receiver) or self.random.random() < self.loss:
                 continue
-            at = self.now + self.delay * (1.0 + 0.2 * self.random.random())
-            heapq.heappush(self._queue, (at, next(self._order), receiver, payload, source))
+            self._queue_up(receiver, payload, source)
+
+    def _queue_up(self, receiver: str, payload: bytes, source: Address) -> None:
+        at = self.now + self.delay * (1.0 + 0.2 * self.random.random())
+        heapq.heappush(self._queue, (at, next(self._order), receiver, payload, source))
+
+    def _trust_of_operator(self) -> Trust | None:
+        return None if self.keyring is None else self.keyring.trust("anna")

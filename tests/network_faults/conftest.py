@@ -23,10 +23,23 @@ def namespaces_permitted() -> None:
         pytest.skip(why)
 
 
+@pytest.fixture(
+    scope="session",
+    params=[
+        pytest.param(False, id="insecure"),
+        pytest.param(True, id="keys", marks=pytest.mark.evidence),
+    ],
+)
+def is_secured(request: pytest.FixtureRequest) -> bool:
+    """True: with keys; all tests do so in `make network`, and those of test_keys.py always."""
+    return bool(request.param)
+
+
 @pytest.fixture(scope="module")
 def started_swarm(
     request: pytest.FixtureRequest,
     namespaces_permitted: None,
+    is_secured: bool,
     tmp_path_factory: pytest.TempPathFactory,
 ) -> Iterator[FieldSwarm]:
     """The robots of a test module with their daemons, and the two laptops of the matrix.
@@ -36,7 +49,8 @@ def started_swarm(
     robots: tuple[str, ...] = getattr(request, "param", None) or request.module.ROBOTS
     with contextlib.ExitStack() as left:
         field = left.enter_context(contextlib.closing(Field((*robots, FAR, NEAR))))
-        swarm = left.enter_context(FieldSwarm(tmp_path_factory.mktemp("field"), field, robots))
+        folder = tmp_path_factory.mktemp("field")
+        swarm = left.enter_context(FieldSwarm(folder, field, robots, is_secured=is_secured))
         swarm.start()
         yield swarm
 

@@ -28,14 +28,16 @@ Made = Callable[..., FieldSwarm]
 
 
 @pytest.fixture
-def made(namespaces_permitted: None, tmp_path: Path) -> Iterator[Made]:
+def made(namespaces_permitted: None, tmp_path: Path, is_secured: bool) -> Iterator[Made]:
     """`made()`: robots on a bridge, which know no seeds, without daemons yet, and a laptop."""
     with contextlib.ExitStack() as left:
 
         def make(**options: Any) -> FieldSwarm:
             field = Field((*ROBOTS, LAPTOP), is_switched=False)
             left.callback(field.close)
-            return left.enter_context(FieldSwarm(tmp_path, field, ROBOTS, options))
+            return left.enter_context(
+                FieldSwarm(tmp_path, field, ROBOTS, options, is_secured=is_secured)
+            )
 
         yield make
 

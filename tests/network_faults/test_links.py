@@ -6,11 +6,13 @@ The near laptop hears every robot all the time, and only looks.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
 import pytest
 
 from tests.support.field_swarm import FieldSwarm
 from tests.support.network_matrix import FAR, NEAR, ask, check_all_alive, prepare
+from tests.support.processes import wait_until
 
 pytestmark = pytest.mark.integration
 
@@ -59,3 +61,27 @@ def test_a_line_is_known_and_stopped_to_its_end(swarm: FieldSwarm) -> None:
     swarm.field.heal()
     check_all_alive(swarm)
     assert ask(swarm, "reset").counted == set(ROBOTS)
+
+
+def links(swarm: FieldSwarm) -> dict[tuple[str, str], dict[str, Any]]:
+    """What `links` shows of each robot and of each robot that it hears."""
+    answer = swarm.ctl(NEAR, "links", "-o", "json")
+    assert answer.code == 0, answer
+    return {(one["robot"], one["hears"]): one for one in answer.json["links"]}
+
+
+def test_a_link_that_is_cut_is_shown_in_its_direction_alone(swarm: FieldSwarm) -> None:
+    swarm.field.set(source="r01", target="r02", is_cut=True)
+    deaf, hearing = ("r02", "r01"), ("r01", "r02")
+    before = links(swarm)[deaf]["lost"]
+    wait_until(lambda: links(swarm)[deaf]["lost"] >= before + 3, "r02 misses beacons of r01")
+    found = links(swarm)
+    assert found[deaf]["age"] > 3.0
+    assert found[hearing]["age"] < 3.0
+    assert "multicast" in found["r03", "r01"]["ways"]
+    assert found["r03", "r01"]["round_trip"] is not None
+    findings = swarm.ctl(NEAR, "doctor", "r02", "-o", "json").json["findings"]
+    (hears,) = (one for one in findings if (one["where"], one["what"]) == ("r02", "hears"))
+    assert hears["level"] == "warning"
+    swarm.field.heal()
+    check_all_alive(swarm)

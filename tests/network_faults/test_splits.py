@@ -74,6 +74,33 @@ def test_a_stop_of_one_side_does_not_cross_to_robots_that_were_run_again(
     assert set(swarm.states(NEAR).values()) == {"running"}
 
 
+def test_operators_on_two_sides_of_a_split_get_one_goal_when_it_heals(swarm: FieldSwarm) -> None:
+    """Both goals have one generation: the issuer decides, and the other side is told by whom."""
+    swarm.field.set_between((FAR, *LEFT), (NEAR, *RIGHT), is_cut=True)
+    speeds = {FAR: "speed=0.05", NEAR: "speed=0.1"}
+    for host, user in ((FAR, "anna"), (NEAR, "bob")):
+        ran = swarm.ctl(host, "run", "drive", "--all", "-p", speeds[host], user=user)
+        assert ran.code == 3, ran
+    swarm.await_states(FAR, "running", LEFT)
+    swarm.await_states(NEAR, "running", RIGHT)
+
+    swarm.field.heal()
+    swarm.await_states(NEAR, "stopped", LEFT)
+    members = swarm.members(NEAR)
+    for robot in LEFT:
+        status = members[robot]["status"]
+        assert status["reason"] == "superseded", status
+        assert "of bob" in status["detail"]
+        assert status["goal"]["state"] == "offered"
+    assert {members[robot]["status"]["state"] for robot in RIGHT} == {"running"}
+    assert swarm.ctl(FAR, "resume", *LEFT, user="anna").code == 0
+    members = swarm.members(NEAR)
+    goals = [members[robot]["status"]["goal"] for robot in ROBOTS]
+    assert {(goal["state"], goal["own"]["goal"]["params"]["speed"]) for goal in goals} == {
+        ("running", 0.1)
+    }
+
+
 @pytest.mark.parametrize("seconds", [8.0, pytest.param(120.0, marks=pytest.mark.evidence)])
 def test_answers_are_true_while_the_radio_flaps(swarm: FieldSwarm, seconds: float) -> None:
     """Two seconds of connection, two of none, between both halves."""

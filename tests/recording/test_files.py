@@ -223,7 +223,7 @@ def test_other_inputs_are_the_same_after_writing_and_reading() -> None:
     assert back.twist == odometry.twist
     assert (back.stamp, back.pose.x, back.pose.y) == (12.5, 1.0, -2.0)
     assert back.pose.yaw == pytest.approx(3.0, abs=1e-15)
-    neighbors = (Neighbor("a", 0.0, 1.0, None, 0.5), Neighbor("b", 0.0))
+    neighbors = (Neighbor("a", 0.0, 1.0, None, 0.5), Neighbor("b", 0.0, in_reach=False))
     assert messages.neighbors_of(through(messages.neighbors_message(neighbors, 1.0))) == neighbors
     shared = SharedPose(3.0, Pose(1.0, 2.0, 0.5), 0.1, 0.02, "hall")
     told = messages.pose_of(through(messages.pose_message(shared)))

@@ -13,6 +13,7 @@ import pytest
 from msgspec import structs
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.host_messages import PatternFailed
 from swarmd.core.messages import Latch, State
 from swarmd.core.values import Scan
 from swarmd.daemon.recorded_robot import RecordedRobot
@@ -105,7 +106,13 @@ class Story:
         self.recorder = FileRecorder(folder)
         record = LatchRecord(held=dict(latches or {}))
         make = partial(RecordedRobot, recorder=self.recorder)
-        self.robot = RobotHarness(patterns=PATTERNS, make=make, latches=record)
+        self.provisional: set[int] = set()
+        self.robot = RobotHarness(
+            patterns=PATTERNS,
+            make=make,
+            latches=record,
+            is_provisional=lambda generation: generation in self.provisional,
+        )
         self.robot.scans = self._scan
 
     def _scan(self, seq: int, now: float) -> Scan:
@@ -190,6 +197,22 @@ def test_a_recording_that_begins_in_a_run_is_refused(tmp_path: Path) -> None:
     story.robot.advance(1.0)
     with pytest.raises(ConfigError, match="begins in a run"):
         story.replayed()
+
+
+def test_a_fault_of_provisional_code_and_new_code_are_repeated(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    story.recorder.begin(story.robot)
+    story.robot.advance(1.0)
+    story.run("drive", speed=0.1)
+    story.robot.carry_out(story.robot.robot.on_code_changed(story.robot.now))
+    story.provisional = {story.robot.robot.generation}
+    story.robot.advance(1.0)
+    story.robot.host_says(PatternFailed(story.robot.robot.generation, "on purpose"))
+    story.robot.advance(1.0)
+    assert story.robot.robot.state is State.FAULTED
+    recorded = story.recorder.finish()
+    assert "/code_changed" in {one.topic for one in recorded.messages}
+    assert_equal(repeat([recorded], ORIGINS)[1], 100)
 
 
 def test_another_speed_limit_is_a_difference(tmp_path: Path) -> None:

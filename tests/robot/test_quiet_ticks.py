@@ -39,8 +39,8 @@ from swarmd.core.messages import (
 )
 from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Twist
 from swarmd.robot.actions import Actions, Effects
-from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
+from swarmd.robot.settings import RobotSettings
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, empty_scan, scan_of
 from tests.support.examples import examples
@@ -242,6 +242,8 @@ def happen(pair: Pair, what: str, which: int) -> None:
         pair.do(lambda robot: robot.on_duplicate((None, "other")[which % 2], now))
     elif what == "network":
         pair.do(lambda robot: robot.on_network_changed("moved", now))
+    elif what == "roster":
+        pair.do(lambda robot: robot.on_roster("new", now, is_revoked=which % 8 == 0))
     else:
         for robot in robots:
             robot.on_neighbors((Neighbor("n", 0.0),), now)
@@ -252,7 +254,7 @@ def happen(pair: Pair, what: str, which: int) -> None:
 WEIGHTS = {
     "live": 6, "tick": 6, "scan": 4, "odometry": 4, "host": 4, "inputs": 1, "run": 4,
     "answering": 2, "stop": 1, "estop": 1, "reset": 1, "param": 2, "reload": 2, "driver": 1,
-    "latches": 1, "duplicate": 1, "network": 1,
+    "latches": 1, "duplicate": 1, "network": 1, "roster": 1,
 }  # fmt: skip
 PAUSES = (0.0, 0.0, 0.01, 0.02, 0.03, TICK, 0.0999995, 0.1, 0.2999995, 0.3, 0.5, 1.0, 1.01, 2.5)
 

@@ -269,6 +269,24 @@ def test_change_of_the_network_ends_the_run_and_nothing_late_starts_motion() -> 
     assert harness.twist == Twist(0.2)
 
 
+def test_a_roster_ends_the_run_and_one_without_the_robot_refuses_further_ones() -> None:
+    harness = started()
+    seen = harness.epoch
+    harness.carry_out(harness.robot.on_roster("generation 3", harness.now, is_revoked=False))
+    assert harness.twist.is_zero
+    assert standing_state(harness) == (State.STOPPED, Reason.ROSTER_CHANGED)
+    late = harness.answer(harness.request("run", seen, pattern="forward"))
+    assert late.refusal is Refusal.STALE_EPOCH
+    harness.ask("run", pattern="forward")
+    harness.advance(0.2)
+    assert not harness.twist.is_zero
+    harness.carry_out(harness.robot.on_roster("generation 4", harness.now, is_revoked=True))
+    assert harness.twist.is_zero
+    refused = harness.answer(harness.request("run", harness.epoch, pattern="forward"))
+    assert refused.refusal is Refusal.REVOKED
+    harness.applied("stop")
+
+
 def test_change_of_the_network_cancels_a_load() -> None:
     harness = RobotHarness(patterns=PATTERNS)
     harness.advance(1.0)

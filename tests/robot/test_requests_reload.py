@@ -119,6 +119,26 @@ def test_stop_ends_the_trial(verb: str) -> None:
     assert harness.twist.is_zero
 
 
+def test_copies_of_stops_that_the_robot_obeyed_before_leave_the_trial_alone() -> None:
+    harness = driving()
+    harness.ask("stop", id="s1")
+    harness.advance(1.0)
+    harness.ask("stop", id="s2")
+    request = harness.request("reload", pattern="own")
+    harness.robot.on_request(request, harness.now)
+    revision = harness.status.epoch.revision
+    harness.advance(3.0)
+    for id, age in (("s1", 4.0), ("s2", 3.0), ("s1", 4.1), ("s0", 4.2)):
+        late = harness.ask("stop", id=id, age=age)
+        assert late is not None
+        assert late.code is Code.APPLIED
+    assert not harness.is_answered(request)
+    assert harness.status.epoch.revision == revision
+    harness.host_says(TrialDone(1, ""))
+    assert harness.reply_to(request).code is Code.APPLIED
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
+
+
 def test_frozen_daemon_ends_the_trial() -> None:
     harness = driving()
     request = begun(harness, is_rerun=True)

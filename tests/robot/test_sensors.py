@@ -10,6 +10,7 @@ import pytest
 
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
+from swarmd.protection.compatibility import body_of
 from swarmd.protection.settings import Mode
 from swarmd.robot.event_limit import BURST
 from swarmd.robot.sensors import (
@@ -47,6 +48,23 @@ def test_neighbors_age_in_steps_and_time_out(senses: Sensors) -> None:
     assert senses.on_message("b", "w", 1, last)
     assert not senses.on_message("b", "w", 1, last + 0.01)
     assert senses.neighbors(last + 0.01) == ()
+
+
+def test_robots_out_of_reach_are_no_neighbors_of_the_pattern(senses: Sensors) -> None:
+    near, far = Neighbor("b", 0.0, 1.0), Neighbor("c", 0.0, 5.0, in_reach=False)
+    for given in ((near, far), (near, far), (near,)):
+        senses.on_neighbors(given, 10.0)
+        assert senses.neighbors(10.0) == (near,)
+        assert senses.on_message("b", "voter/opinion", 1, 10.0)
+        assert not senses.on_message("c", "voter/opinion", 1, 10.0)
+
+
+def test_protection_regards_robots_that_are_out_of_reach() -> None:
+    jackal = Sensors(load_platform("jackal"))
+    jackal.on_peers({"b": body_of(load_platform("burger"))})
+    jackal.on_neighbors((Neighbor("b", 0.0, 2.0, 0.0, in_reach=False),), 10.0)
+    assert jackal.neighbors(10.0) == ()
+    assert len(jackal.peers.told(10.0)) == 1
 
 
 def test_messages_arrive_once_and_the_oldest_are_dropped(senses: Sensors) -> None:

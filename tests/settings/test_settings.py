@@ -112,6 +112,12 @@ def test_state_dir_follows_xdg_state_home() -> None:
     assert relative.state_dir == Path("/home/someone/.local/state/swarmd")
 
 
+def test_a_service_keeps_its_state_where_systemd_says() -> None:
+    environ = {**HOME, "XDG_STATE_HOME": "/state", "STATE_DIRECTORY": "/var/lib/swarmd:/other"}
+    settings = load_daemon_settings(None, {"id": "r1"}, environ)
+    assert settings.state_dir == Path("/var/lib/swarmd")
+
+
 def test_without_a_home_it_asks_for_a_state_dir() -> None:
     with pytest.raises(ConfigError, match="give --state-dir"):
         load_daemon_settings(None, {"id": "r1"}, {})

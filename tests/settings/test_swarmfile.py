@@ -22,7 +22,7 @@ def file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def load(file: Path, data: dict[str, Any], **overrides: object) -> Any:
     file.write_text(yaml.safe_dump(data))
-    return load_swarm(file, overrides, {})
+    return load_swarm(file, overrides, {})[0]
 
 
 def test_reads_all_keys(file: Path) -> None:
@@ -48,10 +48,10 @@ def test_reads_all_keys(file: Path) -> None:
 
 def test_overrides_win_and_the_environment_is_the_weakest(file: Path) -> None:
     file.write_text("swarm: lab")
-    assert load_swarm(file, {"swarm": "other"}, {"SWARM": "env"}).swarm == "other"
-    assert load_swarm(file, {"swarm": None}, {"SWARM": "env"}).swarm == "lab"
-    assert load_swarm(None, {}, {"SWARM": "env"}).swarm == "env"
-    assert load_swarm(None, {}, {"SWARM": ""}).swarm == "default"
+    assert load_swarm(file, {"swarm": "other"}, {"SWARM": "env"})[0].swarm == "other"
+    assert load_swarm(file, {"swarm": None}, {"SWARM": "env"})[0].swarm == "lab"
+    assert load_swarm(None, {}, {"SWARM": "env"})[0].swarm == "env"
+    assert load_swarm(None, {}, {"SWARM": ""})[0].swarm == "default"
 
 
 def test_takes_the_file_of_a_daemon_as_well(file: Path) -> None:

@@ -32,6 +32,7 @@ from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.datagram import Stop
 from swarmd.network.peer import Summary
 from swarmd.network.settings import NetworkSettings
+from tests.support.keys import SwarmKeys
 from tests.support.statuses import status
 
 VERBS = ("run", "reset", "param", "forget")
@@ -60,8 +61,10 @@ class FakeDaemon:
         answer: Answer = lambda _request: Code.APPLIED,
         roster: tuple[str, ...] = (),
         version: str = "1.0",
+        keys: SwarmKeys | None = None,
     ) -> None:
         self.robot = robot
+        self._identity = None if keys is None else keys[robot]
         self.instance = secrets.token_hex(6)
         self.settings = settings
         self.requests: list[AnyRequest | Stop] = []
@@ -91,6 +94,7 @@ class FakeDaemon:
             on_duplicate=lambda holder: None,
             on_interface=lambda change: None,
             on_event=lambda text: None,
+            on_newer_roster=lambda robot, address, generation: None,
             serve=self._serve,
         )
         self.network = Network(
@@ -100,6 +104,7 @@ class FakeDaemon:
             self._roster,
             handlers,
             version=self._version,
+            identity=self._identity,
         )
         self._advancing = asyncio.create_task(self._advance())
         try:

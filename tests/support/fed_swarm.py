@@ -35,7 +35,7 @@ from swarmd.core.messages import (
 )
 from swarmd.core.values import Scan
 from swarmd.driver_api.hw_codec import encode_scan
-from swarmd.network.discovery import MembersView, SeenMember
+from swarmd.network.members_view import MembersView, SeenMember
 from swarmd.network.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.view.commander import LiveCommander
@@ -158,6 +158,8 @@ class FedSwarm:
 
 class FedOperator:
     """In the place of an `Operator` of a `FedSwarm`."""
+
+    name, identity = "anna@laptop", None
 
     def __init__(self, swarm: FedSwarm) -> None:
         self.settings = NetworkSettings(swarm="fed")

@@ -17,8 +17,11 @@ from typing import Any, Self
 import yaml
 
 from tests.support.field import BODIES, ROOT, Field
+from tests.support.keys import SwarmKeys
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
 
+USERS = ("anna", "bob")
+"""The operators of a secured swarm."""
 _SWARMCTL = (sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()")
 
 
@@ -69,7 +72,7 @@ class FieldSwarm:
     """A swarm on a field, under a name of its own; a context manager.
 
     Every host of `field` that is in `robots` gets a daemon with a fake body; `swarmctl` runs on
-    any host.
+    any host. `is_secured`: robots and operators (USERS) have keys.
     """
 
     def __init__(
@@ -78,6 +81,8 @@ class FieldSwarm:
         field: Field,
         robots: Sequence[str],
         options: dict[str, object] | None = None,
+        *,
+        is_secured: bool = False,
     ) -> None:
         self.name = unique_swarm()
         self.field = field
@@ -87,6 +92,9 @@ class FieldSwarm:
         self._options = options or {}
         self._lives = 0
         self._left = contextlib.ExitStack()
+        self.keys = (
+            SwarmKeys(folder / "keys", self.name, robots, operators=USERS) if is_secured else None
+        )
         network = {"swarm": self.name, "profile": "field", "interface": "eth0"}
         self._config = folder / "swarm.yaml"
         self._config.write_text(yaml.safe_dump(network))
@@ -124,6 +132,7 @@ class FieldSwarm:
             options={
                 "profile": "field",
                 "interface": "eth0",
+                **self._credentials(robot),
                 "state_dir": str(self._folder / state),
                 **self._options,  # type: ignore[dict-item]
             },
@@ -178,11 +187,22 @@ class FieldSwarm:
 
     # Operators
 
-    def begin(self, host: str, *words: str, user: str = "anna") -> Running:
+    def _credentials(self, name: str) -> dict[str, Any]:
+        """The settings of a daemon with this name, or of this operator."""
+        if self.keys is None:
+            return {"insecure": True}
+        return {"identity": str(self.keys.folder_of(name))}
+
+    def begin(
+        self, host: str, *words: str, user: str = "anna", is_insecure: bool = False
+    ) -> Running:
         home = self._folder / host
         home.mkdir(exist_ok=True)
         environ = {"SWARM_CONFIG": str(self._config), "LOGNAME": user, "HOME": str(home)}
-        return Running([*self.field.prefix(host), *_SWARMCTL, *words], environ)
+        given = ["--insecure"]
+        if self.keys is not None and not is_insecure:
+            given = ["--identity", str(self.keys.folder_of(user))]
+        return Running([*self.field.prefix(host), *_SWARMCTL, *given, *words], environ)
 
     def ctl(self, host: str, *words: str, user: str = "anna") -> Answer:
         return self.begin(host, *words, user=user).finish()

@@ -19,25 +19,28 @@ import numpy as np
 
 from swarmd.core.clock import TICK
 from swarmd.core.errors import UnknownPatternError, unknown
+from swarmd.core.goal import Goal, GoalRecord
 from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
 from swarmd.core.messages import (
     REQUEST_TYPES,
     Code,
     Epoch,
     ForgetRequest,
+    PushRequest,
     RecordRequest,
     Reply,
     Request,
+    RosterRequest,
     Status,
 )
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
 from swarmd.kit.behavior import Pattern
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
-from swarmd.robot.actions import Actions
+from swarmd.robot.actions import Actions, FailedCode
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.lifecycle import RobotSettings
 from swarmd.robot.robot import Robot
+from swarmd.robot.settings import RobotSettings
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import empty_scan
 
@@ -58,9 +61,11 @@ class RobotHarness:
         patterns: Mapping[str, type[Pattern[Any]]] | None = None,
         *,
         latches: LatchRecord | None = None,
+        goals: GoalRecord | None = None,
         instance: str = "boot1",
         touch: Mapping[str, TouchZone] | None = None,
         make: Callable[..., Robot] = Robot,
+        is_provisional: Callable[[int], bool] = lambda generation: False,
     ) -> None:
         self.platform = load_platform(platform)
         self.now = 1000.0
@@ -68,8 +73,10 @@ class RobotHarness:
         self.commands: list[tuple[float, Twist]] = []
         self.replies: list[Reply] = []
         self.written: list[LatchRecord] = []
+        self.record = goals or GoalRecord()
         self.sent: list[HostCommand] = []
         self.messages: list[tuple[str, object]] = []
+        self.failed_code: list[FailedCode] = []
         self.scans: ScanSource = lambda seq, now: empty_scan(self.platform, seq, now)
         self.odometry: Twist | None = ZERO
         self.is_hung = False
@@ -80,11 +87,17 @@ class RobotHarness:
         self.robot = make(
             "tb3-01",
             self.platform,
-            RobotSettings(driver="story", layers=lambda name: (), touch=touch or {}),
+            RobotSettings(
+                driver="story",
+                layers=lambda name: (),
+                touch=touch or {},
+                is_provisional=is_provisional,
+            ),
             seed=1,
             instance=instance,
             now=self.now,
             latches=latches,
+            goals=goals,
         )
         self.carry_out(self.robot.on_driver(True, "there", self.now))
 
@@ -136,7 +149,7 @@ class RobotHarness:
             targets={self.robot.id: epoch or self.epoch},
             **args,
         )
-        assert not isinstance(request, ForgetRequest | RecordRequest)
+        assert not isinstance(request, ForgetRequest | RecordRequest | RosterRequest | PushRequest)
         return request
 
     def send(self, request: Request) -> Reply | None:
@@ -178,6 +191,14 @@ class RobotHarness:
         """True once the reply to an earlier request has come."""
         return any(reply.id == request.id for reply in self.replies)
 
+    def find(self, goal: Goal, age: float | None = 0.0) -> None:
+        """A peer holds this goal, set `age` s ago."""
+        self.carry_out(self.robot.on_goal(goal, age, self.now))
+
+    def install(self, name: str, pattern: type[Pattern[Any]]) -> None:
+        """Let pattern hosts find one more pattern."""
+        self._patterns[name] = pattern
+
     def host_says(self, event: HostEvent) -> None:
         """An event of the pattern host arrives now."""
         self.carry_out(self.robot.on_host(event, self.now))
@@ -188,8 +209,12 @@ class RobotHarness:
         self.commands.append((self.now if now is None else now, actions.twist))
         self.replies.extend(actions.replies)
         self.messages.extend(actions.messages.items())
+        if actions.failed_code is not None:
+            self.failed_code.append(actions.failed_code)
         if actions.latches is not None:
             self.written.append(actions.latches)
+        if actions.goals is not None:
+            self.record = actions.goals
         events: list[HostEvent | None] = []
         for command in (actions.trial, actions.host):
             if command is not None:

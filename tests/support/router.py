@@ -1,6 +1,7 @@
 """A Zenoh router in a process of its own: `python -m tests.support.router LISTEN [CONNECT...]`.
 
-It stands in for `zenohd`, which PyPI and Debian do not have: the same router, from Python.
+With a JSON file in place of LISTEN the router has that configuration. It stands in for `zenohd`,
+which PyPI and Debian do not have: the same router, from Python.
 """
 
 from __future__ import annotations
@@ -9,6 +10,8 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
+
+import zenoh
 
 ROOT = Path(__file__).parents[2]
 
@@ -36,6 +39,12 @@ class Router:
 def main(listen: str, *connect: str) -> None:
     from swarmd.network.session import open_with
 
+    if listen.endswith(".json"):
+        session = zenoh.open(zenoh.Config.from_file(listen))
+        print("ready", flush=True)
+        signal.sigwait({signal.SIGTERM, signal.SIGINT})
+        session.close()
+        return
     options = {
         "mode": "router",
         "scouting/multicast/enabled": False,

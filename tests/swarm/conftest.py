@@ -18,7 +18,7 @@ import msgspec
 import pytest
 
 from swarmd.core.codec import Decoder
-from swarmd.core.keys import build
+from swarmd.core.keys import ANYONE, CONTROL, build
 from swarmd.core.messages import PeerView, Presence, State, Status
 from swarmd.core.values import Value
 from swarmd.network.operator import Operator
@@ -178,7 +178,8 @@ class Swarm:
     def look(self, robot: str, plane: str, name: str, kind: type[T]) -> list[T]:
         """The answers of every daemon with this id on a key; changes nothing."""
         decode = Decoder(kind, MAX_WIRE)
-        answers = self.viewer.get(build(self.name, robot, plane, name))
+        asker = ANYONE if plane == CONTROL else ""
+        answers = self.viewer.get(build(self.name, robot, plane, name, asker))
         return [decode(answer.payload.to_bytes()) for answer in answers]
 
     def statuses(self, robot: str) -> list[Status]:
@@ -190,7 +191,7 @@ class Swarm:
 
     def presences(self, peer: str) -> dict[str, Presence]:
         """The presence of the others in the view of `peer`."""
-        views = self.look(peer, "control", "members", PeerView)
+        views = self.look(peer, CONTROL, "members", PeerView)
         return {member.robot: member.presence for view in views for member in view.members}
 
     def await_presence(self, peer: str, robot: str, presence: Presence) -> float:

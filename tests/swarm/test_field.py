@@ -129,7 +129,13 @@ def field(
 ) -> Iterator[Field]:
     """Two sides with bodies and without daemons yet."""
     name = unique_swarm()
-    settings = {"swarm": name, "profile": "field", "interface": "eth0", "multicast": False}
+    settings = {
+        "swarm": name,
+        "profile": "field",
+        "interface": "eth0",
+        "multicast": False,
+        "insecure": True,
+    }
     config = tmp_path / "swarm.yaml"
     config.write_text(yaml.safe_dump({**settings, "seeds": SEEDS, "lease": lease}))
     with contextlib.ExitStack() as left:

@@ -14,7 +14,8 @@ import zenoh
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_SENSOR_PAYLOAD, encode
-from swarmd.core.keys import build
+from swarmd.core.goal import Goal
+from swarmd.core.keys import CONTROL, build
 from swarmd.core.messages import REQUEST_TYPES, AnyRequest, Epoch, MembersQuery, Presence, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Twist
 from swarmd.driver_api.hw_codec import (
@@ -129,6 +130,10 @@ def request(verb: str) -> AnyRequest:
         "reload": {"pattern": "drive"},
         "forget": {"name": "r9"},
         "record": {"action": "start"},
+        "goal": {"goal": Goal(generation=1, issuer="eve", id="f00d", pattern="drive")},
+        "label": {"labels": ("red",)},
+        "push": {"content": b"behaviour"},
+        "roster": {"roster": b"roster"},
     }
     return REQUEST_TYPES[verb](
         id="f00d",
@@ -144,7 +149,7 @@ def mesh_targets(swarm: str) -> Iterator[Target]:
         verb: encode(request(verb)) for verb in REQUEST_TYPES if verb not in ("stop", "estop")
     }
     for verb, valid in {**requests, "members": encode(MembersQuery(answered=("r1",)))}.items():
-        key = build(swarm, "r1", "control", verb)
+        key = build(swarm, "r1", CONTROL, verb, "eve")
         yield Target(key, valid, MAX_CONTROL, (f"control/{verb}",), is_query=True)
 
 
@@ -193,7 +198,7 @@ def say_on_wrong_keys(swarm: Swarm, vandal: Vandal, body: Body) -> None:
     name = swarm.name
     everyone = ("**", "swarm/**", f"swarm/{name}/**", f"swarm/{name}/r1/**", "swarm/*/r1/*/*")
     query = encode(request("param"))
-    for key in (*everyone, f"swarm/{name}/r1/control/*", "swarm/*/*/control/run"):
+    for key in (*everyone, f"swarm/{name}/r1/control/*/eve", "swarm/*/r1/*/*/*"):
         vandal.count(vandal.ask, key, itertools.repeat(query, PER_KEY), MESH)
     scan = encode_scan(body.clear(1, 0.0))
     for key in (*everyone, f"swarm/{name}/*/hw/scan"):

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.keys import build
+from swarmd.core.keys import CONTROL, build
 from swarmd.core.messages import (
     Code,
     Latch,
@@ -117,7 +117,7 @@ def ask_raw(swarm: Swarm, *payloads: tuple[str, bytes]) -> list[Reply]:
     (session,) = swarm.viewer.sessions("r1")
     for name, payload in payloads:
         session.get(
-            build(swarm.name, "r1", "control", name),
+            build(swarm.name, "r1", CONTROL, name, "eve"),
             zenoh.handlers.Callback(on_reply, done.release),
             payload=payload,
             timeout=CAP,
@@ -157,7 +157,7 @@ def test_wrong_and_oversized_requests_are_refused_and_the_robot_drives_on(swarm:
         expected = [] if case.answer is None else [(Code.REFUSED, case.answer)]
         assert [(reply.code, reply.refusal) for reply in replies] == expected, (case, replies)
         assert counted == case.drops, case
-    run = build(swarm.name, "r1", "control", "run")
+    run = build(swarm.name, "r1", CONTROL, "run", "eve")
     for size in (MAX_WIRE - 1000, MAX_WIRE, 8 * MAX_WIRE):
         swarm.viewer.put(run, bytes(size))
     assert swarm.ctl("members").code == 0

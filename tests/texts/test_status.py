@@ -80,7 +80,7 @@ def test_shows_every_field_of_a_status() -> None:
         value = getattr(member.status, field.name)
         if field.name != "robot" and isinstance(value, str) and value:  # the robot: in the title
             assert value in text, field.name
-    assert "without certificates" in text
+    assert "insecure" in text
 
 
 def test_a_report_is_the_last_one_once_the_run_has_ended() -> None:

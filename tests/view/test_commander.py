@@ -11,12 +11,14 @@ from typing import Any, cast
 import pytest
 
 from swarmd.core.messages import Code, Reply
-from swarmd.network.discovery import MembersView
-from swarmd.network.operator import Operator, is_closing
+from swarmd.network.members_view import MembersView
+from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
 from swarmd.view.commander import MAX_REQUESTS, LiveCommander
 from swarmd.view.source import Answer
+from tests.support.operator_threads import is_closing
 from tests.support.processes import wait_until
+from tests.support.statuses import make_member
 
 APPLIED = Outcome({"r1": Reply(id="1", robot="r1", code=Code.APPLIED)})
 
@@ -30,6 +32,8 @@ class Hanging:
 
     def __call__(self) -> AbstractContextManager[Operator]:
         return nullcontext(cast("Operator", self))
+
+    name, identity = "anna@laptop", None
 
     def expect(self, names: Collection[str]) -> None:
         """All are known."""
@@ -92,3 +96,36 @@ async def test_a_command_to_no_robot_is_refused(verb: str, targets: object) -> N
     told = await answer(commander(Hanging()), verb, targets=targets)
     assert not told.is_good
     assert told.replies == []
+
+
+class Noting(Hanging):
+    """Two robots, and the requests to them."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.requests: list[tuple[tuple[str, ...], dict[str, Any]]] = []
+
+    def members(self, **_: Any) -> MembersView:
+        members = {name: make_member(name, labels=("red",)) for name in ("r1", "r2")}
+        return MembersView(members, goal_generation=4)
+
+    def request(self, kind: type, targets: Mapping[str, Any], **fields: Any) -> Outcome:
+        self.requests.append((tuple(targets), fields))
+        return APPLIED
+
+
+@pytest.mark.parametrize(("names", "targets"), [(["r1"], ("r1",)), (["r1", "r2"], ())])
+async def test_a_run_of_a_page_sets_a_goal(names: list[str], targets: tuple[str, ...]) -> None:
+    operator = Noting()
+    assert (await answer(commander(operator), "run", targets=names)).is_good
+    goal = operator.requests[0][1]["goal"]
+    assert (goal.generation, goal.targets, goal.pattern) == (5, targets, "drive")
+
+
+async def test_a_page_changes_labels() -> None:
+    operator = Noting()
+    await answer(commander(operator), "label", labels="+fast -red")
+    assert operator.requests == [(("r1",), {"labels": ("fast",)})]
+    told = await answer(commander(operator), "label", labels="fast")
+    assert not told.is_good
+    assert "+LABEL" in told.line

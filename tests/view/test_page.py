@@ -85,6 +85,10 @@ def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, page: Pag
 
         page.click("#param")
         assert "1 targeted" in answered(page, "param")
+        page.type("#labels", "+red -blue")
+        page.click("#set-labels")
+        assert "1 targeted, 1 applied" in answered(page, "label")
+        assert swarm.status("tb3-01").labels == ("red",)
         page.click("#estop")
         page.until("document.getElementById('estop-state').className === 'good'", "all stopped")
         assert "2 applied" in answered(page, "estop")

@@ -235,6 +235,9 @@ def test_a_role_follows_from_the_token() -> None:
     given = ("operator-token", "viewer-token", "", "other-token", "\u00e9")
     assert [access.role(one) for one in given] == ["operator", "viewer", "", "", ""]
     assert Access().role("") == "operator"
+    read_only = Access("operator-token", "viewer-token", is_read_only=True)
+    assert [read_only.role(one) for one in given] == ["viewer", "viewer", "", "", ""]
+    assert Access(is_read_only=True).role("") == "viewer"
     with pytest.raises(ConfigError):
         Access().check_bind("0.0.0.0")
     access.check_bind("0.0.0.0")

@@ -29,6 +29,12 @@ export class Actions {
       if (pattern) this.act('run', { targets: this.named(), pattern, params: this.params() });
       else document.getElementById('pattern').focus();
     });
+    document.getElementById('label-form').addEventListener('submit', (event) => {
+      event.preventDefault();
+      const labels = document.getElementById('labels').value.trim();
+      if (labels) this.act('label', { targets: this.named(), labels });
+      else document.getElementById('labels').focus();
+    });
     for (const news of ['selection', 'hello']) model.addEventListener(news, () => this.show());
     model.addEventListener('hello', () => this.returned());
     this.show();

@@ -11,7 +11,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from swarmd.core.messages import Code, Epoch, Reply, RunRequest, State
-from swarmd.network.discovery import MembersView, SeenMember
+from swarmd.network.members_view import MembersView, SeenMember
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
 from swarmd.sim.live.demo_run import WorldWatcher

@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import Code, Epoch, Reply
-from swarmd.network.discovery import MembersView
+from swarmd.network.members_view import MembersView
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
 from swarmd.sim.live.fleet import Fleet

@@ -1,0 +1,168 @@
+"""`swarmctl diff` and `apply`: labels, goal and parameters of a swarm file."""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import click
+
+from swarmd.cli.arguments import Failure
+from swarmd.cli.goal import resume_on
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.run_start import run_fields
+from swarmd.cli.send import known_members, show
+from swarmd.core.messages import GoalRequest, LabelRequest, ParamRequest, RunRequest
+from swarmd.network.next_goal import next_goal
+from swarmd.network.outcome import APPLIED, NO_TARGET, PARTIAL, Outcome, joined
+from swarmd.network.signed_goals import signed_goals
+
+if TYPE_CHECKING:
+    from swarmd.network.members_view import MembersView
+    from swarmd.network.operator import Operator
+    from swarmd.settings.apply_plan import Plan
+    from swarmd.settings.swarmfile import SwarmFile
+
+_file = click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+
+
+@click.command()
+@_file
+@common_options
+def diff(options: CommonOptions, file: Path) -> None:
+    """Print what `apply FILE` would change: labels, the goal and parameters of robots.
+
+    The exit code is 0 if nothing differs, 3 if something does or is not known.
+    """
+    with replace(options, config=file).operator() as operator:
+        view = known_members(options, operator)
+        plan = _plan(operator, view)
+        _print(options, plan)
+        if options.is_json:
+            print_json("Plan", _as_json(plan))
+        is_same = plan.is_empty and not plan.left and not plan.unknown
+        click.get_current_context().exit(APPLIED if is_same else PARTIAL)
+
+
+@click.command()
+@_file
+@click.option(
+    *("-y", "--yes"),
+    is_flag=True,
+    help="Do not ask before robots move; required without a terminal.",
+)
+@common_options
+def apply(options: CommonOptions, file: Path, yes: bool) -> None:
+    """Bring robots to what FILE wants: labels first, then the goal, then parameters.
+
+    Asks before robots move. A second apply changes nothing. Robots whose run has ended stay as they
+    are: `swarmctl resume` runs the goal again.
+    """
+    with replace(options, config=file).operator() as operator:
+        view = known_members(options, operator)
+        plan = _plan(operator, view)
+        _print(options, plan)
+        _confirm(plan, yes)
+        outcomes = _carry_out(options, operator, view, plan)
+        if options.is_json:
+            replies = {name: one.code for each in outcomes for name, one in each.replies.items()}
+            missing = joined(outcomes).missing
+            print_json("Apply", {**_as_json(plan), "replies": replies, "missing": missing})
+        elif outcomes:
+            show(options, joined(outcomes))
+        _end(plan, outcomes)
+
+
+def _plan(operator: Operator, view: MembersView) -> Plan:
+    from swarmd.settings.apply_plan import plan_of
+
+    plan = plan_of(cast("SwarmFile", operator.settings), signed_goals(view, operator.identity))
+    if plan.goal is not None and not plan.targets:
+        raise Failure("goal.targets: no robot that answers is targeted", NO_TARGET)
+    return plan
+
+
+def _confirm(plan: Plan, is_sure: bool) -> None:
+    """Ask before motion. ClickException without consent: nothing was sent."""
+    if not plan.moves or is_sure:
+        return
+    if not sys.stdin.isatty():
+        raise click.UsageError(
+            "apply lets robots move and asks for confirmation, and there is no terminal; nothing"
+            " was sent; check that they may move, and add --yes"
+        )
+    if not click.confirm("Apply? Robots will move.", err=True):
+        raise click.ClickException("nothing was sent")
+
+
+def _carry_out(
+    options: CommonOptions, operator: Operator, view: MembersView, plan: Plan
+) -> list[Outcome]:
+    """Labels, goal or resume, then parameters, each with a look of its own: epochs move on."""
+    outcomes: list[Outcome] = []
+    if plan.is_empty:
+        return outcomes
+
+    def look() -> MembersView:
+        return operator.members(timeout=options.timeout)
+
+    if plan.labels:
+        by_labels = _grouped(plan.labels, tuple)
+        for labels, names in by_labels.items():
+            epochs = view.epochs(names)
+            outcomes.append(operator.request(LabelRequest, epochs, labels=labels))
+        view = look()
+    if plan.goal is not None:
+        goal = next_goal(operator, view, **plan.goal)
+        epochs = view.epochs(plan.targets)
+        if goal.pattern is None:
+            outcomes.append(operator.request(GoalRequest, epochs, goal=goal))
+        else:
+            outcomes.append(operator.request(RunRequest, epochs, **run_fields(goal)))
+        view = look()
+    if plan.resume:
+        outcomes.append(resume_on(operator, view, plan.resume, timeout=None))
+        view = look()
+    params = _plan(operator, view).params
+    for items, names in _grouped(params, lambda one: tuple(sorted(one.items()))).items():
+        epochs = view.epochs(names)
+        outcomes.append(operator.request(ParamRequest, epochs, params=dict(items)))
+    return outcomes
+
+
+def _grouped(by_robot: Any, key: Callable[[Any], Any]) -> dict[Any, list[str]]:
+    """The robots by what is wanted of them."""
+    found: dict[Any, list[str]] = defaultdict(list)
+    for name, wanted in by_robot.items():
+        found[key(wanted)].append(name)
+    return found
+
+
+def _end(plan: Plan, outcomes: list[Outcome]) -> None:
+    codes = {one.exit_code for one in outcomes}
+    if codes - {APPLIED}:
+        only = codes.pop() if len(codes) == 1 else PARTIAL
+        click.get_current_context().exit(only)
+    click.get_current_context().exit(PARTIAL if plan.unknown else APPLIED)
+
+
+def _print(options: CommonOptions, plan: Plan) -> None:
+    if not options.is_json:
+        if plan.lines:
+            print_table(("WHAT", "ROBOTS", "CHANGE"), plan.lines)
+        else:
+            click.echo("nothing to change")
+    for name, text in plan.left.items():
+        warn(f"{name}: not as desired, and left so: {text}")
+    for name, text in plan.unknown.items():
+        warn(f"{name}: not compared: {text}")
+
+
+def _as_json(plan: Plan) -> dict[str, Any]:
+    changes = [{"kind": kind, "robots": who, "text": text} for kind, who, text in plan.lines]
+    return {"changes": changes, "left": dict(plan.left), "unknown": dict(plan.unknown)}

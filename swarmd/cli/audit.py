@@ -1,0 +1,134 @@
+"""`swarmctl audit`: what operators asked of robots, from the audit logs that the robots keep."""
+
+from __future__ import annotations
+
+import time
+from datetime import datetime
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import click
+
+from swarmd.cli.arguments import Duration, Targets, takes_targets
+from swarmd.cli.labels import robots_of
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.questions import ask_robots, end, in_reach
+from swarmd.cli.send import known_members
+from swarmd.core.codec import encode
+from swarmd.core.tool_messages import AUDIT_PAGE, AuditEntry, AuditQuery, AuditReply
+from swarmd.texts.values import NOTHING
+
+if TYPE_CHECKING:
+    from swarmd.network.operator import Operator
+
+MAX_ENTRIES = 10_000
+
+
+class _Line(NamedTuple):
+    """An entry of a robot; `at` in s since 1970 by this machine's clock, None: not known."""
+
+    robot: str
+    at: float | None
+    entry: AuditEntry
+
+
+@click.command()
+@takes_targets(is_required=False)
+@click.option("--since", type=Duration(), help="Only entries of this last time, such as 1h.")
+@click.option(
+    "-n",
+    "--count",
+    type=click.IntRange(1, MAX_ENTRIES),
+    default=50,
+    help="The last entries of each robot, at most [50].",
+)
+@common_options
+def audit(options: CommonOptions, targets: Targets, since: float | None, count: int) -> None:
+    """Print the requests to TARGETS, or to all robots: operators, requests and answers.
+
+    Each robot keeps its audit log on its own disk, about 10000 entries. Times are those of this
+    machine's clock: robots tell how old an entry is.
+    """
+    with options.operator() as operator:
+        view = known_members(options, operator)
+        names = robots_of(view, targets)
+        lines, faults, answered = _read(options, operator, in_reach(view, names), since, count)
+        if options.is_json:
+            entries = [_record(line) for line in lines]
+            missing = sorted(set(names) - answered)
+            print_json("Audit", {"entries": entries, "faults": faults, "missing": missing})
+        else:
+            print_table(
+                ("TIME", "ROBOT", "OPERATOR", "FROM", "WHAT", "RESULT"),
+                [_row(line) for line in lines],
+            )
+        for robot, fault in faults.items():
+            warn(f"{robot}: {fault}")
+        end(names, answered)
+
+
+def _read(
+    options: CommonOptions,
+    operator: Operator,
+    names: tuple[str, ...],
+    since: float | None,
+    count: int,
+) -> tuple[list[_Line], dict[str, str], set[str]]:
+    """The entries of all robots in the order of time, faults, and which robots answered."""
+    lines: list[_Line] = []
+    faults: dict[str, str] = {}
+    query = encode(AuditQuery(since=since, count=min(count, AUDIT_PAGE)))
+    replies = ask_robots(options, operator, names, "audit", query, AuditReply)
+    for robot, reply in replies.items():
+        found = _lines(reply)
+        while reply.has_more and reply.entries and len(found) < count:
+            room, before = min(count - len(found), AUDIT_PAGE), reply.entries[0].seq
+            query = encode(AuditQuery(before=before, since=since, count=room))
+            older = ask_robots(options, operator, (robot,), "audit", query, AuditReply)
+            if robot not in older:
+                faults[robot] = f"did not tell its entries before number {before}; ask again"
+                break
+            reply = older[robot]
+            found = _lines(reply) + found
+        if reply.fault:
+            faults[robot] = reply.fault
+        lines += found
+    lines.sort(key=lambda line: (line.at or 0.0, line.robot, line.entry.seq))
+    return lines, faults, set(replies)
+
+
+def _lines(reply: AuditReply) -> list[_Line]:
+    now, pairs = time.time(), zip(reply.entries, reply.ages, strict=False)
+    return [_Line(reply.robot, one.wall if age is None else now - age, one) for one, age in pairs]
+
+
+def _row(line: _Line) -> tuple[str, ...]:
+    entry = line.entry
+    note = f" [{entry.left_out} before it left out]" if entry.left_out else ""
+    result = f"{entry.result}: {entry.text}" if entry.text else entry.result
+    return (_time(line.at), line.robot, entry.operator, entry.source, entry.what, result + note)
+
+
+def _time(at: float | None) -> str:
+    if at is None:
+        return NOTHING
+    shown, now = datetime.fromtimestamp(at), datetime.now()
+    return f"{shown:%H:%M:%S}" if shown.date() == now.date() else f"{shown:%Y-%m-%d %H:%M:%S}"
+
+
+def _record(line: _Line) -> dict[str, Any]:
+    entry, at = line.entry, line.at
+    moment = None if at is None else datetime.fromtimestamp(at).astimezone()
+    return {
+        "robot": line.robot,
+        "time": None if moment is None else moment.isoformat(timespec="milliseconds"),
+        "operator": entry.operator,
+        "from": entry.source,
+        "verb": entry.verb,
+        "targets": entry.targets,
+        "what": entry.what,
+        "result": entry.result,
+        "text": entry.text,
+        "left_out": entry.left_out,
+        "seq": entry.seq,
+    }

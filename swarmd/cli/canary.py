@@ -1,0 +1,128 @@
+"""Robots that try something before the others do: whether they run well for some time."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
+
+import click
+
+from swarmd.cli.arguments import check_known
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder
+from swarmd.core.keys import is_id
+from swarmd.core.messages import STATUS_SILENCE, Reason, State, Status
+
+if TYPE_CHECKING:
+    from swarmd.network.operator import Operator
+
+CANARY_TIME = 10.0
+"""How long canaries must run well, in s, unless stated otherwise."""
+MAX_DUTY_RISE = 0.3
+"""By how much the share of ticks in which protection acts may rise over the run before."""
+MIN_DECISIONS = 60
+"""Ticks after which that share is judged: 3 s."""
+
+_status = Decoder(Status)
+
+
+def read_canary(text: str | None) -> int | str | None:
+    """A number of robots, or the name of one. UsageError for anything else."""
+    if text is None:
+        return None
+    if text.isdecimal() and int(text) > 0:
+        return int(text)
+    if not is_id(text) or text.isdecimal():
+        raise click.UsageError(f"--canary {text}: expected a number of robots, or a robot's name")
+    return text
+
+
+def canaries_of(text: str, names: Iterable[str]) -> tuple[str, ...]:
+    """The canaries among the targets: the first so many, or the one of that name.
+
+    UsageError if no target is left for afterwards.
+    """
+    wanted, known = read_canary(text), tuple(names)
+    if not isinstance(wanted, int):
+        check_known(text, known)
+    if len(known) <= (wanted if isinstance(wanted, int) else 1):
+        raise click.UsageError(f"--canary {text}: {len(known)} targeted, no other robot is left")
+    return known[:wanted] if isinstance(wanted, int) else (text,)
+
+
+def fault_of(before: Status | None, first: Status, now: Status) -> str:
+    """Why a canary does not run well; empty if it does. Pure.
+
+    `before`: its status before the run, `first`: the first one of the run.
+    """
+    if now.state is not State.RUNNING:
+        if now.reason is Reason.FINISHED:
+            return ""
+        return f"{now.state} ({now.reason}) {now.detail}".rstrip()
+    if now.reason is Reason.PATTERN_RESTARTING:
+        return f"the pattern failed: {now.detail}".rstrip(": ")
+    if now.health.host_restarts > first.health.host_restarts:
+        return "the pattern failed and was restarted"
+    was_running = before is not None and before.state is State.RUNNING
+    usual = before.decision.duty if before is not None and was_running else 0.0
+    rise = now.decision.duty - usual
+    if now.decision.decisions >= MIN_DECISIONS and rise > MAX_DUTY_RISE:
+        share = f"{now.decision.duty:.0%} of the time, {usual:.0%} before"
+        return f"protection acts in {share}"
+    return ""
+
+
+def watch_canary(
+    operator: Operator,
+    names: Iterable[str],
+    seconds: float,
+    before: Mapping[str, Status | None] | None = None,
+) -> dict[str, str]:
+    """Watch robots for `seconds`; returns those that do not run well, with the reason.
+
+    It ends at the first fault. A robot that sends no status is one.
+    """
+    watch = _CanaryWatch(frozenset(names), before or {}, boottime())
+    operator.watch("status", watch.on_status)
+    try:
+        return watch.wait(seconds)
+    finally:
+        operator.unwatch("status")
+
+
+class _CanaryWatch:
+    """The statuses of canaries, as they come on other threads."""
+
+    def __init__(
+        self, names: frozenset[str], before: Mapping[str, Status | None], now: float
+    ) -> None:
+        self._names, self._before = names, before
+        self._first: dict[str, Status] = {}
+        self._heard = dict.fromkeys(names, now)
+        self._faults: dict[str, str] = {}
+        self._news = threading.Condition()
+
+    def on_status(self, robot: str, payload: bytes) -> None:
+        """Take a status."""
+        if robot not in self._names:
+            return
+        status = _status(payload)
+        with self._news:
+            self._heard[robot] = boottime()
+            first = self._first.setdefault(robot, status)
+            if fault := fault_of(self._before.get(robot), first, status):
+                self._faults[robot] = fault
+                self._news.notify_all()
+
+    def wait(self, seconds: float) -> dict[str, str]:
+        """Wait for the end of the time, or for a fault."""
+        until = boottime() + seconds
+        with self._news:
+            while not self._faults and (left := until - boottime()) > 0:
+                self._news.wait(min(left, 0.5))
+                for robot, at in self._heard.items():
+                    silence = boottime() - at
+                    if silence > STATUS_SILENCE and robot not in self._faults:
+                        self._faults[robot] = f"sent no status for {silence:.0f} s"
+            return dict(self._faults)

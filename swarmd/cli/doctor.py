@@ -1,0 +1,137 @@
+"""`swarmctl doctor`: checks this machine and each robot, and prints what to do."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from importlib.metadata import version
+from typing import TYPE_CHECKING, NamedTuple
+
+import click
+
+from swarmd.cli.arguments import Targets, takes_targets
+from swarmd.cli.known_robots import remember
+from swarmd.cli.labels import robots_of
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.output import print_json, print_table
+from swarmd.cli.questions import ASK_TIME, MAX_ANSWER, in_reach
+from swarmd.core.codec import Decoder
+from swarmd.core.errors import CodecError, ConfigError, NetworkError
+from swarmd.core.machine import measure_machine
+from swarmd.core.tool_messages import DoctorReply
+from swarmd.network.machine_network import measure_network
+from swarmd.texts import doctor as findings_of
+from swarmd.texts.doctor import Finding, Level, worst
+
+if TYPE_CHECKING:
+    from swarmd.network.operator import Operator
+
+LISTEN_TIME = 1.5  # s: each robot sends a beacon a second
+HERE = "this machine"
+HEADER = ("LEVEL", "WHERE", "WHAT", "FINDING, AND WHAT TO DO")
+
+
+class _Line(NamedTuple):
+    where: str
+    finding: Finding
+
+
+@click.command()
+@takes_targets(is_required=False)
+@click.option("--problems", is_flag=True, help="Only what is not ok.")
+@common_options
+def doctor(options: CommonOptions, targets: Targets, problems: bool) -> None:
+    """Check this machine, and TARGETS or all robots: network, clocks, keys, disks, load.
+
+    Works without robots. Exit code 1 if there is a fault; warnings and unknown figures are no
+    faults.
+    """
+    lines: list[_Line] = [_Line(HERE, one) for one in findings_of.of_machine(measure_machine(()))]
+    try:
+        with options.operator() as operator:
+            lines += _of_this_network(operator)
+            lines += _of_robots(options, operator, targets)
+    except (ConfigError, NetworkError) as error:
+        lines.append(_Line(HERE, Finding(Level.FAULT, "network", str(error))))
+    level = worst(line.finding for line in lines)
+    if options.is_json:
+        print_json("Doctor", {"worst": level.value, "findings": [_record(line) for line in lines]})
+    else:
+        _print(lines, only_problems=problems)
+    click.get_current_context().exit(1 if level is Level.FAULT else 0)
+
+
+def _of_this_network(operator: Operator) -> Iterator[_Line]:
+    facts = measure_network(operator.settings.interface_name)
+    for finding in findings_of.of_network(facts, is_robot=False):
+        yield _Line(HERE, finding)
+    if operator.identity is not None:
+        expires = float(operator.identity.info.expires)
+        yield _Line(HERE, findings_of.identity(expires, time.time()))
+
+
+def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> Iterator[_Line]:
+    view = operator.members(timeout=options.timeout)
+    remember(operator.settings, view)
+    if not view.members and not view.roster and targets.is_whole_swarm:
+        swarm = operator.settings.swarm
+        others = ", ".join(operator.swarms())
+        text = f"no robot of swarm {swarm!r} is heard" + (f"; swarms: {others}" if others else "")
+        remedy = "start swarmd; see --swarm, --profile and --interface"
+        yield _Line("swarm", Finding(Level.WARNING, "robots", text, remedy))
+        return
+    names = robots_of(view, targets)
+    time.sleep(LISTEN_TIME)
+    asked = in_reach(view, names)
+    decode = Decoder(DoctorReply, MAX_ANSWER)
+    for robot in names:
+        sent = time.time()
+        wait = options.timeout or ASK_TIME
+        answer = operator.ask(robot, "doctor", timeout=wait) if robot in asked else None
+        returned = time.time()
+        if answer is None:
+            remedy = "see swarmctl members; look at its power, its network and its daemon"
+            yield _Line(robot, Finding(Level.FAULT, "answer", "it does not answer", remedy))
+            continue
+        try:
+            reply = decode(answer)
+        except CodecError as error:
+            remedy = "install the same version everywhere"
+            yield _Line(robot, Finding(Level.FAULT, "answer", f"unreadable: {error}", remedy))
+            continue
+        for finding in findings_of.of_robot(
+            reply,
+            skew=reply.machine.wall - 0.5 * (sent + returned),
+            error=0.5 * (returned - sent),
+            version=version("swarmd"),
+            ways=operator.ways(robot),
+            others=len(set(view.alive) - {robot}),
+            now=returned,
+            roster=None if operator.identity is None else operator.identity.roster.generation,
+        ):
+            yield _Line(robot, finding)
+
+
+def _print(lines: list[_Line], *, only_problems: bool) -> None:
+    rows = [
+        (one.level.value, where, one.subject, one.text + (f"; {one.remedy}" if one.remedy else ""))
+        for where, one in lines
+        if not only_problems or one.level is not Level.OK
+    ]
+    print_table(HEADER, rows)
+    count = {level: sum(line.finding.level is level for line in lines) for level in Level}
+    click.echo(
+        f"{len(lines)} checked: {count[Level.FAULT]} faults, {count[Level.WARNING]} warnings,"
+        f" {count[Level.UNKNOWN]} not known"
+    )
+
+
+def _record(line: _Line) -> dict[str, str]:
+    finding = line.finding
+    return {
+        "level": finding.level.value,
+        "where": line.where,
+        "what": finding.subject,
+        "finding": finding.text,
+        "remedy": finding.remedy,
+    }

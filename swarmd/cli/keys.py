@@ -1,0 +1,304 @@
+"""`swarmctl keys`: the authority of a swarm, and the bundles by which names get their keys."""
+
+from __future__ import annotations
+
+import getpass
+import math
+import re
+import shutil
+import socket
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from swarmd.cli import keys_rollout, keys_router
+from swarmd.cli.authority_folder import (
+    DAYS,
+    ask_passphrase,
+    authority_folder,
+    configuration,
+    days_option,
+    open_authority,
+)
+from swarmd.cli.install import report_identity
+from swarmd.cli.options import CommonOptions, VerbGroup, local_options
+from swarmd.cli.output import print_json, print_table, warn
+from swarmd.core.errors import ConfigError
+from swarmd.core.keys import check_id
+from swarmd.plugins import need
+from swarmd.security.names import check_distinct, expand_names, select_names
+from swarmd.security.roster import Role
+from swarmd.texts.keys import day, end_of_certificate, life
+from swarmd.texts.values import NOTHING
+
+if TYPE_CHECKING:
+    from swarmd.security.authority import Authority
+    from swarmd.security.bundle import Bundle, OpenedBundle
+    from swarmd.security.identity import Identity
+
+DEFAULT_DAYS = 90.0
+_DAY = 86400.0
+_swarm_option = click.option("--swarm", metavar="NAME", help="The swarm of the authority.")
+
+
+@click.group(cls=VerbGroup)
+def keys() -> None:
+    """Make, hand out, renew and revoke the keys of a swarm.
+
+    One machine keeps the authority: the folder that signs certificates and the roster of names.
+    """
+
+
+@keys.command()
+@click.argument("swarm")
+@click.option("--robots", required=True, metavar="NAMES", help="Such as 'tb3-[01-40]'.")
+@click.option("--operators", metavar="NAMES", help="Such as alice,bob [your login name].")
+@click.option("--viewers", metavar="NAMES", help="Names that may look and command nothing.")
+@click.option(
+    "--config",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="swarm.yaml with further settings of the swarm, such as labels.",
+)
+@click.option("--profile", type=click.Choice(["dev", "field", "routed"]), help="Of the network.")
+@click.option("--interface", metavar="NAME", help="The network interface of robots.")
+@click.option("--seed", "seeds", multiple=True, metavar="ENDPOINT", help="A robot to dial.")
+@click.option("--router", "routers", multiple=True, metavar="ENDPOINT", help="Of profile routed.")
+@click.option("--passphrase", is_flag=True, help="Encrypt the authority with a passphrase.")
+@click.option(
+    "--days",
+    type=DAYS,
+    default=DEFAULT_DAYS,
+    metavar="N",
+    show_default=True,
+    help="The life of certificates.",
+)
+def init(
+    swarm: str,
+    robots: str,
+    operators: str | None,
+    viewers: str | None,
+    config: Path | None,
+    passphrase: bool,
+    days: float,
+    **settings: Any,
+) -> None:
+    """Make the authority of SWARM with its roster, and install the first operator here.
+
+    NAMES are separated by commas; ranges in brackets are expanded: tb3-[01-40] is tb3-01 to tb3-40.
+    """
+    need("cryptography", extra="keys")
+    from swarmd.security.authority import Authority
+    from swarmd.security.bundle import OpenedBundle
+    from swarmd.settings.installed import SWARM_YAML, swarm_settings, write_yaml
+
+    check_id(swarm, "the swarm")
+    names = {
+        Role.ROBOT: expand_names(robots),
+        Role.OPERATOR: expand_names(operators) if operators else (_login_id(),),
+        Role.VIEWER: expand_names(viewers) if viewers else (),
+    }
+    check_distinct(*names.values())
+    if settings["interface"] and not settings["profile"] and config is None:
+        settings["profile"] = "field"
+    found = swarm_settings(swarm, config, settings)
+    folder, identities = authority_folder(swarm), configuration() / "identities" / swarm
+    for there in (folder, identities):
+        if there.exists():
+            raise ConfigError(f"{there} is there already; remove it to begin anew")
+    word = ask_passphrase(is_new=True) if passphrase else None
+    draft = folder.with_name(f".{swarm}.partial")
+    shutil.rmtree(draft, ignore_errors=True)
+    try:
+        draft.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        authority = Authority.create(draft, swarm, word, days=days)
+        authority.change(add={name: role for role, group in names.items() for name in group})
+        write_yaml(draft / SWARM_YAML, found, f"Settings of swarm {swarm}, for its bundles.")
+        first = bundle_of(authority, names[Role.OPERATOR][0])
+        draft.rename(folder)
+        installed = install_reader(OpenedBundle(first, authority.roster), {}, is_forced=False)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        shutil.rmtree(folder, ignore_errors=True)
+        raise
+    click.echo(f"authority of swarm {swarm}, certificates of {days:g} days: wrote {folder}")
+    report_identity(installed, authority.roster)
+    click.echo(
+        "next: swarmctl keys bundle --all -o bundles, then on each robot: swarmd install FILE\n"
+        f"keep a copy of {folder}: without it no name can be added, renewed or revoked"
+    )
+
+
+@keys.command()
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--all", "is_all", is_flag=True, help="All names of the roster.")
+@click.option(
+    "-o",
+    "target",
+    type=click.Path(path_type=Path),
+    metavar="FILE|FOLDER",
+    help="Where to [NAME.bundle in this folder].",
+)
+@days_option
+@_swarm_option
+def bundle(
+    swarm: str | None,
+    names: tuple[str, ...],
+    is_all: bool,
+    target: Path | None,
+    days: float | None,
+) -> None:
+    """Write a bundle for each NAME: one file with its identity and the settings of the swarm.
+
+    NAME may be a range such as 'tb3-[01-40]' or a glob such as 'tb3-*'. A holder of the file has
+    the identity: carry it safely, and remove it once it is installed. The settings are those of
+    swarm.yaml in the authority's folder.
+    """
+    from swarmd.security.bundle import SUFFIX, write_bundle
+
+    if bool(names) == is_all:
+        raise click.UsageError("keys bundle needs names or --all")
+    authority = open_authority(swarm)
+    chosen = select_names(names, authority.roster.names)
+    folder = target or Path()
+    if len(chosen) == 1 and target is not None and target.suffix and not target.is_dir():
+        files = {chosen[0]: target}
+    else:
+        folder.mkdir(parents=True, exist_ok=True)
+        files = {name: folder / f"{name}{SUFFIX}" for name in chosen}
+    for name, path in files.items():
+        made = bundle_of(authority, name, days=days)
+        write_bundle(path, made)
+        click.echo(f"wrote {path}: {made.info.role} {name}, until {day(made.info.expires)}")
+
+
+@keys.command("list")
+@_swarm_option
+@local_options
+def list_(options: CommonOptions) -> None:
+    """List the names of the roster, and how long their newest certificates last.
+
+    GENERATION names the newest roster that a name surely has: of its bundle, or taken since.
+    """
+    authority = open_authority(options.swarm)
+    roster, now = authority.roster, time.time()
+    rows: list[dict[str, Any]] = []
+    for name in roster.names:
+        record = authority.record_of(name)
+        rows.append(
+            {
+                "name": name,
+                "role": str(roster.role_of(name)),
+                "is_bundled": record is not None,
+                "expires": None if record is None else record.expires,
+                "days": None if record is None else math.floor((record.expires - now) / _DAY),
+                "generation": None if record is None else record.generation,
+            }
+        )
+    if options.is_json:
+        content = {"swarm": roster.swarm, "generation": roster.generation, "names": rows}
+        print_json("Keys", content)
+        return
+    header = ("NAME", "ROLE", "ENDS", "GENERATION", "BUNDLED")
+    print_table(header, [_row(row, now) for row in rows])
+    click.echo(f"# swarm {roster.swarm}, roster of generation {roster.generation}")
+    for row in rows:
+        if row["expires"] and (text := end_of_certificate(row["expires"], now)):
+            click.echo(f"# {row['name']}: {text}; see `swarmctl keys renew`")
+
+
+@keys.command()
+@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@click.option("--interface", metavar="NAME", help="This machine's interface, if it has another.")
+@click.option("--force", is_flag=True, help="Replace an identity of another name or authority.")
+def install(file: Path, interface: str | None, force: bool) -> None:
+    """Take the bundle FILE of an operator or viewer: this user gets that name.
+
+    It writes the identity with the swarm's settings into ~/.config/swarmd/identities, and a context
+    named like the swarm (see `swarmctl context`), which it uses if no other is in use.
+    """
+    from swarmd.security.bundle import read_bundle
+
+    opened = read_bundle(file)
+    if opened.bundle.info.role is Role.ROBOT:
+        name = opened.bundle.info.name
+        raise ConfigError(f"{file} is the bundle of robot {name}; take it there: swarmd install")
+    identity = install_reader(opened, {"interface": interface}, is_forced=force)
+    report_identity(identity, opened.roster)
+
+
+def bundle_of(authority: Authority, name: str, *, days: float | None = None) -> Bundle:
+    """A bundle with a new certificate of a name and the settings beside the authority."""
+    from swarmd.security.bundle import Bundle, pack_bundle
+    from swarmd.settings.installed import SWARM_YAML, checked_settings
+    from swarmd.settings.yamlfile import read
+
+    path = authority.folder / SWARM_YAML
+    settings = checked_settings(str(path), authority.roster.swarm, read(path))
+    issued = authority.issue(name, days=days)
+    made = Bundle(
+        info=issued.info,
+        certificate=issued.certificate,
+        key=issued.key,
+        authority=issued.authority,
+        roster=issued.roster,
+        settings=settings,
+    )
+    pack_bundle(made)  # ConfigError if it is too large
+    return made
+
+
+def install_reader(
+    opened: OpenedBundle, overrides: Mapping[str, object], *, is_forced: bool
+) -> Identity:
+    """Install the identity of an operator or viewer for this user, with settings and a context."""
+    from swarmd.security.installation import check_replaces, installed, replaced_identity
+    from swarmd.settings.contexts import Context, add_context, context_in_use
+    from swarmd.settings.installed import SWARM_YAML, checked_settings, write_yaml
+
+    info = opened.bundle.info
+    given = {key: value for key, value in overrides.items() if value}
+    settings = checked_settings("the bundle", info.swarm, {**opened.bundle.settings, **given})
+    folder = configuration() / "identities" / info.swarm
+    check_replaces(opened, installed(folder), is_forced=is_forced)
+    with replaced_identity(folder, opened) as identity:
+        write_yaml(folder / SWARM_YAML, settings, f"Settings of swarm {info.swarm}.")
+    interface = settings.get("interface")
+    if interface is not None and interface not in (name for _, name in socket.if_nameindex()):
+        warn(f"this machine has no interface {interface}: write its own to {folder / SWARM_YAML}")
+    context = Context(swarm=info.swarm, config=str(folder / SWARM_YAML))
+    add_context(info.swarm, context, use=context_in_use() is None)
+    return identity
+
+
+def _row(row: Mapping[str, Any], now: float) -> tuple[str, ...]:
+    if not row["is_bundled"]:
+        return (row["name"], row["role"], NOTHING, NOTHING, "no")
+    left = row["expires"] - now
+    ends = life(left) if left > 0.0 else "ended"
+    return (row["name"], row["role"], ends, str(row["generation"]), "yes")
+
+
+def _login_id() -> str:
+    """The login name as an id; ConfigError if nothing of it can be used."""
+    try:
+        user = getpass.getuser()
+    except (OSError, KeyError):
+        user = ""
+    found = re.sub(r"[^a-z0-9_-]+", "-", user.lower()).strip("-_")[:63]
+    if not found:
+        raise ConfigError("the login name has no letter for an operator; name one: --operators")
+    return found
+
+
+for _verb in (
+    keys_rollout.add,
+    keys_rollout.revoke,
+    keys_rollout.renew,
+    keys_rollout.push,
+    keys_router.router,
+):
+    keys.add_command(_verb)

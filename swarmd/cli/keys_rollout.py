@@ -1,0 +1,276 @@
+"""`swarmctl keys add|revoke|renew|push`: changes of the roster, and how they get to the robots."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import replace
+from types import MappingProxyType
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+
+from swarmd.cli.arguments import Failure
+from swarmd.cli.authority_folder import configuration, days_option, open_authority
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.output import warn
+from swarmd.cli.send import report, time_left
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.messages import Reply, RosterRequest
+from swarmd.network.outcome import NO_TARGET, Outcome
+from swarmd.security.identity import RosterFile, as_of, load_identity, write_roster
+from swarmd.security.names import expand_names, select_names
+from swarmd.security.roster import Role
+from swarmd.security.roster_change import take_certificate
+from swarmd.texts.keys import day
+
+if TYPE_CHECKING:
+    from swarmd.network.members_view import MembersView
+    from swarmd.network.operator import Operator
+    from swarmd.network.settings import NetworkSettings
+    from swarmd.security.authority import Authority, Issued
+    from swarmd.security.identity import Identity
+
+MAX_CERTIFICATES = 32
+"""New certificates in one request."""
+ANSWER_TIME = 3.0
+"""How long a revoked robot may take to answer, in s."""
+
+
+@click.command()
+@click.argument("names", nargs=-1, required=True, metavar="NAME...")
+@click.option(
+    "--role",
+    type=click.Choice([str(role) for role in Role]),
+    required=True,
+    help="What they may do in the swarm.",
+)
+@common_options
+def add(options: CommonOptions, names: tuple[str, ...], role: str) -> None:
+    """Add each NAME, or range such as 'tb3-[41-50]', to the roster, and roll the roster out.
+
+    All robots that take it stand. Then write the bundles of the new names with `keys bundle`.
+    """
+    authority = open_authority(options.swarm)
+    new = [name for word in names for name in expand_names(word)]
+    authority.change(add=dict.fromkeys(new, Role(role)))
+    _announce(authority, f"added {', '.join(new)}")
+    warn(f"next: swarmctl keys bundle {' '.join(names)}")
+    roll_out(options, authority)
+
+
+@click.command()
+@click.argument("names", nargs=-1, required=True, metavar="NAME...")
+@common_options
+def revoke(options: CommonOptions, names: tuple[str, ...]) -> None:
+    """Take each NAME from the roster, and roll the roster out: no robot accepts that name any more.
+
+    All robots that take it stand. A robot that misses it still trusts the name until it hears from
+    another robot, or `keys push` reaches it. The name cannot be added again before its last
+    certificate ends.
+    """
+    authority = open_authority(options.swarm)
+    roster = authority.roster
+    gone = select_names(names, roster.names)
+    if not roster.operators.keys() - set(gone) or not set(roster.robots) - set(gone):
+        raise ConfigError("a swarm needs a robot and an operator; add another one first")
+    authority.change(remove=gone)
+    _announce(authority, f"revoked {', '.join(gone)}")
+    roll_out(options, authority, revoked=tuple(name for name in gone if name in roster.robots))
+
+
+@click.command()
+@click.argument("names", nargs=-1, metavar="[NAME]...")
+@click.option("--all", "is_all", is_flag=True, help="All robots, and this operator.")
+@days_option
+@common_options
+def renew(options: CommonOptions, names: tuple[str, ...], is_all: bool, days: float | None) -> None:
+    """Give robots, and this operator, new certificates for the keys that they have.
+
+    Each robot that takes one stands. Other operators and viewers need a new bundle: `keys bundle`.
+    """
+    if bool(names) == is_all:
+        raise click.UsageError("keys renew needs names or --all")
+    authority = open_authority(options.swarm)
+    settings, own = _network(options, authority)
+    roster = authority.roster
+    known = (*roster.robots, own.name) if is_all else roster.names
+    chosen = [name for name in select_names(names, known) if authority.record_of(name) is not None]
+    others = [name for name in chosen if name not in roster.robots and name != own.name]
+    if others:
+        raise ConfigError(f"{', '.join(others)}: only a bundle brings them a new certificate")
+    if own.name in chosen:
+        _renew_own(authority, own, days)
+    robots = tuple(name for name in chosen if name in roster.robots)
+    if not robots:
+        return
+    issued = {name: authority.issue(name, days=days, is_recorded=False) for name in robots}
+    outcome = _sent(options, settings, own, authority, robots, issued=issued)
+    for name in outcome.applied:
+        authority.note_issued(issued[name])
+    _finish(options, authority, own, outcome)
+
+
+@click.command()
+@common_options
+def push(options: CommonOptions) -> None:
+    """Roll the present roster out to the robots that may not have it yet."""
+    authority = open_authority(options.swarm)
+    if not _outstanding(authority):
+        click.echo(f"all robots have generation {authority.roster.generation} of the roster")
+        return
+    roll_out(options, authority)
+
+
+def roll_out(
+    options: CommonOptions, authority: Authority, revoked: tuple[str, ...] = ()
+) -> NoReturn:
+    """Send the roster to all robots that may lack it, report, and end with the exit code.
+
+    Robots without a bundle are left out: they have no keys yet. A revoked robot gets the roster
+    without the secret, if it is in reach: then it stands.
+    """
+    settings, own = _network(options, authority)
+    wanted = _outstanding(authority)
+    if not wanted:
+        text = "no robot has a bundle of this swarm yet: nothing was rolled out"
+        raise Failure(text, NO_TARGET)
+    try:
+        outcome = _sent(options, settings, own, authority, wanted, revoked=revoked)
+    except SwarmError:
+        warn("the roster is not rolled out; repeat it with `swarmctl keys push`")
+        raise
+    _finish(options, authority, own, outcome)
+
+
+def _announce(authority: Authority, what: str) -> None:
+    warn(f"{what}: generation {authority.roster.generation} of the roster")
+
+
+def _outstanding(authority: Authority) -> tuple[str, ...]:
+    """The robots that have a bundle, and are not known to have the present generation."""
+    records = ((name, authority.record_of(name)) for name in authority.roster.robots)
+    generation = authority.roster.generation
+    return tuple(name for name, one in records if one and one.generation < generation)
+
+
+def _network(options: CommonOptions, authority: Authority) -> tuple[NetworkSettings, Identity]:
+    """The network of the authority's swarm, and this user's identity of an operator in it."""
+    from swarmd.settings.installed import SWARM_YAML
+
+    swarm = authority.roster.swarm
+    installed = configuration() / "identities" / swarm / SWARM_YAML
+    config = options.in_context().config or (installed if installed.exists() else None)
+    settings, _, identity = replace(options, swarm=swarm, config=config).network()
+    if identity is None or identity.info.authority != authority.public_key:
+        raise Failure(
+            f"this user has no identity of this authority of swarm {swarm}; take the bundle of an"
+            " operator (`swarmctl keys install`), then `swarmctl keys push`",
+            NO_TARGET,
+        )
+    return settings, identity
+
+
+def _sent(
+    options: CommonOptions,
+    settings: NetworkSettings,
+    own: Identity,
+    authority: Authority,
+    robots: tuple[str, ...],
+    *,
+    issued: Mapping[str, Issued] = MappingProxyType({}),
+    revoked: tuple[str, ...] = (),
+) -> Outcome:
+    """Send the roster, and certificates, to robots of all generations that they may have."""
+    from swarmd.network.operator import Operator
+
+    replies: dict[str, Reply] = {}
+    seconds = 0.0
+    for identity in _identities(own, authority, robots):
+        asked = [
+            name
+            for name in robots
+            if name not in replies and _generation(authority, name) <= identity.roster.generation
+        ]
+        if not asked:
+            continue
+        with Operator(settings, identity=identity, takes_rosters=False) as operator:
+            look = None if options.timeout is None else options.timeout / 2.0
+            view = operator.members(timeout=look, needs_status=False)
+            seconds += view.seconds
+            for first in range(0, len(asked), MAX_CERTIFICATES if issued else len(asked)):
+                batch = asked[first : first + MAX_CERTIFICATES] if issued else asked
+                outcome = operator.request(
+                    RosterRequest,
+                    view.epochs(batch),
+                    timeout=time_left(options, view),
+                    roster=authority.signed_roster,
+                    secret=authority.secret,
+                    certificates={name: issued[name].certificate for name in batch if issued},
+                )
+                replies |= outcome.replies
+                seconds += outcome.seconds
+            if identity is own and revoked:
+                _tell_revoked(operator, view, authority, revoked)
+    missing = tuple(sorted(set(robots) - replies.keys()))
+    return Outcome(replies=replies, missing=missing, seconds=seconds)
+
+
+def _identities(own: Identity, authority: Authority, robots: Iterable[str]) -> Iterator[Identity]:
+    """The own identity, then the same as of each other generation that a robot may have.
+
+    Datagrams are signed with keys of one generation: a robot hears those of its own generation.
+    That may be the present one: its answer was lost, or it took a new bundle.
+    """
+    yield own
+    generations = {_generation(authority, name) for name in robots}
+    generations.add(authority.roster.generation)
+    for generation in sorted(generations - {own.roster.generation}, reverse=True):
+        file = authority.roster_of(own.name, generation)
+        if file is not None:
+            yield as_of(own, file)
+
+
+def _generation(authority: Authority, name: str) -> int:
+    record = authority.record_of(name)
+    return 0 if record is None else record.generation
+
+
+def _tell_revoked(
+    operator: Operator, view: MembersView, authority: Authority, revoked: tuple[str, ...]
+) -> None:
+    """Let revoked robots that are in reach know, without the new secret."""
+    reached = [name for name in revoked if view.is_in_reach(name)]
+    outcome = operator.request(
+        RosterRequest, view.epochs(reached), timeout=ANSWER_TIME, roster=authority.signed_roster
+    )
+    for name in revoked:
+        if name in outcome.applied:
+            warn(f"{name} stands, and refuses runs")
+        else:
+            warn(f"{name} was not reached: it may run on, and all that have the roster ignore it")
+
+
+def _finish(
+    options: CommonOptions, authority: Authority, own: Identity, outcome: Outcome
+) -> NoReturn:
+    """Keep what the robots have now, take the roster for this operator, and report."""
+    taken = list(outcome.applied)
+    own = load_identity(own.folder)  # another command may have written a newer one meanwhile
+    is_newer = own.roster.generation < authority.roster.generation
+    if taken and is_newer and authority.roster.role_of(own.name) is not None:
+        file = RosterFile(authority.signed_roster, authority.keys_of(own.name))
+        write_roster(own.folder, file)
+        taken.append(own.name)
+    authority.note_taken(taken)
+    if outcome.missing:
+        warn("robots that were not reached take the roster from others, or by `swarmctl keys push`")
+    report(options, outcome)
+
+
+def _renew_own(authority: Authority, own: Identity, days: float | None) -> None:
+    issued = authority.issue(own.name, days=days, is_recorded=False)
+    renewed = take_certificate(own, issued.certificate)
+    if renewed is None:
+        raise ConfigError(f"{own.name} has a certificate that ends later; give more --days")
+    authority.note_issued(issued)
+    click.echo(f"{own.name}: until {day(renewed.info.expires)}")

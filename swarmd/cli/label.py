@@ -1,0 +1,85 @@
+"""`swarmctl label`: give labels to robots and take them away."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from typing import Any
+
+import click
+
+from swarmd.cli import completion
+from swarmd.cli.arguments import Failure, Targets, takes_targets
+from swarmd.cli.labels import labels_of, unlabelled
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.send import known_members, report, targets_of, time_left
+from swarmd.core.keys import is_id
+from swarmd.core.messages import LabelRequest
+from swarmd.network.outcome import TIMEOUT, joined
+from swarmd.texts.labels import changed, read_changes
+
+
+class LabelCommand(click.Command):
+    """Reads `+red` and `-blue` as `--add red` and `--remove blue`."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """The words with options in place of signs; one letter after `-` stays an option."""
+        words: list[str] = []
+        for word in args:
+            sign, label = word[:1], word[1:]
+            is_signed = sign == "+" or (sign == "-" and len(label) > 1 and is_id(label))
+            words += ["--add" if sign == "+" else "--remove", label] if is_signed else [word]
+        return super().parse_args(ctx, words)
+
+
+@click.command(cls=LabelCommand)
+@takes_targets(is_required=True)
+@click.option(
+    *("--add", "added"),
+    multiple=True,
+    metavar="LABEL",
+    help="The same as +LABEL.",
+    shell_complete=completion.labels,
+)
+@click.option(
+    *("--remove", "removed"),
+    multiple=True,
+    metavar="LABEL",
+    help="The same as -LABEL.",
+    shell_complete=completion.labels,
+)
+@click.option("--reset", is_flag=True, help="Go back to the labels of the robots' swarm file.")
+@common_options
+def label(
+    options: CommonOptions,
+    targets: Targets,
+    added: tuple[str, ...],
+    removed: tuple[str, ...],
+    reset: bool,
+) -> None:
+    """Give TARGETS labels, and take others away: swarmctl label tb3-01 +red -blue.
+
+    A robot keeps its labels across restarts; they are targets of -l and choose parameters of the
+    swarm file. Moves nothing: a goal for robots with a new label is offered.
+    """
+    words = [*(f"+{one}" for one in added), *(f"-{one}" for one in removed)]
+    if reset == bool(words):
+        raise click.UsageError("label needs +LABEL or -LABEL, or --reset alone")
+    if words:
+        read_changes(words)
+    with options.operator() as operator:
+        view = known_members(options, operator, is_request_next=True)
+        names = targets_of(view, targets)
+        known = labels_of(view)
+        unseen = [name for name in names if name not in known]
+        if unseen and not reset:
+            text = f"the labels of {', '.join(unseen)} are not known; nothing was sent"
+            raise Failure(text, TIMEOUT)
+        wanted: dict[Any, list[str]] = defaultdict(list)
+        for name in names:
+            wanted[None if reset else changed(known[name], added, removed)].append(name)
+        wait = time_left(options, view)
+        outcomes = [
+            operator.request(LabelRequest, view.epochs(some), timeout=wait, labels=labels)
+            for labels, some in wanted.items()
+        ]
+        report(options, joined(outcomes, unlabelled=unlabelled(view, targets)))

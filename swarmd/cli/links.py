@@ -1,0 +1,116 @@
+"""`swarmctl links`: which robots hear which, by the beacons that arrive."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import click
+
+from swarmd.cli.arguments import Targets, takes_targets
+from swarmd.cli.labels import robots_of
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.output import print_json, print_table
+from swarmd.cli.questions import ask_robots, end, in_reach
+from swarmd.cli.send import known_members
+from swarmd.core.codec import encode
+from swarmd.core.tool_messages import LinkReport, LinksQuery, LinksReply
+from swarmd.texts.values import NOTHING, printable, seconds
+
+PING_TIME = 0.6  # s for robots to measure round trips, between two questions
+MAX_ROWS = 60
+HEADER = ("ROBOT", "HEARS", "LOSS", "ROUND TRIP", "AGE", "WAY")
+
+
+class _Pair(NamedTuple):
+    """How `robot` hears `other`; `link` None: it does not know it."""
+
+    robot: str
+    other: str
+    link: LinkReport | None
+
+    @property
+    def loss(self) -> float:
+        """From 0 to 1."""
+        if self.link is None:
+            return 1.0
+        return self.link.lost / max(self.link.received + self.link.lost, 1)
+
+
+@click.command()
+@takes_targets(is_required=False)
+@click.option("--every", is_flag=True, help=f"All pairs, not only the {MAX_ROWS} worst.")
+@common_options
+def links(options: CommonOptions, targets: Targets, every: bool) -> None:
+    """Show how well each of TARGETS, or of all robots, hears the others.
+
+    LOSS counts the beacons of about the last 30 s that did not arrive, in this direction. ROUND
+    TRIP is measured now, from each robot to up to 20 others. AGE is the time since the last beacon.
+    """
+    with options.operator() as operator:
+        view = known_members(options, operator)
+        names = robots_of(view, targets)
+        ask = encode(LinksQuery(measures=True))
+        replies = ask_robots(options, operator, in_reach(view, names), "links", ask, LinksReply)
+        if any(reply.links for reply in replies.values()):
+            time.sleep(PING_TIME)
+            ask = encode(LinksQuery())
+            replies |= ask_robots(options, operator, replies, "links", ask, LinksReply)
+        pairs = pairs_of(replies, set(view.expected) | set(replies))
+        if options.is_json:
+            missing = sorted(set(names) - replies.keys())
+            print_json("Links", {"links": [_record(pair) for pair in pairs], "missing": missing})
+        else:
+            shown = pairs if every else pairs[:MAX_ROWS]
+            print_table(HEADER, [_row(pair) for pair in sorted(shown, key=lambda one: one[:2])])
+            for line in summary(pairs, len(shown)):
+                click.echo(printable(f"# {line}"))
+        end(names, replies)
+
+
+def pairs_of(replies: Mapping[str, LinksReply], expected: Iterable[str]) -> list[_Pair]:
+    """Each pair of an answering robot and a robot that it knows or should know; worst first."""
+    found = []
+    for robot, reply in replies.items():
+        known = {link.robot: link for link in reply.links}
+        lacking = set() if reply.unlisted else set(expected) - known.keys() - {robot}
+        found += [_Pair(robot, other, known.get(other)) for other in {*known, *lacking}]
+    return sorted(found, key=lambda pair: (-pair.loss, pair.robot, pair.other))
+
+
+def summary(pairs: list[_Pair], shown: int) -> Iterable[str]:
+    """What stands out: pairs that do not hear, hear badly, or in one direction alone."""
+    yield f"{len(pairs)} pairs" + (f", the {shown} worst shown" if shown < len(pairs) else "")
+    deaf = {(pair.robot, pair.other) for pair in pairs if pair.loss >= 1.0}
+    asked = {pair.robot for pair in pairs}
+    for robot, other in sorted(deaf):
+        is_one_way = other in asked and (other, robot) not in deaf
+        yield f"{robot} does not hear {other}" + (", which hears it" if is_one_way else "")
+    bad = [pair for pair in pairs if 0.2 <= pair.loss < 1.0]
+    if bad:
+        yield f"{len(bad)} pairs lose a fifth of the beacons or more"
+
+
+def _row(pair: _Pair) -> tuple[str, ...]:
+    link = pair.link
+    if link is None:
+        return (pair.robot, pair.other, "100 %", NOTHING, "never", NOTHING)
+    trip = NOTHING if link.round_trip is None else f"{1000.0 * link.round_trip:.1f} ms"
+    way = ", ".join(link.ways) or NOTHING
+    return (pair.robot, pair.other, f"{100.0 * pair.loss:.0f} %", trip, seconds(link.age), way)
+
+
+def _record(pair: _Pair) -> dict[str, Any]:
+    link = pair.link
+    record: dict[str, Any] = {"robot": pair.robot, "hears": pair.other}
+    if link is None:
+        return record | {"received": 0, "lost": None, "loss": 1.0, "round_trip": None, "age": None}
+    return record | {
+        "received": link.received,
+        "lost": link.lost,
+        "loss": round(pair.loss, 4),
+        "round_trip": None if link.round_trip is None else round(link.round_trip, 5),
+        "age": round(link.age, 3),
+        "ways": list(link.ways),
+    }

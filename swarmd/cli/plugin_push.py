@@ -1,0 +1,346 @@
+"""`swarmctl plugin push` and `remove`: behaviours over the air."""
+
+from __future__ import annotations
+
+import ast
+import hashlib
+import time
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn
+
+import click
+from msgspec.structs import replace as with_fields
+
+from swarmd.cli.arguments import Duration, Failure, Targets, takes_targets
+from swarmd.cli.canary import canaries_of, read_canary
+from swarmd.cli.labels import unlabelled
+from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.output import warn
+from swarmd.cli.plugin_list import behaviours_of
+from swarmd.cli.run_start import goal_targets
+from swarmd.cli.send import known_members, report, targets_of
+from swarmd.core.behaviour import MAX_CODE, Manifest, Signed, encode_manifest, read_entry
+from swarmd.core.errors import CodecError, ConfigError, PluginError
+from swarmd.core.keys import check_id, is_id
+from swarmd.core.messages import BehaviourReport, BehavioursReply, Code, PushRequest
+from swarmd.network.outcome import PARTIAL
+
+if TYPE_CHECKING:
+    from swarmd.network.members_view import MembersView
+    from swarmd.network.operator import Operator
+    from swarmd.network.outcome import Outcome
+    from swarmd.security.identity import Identity
+
+PIECE = 32768
+MAX_GENERATION = 2**32 - 1
+PUSH_TIMEOUT = 15.0  # s: a trial on a robot may take 10
+CANARY_TIME = 90.0  # s: a version is held after 60 s of runs
+LOOK_PERIOD = 0.5
+
+
+class Source(NamedTuple):
+    """What a file to be pushed holds."""
+
+    name: str
+    kind: Literal["file", "wheel"]
+    version: str
+    value: str
+    code: bytes
+
+
+@click.command("push")
+@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@takes_targets(is_required=True)
+@click.option("--version", default="", help="Shown beside the hash [that of the wheel].")
+@click.option(
+    "--canary",
+    metavar="ROBOT",
+    help="First to this robot, or to so many; then to the others if all is well.",
+)
+@click.option(
+    "--canary-time",
+    type=Duration(),
+    default=CANARY_TIME,
+    help="How long a canary that runs it may take until it is held [90s].",
+)
+@click.option("--replace", is_flag=True, help="Also in place of a pattern that a robot has itself.")
+@click.option("--rerun", is_flag=True, help="Stop and run it again where it runs.")
+@common_options
+def push(
+    options: CommonOptions,
+    file: Path,
+    targets: Targets,
+    version: str,
+    canary: str | None,
+    canary_time: float,
+    replace: bool,
+    rerun: bool,
+) -> None:
+    """Send the pattern in FILE, a .py or a wheel of pure Python, to TARGETS; starts no run.
+
+    At most 1 MiB. With keys it is signed with your identity. Each robot tries the code in a process
+    of its own, then a run takes it. It is provisional until it has run for 60 s without a fault;
+    after a fault the robot stands and returns to the version before. Robots that join later and
+    match TARGETS get it from the others.
+    """
+    read_canary(canary)
+    source = read_source(file)
+    with options.operator() as operator:
+        if operator.identity is None and operator.settings.profile != "dev":
+            raise ConfigError(
+                "without keys robots take code in profile dev only; see `swarmctl keys --help`"
+            )
+        by_label = bool(targets.labels)
+        view = known_members(options, operator, is_request_next=True, needs_status=by_label)
+        names = targets_of(view, targets)
+        first = () if canary is None else canaries_of(canary, names)
+        pusher = _Pusher(options, operator, view, source, version, replace, rerun)
+        generation = pusher.next_generation()
+        unclear = unlabelled(view, targets)
+        if not first:
+            outcome = pusher.push(goal_targets(targets, names), names, generation)
+            report(options, with_fields(outcome, unlabelled=unclear))
+        rest = tuple(name for name in names if name not in first)
+        warn(f"canary: {', '.join(first)}")
+        outcome = pusher.push(first, first, generation)
+        if len(outcome.applied) < len(first):
+            _end_early(options, outcome, rest)
+        end = _await_canary(options, operator, source, first, rest, canary_time)
+        warn(f"canary: {end}; now {', '.join(rest)}")
+        outcome = pusher.push(goal_targets(targets, names), names, generation + 1)
+        report(options, with_fields(outcome, unlabelled=unclear))
+
+
+@click.command("remove")
+@click.argument("name")
+@takes_targets(is_required=True)
+@common_options
+def remove(options: CommonOptions, name: str, targets: Targets) -> None:
+    """Remove the pushed pattern NAME from TARGETS; a run of it goes on until it ends."""
+    if not is_id(name):
+        raise click.UsageError(f"{name!r} is no pattern name; see `swarmctl plugin list`")
+    with options.operator() as operator:
+        by_label = bool(targets.labels)
+        view = known_members(options, operator, is_request_next=True, needs_status=by_label)
+        names = targets_of(view, targets)
+        pusher = _Pusher(options, operator, view, None, "", replace=False, rerun=False, name=name)
+        generation = pusher.next_generation()
+        outcome = pusher.push(goal_targets(targets, names), names, generation)
+        report(options, with_fields(outcome, unlabelled=unlabelled(view, targets)))
+
+
+def read_source(file: Path) -> Source:
+    """What FILE holds. PluginError or ConfigError in one line, if it cannot be pushed."""
+    code = file.read_bytes()
+    if len(code) > MAX_CODE:
+        raise PluginError(f"{file} has {len(code)} bytes; at most {MAX_CODE} (1 MiB) are sent")
+    if file.suffix == ".whl":
+        from swarmd.pattern_host.wheel import inspect_wheel
+
+        found = inspect_wheel(code, str(file))
+        return Source(found.name, "wheel", found.version, found.value, code)
+    if file.suffix != ".py":
+        raise PluginError(f"{file}: expected a .py or a .whl")
+    check_id(file.stem, f"{file}: the pattern's name")
+    try:
+        ast.parse(code)
+    except (SyntaxError, ValueError) as error:
+        line = getattr(error, "lineno", None)
+        raise PluginError(f"{file}:{line or 1}: {getattr(error, 'msg', error)}") from error
+    return Source(file.stem, "file", "", "", code)
+
+
+def greatest_of(replies: Iterable[BehavioursReply], identity: Identity | None) -> int:
+    """The greatest generation of a behaviour that robots know; 0 without any.
+
+    In a secured swarm an operator of the roster must have signed it: a robot that was taken over
+    may tell any.
+    """
+    if identity is None:
+        return max((reply.generation for reply in replies), default=0)
+    from swarmd.security.roster import is_signed_by
+
+    greatest = 0
+    for content, signature in {(reply.newest, reply.signature) for reply in replies}:
+        try:
+            manifest = read_entry(Signed(content, signature)).manifest
+        except CodecError:
+            continue
+        key = identity.roster.operators.get(manifest.issuer)
+        if manifest.generation > greatest and key is not None:
+            is_signed = is_signed_by(key, content, signature)
+            greatest = manifest.generation if is_signed else greatest
+    return greatest
+
+
+class _Pusher:
+    """Pushes one behaviour, or its removal (`source` None), with one operator."""
+
+    def __init__(
+        self,
+        options: CommonOptions,
+        operator: Operator,
+        view: MembersView,
+        source: Source | None,
+        version: str,
+        replace: bool,
+        rerun: bool,
+        *,
+        name: str = "",
+    ) -> None:
+        self._options, self._operator, self._view = options, operator, view
+        self._source, self._version = source, version
+        self._replace, self._rerun, self._name = replace, rerun, name
+
+    def next_generation(self) -> int:
+        """A generation greater than that of every robot in reach. ConfigError after the last."""
+        found = behaviours_of(self._options, self._operator, self._view, self._view.members)
+        generation = 1 + greatest_of(found.values(), self._operator.identity)
+        if generation > MAX_GENERATION:
+            raise ConfigError(
+                f"a behaviour of the last generation, {MAX_GENERATION}, was pushed; nothing can"
+                " follow it: revoke the operator who pushed it, or, without keys, remove"
+                " `behaviours` from the state folders of the robots and restart them"
+            )
+        return generation
+
+    def push(self, targets: Collection[str], names: Collection[str], generation: int) -> Outcome:
+        """Push to robots in pieces; a robot that refuses a piece gets no more."""
+        content, signature = self._manifest(tuple(targets), generation)
+        code = b"" if self._source is None else self._source.code
+        epochs, outcome = self._view.epochs(names), None
+        timeout = self._options.timeout
+        for offset in range(0, max(len(code), 1), PIECE):
+            sent = self._operator.request(
+                PushRequest,
+                epochs,
+                timeout=timeout,
+                least=PUSH_TIMEOUT,
+                content=content,
+                signature=signature,
+                offset=offset,
+                data=code[offset : offset + PIECE],
+                is_rerun=self._rerun,
+            )
+            outcome = sent if outcome is None else _joined(outcome, sent)
+            epochs = {name: epochs[name] for name in outcome.applied}
+            if not epochs:
+                break
+        assert outcome is not None
+        return outcome
+
+    def _manifest(self, targets: tuple[str, ...], generation: int) -> tuple[bytes, bytes]:
+        source, operator = self._source, self._operator
+        identity = operator.identity
+        issuer = operator.name[:63] if identity is None else identity.name
+        swarm = operator.settings.swarm
+        if source is None:
+            manifest = Manifest(
+                swarm=swarm,
+                name=self._name,
+                generation=generation,
+                issuer=issuer,
+                targets=targets,
+                kind="removed",
+            )
+        else:
+            manifest = Manifest(
+                swarm=swarm,
+                name=source.name,
+                generation=generation,
+                issuer=issuer,
+                targets=targets,
+                kind=source.kind,
+                version=(self._version or source.version)[:32],
+                digest=hashlib.sha256(source.code).digest(),
+                size=len(source.code),
+                value=source.value,
+                replaces=self._replace,
+            )
+        try:
+            content = encode_manifest(manifest)
+        except CodecError as error:
+            raise ConfigError(str(error)) from error
+        if identity is None:
+            return content, b""
+        from swarmd.plugins import need
+
+        need("cryptography", extra="keys")
+        from swarmd.security.private_keys import load_private_key, sign
+
+        return content, sign(load_private_key(identity.key), content)
+
+
+def _joined(before: Outcome, after: Outcome) -> Outcome:
+    """The outcome of two pieces: what was not applied before stays as it was."""
+    replies = {**before.replies, **after.replies}
+    missing = tuple(sorted({*before.missing, *after.missing}))
+    seconds = before.seconds + after.seconds
+    return with_fields(
+        after,
+        replies=replies,
+        missing=missing,
+        warnings=(*before.warnings, *after.warnings),
+        seconds=seconds,
+        reached=before.reached,
+    )
+
+
+def _await_canary(
+    options: CommonOptions,
+    operator: Operator,
+    source: Source,
+    first: Collection[str],
+    rest: Collection[str],
+    limit: float,
+) -> str:
+    """Return when no canary runs the new code, or when all that run it hold it, or after `limit`.
+
+    Returns what is known by then. Failure, and the rest is untouched, if one has returned from it
+    or does not answer.
+    """
+    digest = hashlib.sha256(source.code).hexdigest()[:12]
+    until = time.monotonic() + limit
+    while True:
+        view = operator.members(timeout=options.timeout)
+        found = behaviours_of(options, operator, view, first)
+        is_waiting, unproven = False, []
+        for name in first:
+            one = _named(found.get(name), source.name)
+            if one is None or one.digest != digest:
+                why = "does not answer" if name not in found else "has another version"
+                if one is not None and one.text:
+                    why = f"returned: {one.text}"
+                raise _untouched(f"canary {name} {why}", rest)
+            member = view.members.get(name)
+            status = None if member is None else member.status
+            is_run = status is not None and status.pattern == source.name
+            is_waiting |= one.standing == "provisional" and is_run
+            if one.standing == "provisional":
+                unproven.append(name)
+        if not unproven:
+            return "holds it"
+        if not is_waiting:
+            return f"loaded, and not tried by a run on {', '.join(unproven)}"
+        if time.monotonic() >= until:
+            return f"not held yet after {limit:.0f} s, and without a fault"
+        time.sleep(LOOK_PERIOD)
+
+
+def _end_early(options: CommonOptions, outcome: Outcome, rest: Collection[str]) -> NoReturn:
+    for name, reply in outcome.replies.items():
+        if reply.code is not Code.APPLIED:
+            warn(f"{name}: {reply.code}: {reply.text}")
+    for name in outcome.missing:
+        warn(f"{name}: no answer")
+    raise _untouched(f"canary: {outcome.line}", rest)
+
+
+def _untouched(why: str, rest: Collection[str]) -> Failure:
+    return Failure(f"{why}; nothing was sent to {', '.join(rest)}", PARTIAL)
+
+
+def _named(reply: BehavioursReply | None, name: str) -> BehaviourReport | None:
+    rows = () if reply is None else reply.behaviours
+    return next((one for one in rows if one.name == name), None)

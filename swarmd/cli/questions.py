@@ -1,0 +1,67 @@
+"""Questions to several robots that change nothing: the answers, and the robots without one."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from typing import TYPE_CHECKING, Protocol, TypeVar
+
+import click
+
+from swarmd.cli.output import warn
+from swarmd.core.codec import Decoder
+from swarmd.core.errors import CodecError
+from swarmd.network.outcome import PARTIAL, TIMEOUT
+
+if TYPE_CHECKING:
+    from swarmd.cli.options import CommonOptions
+    from swarmd.network.members_view import MembersView
+    from swarmd.network.operator import Operator
+
+ASK_TIME = 5.0  # s for an answer, without --timeout
+MAX_ANSWER = 512 * 1024
+
+
+class _Answer(Protocol):
+    @property
+    def robot(self) -> str: ...
+
+
+T = TypeVar("T", bound=_Answer)
+
+
+def ask_robots(
+    options: CommonOptions,
+    operator: Operator,
+    robots: Iterable[str],
+    name: str,
+    payload: bytes,
+    kind: type[T],
+) -> dict[str, T]:
+    """The answers to `control/<name>`, by robot; warns of an answer that cannot be read."""
+    decode = Decoder(kind, MAX_ANSWER)
+    answers = {}
+    found = operator.ask_all(robots, name, payload, timeout=options.timeout or ASK_TIME)
+    for robot, answer in sorted(found.items()):
+        try:
+            read = decode(answer)
+        except CodecError as error:
+            warn(f"{robot}: its answer cannot be read: {error}")
+            continue
+        if read.robot != robot:
+            warn(f"{robot}: its answer is in the name of {read.robot}, and is left out")
+            continue
+        answers[robot] = read
+    return answers
+
+
+def in_reach(view: MembersView, robots: Iterable[str]) -> tuple[str, ...]:
+    """The robots of a look that can be asked: others are not waited for."""
+    return tuple(robot for robot in robots if view.is_in_reach(robot))
+
+
+def end(robots: Collection[str], answered: Collection[str]) -> None:
+    """Warn of robots without an answer, and end with 3 if some answered, 5 without an answer."""
+    missing = sorted(set(robots) - set(answered))
+    if missing:
+        warn(f"no answer: {', '.join(missing)}")
+        click.get_current_context().exit(PARTIAL if answered else TIMEOUT)

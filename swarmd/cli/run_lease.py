@@ -1,0 +1,149 @@
+"""`swarmctl run --lease`: runs that end when this process does."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Collection
+from functools import partial
+from typing import TYPE_CHECKING, NoReturn
+
+import click
+from msgspec.structs import replace
+
+from swarmd.cli.output import warn
+from swarmd.cli.run_start import start
+from swarmd.cli.send import report, show, stop_names
+from swarmd.cli.terminal import signals_end
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder
+from swarmd.core.goal import GoalState
+from swarmd.core.messages import Status
+from swarmd.network.datagram import RunLease
+from swarmd.texts.values import seconds
+
+if TYPE_CHECKING:
+    from swarmd.cli.options import CommonOptions
+    from swarmd.core.goal import Goal
+    from swarmd.core.messages import Epoch
+    from swarmd.network.members_view import MembersView
+    from swarmd.network.operator import Operator
+    from swarmd.network.outcome import Outcome
+
+PARTS = 4
+"""How often the lease is renewed while it lasts: three copies may get lost."""
+SILENCE = 5.0  # s beyond the lease for which a robot that is not heard is waited for
+
+_status = Decoder(Status)
+
+
+def run_while_here(
+    options: CommonOptions,
+    operator: Operator,
+    view: MembersView,
+    goal: Goal,
+    names: Collection[str],
+    unlabelled: tuple[str, ...] = (),
+) -> NoReturn:
+    """Run a goal with a lease on robots until all runs have ended, or a signal; then stop them."""
+    assert goal.lease is not None
+    keeper = _Keeper(operator, goal, names)
+    ended: Outcome | None = None
+    with signals_end():
+        try:
+            keeper.start()
+            outcome, _ = start(options, operator, view, goal, names)
+            outcome = replace(outcome, unlabelled=unlabelled)
+            show(options, outcome)
+            if not outcome.applied:
+                report_again(outcome)
+            warn(
+                f"the robots run while this goes on, and {seconds(goal.lease)} longer; Ctrl-C ends"
+            )
+            running = {name: outcome.replies[name].epoch for name in outcome.applied}
+            follow_runs(operator, goal, goal.lease + SILENCE, running)
+        except (KeyboardInterrupt, SystemExit):
+            ended = stop_names(operator, names)
+        finally:
+            keeper.close()
+    if ended is not None:
+        report(options, ended)
+    report_again(outcome)
+
+
+def report_again(outcome: Outcome) -> NoReturn:
+    """End with the exit code of an outcome that was printed."""
+    click.get_current_context().exit(outcome.exit_code)
+
+
+def follow_runs(
+    operator: Operator, goal: Goal, patience: float, running: dict[str, Epoch | None]
+) -> None:
+    """Return once no robot of `running` runs the goal any more; warns of each end.
+
+    With the epoch of each since the run: an earlier status of the same daemon counts for nothing.
+    A robot that tells no status for `patience` s is not waited for.
+    """
+    news = threading.Condition()
+    heard = dict.fromkeys(running, boottime())
+
+    def on_status(robot: str, payload: bytes) -> None:
+        status = _status(payload)
+        own = status.goal.own if status.goal is not None else None
+        is_on = (
+            own is not None
+            and status.goal is not None
+            and own.goal.id == goal.id
+            and status.goal.state in (GoalState.RUNNING, GoalState.LOADING)
+        )
+        with news:
+            heard[robot] = boottime()
+            since = running.get(robot)
+            is_old = (
+                since is not None
+                and status.epoch.instance == since.instance
+                and status.epoch.revision < since.revision
+            )
+            if robot in running and not is_on and not is_old:
+                del running[robot]
+                detail = f" {status.detail}" if status.detail else ""
+                warn(f"{robot}: {status.state} ({status.reason}){detail}")
+                news.notify_all()
+
+    operator.watch("status", on_status)
+    try:
+        with news:
+            while running:
+                news.wait(0.5)
+                now = boottime()
+                for name in [one for one in running if now - heard[one] > patience]:
+                    del running[name]
+                    warn(f"{name} was not heard for {seconds(patience)}: it is not waited for")
+    finally:
+        operator.unwatch("status")
+
+
+class _Keeper(threading.Thread):
+    """Renews the lease of a goal."""
+
+    def __init__(self, operator: Operator, goal: Goal, names: Collection[str]) -> None:
+        super().__init__(name="swarmd-lease", daemon=True)
+        assert goal.lease is not None
+        self._operator, self._goal, self._names = operator, goal, names
+        self._period = goal.lease / PARTS
+        self._ending = threading.Event()
+
+    def run(self) -> None:
+        """Renew until `close`."""
+        operator, count = self._operator, 0
+        while not self._ending.is_set():
+            count += 1
+            operator.send_to_robots(partial(self._lease, count), self._names)
+            self._ending.wait(self._period)
+
+    def _lease(self, count: int) -> RunLease:
+        return RunLease(id=self._goal.id, operator=self._operator.name[:128], count=count)
+
+    def close(self) -> None:
+        """Renew no longer."""
+        self._ending.set()
+        self.join(1.0)

@@ -1,0 +1,124 @@
+"""Steps that change this machine or the root of another one; each is printed."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import click
+
+from swarmd.cli.arguments import Failure
+from swarmd.core.errors import ConfigError
+from swarmd.core.files import whole_file
+from swarmd.daemon.unit import CONFIG_FILE, CONFIG_FOLDER, USER
+
+RUNNING_SYSTEMD = Path("/run/systemd/system")
+"""Exists while systemd runs (sd_booted)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Steps:
+    """Changes below `root`, which are printed; `is_dry`: printed only."""
+
+    root: Path = Path("/")
+    is_dry: bool = False
+
+    def within(self, path: Path) -> Path:
+        """Where an absolute path of the machine lies."""
+        return self.root / path.relative_to("/")
+
+    def write(self, path: Path, text: str) -> None:
+        """Write a file that everyone can read, whole or not at all."""
+        there = self.within(path)
+        if there.exists() and there.read_text() == text:
+            click.echo(f"keep {there}: it is as wanted")
+            return
+        click.echo(f"{self._step('write')} {there}")
+        if not self.is_dry:
+            there.parent.mkdir(parents=True, exist_ok=True)
+            with whole_file(there) as partial:
+                partial.write_text(text)
+                partial.chmod(0o644)
+
+    def remove(self, path: Path) -> None:
+        """Remove a file or a folder with all that is in it; an absent one is passed over."""
+        there = self.within(path)
+        if not there.exists():
+            return
+        click.echo(f"{self._step('remove')} {there}")
+        if not self.is_dry:
+            shutil.rmtree(there) if there.is_dir() else there.unlink()
+
+    def run(self, name: str, *words: str, otherwise: str) -> bool:
+        """Run a program on the root; False, with the line `otherwise`, if it is not installed.
+
+        Failure if it ends with an error.
+        """
+        if shutil.which(name) is None:
+            click.echo(f"skip {name}: it is not on this machine; {otherwise}")
+            return False
+        command = [name, *(() if self.root == Path("/") else ("--root", str(self.root))), *words]
+        click.echo(f"{self._step('run')} {' '.join(command)}")
+        if not self.is_dry:
+            done = subprocess.run(command, capture_output=True, text=True, check=False)
+            if done.returncode:
+                why = " ".join((done.stderr or done.stdout).split()) or f"code {done.returncode}"
+                raise Failure(f"{' '.join(command)}: {why}", 1)
+        return True
+
+    def manages_services(self) -> bool:
+        """True if the systemd that runs here is that of the root."""
+        return self.root == Path("/") and RUNNING_SYSTEMD.exists()
+
+    def _step(self, verb: str) -> str:
+        return f"would {verb}" if self.is_dry else verb
+
+
+def check_may_write(steps: Steps) -> None:
+    """ConfigError unless this process may change the root."""
+    if not steps.root.is_dir():
+        raise ConfigError(f"--root {steps.root}: no such folder; mount the card, or make it first")
+    if not steps.is_dry and not os.access(steps.within(Path("/etc")), os.W_OK):
+        if os.access(steps.root, os.W_OK) and not steps.within(Path("/etc")).exists():
+            return
+        raise ConfigError(f"{steps.within(Path('/etc'))} cannot be written; run this with sudo")
+
+
+def give_to_service(root: Path = Path("/")) -> bool:
+    """Let the service's account read the daemon's file and use the identities of the machine.
+
+    False if there is no such account below `root`, there is nothing to give, or this process is
+    not root.
+    """
+    account, folder = _account(root), root / CONFIG_FOLDER.relative_to("/")
+    if account is None or not folder.exists() or os.geteuid() != 0:
+        return False
+    user, group = account
+    config = root / CONFIG_FILE.relative_to("/")
+    if config.exists():
+        os.chown(config, 0, group)
+        config.chmod(0o640)
+    for path in _tree(folder / "identities"):
+        os.chown(path, user, group, follow_symlinks=False)
+    return True
+
+
+def _account(root: Path) -> tuple[int, int] | None:
+    """User and group of the service's account; None without one."""
+    passwd = root / "etc/passwd"
+    for line in passwd.read_text().splitlines() if passwd.exists() else ():
+        name, *fields = line.split(":")
+        if name == USER and len(fields) > 2:
+            return int(fields[1]), int(fields[2])
+    return None
+
+
+def _tree(folder: Path) -> Iterator[Path]:
+    """A folder and all in it; nothing if it is absent."""
+    if folder.exists():
+        yield folder
+        yield from folder.rglob("*")

@@ -1,0 +1,175 @@
+"""The behaviours that operators push to a swarm: manifests, their order, and the table of them.
+
+A manifest names code by its SHA-256 and the robots that are to have it. Robots order manifests by
+(generation, issuer). Every robot keeps the table of all manifests, also of those for other robots,
+and merges the tables of its peers into it: two robots that know the same manifests have the same
+table, in any order of arrival. Pure.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import hashlib
+from collections.abc import Collection, Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta, Struct
+
+from swarmd.core.bounds import Name
+from swarmd.core.errors import CodecError
+from swarmd.core.goal import DIGEST_BYTES, LABEL, Target
+
+MAX_CODE = 1024 * 1024
+"""Bytes of one behaviour."""
+MAX_MANIFEST = 8 * 1024
+MAX_TARGETS = 256
+MAX_TABLE = 256
+"""Manifests of a table. Beyond it the oldest removals are forgotten, then the oldest manifests."""
+
+Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
+
+
+class Manifest(Struct, frozen=True, kw_only=True):
+    """One push, or the removal, of a behaviour.
+
+    `targets` empty: all robots. `version` is for people. `digest`: the SHA-256 of the code, `size`
+    its bytes. `value`: `module:Class` of a wheel. `replaces`: it may take the place of a pattern
+    of that name which the robot has by other means.
+    """
+
+    swarm: Id
+    name: Id
+    generation: Annotated[int, Meta(ge=1, le=2**32 - 1)]
+    issuer: Name
+    targets: Annotated[tuple[Target, ...], Meta(max_length=MAX_TARGETS)] = ()
+    kind: Literal["file", "wheel", "removed"]
+    version: Annotated[str, Meta(max_length=32)] = ""
+    digest: Annotated[bytes, Meta(max_length=32)] = b""
+    size: Annotated[int, Meta(ge=0, le=MAX_CODE)] = 0
+    value: Annotated[str, Meta(max_length=256)] = ""
+    replaces: bool = False
+
+    def is_for(self, robot: str, labels: Collection[str]) -> bool:
+        """True if it targets a robot with these labels."""
+        return not self.targets or any(
+            one.removeprefix(LABEL) in labels
+            if one.startswith(LABEL)
+            else fnmatch.fnmatchcase(robot, one)
+            for one in self.targets
+        )
+
+    @property
+    def label(self) -> str:
+        """Such as `flock 2 (ab12cd34)`."""
+        return f"{self.name} {self.version} ({self.digest.hex()[:8]})".replace("  ", " ")
+
+
+class Signed(Struct, frozen=True, array_like=True):
+    """A manifest as its bytes, and its issuer's signature of them; empty without keys."""
+
+    content: Annotated[bytes, Meta(max_length=MAX_MANIFEST)]
+    signature: Annotated[bytes, Meta(max_length=64)] = b""
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """A manifest of the table with its signature."""
+
+    signed: Signed
+    manifest: Manifest = field(compare=False)
+
+    @property
+    def order(self) -> tuple[int, str, bytes, bytes]:
+        """By which manifests are ordered; the greater one holds."""
+        manifest, signed = self.manifest, self.signed
+        return manifest.generation, manifest.issuer, signed.content, signed.signature
+
+    @property
+    def is_removal(self) -> bool:
+        """True for the removal of a behaviour."""
+        return self.manifest.kind == "removed"
+
+    def covers(self, lesser: Entry) -> bool:
+        """True if a lesser entry counts on no robot because of this one."""
+        mine, its = self.manifest, lesser.manifest
+        return mine.name == its.name and (not mine.targets or mine.targets == its.targets)
+
+
+Table = tuple[Entry, ...]
+"""Entries in their order, the greatest first."""
+
+_manifest = msgspec.msgpack.Decoder(Manifest)
+_table = msgspec.msgpack.Decoder(Annotated[tuple[Signed, ...], Meta(max_length=2 * MAX_TABLE)])
+_encoder = msgspec.msgpack.Encoder()
+
+
+def encode_manifest(manifest: Manifest) -> bytes:
+    """The bytes that an operator signs. CodecError beyond MAX_MANIFEST and MAX_TARGETS."""
+    content = _encoder.encode(manifest)
+    if len(content) > MAX_MANIFEST or len(manifest.targets) > MAX_TARGETS:
+        raise CodecError(
+            f"a manifest of {len(content)} bytes for {len(manifest.targets)} targets;"
+            f" at most {MAX_MANIFEST} for {MAX_TARGETS}: use globs"
+        )
+    return content
+
+
+def read_entry(signed: Signed) -> Entry:
+    """The entry of a signed manifest; its signature is not checked. CodecError if malformed."""
+    try:
+        manifest = _manifest.decode(signed.content)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise CodecError(f"a manifest that cannot be read: {error}") from error
+    if manifest.kind != "removed" and len(manifest.digest) != 32:
+        raise CodecError(f"the manifest of {manifest.name} lacks the SHA-256 of its code")
+    return Entry(signed, manifest)
+
+
+def encode_table(table: Iterable[Entry]) -> bytes:
+    """The bytes of a table."""
+    return _encoder.encode([entry.signed for entry in table])
+
+
+def decode_table(content: bytes) -> Table:
+    """The entries in these bytes; signatures are not checked. CodecError if malformed."""
+    try:
+        found = _table.decode(content)
+    except (msgspec.MsgspecError, RecursionError) as error:
+        raise CodecError(f"a table of behaviours that cannot be read: {error}") from error
+    return merged((), (read_entry(signed) for signed in found))
+
+
+def merged(table: Iterable[Entry], others: Iterable[Entry]) -> Table:
+    """The table of two, without entries that a greater one for the same robots covers."""
+    kept: list[Entry] = []
+    for entry in sorted({*table, *others}, key=lambda one: one.order, reverse=True):
+        if not any(greater.covers(entry) for greater in kept):
+            kept.append(entry)
+    while len(kept) > MAX_TABLE:
+        removals = [entry for entry in kept if entry.is_removal]
+        kept.remove(removals[-1] if removals else kept[-1])
+    return tuple(kept)
+
+
+def wanted_by(robot: str, labels: Collection[str], table: Table) -> Mapping[str, Entry]:
+    """What a robot with these labels is to have, by name, removals included."""
+    found: dict[str, Entry] = {}
+    for entry in table:
+        if entry.manifest.is_for(robot, labels):
+            found.setdefault(entry.manifest.name, entry)
+    return found
+
+
+def greatest_generation(table: Table) -> int:
+    """The greatest generation of a table; 0 if it is empty."""
+    return table[0].manifest.generation if table else 0
+
+
+def digest_of(table: Table) -> bytes:
+    """What a beacon shows of a table: its greatest generation and a hash; empty without entries."""
+    if not table:
+        return b""
+    content = hashlib.blake2b(encode_table(table), digest_size=DIGEST_BYTES - 4).digest()
+    return greatest_generation(table).to_bytes(4, "big") + content

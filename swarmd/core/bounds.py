@@ -1,0 +1,29 @@
+"""The types of fields that come from the network or from files, with their bounds.
+
+Every float is bounded, since bounds also refuse NaN and infinity.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+from msgspec import Meta
+
+Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
+Speed = Annotated[float, Meta(ge=-100.0, le=100.0)]
+Count = Annotated[int, Meta(ge=0, le=2**53)]
+Rate = Annotated[float, Meta(ge=0.0, le=1e6)]
+Metres = Annotated[float, Meta(ge=-1e6, le=1e6)]
+Height = Annotated[float, Meta(ge=0.0, le=100.0)]
+Name = Annotated[str, Meta(min_length=1, max_length=63)]
+Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
+Word = Annotated[str, Meta(max_length=64)]
+Line = Annotated[str, Meta(max_length=1000)]
+ReasonText = Annotated[str, Meta(max_length=256)]
+BoundedScalar = (
+    bool
+    | Annotated[int, Meta(ge=-(2**53), le=2**53)]
+    | Annotated[float, Meta(ge=-1e300, le=1e300)]
+    | Annotated[str, Meta(max_length=256)]
+)
+ParamValues = dict[Word, BoundedScalar | None]

@@ -1,0 +1,194 @@
+"""The goal of a swarm: which robots are to run which pattern. One record, without a coordinator.
+
+Robots and operators order goals by (generation, issuer): the greater goal holds everywhere,
+in any order of arrival. A goal is signed by its operator where keys are in force.
+"""
+
+from __future__ import annotations
+
+import fnmatch
+import hashlib
+from collections.abc import Collection
+from enum import StrEnum
+from typing import Annotated, Literal, NamedTuple
+
+import msgspec
+from msgspec import Meta, Struct
+
+from swarmd.core.bounds import Line, Name, ParamValues, Seconds, Word
+from swarmd.core.errors import CodecError
+
+MAX_GOAL = 1000  # bytes with the signature, so that a datagram carries it
+MAX_UNSIGNED = 2**31
+"""The greatest generation of a goal without a signature, where keys are in force: a robot that was
+taken over stops the swarm by such goals, and an operator can set a greater one."""
+DIGEST_BYTES = 6
+Digest = Annotated[bytes, Meta(max_length=DIGEST_BYTES)]
+LABEL = "label:"
+MAX_LABELS = 32
+
+Target = Annotated[str, Meta(min_length=1, max_length=70)]
+"""A robot's name, a shell-style pattern of names, or `label:` and a label."""
+Validity = Annotated[float, Meta(gt=0.0, le=1e7)]
+
+
+class Goal(Struct, frozen=True, kw_only=True):
+    """What robots are to do.
+
+    `issuer`: the operator. `id`: of the request that set it. `targets` empty: all robots.
+    `pattern` None: the robots stand. `seconds` and `conditions` end a run, as those of
+    `RunRequest`. `on_join`: what a robot does that finds this goal later: `offer` shows it, `run`
+    runs it while the goal is younger than `valid` seconds. `lease`: seconds without its operator
+    after which the run ends. `signature`: of the bytes of the goal without it.
+    """
+
+    generation: Annotated[int, Meta(ge=1, le=2**32 - 1)]
+    issuer: Name
+    id: Name
+    targets: tuple[Target, ...] = ()
+    pattern: Name | None = None
+    params: ParamValues = {}
+    seconds: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
+    conditions: tuple[Word, ...] = ()
+    on_join: Literal["offer", "run"] = "offer"
+    valid: Validity | None = None
+    lease: Annotated[float, Meta(ge=1.0, le=3600.0)] | None = None
+    signature: Annotated[bytes, Meta(max_length=64)] = b""
+
+    @property
+    def text(self) -> str:
+        """Such as `goal 7 of bob: flocking`."""
+        return f"goal {self.generation} of {self.issuer}: {self.pattern or 'stand'}"
+
+    @property
+    def order(self) -> tuple[int, str]:
+        """By which goals are ordered; the greater one holds."""
+        return self.generation, self.issuer
+
+    def is_for(self, robot: str, labels: Collection[str]) -> bool:
+        """True if it targets a robot with these labels."""
+        return not self.targets or any(
+            one.removeprefix(LABEL) in labels
+            if one.startswith(LABEL)
+            else fnmatch.fnmatchcase(robot, one)
+            for one in self.targets
+        )
+
+
+class GoalState(StrEnum):
+    """What a robot does about its own goal."""
+
+    LOADING = "loading"
+    RUNNING = "running"
+    STANDING = "standing"  # the goal has no pattern
+    OFFERED = "offered"  # found and not run; `resume` takes it
+    ENDED = "ended"  # its run has ended, or did not begin; `resume` takes it again
+
+
+class GoalRecord(Struct, frozen=True, kw_only=True):
+    """What a robot keeps on disk: its goals, why the run of its own ended, and its labels.
+
+    `ended` empty: it ran, or was offered. `may_join`: no stop or reset came since. `before`: the
+    goal that the held one replaced. `labels` None: those of the swarm file.
+    """
+
+    held: Goal | None = None
+    own: Goal | None = None
+    before: Goal | None = None
+    ended: Line = ""
+    may_join: bool = True
+    labels: Annotated[tuple[Word, ...], Meta(max_length=MAX_LABELS)] | None = None
+
+
+class KnownGoal(Struct, frozen=True, kw_only=True):
+    """A goal as a robot knows it; `digest` is in hex.
+
+    `age`: s since it was set, as handed on from robot to robot; None after a restart, until a peer
+    tells it.
+    """
+
+    goal: Goal
+    digest: Word
+    age: Seconds | None
+
+
+class GoalStatus(Struct, frozen=True, kw_only=True):
+    """The goals of a robot, for its status.
+
+    `held`: the greatest goal that it has seen. `own`: the greatest goal for this robot, and
+    `state` what it does about it; both are None before there is one. `reason`: why it does not do
+    what its own goal wants, empty if it does; `superseded`: the goal that ended its last run, such
+    as `goal 7 of bob: flocking`. `lease_left`: s until the run ends if its operator is not heard.
+    `before`: the goal that the held one replaced, with another id.
+    """
+
+    held: KnownGoal | None = None
+    before: Goal | None = None
+    own: KnownGoal | None = None
+    state: GoalState | None = None
+    reason: Line = ""
+    superseded: Line = ""
+    lease_left: Seconds | None = None
+
+
+_decoder = msgspec.msgpack.Decoder(Goal)
+_encoder = msgspec.msgpack.Encoder()
+
+
+def encode_goal(goal: Goal) -> bytes:
+    """The bytes of a goal. CodecError if they exceed MAX_GOAL."""
+    content = _encoder.encode(goal)
+    if len(content) > MAX_GOAL:
+        raise CodecError(f"a goal of {len(content)} bytes; at most {MAX_GOAL}: use fewer targets")
+    return content
+
+
+def signed_part(goal: Goal) -> bytes:
+    """The bytes that an operator signs."""
+    return _encoder.encode(msgspec.structs.replace(goal, signature=b""))
+
+
+def decode_goal(content: bytes) -> Goal:
+    """The goal in these bytes. CodecError if it is malformed or too long."""
+    if len(content) > MAX_GOAL:
+        raise CodecError(f"a goal of {len(content)} bytes; at most {MAX_GOAL}")
+    try:
+        return _decoder.decode(content)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise CodecError(str(error)) from error
+
+
+def digest_of(goal: Goal | None) -> bytes:
+    """What a beacon shows: the generation (4 bytes) and a hash (2 bytes); empty without a goal."""
+    if goal is None:
+        return b""
+    content = hashlib.blake2b(_encoder.encode(goal), digest_size=DIGEST_BYTES - 4).digest()
+    return goal.generation.to_bytes(4, "big") + content
+
+
+class HeldGoal(NamedTuple):
+    """A goal with its bytes and digest. `issued`: s on the own clock; None: age unknown."""
+
+    goal: Goal
+    content: bytes
+    digest: bytes
+    issued: float | None
+
+    @classmethod
+    def of(cls, goal: Goal, issued: float | None) -> HeldGoal:
+        """A goal that was set at `issued`. CodecError if it exceeds MAX_GOAL."""
+        return cls(goal, encode_goal(goal), digest_of(goal), issued)
+
+    @property
+    def order(self) -> tuple[int, str, bytes]:
+        """By which goals are ordered, also two of one generation and issuer."""
+        return *self.goal.order, self.content
+
+    def age(self, now: float) -> float | None:
+        """Seconds since it was set, if they are known."""
+        return None if self.issued is None else max(now - self.issued, 0.0)
+
+
+def generation_of(digest: bytes) -> int:
+    """The generation in a digest; 0 without a goal."""
+    return int.from_bytes(digest[:4], "big") if len(digest) == DIGEST_BYTES else 0

@@ -1,0 +1,61 @@
+"""The last lines of a daemon's log and of what its pattern printed, for operators that ask. Pure.
+
+Bounded in lines, in their length and in their rate, so that a flood costs little and hides little.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from collections.abc import Iterable
+
+from swarmd.core.token_bucket import TokenBucket
+from swarmd.core.tool_messages import LOG_PAGE, MAX_LOG_LINE, LogRecord, LogsQuery
+
+CAPACITY = 1000
+RATE, BURST = 50.0, 200.0  # lines a second and at once, of each source
+MAX_SOURCES = 64
+
+
+class LogRing:
+    """The last CAPACITY records; any thread may add one. Times in s, handed in."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._records: deque[LogRecord] = deque(maxlen=CAPACITY)
+        self._budgets: dict[str, TokenBucket] = {}
+        self.last = 0
+        """The number of the latest record."""
+        self.left_out = 0
+        """Lines that came too fast to be kept."""
+
+    def add(self, now: float, level: int, source: str, text: str) -> None:
+        """Keep a record, cut to MAX_LOG_LINE and in one line, if its rate allows it."""
+        with self._lock:
+            if source not in self._budgets and len(self._budgets) >= MAX_SOURCES:
+                self._budgets.clear()
+            budget = self._budgets.setdefault(source, TokenBucket(RATE, BURST))
+            if not budget.take(1.0, now):
+                self.left_out += 1
+                return
+            line = "".join(char if char.isprintable() else " " for char in text[:MAX_LOG_LINE])
+            self.last += 1
+            self._records.append(LogRecord(self.last, now, level, source[:64], line))
+
+    def since(self, seq: int) -> list[LogRecord]:
+        """The records after the one numbered `seq`, at most LOG_PAGE: the latest ones."""
+        with self._lock:
+            found = [one for one in self._records if one.seq > seq]
+        return found[-LOG_PAGE:]
+
+    def matching(self, query: LogsQuery) -> list[LogRecord]:
+        """The last records that a query asks for."""
+        with self._lock:
+            found = list(self._records)
+        return list(matching(found, query.level, query.grep))[-query.count :]
+
+
+def matching(records: Iterable[LogRecord], level: int, grep: str) -> Iterable[LogRecord]:
+    """The records of at least a level that hold a text, in any case."""
+    wanted = grep.casefold()
+    return (one for one in records if one.level >= level and wanted in one.text.casefold())

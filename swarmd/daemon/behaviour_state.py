@@ -1,0 +1,296 @@
+"""Which pushed behaviours a robot knows, has and trusts: table and versions, kept on the disk."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass
+from typing import Protocol
+
+from msgspec.structs import replace
+
+from swarmd.core.behaviour import (
+    Entry,
+    Manifest,
+    Signed,
+    Table,
+    digest_of,
+    greatest_generation,
+    read_entry,
+    wanted_by,
+)
+from swarmd.core.errors import CodecError
+from swarmd.core.messages import (
+    BehaviourReport,
+    BehavioursReply,
+    Epoch,
+    ReloadRequest,
+    Reply,
+)
+from swarmd.daemon.behaviour_files import BehaviourFiles
+from swarmd.plugins import Origin
+from swarmd.robot.pushed_code import PushedCode, Version
+from swarmd.security.roster import is_signed_by
+
+log = logging.getLogger(__name__)
+
+Operators = Mapping[str, bytes]
+"""The public keys of operators by name."""
+
+
+class RobotControl(Protocol):
+    """What the store asks of the daemon; all on its loop."""
+
+    def try_code(self, request: ReloadRequest) -> None:
+        """Hand a reload to the robot; its reply comes to `BehaviourStore.on_reply`."""
+
+    def code_changed(self) -> None:
+        """Let the next run have a fresh pattern host."""
+
+    def reply(self, reply: Reply) -> None:
+        """Answer a push."""
+
+    def event(self, text: str) -> None:
+        """A line for the robot's events and its log."""
+
+    def epoch(self) -> Epoch:
+        """The robot's present epoch."""
+
+    def labels(self) -> Collection[str]:
+        """The robot's present labels."""
+
+    def own_patterns(self) -> Mapping[str, Origin]:
+        """The patterns that the robot has by other means."""
+
+
+@dataclass(frozen=True, slots=True)
+class Candidate:
+    """Code that is being tried, for the request `id`."""
+
+    id: str
+    entry: Entry
+    version: Version
+    is_accepted: bool = False
+
+
+class BehaviourState:
+    """The pushed behaviours of `robot`. `operators` None: code needs no signature.
+
+    Else code without a signature of these operators is neither stored nor loaded. Patterns of
+    packages and of `plugin_dir` are the owner's and need no signature. `candidate`: code in its
+    trial. `pinned`: what the last run of each name began with.
+    """
+
+    def __init__(
+        self,
+        files: BehaviourFiles,
+        robot: str,
+        swarm: str,
+        operators: Callable[[], Operators | None],
+        control: RobotControl,
+    ) -> None:
+        self.files = files
+        self.robot, self.swarm = robot, swarm
+        self.operators = operators
+        self.control = control
+        self.table: Table = ()
+        self.versions: dict[str, PushedCode] = {}
+        self.digest = b""
+        self.changes = 0  # of the table or the versions
+        self.candidate: Candidate | None = None
+        self.pinned: dict[str, Version] = {}
+
+    # On the disk
+
+    async def open(self) -> None:
+        """Read what is on the disk, and check it; call it once, before the robot may run."""
+        table, versions = await asyncio.to_thread(self.files.read)
+        if not table and not versions:
+            return
+        foreign, checked = await asyncio.to_thread(self._check, table, versions)
+        self.set_table(tuple(entry for entry in table if entry not in foreign))
+        for name, code in versions.items():
+            if code.current is not None and not self._is_whole(code.current):
+                self.control.event(f"{name}: the file of {code.current.label} is damaged")
+        self.versions = {name: code.restarted() for name, code in checked.items()}
+        for name, code in self.versions.items():
+            if code.failed is not None and code.failed != versions[name].failed:
+                self.tell_of_return(name, code)
+        self.save()
+        await asyncio.to_thread(self.files.prune, self.in_use())
+
+    def save(self) -> bool:
+        """Write all to the disk; False, with a line in the log, if that fails."""
+        self.changes += 1
+        try:
+            self.files.write(self.table, self.versions)
+        except OSError as error:
+            log.error("%s cannot be written (%s)", self.files.folder, error)
+            return False
+        return True
+
+    def in_use(self) -> set[tuple[str, bytes]]:
+        """Names and digests of the code that may be loaded."""
+        found = {
+            (name, version.digest)
+            for name, code in self.versions.items()
+            for version in (code.current, code.before)
+            if version is not None
+        }
+        return found | {(name, version.digest) for name, version in self.pinned.items()}
+
+    # Trust
+
+    async def check_again(self) -> None:
+        """The roster has changed: code that its operators did not sign is not loaded any more."""
+        versions = dict(self.versions)
+        foreign, checked = await asyncio.to_thread(self._check, self.table, versions)
+        self.set_table(tuple(entry for entry in self.table if entry not in foreign))
+        for name, code in checked.items():
+            if code != versions[name] and self.versions.get(name) == versions[name]:
+                self.versions[name] = code
+                self.pinned.pop(name, None)
+                if code.failed is not None:
+                    self.tell_of_return(name, code)
+                self.control.code_changed()
+        self.save()
+
+    def _check(
+        self, table: Table, versions: Mapping[str, PushedCode]
+    ) -> tuple[set[Entry], dict[str, PushedCode]]:
+        """In a thread: the entries that are not trusted, and the versions that may be loaded."""
+        foreign = {entry for entry in table if not self.is_trusted(entry)}
+        return foreign, {name: self._checked(code) for name, code in versions.items()}
+
+    def _checked(self, code: PushedCode) -> PushedCode:
+        """Without versions whose files are damaged or that no operator of the roster signed.
+
+        Damaged code is missing: it is pulled from another robot.
+        """
+        current, before = code.current, code.before
+        if before is not None and not (self._is_signed(before) and self._is_whole(before)):
+            before = None
+        if current is not None and not self._is_signed(current):
+            fault = "no operator of the roster has signed it"
+            return PushedCode(current=before, failed=current, fault=fault)
+        if current is not None and not self._is_whole(current):
+            return PushedCode(current=before)
+        return replace(code, before=before)
+
+    def _is_signed(self, version: Version) -> bool:
+        try:
+            return self.is_trusted(read_entry(version.signed))
+        except CodecError:
+            return False
+
+    def _is_whole(self, version: Version) -> bool:
+        try:
+            manifest = read_entry(version.signed).manifest
+        except CodecError:
+            return False
+        return self.files.code(manifest.name, manifest.digest) is not None
+
+    def is_trusted(self, entry: Entry) -> bool:
+        """True if an operator of the roster has signed it, or without keys; takes some 4 ms."""
+        operators, manifest = self.operators(), entry.manifest
+        if manifest.swarm != self.swarm:
+            return False
+        if operators is None:
+            return True
+        key, signed = operators.get(manifest.issuer), entry.signed
+        return key is not None and is_signed_by(key, signed.content, signed.signature)
+
+    # What is here
+
+    def set_table(self, table: Table) -> None:
+        """Replace the table."""
+        self.changes += 1
+        self.table, self.digest = table, digest_of(table)
+
+    def wanted(self) -> Mapping[str, Entry]:
+        """What this robot is to have, by name, removals included."""
+        return wanted_by(self.robot, self.control.labels(), self.table)
+
+    def has(self, entry: Entry) -> bool:
+        """True if the code of an entry is the current one."""
+        code = self.versions.get(entry.manifest.name)
+        current = None if code is None else code.current
+        return current is not None and current.digest == entry.manifest.digest
+
+    def is_taken(self, manifest: Manifest) -> bool:
+        """True if the robot has a pattern of that name by other means, which is not replaced."""
+        if manifest.replaces or manifest.kind == "removed":
+            return False
+        return manifest.name in self.control.own_patterns()
+
+    def note_failed(self, entry: Entry, version: Version, text: str) -> None:
+        """Note that a version did not pass: the same push is not tried again."""
+        name = entry.manifest.name
+        self.versions[name] = self.versions.get(name, PushedCode()).refuse(version, text)
+        self.save()
+        self.control.event(f"{entry.manifest.label} is refused: {text}")
+
+    def tell_of_return(self, name: str, code: PushedCode) -> None:
+        """An event for the return from a version."""
+        assert code.failed is not None
+        to = "nothing pushed" if code.current is None else code.current.label
+        self.control.event(f"{name}: returned from {code.failed.label} to {to}: {code.fault}")
+
+    def missing(self) -> list[Entry]:
+        """The behaviours that this robot is to have and does not have."""
+        found = []
+        for name, entry in self.wanted().items():
+            if entry.is_removal or not self.versions.get(name, PushedCode()).lacks(entry):
+                continue
+            if self.is_taken(entry.manifest):
+                text = f"the robot has a pattern {name!r} of its own"
+                self.note_failed(entry, Version.of(entry, "another robot"), text)
+            else:
+                found.append(entry)
+        return found
+
+    def report(self) -> BehavioursReply:
+        """All pushed behaviours, for operators."""
+        wanted = self.wanted()
+        rows = []
+        for name in sorted({*self.versions, *wanted}):
+            entry, code = wanted.get(name), self.versions.get(name)
+            if code is None and entry is not None and entry.is_removal:
+                continue
+            rows.append(_report(name, entry, code or PushedCode()))
+        newest = self.table[0].signed if self.table else Signed(b"")
+        return BehavioursReply(
+            robot=self.robot,
+            generation=greatest_generation(self.table),
+            behaviours=tuple(rows),
+            newest=newest.content,
+            signature=newest.signature,
+        )
+
+    def shared_code(self, digest: str) -> bytes | None:
+        """The code with that SHA-256, for other robots; it is called in a thread."""
+        for name, code in list(self.versions.items()):
+            current = code.current
+            if current is not None and current.digest.hex() == digest:
+                return self.files.code(name, current.digest)
+        return None
+
+
+def _report(name: str, entry: Entry | None, code: PushedCode) -> BehaviourReport:
+    current, manifest = code.current, None if entry is None else entry.manifest
+    is_missing = entry is not None and not entry.is_removal and code.lacks(entry)
+    used = None if current is None else read_entry(current.signed).manifest
+    shown = used or manifest
+    return BehaviourReport(
+        name=name,
+        standing="missing" if is_missing else str(code.standing),
+        version="" if used is None else used.version,
+        digest="" if used is None else used.digest.hex()[:12],
+        pushed="" if manifest is None else manifest.digest.hex()[:12],
+        ran=0.0 if current is None else current.ran,
+        source="" if current is None else current.source,
+        issuer="" if shown is None else shown.issuer,
+        generation=0 if shown is None else shown.generation,
+        text=code.fault,
+    )

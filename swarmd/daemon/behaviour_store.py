@@ -1,0 +1,249 @@
+"""Takes behaviours that operators push or peers have: checked, written, tried, and then current.
+
+Code becomes current in this order: its signature and SHA-256 are checked and its files written in
+a thread; the robot tries it in a host of its own, as for a reload; with the success of the trial
+the new version is on the disk before the robot acts on it. No run starts or stops by a push,
+but that of a valid goal which the robot could not join without the code; see `robot/goals.py`.
+`behaviour_sync.py` pulls what other robots have.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from collections.abc import Collection, Coroutine
+
+from msgspec.structs import replace
+
+from swarmd.core.behaviour import Entry, Signed, merged, read_entry
+from swarmd.core.errors import CodecError, PluginError
+from swarmd.core.host_messages import HostEvent, TrialDone
+from swarmd.core.messages import Code, Epoch, PushRequest, Refusal, ReloadRequest, Reply
+from swarmd.daemon.behaviour_state import BehaviourState, Candidate
+from swarmd.robot.pushed_code import PushedCode, Version
+
+MAX_QUEUE = 4
+MAX_UPLOADS = 2  # behaviours of which pieces are kept
+# Refusals that say nothing about the code: the same push may succeed later.
+_PASSING = frozenset({Refusal.BUSY, Refusal.OVERTAKEN, Refusal.STALE_EPOCH})
+
+
+class BehaviourStore:
+    """Takes behaviours into `state`, one at a time."""
+
+    def __init__(self, state: BehaviourState) -> None:
+        self._state = state
+        self._uploads: dict[bytes, bytearray] = {}
+        self._tasks: set[asyncio.Task[None]] = set()
+        self._is_taking = False
+        self._queue: deque[tuple[Entry, bytes, str, PushRequest | None]] = deque()
+
+    def check_again(self) -> None:
+        """The roster has changed: check all code again."""
+        self._start(self._state.check_again())
+
+    def close(self) -> None:
+        """Note that the daemon ends in order: its runs do not count against provisional code."""
+        self._queue.clear()
+        for task in self._tasks:
+            task.cancel()
+        if any(code.is_running for code in self._state.versions.values()):
+            self._state.versions = {name: code.end() for name, code in self._state.versions.items()}
+            self._state.save()
+
+    def _start(self, work: Coroutine[None, None, None]) -> None:
+        task = asyncio.get_running_loop().create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    # Pushes
+
+    def push(self, request: PushRequest) -> Reply | None:
+        """Take a piece of a behaviour; None if the reply follows."""
+        try:
+            entry = read_entry(Signed(request.content, request.signature))
+        except CodecError as error:
+            return self._refused(request.id, Refusal.INVALID_REQUEST, str(error))
+        if fault := self._refusal_of(entry):
+            return self._refused(request.id, *fault)
+        manifest = entry.manifest
+        code = self._uploads.setdefault(manifest.digest, bytearray())
+        while len(self._uploads) > MAX_UPLOADS:
+            del self._uploads[next(iter(self._uploads))]
+        if request.offset > len(code) or len(code) > manifest.size:
+            self._uploads.pop(manifest.digest, None)
+            text = "a piece of the behaviour is missing; push it again"
+            return self._refused(request.id, Refusal.INVALID_REQUEST, text)
+        code[request.offset :] = request.data
+        if len(code) < manifest.size:
+            text = f"has {len(code)} of {manifest.size} bytes"
+            return Reply(id=request.id, robot=self._state.robot, code=Code.APPLIED, text=text)
+        if len(self._queue) >= MAX_QUEUE:
+            text = "other behaviours are being tried"
+            return self._refused(request.id, Refusal.BUSY, text)
+        del self._uploads[manifest.digest]
+        self.take(entry, bytes(code), f"push of {request.operator}", request)
+        return None
+
+    def _refusal_of(self, entry: Entry) -> tuple[Refusal, str] | None:
+        """Why this robot does not take it, as far as that shows at once."""
+        manifest, operators = entry.manifest, self._state.operators()
+        if manifest.swarm != self._state.swarm:
+            return Refusal.NOT_SIGNED, f"it is for swarm {manifest.swarm!r}"
+        if operators is not None and not operators:
+            text = "this swarm has no keys, without which code is taken in profile dev only"
+            return Refusal.NOT_SIGNED, text
+        if operators is not None and manifest.issuer not in operators:
+            return Refusal.NOT_SIGNED, f"{manifest.issuer} is no operator of the roster"
+        if not manifest.is_for(self._state.robot, self._state.control.labels()):
+            return Refusal.INVALID_REQUEST, f"{manifest.label} is not for this robot"
+        if entry not in merged(self._state.table, [entry]):
+            text = f"a push of {manifest.name} that is newer came first; push again"
+            return Refusal.OVERTAKEN, text
+        if self._state.is_taken(manifest):
+            text = f"the robot has a pattern {manifest.name!r} of its own; see --replace"
+            return Refusal.NAME_TAKEN, text
+        return None
+
+    def take(
+        self, entry: Entry, code: bytes, source: str, request: PushRequest | None = None
+    ) -> None:
+        """Check, write and try code, or carry out a removal; `request` is answered, if any.
+
+        It waits for others: a robot may be pulling from a peer what its operator is about to push.
+        """
+        self._queue.append((entry, code, source, request))
+        self._take_next()
+
+    def _take_next(self) -> None:
+        if self._queue and not self.is_busy:
+            self._is_taking = True
+            self._start(self._take(*self._queue.popleft()))
+
+    @property
+    def is_busy(self) -> bool:
+        """True while a behaviour is checked, written or tried."""
+        return self._is_taking or self._state.candidate is not None
+
+    async def _take(
+        self, entry: Entry, code: bytes, source: str, request: PushRequest | None
+    ) -> None:
+        id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
+        is_rerun = request is not None and request.is_rerun
+        fault = self._refusal_of(entry)  # again: it may have waited
+        try:
+            await asyncio.to_thread(self._state.files.prune, self._state.in_use())
+            fault = fault or await asyncio.to_thread(self._write_checked, entry, code)
+        finally:
+            self._is_taking = False
+        if fault is not None:
+            refusal, text = fault
+            if refusal is Refusal.PATTERN_FAILED:
+                self._state.note_failed(entry, Version.of(entry, source), text)
+            self._state.control.reply(self._refused(id, refusal, text))
+        elif entry.is_removal or (self._state.has(entry) and not is_rerun):
+            self._state.control.reply(self._adopt(id, entry))
+        else:
+            self._try(id, entry, Version.of(entry, source), request)
+        self._take_next()
+
+    def _write_checked(self, entry: Entry, code: bytes) -> tuple[Refusal, str] | None:
+        """In a thread: check the signature, then write the code; why it is refused, if it is."""
+        if not self._state.is_trusted(entry):
+            text = f"{entry.manifest.label} is not signed by {entry.manifest.issuer}"
+            return Refusal.NOT_SIGNED, text
+        try:
+            if not entry.is_removal and not self._state.has(entry):
+                self._state.files.add(entry.manifest, code)
+        except PluginError as error:
+            return Refusal.PATTERN_FAILED, str(error)
+        except OSError as error:
+            return Refusal.BUSY, f"{entry.manifest.label} cannot be written: {error.strerror}"
+        return None
+
+    def _adopt(self, id: str, entry: Entry) -> Reply:
+        """Take a manifest that needs no trial: a removal, or a newer one of the current code."""
+        name, before = entry.manifest.name, (self._state.table, dict(self._state.versions))
+        self._state.set_table(merged(self._state.table, [entry]))
+        if entry.is_removal:
+            removed = self._state.versions.pop(name, None)
+            text = f"{name} is removed" if removed is not None else f"had no pushed {name}"
+        else:
+            code = self._state.versions[name].accept(Version.of(entry, ""))
+            self._state.versions[name] = code
+            text = f"has {entry.manifest.label} already: {code.standing}"
+        if not self._state.save():
+            self._state.set_table(before[0])
+            self._state.versions = before[1]
+            text = "it cannot be written to the disk; see the log"
+            return Reply(id=id, robot=self._state.robot, code=Code.FAILED, text=text)
+        if entry.is_removal:
+            self._state.control.event(f"{text}, by {entry.manifest.issuer}")
+            self._state.control.code_changed()
+        return Reply(id=id, robot=self._state.robot, code=Code.APPLIED, text=text)
+
+    def _try(self, id: str, entry: Entry, version: Version, request: PushRequest | None) -> None:
+        self._state.candidate = Candidate(id, entry, version)
+        targets: dict[str, Epoch | None] = {self._state.robot: self._state.control.epoch()}
+        is_rerun = False
+        if request is not None and request.is_rerun:  # else nothing moves, whatever the epoch
+            targets, is_rerun = request.targets, True
+        self._state.control.try_code(
+            ReloadRequest(
+                id=id,
+                operator=entry.manifest.issuer if request is None else request.operator,
+                targets=targets,
+                pattern=entry.manifest.name,
+                is_rerun=is_rerun,
+                keeps_running=not is_rerun,
+            )
+        )
+
+    def on_event(self, event: HostEvent) -> HostEvent:
+        """An event of the pattern host, before the robot has it: a trial's success is stored."""
+        candidate = self._state.candidate
+        if candidate is None or not isinstance(event, TrialDone) or event.text:
+            return event
+        entry, name = candidate.entry, candidate.entry.manifest.name
+        before = self._state.table, dict(self._state.versions)
+        self._state.versions[name] = self._state.versions.get(name, PushedCode()).accept(
+            candidate.version
+        )
+        self._state.set_table(merged(self._state.table, [entry]))
+        if not self._state.save():
+            self._state.set_table(before[0])
+            self._state.versions = before[1]
+            return TrialDone(event.generation, "it cannot be written to the disk", Refusal.BUSY)
+        self._state.candidate = Candidate(candidate.id, entry, candidate.version, is_accepted=True)
+        self._state.control.event(
+            f"{entry.manifest.label} is provisional, from {candidate.version.source}"
+        )
+        return event
+
+    def on_reply(self, reply: Reply) -> Reply:
+        """A reply of the robot: that to a trial ends it, and gets the standing as its text."""
+        candidate = self._state.candidate
+        if candidate is None or reply.id != candidate.id:
+            return reply
+        self._state.candidate = None
+        asyncio.get_running_loop().call_soon(self._take_next)
+        label = candidate.entry.manifest.label
+        if candidate.is_accepted:
+            return replace(reply, text=f"{label} is provisional; {reply.text}"[:300])
+        if reply.refusal not in _PASSING:
+            self._state.note_failed(candidate.entry, candidate.version, reply.text)
+        return reply
+
+    def _refused(self, id: str, refusal: Refusal, text: str) -> Reply:
+        text = text[:300]
+        return Reply(id=id, robot=self._state.robot, code=Code.REFUSED, refusal=refusal, text=text)
+
+    def merge(self, entries: Collection[Entry]) -> None:
+        """Take manifests of other robots, which are trusted, and carry out removals."""
+        self._state.set_table(merged(self._state.table, entries))
+        for name, entry in self._state.wanted().items():
+            if (entry.is_removal and name in self._state.versions) or (
+                self._state.has(entry) and self._state.versions[name].lacks(entry)
+            ):
+                self._adopt("", entry)
+        self._state.save()

@@ -1,0 +1,223 @@
+"""What operators may ask of a robot to look after it: audit log, logs, links and doctor.
+
+These questions change nothing. What needs a disk or takes time runs in threads.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+import math
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import msgspec
+
+from swarmd.core.clock import boottime, clock_id
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import CodecError
+from swarmd.core.kernels import describe_kernels
+from swarmd.core.log_ring import LogRing
+from swarmd.core.machine import measure_machine
+from swarmd.core.messages import KeySummary
+from swarmd.core.threads import hand_over
+from swarmd.core.tool_messages import (
+    LOG_PAGE,
+    AuditEntry,
+    AuditQuery,
+    AuditReply,
+    DoctorReply,
+    LinkReport,
+    LinksQuery,
+    LinksReply,
+    LogBatch,
+    LogRecord,
+    LogsQuery,
+    MachineFacts,
+    NetworkFacts,
+)
+from swarmd.daemon.audit import MIN_WALL
+from swarmd.daemon.audit_log import AuditLog
+from swarmd.daemon.log_capture import LogCapture
+from swarmd.daemon.network import Network
+from swarmd.daemon.threaded_answers import ThreadedAnswers
+from swarmd.network.bus import Query, ZenohBus
+from swarmd.network.machine_network import measure_network
+from swarmd.settings.settings import DaemonSettings
+
+MAX_LINKS = 512  # in an answer
+MAX_PINGS = 20  # round trips that one question measures
+PUBLISH_PERIOD = 0.2  # s between two batches of records
+MAX_BATCH = 48 * 1024  # bytes of records in a batch or an answer
+CACHE_TIME = 2.0  # s for which facts of the machine are not measured again
+
+log = logging.getLogger(__name__)
+
+_audit, _logs, _links = Decoder(AuditQuery), Decoder(LogsQuery), Decoder(LinksQuery)
+
+
+class FieldTools:
+    """The answers of one daemon, whose life is `instance`; `version` is that of its package.
+
+    `keys` are those that it has now. `audit` is its audit log. `storage`: why latches would be lost
+    by a restart, as in `Health`.
+    """
+
+    def __init__(
+        self,
+        settings: DaemonSettings,
+        instance: str,
+        network: Network,
+        *,
+        version: str,
+        keys: Callable[[], KeySummary | None],
+    ) -> None:
+        self._settings, self._instance, self._network = settings, instance, network
+        self._version, self._keys = version, keys
+        self._loop = asyncio.get_running_loop()
+        self._answers = ThreadedAnswers(self._loop, network.drop)
+        self._ring = LogRing()
+        self._capture = LogCapture(self._ring)
+        self._published = 0
+        self._publish_at = 0.0
+        self._pinged = 0
+        self._measuring = threading.Lock()
+        self._measured_at = -math.inf
+        self._facts: tuple[MachineFacts, NetworkFacts]
+        self.storage = ""
+        folder = settings.state_dir / settings.network.swarm / settings.id
+        self.audit = AuditLog(
+            folder, lambda text: hand_over(self._loop, self._on_audit_event, text)
+        )
+
+    def serve(self, bus: ZenohBus) -> None:
+        """Answer on a bus that was opened, the first one or a later one."""
+        self._answers.serve(bus, "audit", self._read_audit)
+        bus.serve("control", "logs", self._on_logs)
+        bus.serve("control", "links", self._on_links)
+        bus.serve("control", "doctor", self._on_doctor)
+
+    def advance(self, now: float) -> None:
+        """Publish new records to subscribers; the daemon's tick calls this."""
+        if now < self._publish_at or self._ring.last == self._published:
+            return
+        self._publish_at = now + PUBLISH_PERIOD
+        since, self._published = self._published, self._ring.last
+        self._network.publish("log", lambda: encode(self._batch(self._ring.since(since))))
+
+    def close(self) -> None:
+        """Write what the audit log has to write, and keep no more records."""
+        self.audit.close()
+        self._capture.close()
+
+    # Audit
+
+    def _on_audit_event(self, text: str) -> None:
+        log.warning("%s", text)
+
+    def _read_audit(self, payload: bytes) -> bytes:
+        now, clock, wall = boottime(), clock_id(), time.time()
+
+        def age_of(entry: AuditEntry) -> float | None:
+            if entry.clock == clock:
+                return max(now - entry.boot, 0.0)
+            is_known = entry.wall is not None and wall >= MIN_WALL
+            return max(wall - (entry.wall or 0.0), 0.0) if is_known else None
+
+        entries, has_more = self.audit.read(_audit(payload), age_of)
+        return encode(
+            AuditReply(
+                robot=self._settings.id,
+                entries=tuple(entries),
+                ages=tuple(map(age_of, entries)),
+                has_more=has_more,
+                fault=self.audit.fault[:1000],
+            )
+        )
+
+    # Logs
+
+    def _on_logs(self, query: Query) -> None:
+        try:
+            asked = _logs(query.payload)
+        except CodecError:
+            self._network.drop("control/logs:malformed")
+            query.drop()
+            return
+        query.reply(encode(self._batch(self._ring.matching(asked))))
+
+    def _batch(self, records: list[LogRecord]) -> LogBatch:
+        """The newest records that fit."""
+        room, first = MAX_BATCH, max(len(records) - LOG_PAGE, 0)
+        for number in range(len(records) - 1, first - 1, -1):
+            room -= len(records[number].text.encode()) + 64
+            if room < 0:
+                first = number + 1
+                break
+        return LogBatch(
+            robot=self._settings.id,
+            instance=self._instance,
+            now=boottime(),
+            last=self._ring.last,
+            records=tuple(records[first:]),
+            left_out=self._ring.left_out,
+        )
+
+    # Links
+
+    def _on_links(self, query: Query) -> None:
+        try:
+            asked = _links(query.payload)
+        except CodecError:
+            self._network.drop("control/links:malformed")
+            query.drop()
+            return
+        links = sorted(self._network.links(), key=lambda link: link[1].age)
+        if asked.measures and links:
+            names = [robot for robot, _, _ in sorted(links)]
+            first = self._pinged % len(names)
+            self._network.ping((names[first:] + names[:first])[:MAX_PINGS])
+            self._pinged = first + MAX_PINGS
+        reports = tuple(
+            LinkReport(robot, one.received, one.lost, one.age, one.round_trip, ways)
+            for robot, one, ways in links[:MAX_LINKS]
+        )
+        unlisted = max(len(links) - MAX_LINKS, 0)
+        query.reply(encode(LinksReply(robot=self._settings.id, links=reports, unlisted=unlisted)))
+
+    # Doctor
+
+    def _on_doctor(self, query: Query) -> None:
+        alive = set(self._network.alive)
+        ways = Counter(
+            way for robot, _, ways in self._network.links() for way in ways if robot in alive
+        )
+        heard = {**ways, "any": len(alive)}
+        self._answers.begin("doctor", lambda _: encode(self._doctor(heard)), query)
+
+    def _doctor(self, heard: dict[str, int]) -> DoctorReply:
+        """In a thread. One measurement at a time, and an answer may be CACHE_TIME old."""
+        settings, keys = self._settings, self._keys()
+        with self._measuring:
+            if boottime() - self._measured_at > CACHE_TIME:
+                recordings = Path(settings.recording.folder or "recordings")
+                folders = (("state", settings.state_dir), ("recordings", recordings))
+                network = measure_network(settings.network.interface_name)
+                self._facts = (measure_machine(folders), network)
+                self._measured_at = boottime()
+            machine, network = self._facts
+        return DoctorReply(
+            robot=settings.id,
+            version=self._version,
+            kernels=describe_kernels(),
+            profile=settings.network.profile,
+            machine=msgspec.structs.replace(machine, wall=time.time()),
+            network=network,
+            identity_expires=None if keys is None else float(keys.expires),
+            roster=None if keys is None else keys.generation,
+            heard=heard,
+            storage=self.storage,
+        )

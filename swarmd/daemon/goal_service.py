@@ -1,0 +1,144 @@
+"""The goals of one daemon: on disk, and whether those that come are signed by their issuers."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import CodecError
+from swarmd.core.files import write_whole
+from swarmd.core.goal import Goal, GoalRecord, digest_of
+from swarmd.core.messages import Code, GoalRequest, Refusal, Reply, Request, RunRequest
+from swarmd.network.goal_sync import GoalCheck, is_signed_goal
+from swarmd.security.identity import Identity
+
+log = logging.getLogger(__name__)
+
+RETRY_PERIOD = 5.0  # s between two tries to write a file that could not be written
+
+
+class GoalFile:
+    """The file `goal` in a robot's state folder: goals and labels."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "goal"
+        self._decode = Decoder(GoalRecord)
+
+    def read(self) -> GoalRecord:
+        """The record that was written last, else an empty one."""
+        try:
+            return self._decode(self.path.read_bytes())
+        except FileNotFoundError:
+            return GoalRecord()
+        except (OSError, CodecError) as error:
+            log.warning("%s cannot be read (%s): goal and labels are lost", self.path, error)
+            return GoalRecord()
+
+    def write(self, record: GoalRecord) -> str:
+        """Write the record and wait until it is on the disk; why not, or an empty text."""
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(self.path, encode(record))
+        except OSError as error:
+            return f"{self.path} cannot be written ({error.strerror}): kept in memory only"
+        return ""
+
+
+class GoalService:
+    """Stores the goals in a thread, since a disk takes its time, and checks those that come.
+
+    `identity`: the present one; without one each goal counts. `on_event` takes a line for people.
+    """
+
+    def __init__(
+        self, folder: Path, identity: Callable[[], Identity | None], on_event: Callable[[str], None]
+    ) -> None:
+        self._file = GoalFile(folder)
+        self._identity = identity
+        self._on_event = on_event
+        # Robots that hand on false goals must not use up what the requests of operators need.
+        self._check, self._check_asked = GoalCheck(self._key_of), GoalCheck(self._key_of)
+        self._wanted: GoalRecord | None = None
+        self._writing: asyncio.Task[None] | None = None
+        self._closed = asyncio.Event()
+        self._fault = ""
+
+    def read(self) -> GoalRecord:
+        """The goals of an earlier instance, without those that do not count."""
+        record = self._file.read()
+        foreign = self.foreign(record)
+        if not foreign:
+            return record
+        log.warning("%d goals that no operator of the roster signed are left out", len(foreign))
+        kept = (
+            None if goal is None or digest_of(goal).hex() in foreign else goal
+            for goal in (record.held, record.own, record.before)
+        )
+        held, own, before = kept
+        return replace(record, held=held or own, own=own, before=before)
+
+    def foreign(self, record: GoalRecord) -> tuple[str, ...]:
+        """The digests of the goals that do not count, in hex; a signature takes some 4 ms."""
+        if self._identity() is None:
+            return ()
+        goals = {digest_of(one).hex(): one for one in (record.held, record.own, record.before)}
+        return tuple(
+            digest
+            for digest, one in goals.items()
+            if one is not None and not is_signed_goal(one, self._key_of)
+        )
+
+    def store(self, record: GoalRecord) -> None:
+        """Write the record soon; a later one replaces it."""
+        self._wanted = record
+        if self._writing is None or self._writing.done():
+            self._writing = asyncio.get_running_loop().create_task(self._write())
+
+    async def close(self) -> None:
+        """Write what is not written yet."""
+        self._closed.set()
+        if self._writing is not None:
+            await self._writing
+
+    def check(self, goal: Goal, now: float) -> bool | None:
+        """True if a goal counts; None if it cannot be verified now."""
+        return True if self._identity() is None else self._check(goal, now)
+
+    def refusal_of(self, request: Request, robot: str) -> Reply | None:
+        """The refusal of a request whose goal is not signed by its issuer."""
+        goal = request.goal if isinstance(request, RunRequest | GoalRequest) else None
+        if goal is None or self._identity() is None:
+            return None
+        counts = self._check_asked(goal, boottime())
+        if counts:
+            return None
+        refusal, text = Refusal.INVALID_GOAL, f"{goal.text}: not signed by {goal.issuer}"
+        if counts is None:
+            refusal, text = Refusal.BUSY, "too many goals to verify at once; ask again"
+        return Reply(id=request.id, robot=robot, code=Code.REFUSED, refusal=refusal, text=text)
+
+    def _key_of(self, issuer: str) -> bytes | None:
+        identity = self._identity()
+        return None if identity is None else identity.roster.operators.get(issuer)
+
+    async def _write(self) -> None:
+        while self._wanted is not None:
+            record = self._wanted
+            fault = await asyncio.to_thread(self._file.write, record)
+            if fault != self._fault:
+                self._fault = fault
+                self._on_event(fault or f"{self._file.path} can be written again")
+            if fault and self._closed.is_set():
+                return
+            if fault:
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self._closed.wait(), RETRY_PERIOD)
+            elif self._wanted is record:
+                self._wanted = None

@@ -1,0 +1,115 @@
+"""Takes rosters that operators send or peers hand over, and hands out the daemon's own.
+
+Checks and files take their time in a thread. What follows happens on the loop in this order: the
+robot stands, the request is answered, and the network opens anew with the other roster.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable, Coroutine
+
+from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.messages import Code, KeySummary, Refusal, Reply, RosterRequest
+from swarmd.security.identity import Identity
+from swarmd.security.roster_change import (
+    SharedRoster,
+    TakenRoster,
+    read_shared,
+    share_roster,
+    take_roster,
+)
+
+log = logging.getLogger(__name__)
+
+
+class RosterService:
+    """The roster of one daemon. `on_taken` makes it take effect; it is called on the loop.
+
+    One roster is taken at a time; others wait.
+    """
+
+    def __init__(
+        self, robot: str, identity: Identity | None, on_taken: Callable[[TakenRoster], None]
+    ) -> None:
+        self._robot = robot
+        self._on_taken = on_taken
+        self._loop = asyncio.get_running_loop()
+        self._one_at_a_time = asyncio.Lock()
+        self._tasks: set[asyncio.Task[None]] = set()
+        self.identity = identity
+
+    @property
+    def summary(self) -> KeySummary | None:
+        """The roster that it has; None without keys."""
+        identity = self.identity
+        if identity is None:
+            return None
+        return KeySummary(generation=identity.roster.generation, expires=identity.info.expires)
+
+    def answer(self, request: RosterRequest, reply: Callable[[Reply], None]) -> None:
+        """Take the roster of a request; the reply follows when the robot stands."""
+
+        async def run() -> None:
+            shared = SharedRoster(request.roster, request.secret)
+            certificate = request.certificates.get(self._robot, b"")
+            refusal, text = await self.take(shared, certificate)
+            code = Code.APPLIED
+            if refusal is not None:
+                code = Code.FAILED if refusal is Refusal.NOT_WRITTEN else Code.REFUSED
+            reply(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text))
+
+        self._start(run())
+
+    def on_pulled(self, blob: bytes | None, why: str) -> None:
+        """Take what a peer handed over, or log why it did not."""
+        if blob is None:
+            log.info("no newer roster: %s", why)
+            return
+        self._start(self._take_pulled(blob))
+
+    def share(self, name: str, asker: str) -> bytes | None:
+        """The blob for `asker`, whose name the link has proved; called in a thread."""
+        return None if self.identity is None else share_roster(self.identity, asker)
+
+    async def take(
+        self, shared: SharedRoster, certificate: bytes = b""
+    ) -> tuple[Refusal | None, str]:
+        """Take a roster if it is valid and newer; (None, text), or why it was refused.
+
+        NOT_WRITTEN: it may count, and is not on the disk.
+        """
+        async with self._one_at_a_time:
+            if self.identity is None:
+                return Refusal.INVALID_ROSTER, "this swarm has no keys"
+            try:
+                taken = await asyncio.to_thread(take_roster, self.identity, shared, certificate)
+            except (CodecError, ConfigError) as error:
+                return Refusal.INVALID_ROSTER, str(error)[:300]
+            except OSError as error:
+                return Refusal.NOT_WRITTEN, f"identity: {error.strerror}"[:300]
+            self.identity = taken.identity
+            if taken.is_changed:
+                self._on_taken(taken)
+            if taken.fault:
+                return Refusal.NOT_WRITTEN, taken.text[:300]
+            return None, (taken.text if taken.is_changed else f"{taken.text}, as before")[:300]
+
+    def close(self) -> None:
+        """Take nothing any more."""
+        for task in self._tasks:
+            task.cancel()
+
+    def _start(self, work: Coroutine[None, None, None]) -> None:
+        task = self._loop.create_task(work)
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _take_pulled(self, blob: bytes) -> None:
+        try:
+            refusal, text = await self.take(read_shared(blob))
+        except CodecError as error:
+            refusal, text = Refusal.INVALID_ROSTER, str(error)
+        if refusal is not None:
+            log.warning("the roster of a peer (%s): %s", refusal, text)

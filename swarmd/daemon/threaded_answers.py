@@ -1,0 +1,41 @@
+"""Answers queries from threads, since a disk may be slow."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from functools import partial
+
+from swarmd.core.errors import CodecError
+from swarmd.network.bus import Query, ZenohBus
+
+MAX_TASKS = 8
+"""Answers at a time; further queries are dropped, and their askers repeat them."""
+
+
+class ThreadedAnswers:
+    """Queries of the plane `control`; `drop` counts those that are malformed."""
+
+    def __init__(self, loop: asyncio.AbstractEventLoop, drop: Callable[[str], None]) -> None:
+        self._loop, self._drop = loop, drop
+        self._tasks: set[asyncio.Task[None]] = set()
+
+    def serve(self, bus: ZenohBus, name: str, answer: Callable[[bytes], bytes]) -> None:
+        """Answer `control/<name>` with `answer(payload)`, which runs in a thread."""
+        bus.serve("control", name, partial(self.begin, name, answer))
+
+    def begin(self, name: str, answer: Callable[[bytes], bytes], query: Query) -> None:
+        """Answer one query of `control/<name>`."""
+        if len(self._tasks) >= MAX_TASKS:
+            query.drop()
+            return
+        task = self._loop.create_task(self._run(name, answer, query))
+        self._tasks.add(task)
+        task.add_done_callback(self._tasks.discard)
+
+    async def _run(self, name: str, answer: Callable[[bytes], bytes], query: Query) -> None:
+        try:
+            query.reply(await asyncio.to_thread(answer, query.payload))
+        except CodecError:
+            self._drop(f"control/{name}:malformed")
+            query.drop()

@@ -1,0 +1,166 @@
+"""What each name of a roster may send and hear on a session's links; Zenoh enforces it. Pure.
+
+A roster and the own name give the value of Zenoh's `access_control`. What is not listed is denied,
+silently for its sender. Zenoh compares the common name in the certificate of the other end of a
+link, exactly, and keeps the rules for the life of a session: another roster needs another session.
+
+- A robot takes questions on `control/<verb>/<asker>` from the operator of that name, and from the
+  viewer of that name for verbs that read. It sends `state/*` to operators and viewers, and answers
+  `shared/<what>/<asker>` to each name of the roster. It takes no puts.
+- Operators and viewers take what comes on a key of a robot from the robot of that name only.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.keys import ANY, CONTROL, ROOT, SHARED, build
+from swarmd.security.roster import Role, Roster
+
+READ_VERBS = frozenset({"members", "recordings", "fetch", "logs", "links", "doctor", "plugins"})
+"""The verbs of `control` that only read, which viewers may ask; `audit` is for operators alone."""
+
+OPERATOR_SENDERS = "operator-$*"
+"""The senders of datagrams by routers that are operators or viewers, see `routed.py`."""
+_ALL_MESSAGES = ["put", "delete", "query", "reply", "declare_subscriber", "declare_queryable"]
+Access = dict[str, Any]
+_IN, _OUT = "ingress", "egress"
+
+
+def may_ask(role: Role, verb: str) -> bool:
+    """True if a name with this role may ask `control/<verb>` of a robot."""
+    return role is Role.OPERATOR or (role is Role.VIEWER and verb in READ_VERBS)
+
+
+def robot_access(roster: Roster, robot: str) -> Access:
+    """`access_control` of the session on which a robot listens.
+
+    ConfigError if the roster lacks the robot, or has no operator.
+    """
+    if roster.role_of(robot) is not Role.ROBOT:
+        raise ConfigError(f"{robot} is no robot of roster {roster.generation} of {roster.swarm}")
+    if not roster.operators:
+        raise ConfigError(
+            f"roster {roster.generation} of {roster.swarm} has no operator, so that no name could"
+            " command this robot; add one with `swarmctl keys add`"
+        )
+    readers = (*roster.operators, *roster.viewers)
+    state = build(roster.swarm, robot, "state", ANY)
+    control = build(roster.swarm, robot, CONTROL, ANY, ANY)
+    shared = build(roster.swarm, robot, SHARED, ANY, ANY)
+    states = [build(roster.swarm, ANY, "state", ANY)]
+    rules = _Rules()
+    rules.allow(readers, _OUT, ["put"], [state])
+    rules.allow(readers, _OUT, ["reply", "declare_queryable"], [state, control, shared])
+    rules.allow(readers, _IN, ["query", "declare_subscriber"], states)
+    rules.allow(roster.robots, _OUT, ["reply", "declare_queryable"], [shared])
+    for name in (*readers, *roster.robots):
+        own = build(roster.swarm, robot, SHARED, ANY, name)
+        rules.allow([name], _IN, ["query"], [*_questions(roster, name), own])
+    return rules.access()
+
+
+def asker_access(roster: Roster, name: str) -> Access:
+    """`access_control` of a session that dials robots: an operator's, a viewer's, or of a pull.
+
+    ConfigError if the roster lacks the name, or has no robot.
+    """
+    role = roster.role_of(name)
+    if role is None:
+        raise ConfigError(f"{name} is not on roster {roster.generation} of {roster.swarm}")
+    if not roster.robots:
+        raise ConfigError(
+            f"roster {roster.generation} of {roster.swarm} has no robot; add one with"
+            " `swarmctl keys add`"
+        )
+    states = [] if role is Role.ROBOT else [build(roster.swarm, ANY, "state", ANY)]
+    shared = build(roster.swarm, ANY, SHARED, ANY, name)
+    rules = _Rules()
+    rules.allow(roster.robots, _OUT, ["query"], [*_questions(roster, name), shared, *states])
+    rules.allow(roster.robots, _OUT, ["declare_subscriber"], states)
+    for robot in roster.robots:  # one rule each: Zenoh takes 0.1 ms for a rule at each opening
+        rules.allow([robot], _IN, ["put", "reply", "declare_queryable"], [subtree(roster, robot)])
+    return rules.access()
+
+
+def router_access(roster: Roster, router: str) -> Access:
+    """`access_control` of a Zenoh router of profile routed, for links of names of the roster.
+
+    It decides what a name may send and subscribe to; what it sends to a link was subscribed to
+    or asked there. `router` is the name in the certificates of all routers of the swarm.
+    """
+    swarm, everyone = roster.swarm, [f"{ROOT}/{roster.swarm}/**"]
+    heard = build(swarm, ANY, "multicast", "all")
+    states = build(swarm, ANY, "state", ANY)
+    names = (*roster.robots, *roster.operators, *roster.viewers)
+    rules = _Rules()
+    rules.allow([router], _IN, _ALL_MESSAGES, everyone)
+    rules.allow(dict.fromkeys((*names, router)), _OUT, _ALL_MESSAGES, everyone)
+    for name in names:
+        is_robot = roster.role_of(name) is Role.ROBOT
+        sender = name if is_robot else OPERATOR_SENDERS
+        own = [subtree(roster, name)] if is_robot else [f"{ROOT}/{swarm}/{sender}/*/*"]
+        asked = [*_questions(roster, name), build(swarm, ANY, SHARED, ANY, name)]
+        wanted = [heard, build(swarm, ANY, "unicast", sender)]
+        rules.allow([name], _IN, ["put"], own)
+        rules.allow([name], _IN, ["query"], asked if is_robot else [*asked, states])
+        rules.allow([name], _IN, ["declare_subscriber"], wanted if is_robot else [*wanted, states])
+        if is_robot:
+            rules.allow([name], _IN, ["reply", "declare_queryable"], own)
+    return rules.access()
+
+
+def subtree(roster: Roster, robot: str) -> str:
+    """All keys of a robot."""
+    return f"{ROOT}/{roster.swarm}/{robot}/**"
+
+
+def _questions(roster: Roster, name: str) -> list[str]:
+    """The keys of `control`, of each robot and of all, that a name may ask."""
+    role = roster.role_of(name)
+    if role is Role.OPERATOR:
+        return [build(roster.swarm, ANY, CONTROL, ANY, name)]
+    verbs = sorted(READ_VERBS) if role is Role.VIEWER else ()
+    return [build(roster.swarm, ANY, CONTROL, verb, name) for verb in verbs]
+
+
+class _Rules:
+    """Collects what is allowed to which names."""
+
+    def __init__(self) -> None:
+        self._rules: list[Access] = []
+        self._subjects: dict[tuple[str, ...], str] = {}
+        self._policies: list[Access] = []
+
+    def allow(self, names: Iterable[str], flow: str, messages: list[str], keys: list[str]) -> None:
+        """Let these messages pass on these keys, from or to links of these names."""
+        who = tuple(names)
+        if not who or not keys:  # Zenoh takes an empty list of names for all names
+            return
+        subject = self._subjects.setdefault(who, f"names{len(self._subjects)}")
+        rule = f"rule{len(self._rules)}"
+        self._rules.append(
+            {
+                "id": rule,
+                "permission": "allow",
+                "flows": [flow],
+                "messages": messages,
+                "key_exprs": keys,
+            }
+        )
+        self._policies.append({"rules": [rule], "subjects": [subject]})
+
+    def access(self) -> Access:
+        """The value of `access_control`."""
+        return {
+            "enabled": True,
+            "default_permission": "deny",
+            "rules": self._rules,
+            "subjects": [
+                {"id": subject, "cert_common_names": list(names)}
+                for names, subject in self._subjects.items()
+            ],
+            "policies": self._policies,
+        }

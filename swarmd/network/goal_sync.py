@@ -1,0 +1,197 @@
+"""How the greatest goal spreads: digests in beacons, the goal where they differ. Pure.
+
+A robot whose beacon shows another goal, of at least the own generation, is asked for it. Each
+question has a random number that the answer repeats: an answer to no question is dropped, so that a
+recorded one brings no goal and no age. The time from question to answer is added to the age. A
+robot that does not know the age of a goal that it might run asks robots that hold the same goal.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import random
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+from swarmd.core.errors import CodecError
+from swarmd.core.goal import (
+    DIGEST_BYTES,
+    MAX_UNSIGNED,
+    Goal,
+    HeldGoal,
+    decode_goal,
+    digest_of,
+    generation_of,
+    signed_part,
+)
+from swarmd.core.token_bucket import TokenBucket
+from swarmd.network.datagram import Address, GoalReport
+from swarmd.security.roster import SIGNATURE_BYTES, is_signed_by
+
+ASK_PERIOD = 0.25  # s between questions to one robot
+ASKED_AT_ONCE = 2  # robots that are asked for one goal in a period
+AGE_PERIOD = 2.0  # s between questions for the age of the own goal
+ASK_RATE, ASK_BURST = 20.0, 20.0  # questions per second, whatever beacons show
+ANSWER_TIMEOUT = 2.0  # s
+MAX_REPEATS = 3
+MAX_KNOWN = 1024
+MAX_CHECKED = 64
+CHECK_RATE, CHECK_BURST = 4.0, 8.0
+"""Signatures that are verified per second: each takes about 4 ms of a core."""
+
+
+class FoundGoal(NamedTuple):
+    """A goal of a peer, and its age in s; None: the peer does not know it."""
+
+    goal: Goal
+    age: float | None
+
+
+class _Question(NamedTuple):
+    instance: bytes
+    digest: bytes
+    source: Address
+    at: float
+    repeats: int = 0
+    repeated_at: float = 0.0
+
+
+class GoalSync:
+    """Which robots to ask for their goals; `seed` of the numbers of questions."""
+
+    def __init__(self, seed: int) -> None:
+        self._random = random.Random(seed)
+        self._known: dict[bytes, bytes] = {}  # instance -> the digest that it has answered for
+        self._asked: dict[bytes, float] = {}
+        self._asked_for: dict[bytes, list[float]] = {}  # digest -> times of the last questions
+        self._questions: dict[int, _Question] = {}
+        self._budget = TokenBucket(ASK_RATE, ASK_BURST)
+        self._age_asked = -1e9
+
+    def wants(
+        self, instance: bytes, digest: bytes, source: Address, own: HeldGoal | None, now: float
+    ) -> int | None:
+        """The number of a question to a beacon's sender with this digest; None: no question."""
+        if len(digest) != DIGEST_BYTES:
+            return None
+        if own is not None and digest == own.digest:
+            is_due = _lacks_age(own) and now - self._age_asked >= AGE_PERIOD
+            self._age_asked = now if is_due else self._age_asked
+        else:
+            is_lesser = own is not None and generation_of(digest) < own.goal.generation
+            is_known = is_lesser or self._known.get(instance) == digest
+            is_due = not is_known and self._is_due(instance, digest, now)
+        return self._ask(_Question(instance, digest, source, now), now) if is_due else None
+
+    def repeats(self, own: HeldGoal | None, now: float) -> list[tuple[int, Address]]:
+        """Questions to repeat, since their answers are overdue: number and receiver."""
+        asked: list[tuple[int, Address]] = []
+        for echo, one in list(self._questions.items()):
+            if now - one.at < ASK_PERIOD:
+                continue
+            is_over = now - one.at >= ANSWER_TIMEOUT or one.repeats >= MAX_REPEATS
+            is_held = own is not None and one.digest == own.digest and not _lacks_age(own)
+            if is_over or is_held:
+                del self._questions[echo]
+            elif one.repeated_at + ASK_PERIOD <= now:
+                self._questions[echo] = one._replace(repeats=one.repeats + 1, repeated_at=now)
+                asked.append((echo, one.source))
+        return asked
+
+    def on_report(self, report: GoalReport, now: float) -> FoundGoal | None:
+        """The goal in an answer; None if it was not asked for, or cannot be read."""
+        question = self._questions.pop(report.echo, None)
+        if question is None or question.instance != report.instance:
+            return None
+        trip = now - question.at
+        if trip > ANSWER_TIMEOUT:
+            return None
+        self._known.pop(report.instance, None)
+        self._known[report.instance] = question.digest
+        _bound(self._known)
+        try:
+            goal = decode_goal(report.goal)
+        except CodecError:
+            return None
+        if digest_of(goal) != question.digest:  # it holds another one by now: its beacon shows it
+            del self._known[report.instance]
+        return FoundGoal(goal, None if report.age is None else report.age / 1000.0 + trip)
+
+    def retry(self, instance: bytes) -> None:
+        """The answer of a robot could not be used: ask it again."""
+        self._known.pop(instance, None)
+
+    def _ask(self, question: _Question, now: float) -> int | None:
+        if not self._budget.take(1.0, now):
+            return None
+        echo = self._random.getrandbits(52) + 1
+        self._questions[echo] = question
+        _bound(self._questions)
+        return echo
+
+    def _is_due(self, instance: bytes, digest: bytes, now: float) -> bool:
+        if now - self._asked.get(instance, -1e9) < ASK_PERIOD:
+            return False
+        recent = [at for at in self._asked_for.pop(digest, ()) if now - at < ASK_PERIOD]
+        is_due = len(recent) < ASKED_AT_ONCE
+        if is_due:
+            recent.append(now)
+            self._asked.pop(instance, None)
+            self._asked[instance] = now
+            _bound(self._asked)
+        self._asked_for[digest] = recent
+        _bound(self._asked_for)
+        return is_due
+
+
+def needs_no_signature(goal: Goal) -> bool:
+    """True for a goal that only stops, up to the generation MAX_UNSIGNED."""
+    return goal.pattern is None and goal.generation <= MAX_UNSIGNED
+
+
+def is_signed_goal(goal: Goal, key_of: Callable[[str], bytes | None]) -> bool:
+    """True if a goal is signed by its issuer, or needs no signature; takes some 4 ms."""
+    if needs_no_signature(goal):
+        return True
+    public_key = key_of(goal.issuer)
+    return public_key is not None and is_signed_by(public_key, signed_part(goal), goal.signature)
+
+
+class GoalCheck:
+    """Whether goals are signed by their issuers; `key_of`: the public key of an operator.
+
+    Each goal is verified once, and not more than CHECK_RATE a second. A goal without a pattern
+    needs no signature up to the generation MAX_UNSIGNED, since it only stops.
+    """
+
+    def __init__(self, key_of: Callable[[str], bytes | None]) -> None:
+        self._key_of = key_of
+        self._checked: dict[bytes, bool] = {}
+        self._budget = TokenBucket(CHECK_RATE, CHECK_BURST)
+
+    def __call__(self, goal: Goal, now: float) -> bool | None:
+        """True if the goal counts; None if it cannot be verified now, for the limit of the rate."""
+        if needs_no_signature(goal):
+            return True
+        public_key = self._key_of(goal.issuer)
+        if public_key is None or len(goal.signature) != SIGNATURE_BYTES:
+            return False
+        content = public_key + goal.signature + signed_part(goal)
+        name = hashlib.blake2b(content, digest_size=16, person=b"swarmd goal").digest()
+        if name not in self._checked:
+            if not self._budget.take(1.0, now):
+                return None
+            self._checked[name] = is_signed_goal(goal, self._key_of)
+            while len(self._checked) > MAX_CHECKED:
+                del self._checked[next(iter(self._checked))]
+        return self._checked[name]
+
+
+def _lacks_age(own: HeldGoal) -> bool:
+    goal = own.goal
+    return own.issued is None and goal.on_join == "run" and goal.pattern is not None
+
+
+def _bound(table: dict[Any, Any]) -> None:
+    while len(table) > MAX_KNOWN:
+        del table[next(iter(table))]

@@ -1,0 +1,128 @@
+"""Which instances of robots live now, although no clock is shared. Pure: beacons and times in.
+
+A signed beacon may be an old beacon that an attacker replays. An instance that is unknown, or was
+silent for a lease, counts only once it has repeated the echo of a question that was asked after it
+was last heard. From then on each beacon counts that has a greater sequence than the last one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from msgspec import Struct
+
+from swarmd.core.token_bucket import TokenBucket
+from swarmd.network.datagram import Beacon, Flag, Solicit
+from swarmd.network.signature import Flaw
+
+ECHO_TIME = 10.0  # s for which an answer to a question counts: two of the longest round trips
+MAX_ECHOES = 4096
+MAX_INSTANCES = 2048
+# Questions to instances that are not proven: a second in all, and at once.
+QUESTION_RATE, QUESTION_BURST = 20.0, 40.0
+# Between two of them to one instance, in s: it doubles with each, so that replayed beacons of many
+# earlier lives leave room for robots that join.
+QUESTION_PERIOD, LAST_QUESTION_PERIOD = 0.2, 8.0
+LATCH_TIME = 1.0  # s for which a robot that joins waits for the answer of one with latches
+
+_Key = tuple[str, bytes]
+
+
+class _Known(Struct):
+    """An instance that has answered. `said`, `clock`: what is not newer was sent before that."""
+
+    sequence: int
+    heard: float
+    said: int
+    clock: int
+
+
+class _Asked(Struct, frozen=True):
+    """The last question to an instance, the time until the next, and whether it shows latches."""
+
+    at: float
+    period: float
+    has_latches: bool
+
+
+class Liveness:
+    """The instances that have answered; `echoes` gives numbers that were never used before."""
+
+    def __init__(self, lease: float, echoes: Callable[[], int]) -> None:
+        self._lease = lease
+        self._new_number = echoes
+        self._echoes: dict[int, float] = {}
+        self._known: dict[_Key, _Known] = {}
+        self._asked: dict[_Key, _Asked] = {}
+        self._questions = TokenBucket(QUESTION_RATE, QUESTION_BURST)
+
+    def new_echo(self, now: float) -> int:
+        """The number of a question that is asked now."""
+        echo = self._new_number()
+        self.note_echo(echo, now)
+        return echo
+
+    def note_echo(self, echo: int, now: float) -> None:
+        """A question with this number is asked now."""
+        self._echoes[echo] = now
+        if len(self._echoes) > MAX_ECHOES:
+            del self._echoes[next(iter(self._echoes))]
+
+    def is_own_echo(self, echo: int, now: float, after: float = -1e9) -> bool:
+        """True if a question with this number was asked lately, and after that time."""
+        asked = self._echoes.get(echo)
+        return asked is not None and asked > after and now - asked <= ECHO_TIME
+
+    def on_beacon(self, beacon: Beacon, now: float) -> Flaw | None:
+        """Take a beacon; why it does not count, or None."""
+        key = beacon.robot, beacon.instance
+        known = self._known.get(key)
+        if known is not None and now - known.heard <= self._lease:
+            if beacon.sequence <= known.sequence:
+                return Flaw.REPEATED
+            known.sequence, known.heard = beacon.sequence, now
+            return None
+        after = -1e9 if known is None else known.heard
+        if beacon.flags & Flag.LEFT or not self.is_own_echo(beacon.echo, now, after):
+            return Flaw.UNPROVEN
+        self._asked.pop(key, None)
+        self._known.pop(key, None)
+        self._known[key] = _Known(beacon.sequence, now, beacon.said, beacon.clock)
+        if len(self._known) > MAX_INSTANCES:
+            del self._known[min(self._known, key=lambda one: self._known[one].heard)]
+        return None
+
+    def question(self, beacon: Beacon, now: float) -> Solicit | None:
+        """What to ask the sender of a beacon that is unproven; None: not now."""
+        key = beacon.robot, beacon.instance
+        last = self._asked.get(key)
+        is_due = last is None or now - last.at >= last.period
+        if beacon.flags & Flag.LEFT or not is_due or not self._questions.take(1.0, now):
+            return None
+        period = QUESTION_PERIOD if last is None else min(2.0 * last.period, LAST_QUESTION_PERIOD)
+        self._asked.pop(key, None)
+        self._asked[key] = _Asked(now, period, bool(beacon.latches))
+        if len(self._asked) > MAX_INSTANCES:
+            del self._asked[next(iter(self._asked))]
+        return Solicit(echo=self.new_echo(now), robot=beacon.robot)
+
+    def awaits_latches(self, now: float) -> bool:
+        """True while an instance that shows latches was asked and did not answer yet."""
+        return any(one.has_latches and now - one.at < LATCH_TIME for one in self._asked.values())
+
+    def knows(self, robot: str, instance: bytes) -> bool:
+        """True if the instance has answered."""
+        return (robot, instance) in self._known
+
+    def is_new_message(self, robot: str, instance: bytes, sequence: int) -> bool:
+        """True if a message of a pattern was sent after its instance answered."""
+        known = self._known.get((robot, instance))
+        return known is not None and sequence > known.said
+
+    def is_new_place(self, robot: str, instance: bytes, sent: int) -> bool:
+        """True if a place was sent after all that its instance has sent so far."""
+        known = self._known.get((robot, instance))
+        if known is None or sent <= known.clock:
+            return False
+        known.clock = sent
+        return True

@@ -1,0 +1,53 @@
+"""Which messages of patterns are new, and how many are lost. Pure."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from swarmd.network.datagram import Message
+
+WINDOW = 64  # messages of one sender of which the robot knows whether they came
+MAX_SENDERS = 1024
+
+
+@dataclass(slots=True)
+class _Window:
+    """The messages of one sender: the highest sequence, and a bit for each of those before it."""
+
+    instance: bytes
+    highest: int
+    seen: int = 1
+
+    def take(self, sequence: int) -> tuple[bool, int]:
+        """Whether a message is new, and the change of the number of lost ones."""
+        ahead = sequence - self.highest
+        if ahead >= WINDOW:  # more are missing than can be told from another beginning
+            self.seen, self.highest = 1, sequence
+            return True, WINDOW
+        if ahead > 0:
+            self.seen = ((self.seen << ahead) | 1) & ((1 << WINDOW) - 1)
+            self.highest = sequence
+            return True, ahead - 1
+        bit = 1 << -ahead
+        if -ahead >= WINDOW or self.seen & bit:
+            return False, 0
+        self.seen |= bit
+        return True, -1
+
+
+class MessageWindows:
+    """The last messages of each sender."""
+
+    def __init__(self) -> None:
+        self._windows: dict[str, _Window] = {}
+
+    def take(self, message: Message) -> tuple[bool, int]:
+        """Whether a message is new, and the change of the number of lost ones."""
+        window = self._windows.get(message.robot)
+        if window is not None and window.instance == message.instance:
+            return window.take(message.sequence)
+        self._windows.pop(message.robot, None)
+        while len(self._windows) >= MAX_SENDERS:
+            del self._windows[next(iter(self._windows))]
+        self._windows[message.robot] = _Window(message.instance, message.sequence)
+        return True, 0

@@ -1,0 +1,34 @@
+"""The settings of a robot's neighborhood. No numpy: the schema of files needs them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Annotated, Literal
+
+from msgspec import Meta, Struct
+
+
+class NeighborSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """Which robots are neighbors.
+
+    - `neighborhood`: all; range: within `range` m, by hardware for range and bearing or by poses in
+      a shared frame; link: by the quality of the radio link.
+    - `quality`: with link, the share of beacons that must arrive.
+    - `signal`: with link, the least signal strength in dBm where the radio reports it.
+    """
+
+    neighborhood: Literal["all", "range", "link"] = "all"
+    range: Annotated[float, Meta(ge=0.01, le=100_000.0)] | None = None
+    quality: Annotated[float, Meta(gt=0.0, le=1.0)] = 0.8
+    signal: Annotated[float, Meta(ge=-120.0, le=0.0)] | None = None
+
+    def faults(self) -> Iterator[tuple[str, str]]:
+        """Each key that contradicts the others, and what is wrong with it."""
+        if self.neighborhood == "range" and self.range is None:
+            yield "range", "is missing; neighborhood: range wants one in m"
+        if self.neighborhood != "range" and self.range is not None:
+            text = f"is {self.range:g}, but neighborhood is {self.neighborhood}; set it to range"
+            yield "range", text
+        if self.neighborhood != "link" and self.signal is not None:
+            text = f"is {self.signal:g}, but neighborhood is {self.neighborhood}; set it to link"
+            yield "signal", text

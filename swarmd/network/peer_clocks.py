@@ -1,0 +1,74 @@
+"""Questions of a robot to the clocks of its peers, and the answers. Pure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+
+from swarmd.core.clock import ClockSample
+from swarmd.network.datagram import Address, ClockQuery, ClockReply
+
+# s between two questions for the clocks of peers; FIRST at the beginning, then twice as long.
+CLOCK_PERIOD, FIRST_CLOCK_PERIOD = 10.0, 1.0
+
+Queries = list[tuple[ClockQuery, Address]]
+
+
+class PeerClocks:
+    """The clocks of the peers of `robot`; `clock` is the id of its own one, in hex."""
+
+    def __init__(self, robot: str, clock: str) -> None:
+        self._robot = robot
+        self._clock = bytes.fromhex(clock)
+        self._due_at, self._pause = -math.inf, FIRST_CLOCK_PERIOD
+        self._asked: dict[str, int] = {}  # ns: when the question was sent, by robot
+
+    def queries(self, alive: Iterable[tuple[str, Address]], now: float) -> Queries:
+        """Questions to some of the robots that are alive, if they are due.
+
+        Of all robots in the order of their names, in a ring, each asks those 1, 2, 4, ... places
+        further: few questions, and a short path between any two.
+        """
+        if now < self._due_at:
+            return []
+        is_first = now > self._due_at + FIRST_CLOCK_PERIOD  # nothing was recorded until now
+        self._pause = FIRST_CLOCK_PERIOD if is_first else min(2 * self._pause, CLOCK_PERIOD)
+        self._due_at = now + self._pause
+        addresses = dict(alive)
+        ring = sorted([*addresses, self._robot])
+        place = ring.index(self._robot)
+        asked = [ring[(place + 2**k) % len(ring)] for k in range((len(ring) - 1).bit_length())]
+        query = _query(now)
+        self._asked = dict.fromkeys(asked, query.sent)
+        return [(query, addresses[robot]) for robot in dict.fromkeys(asked)]
+
+    def pings(
+        self, robots: Iterable[str], alive: Iterable[tuple[str, Address]], now: float
+    ) -> Queries:
+        """Questions to those of these robots that are alive, for their round trips."""
+        addresses: Mapping[str, Address] = dict(alive)
+        asked = [robot for robot in robots if robot in addresses]
+        query = _query(now)
+        self._asked |= dict.fromkeys(asked, query.sent)
+        return [(query, addresses[robot]) for robot in asked]
+
+    def reply(self, query: ClockQuery, now: float) -> ClockReply:
+        """The answer to a question."""
+        return ClockReply(
+            robot=self._robot,
+            clock=self._clock,
+            sent=query.sent,
+            answered=max(round(1e9 * now), 0),
+        )
+
+    def sample(self, reply: ClockReply, now: float) -> ClockSample | None:
+        """What an answer tells of a peer's clock; None if it is late or was not asked for."""
+        if self._asked.get(reply.robot) != reply.sent:
+            return None
+        del self._asked[reply.robot]
+        sent, answered = 1e-9 * reply.sent, 1e-9 * reply.answered
+        return ClockSample(reply.robot, reply.clock.hex(), sent, answered, now)
+
+
+def _query(now: float) -> ClockQuery:
+    return ClockQuery(sent=max(round(1e9 * now), 0))

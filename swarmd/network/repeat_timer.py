@@ -1,0 +1,27 @@
+"""When an operator repeats what it sends. Pure."""
+
+from __future__ import annotations
+
+
+class RepeatTimer:
+    """When to do something again; `steps`: (until, period) in s since the start."""
+
+    def __init__(self, now: float, steps: tuple[tuple[float, float], ...]) -> None:
+        self._started = self._next = now
+        self._steps = steps
+
+    def age(self, now: float) -> float:
+        """Seconds since the start."""
+        return now - self._started
+
+    def is_due(self, now: float) -> bool:
+        """True once a period."""
+        if now < self._next:
+            return False
+        age = now - self._started
+        self._next = now + next(period for until, period in self._steps if age < until)
+        return True
+
+    def pause(self, now: float) -> float:
+        """Seconds until it is due."""
+        return max(0.001, self._next - now)

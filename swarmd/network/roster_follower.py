@@ -1,0 +1,79 @@
+"""The newer roster that a robot has shown to an operator or viewer, and how it is taken.
+
+Robots do not answer what is signed with keys of an earlier generation.
+"""
+
+from __future__ import annotations
+
+import threading
+from typing import Protocol
+
+from swarmd.core.errors import NetworkError
+from swarmd.network.datagram import Address
+from swarmd.network.settings import NetworkSettings
+from swarmd.security.identity import Identity
+
+CLOSING = "swarmd-closing"
+"""The name of the threads that close sessions or take rosters: Python must not end before them."""
+
+
+class Follower(Protocol):
+    """The operator or viewer that takes rosters."""
+
+    settings: NetworkSettings
+    identity: Identity | None
+
+    def take_identity(self, identity: Identity) -> None:
+        """Ask with this identity from now on."""
+
+
+class RosterFollower:
+    """Takes newer rosters for `operator`; nothing if not `is_on`. `notices`: lines for the user.
+
+    `shown`: a robot, its address and the generation that it shows, which is not proven.
+    """
+
+    def __init__(self, operator: Follower, *, is_on: bool) -> None:
+        self._operator = operator
+        self._is_on = is_on
+        self._updating: threading.Thread | None = None
+        self.shown: tuple[str, Address, int] | None = None
+        self.notices: list[str] = []
+
+    def on_shown(self, robot: str, address: Address, generation: int) -> None:
+        """A robot has shown a newer generation."""
+        self.shown = robot, address, generation
+
+    def update(self) -> None:
+        """Take the roster that was shown, if any; waits. NetworkError if it lacks the own name."""
+        if self._updating is None:
+            self._take()
+        else:
+            self._updating.join()
+            self._updating = None
+
+    def begin(self) -> None:
+        """Take it on a thread, so that a stop under way goes on being sent."""
+
+        def run() -> None:
+            try:
+                self._take()
+            except NetworkError as error:
+                self.notices.append(str(error))
+
+        is_updating = self._updating is not None and self._updating.is_alive()
+        if not is_updating and self.shown is not None:
+            self._updating = threading.Thread(target=run, name=CLOSING, daemon=True)
+            self._updating.start()
+
+    def _take(self) -> None:
+        shown, self.shown = self.shown, None
+        if shown is None or self._operator.identity is None or not self._is_on:
+            return
+        from swarmd.network.roster_update import pulled_roster
+
+        settings, identity = self._operator.settings, self._operator.identity
+        taken, text = pulled_roster(settings, identity, *shown)
+        self.notices.append(text)
+        if taken is not None:
+            self._operator.take_identity(taken)

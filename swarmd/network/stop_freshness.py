@@ -1,0 +1,97 @@
+"""Which stops are replayed, although robots and operators share no clock. Pure.
+
+A stop carries the `origin` of its operator's installation (4 random bytes) and a `counter`: ms of
+the operator's clock, and never less than that of the last stop plus 1. A robot takes
+
+- a copy of a stop that it knows by its id: the stop is at least as old as the time since the robot
+  first heard of it. So a copy ends no run that began later, and does not renew an emergency stop
+  that was reset since;
+- any other stop, unless its counter is SLACK below the greatest of its origin: it is replayed.
+  SLACK covers stops that operators issue at one time and robots hand on in another order.
+
+An emergency stop must never be refused wrongly. A robot that refuses one answers `REPLAYED`, proven
+for the operator. An operator that waits for an answer then repeats the stop with an origin that was
+never used, which an attacker who replays cannot. The cases:
+
+===============================  ===================================================================
+two machines of one operator     each has an origin of its own
+a copied home, its clock behind  refused, and taken with the next repeat (0.1 s), under a new origin
+the operator's clock is set back the file keeps the counter: it goes on from the last one
+the file is lost or damaged      a new origin
+the file cannot be written       a random origin for each command
+the file was restored from       refused if the clock is behind, too; then as for a copied home
+several commands at one time     the file is locked; counters within SLACK are taken in any order
+a robot restarts                 it keeps the greatest counters on disk; a stop that is still
+                                 repeated gets a new origin; without its file it takes replayed ones
+relayed copies                   are known by their ids, or come within SLACK; robots relay for a
+                                 minute; a relay takes over the origin of the operator's newest copy
+a stolen robot forges counters   as for a copied home
+===============================  ===================================================================
+
+Left over: a robot that heard no stop of that origin with this or a later counter takes it when it
+is replayed. It stops late, which is the safe direction, and logs the operator's name.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from msgspec import Struct
+from msgspec.structs import replace
+
+from swarmd.network.datagram import Stop
+
+REPLAYED = "replayed"
+"""The refusal of a stop that counts as replayed."""
+SLACK = 300_000  # ms of the operator's clock
+MAX_ORIGINS = 64
+MAX_IDS = 1024
+
+
+class TakenStop(Struct, frozen=True):
+    """A stop that counts, with the age that it has at least; `is_repeated`: it was heard before."""
+
+    stop: Stop
+    is_repeated: bool
+
+
+class StopFreshness:
+    """The stops that a robot has heard; `floors`: the greatest counters of its earlier life."""
+
+    def __init__(self, floors: Mapping[bytes, int] | None = None) -> None:
+        self._floors = dict(floors or {})
+        self._greatest = dict(self._floors)
+        self._first: dict[str, float] = {}  # id -> when it was first heard
+
+    @property
+    def counters(self) -> Mapping[bytes, int]:
+        """The greatest counter of each origin, to be kept for the next life."""
+        return self._greatest
+
+    def take(self, stop: Stop, now: float) -> TakenStop | None:
+        """A stop arrived; None if it is replayed."""
+        first = self._first.get(stop.id)
+        greatest = self._greatest.get(stop.origin)
+        if first is not None:
+            age = max(stop.age, round(1000.0 * (now - first)))
+            self._note(stop)
+            return TakenStop(replace(stop, age=age), True)
+        if greatest is not None:
+            floor = max(greatest - SLACK, self._floors.get(stop.origin, -1))
+            if stop.counter <= floor:
+                return None
+        self._first[stop.id] = now
+        if len(self._first) > MAX_IDS:
+            del self._first[next(iter(self._first))]
+        self._note(stop)
+        return TakenStop(stop, False)
+
+    def _note(self, stop: Stop) -> None:
+        if not stop.origin:
+            return
+        greatest = max(stop.counter, self._greatest.pop(stop.origin, 0))
+        self._greatest[stop.origin] = greatest
+        if len(self._greatest) > MAX_ORIGINS:
+            oldest = next(iter(self._greatest))
+            del self._greatest[oldest]
+            self._floors.pop(oldest, None)

@@ -1,0 +1,160 @@
+"""Wheels of pushed behaviours: their entry point, and how they are unpacked.
+
+A wheel is a zip of pure Python with exactly one entry point of the group `swarmd.patterns` (PyPA:
+binary distribution format). Nothing of it is executed here.
+"""
+
+from __future__ import annotations
+
+import io
+import os
+import sys
+import zipfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from email.parser import HeaderParser
+from importlib.metadata import EntryPoints
+from pathlib import Path, PurePosixPath
+from typing import NamedTuple
+
+from swarmd.core.errors import PluginError
+from swarmd.core.keys import is_id
+from swarmd.plugins import PATTERNS
+
+MAX_FILES = 500
+MAX_UNPACKED = 8 * 1024 * 1024
+MAX_METADATA = 256 * 1024
+_NATIVE = (".so", ".pyd", ".dll", ".dylib")
+# What a pattern host has imported before a behaviour comes.
+_TAKEN = sys.stdlib_module_names | {"swarmd", "numpy", "msgspec", "msgpack"}
+
+
+class WheelPattern(NamedTuple):
+    """The pattern of a wheel: its name, the version of the wheel, and `module:Class`."""
+
+    name: str
+    version: str
+    value: str
+
+
+def inspect_wheel(content: bytes, label: str) -> WheelPattern:
+    """The pattern of a wheel. PluginError in one line that begins with `label`, if it has faults.
+
+    Refused: native code, names outside the wheel's folder, data files outside packages, modules
+    that hide others, and more than MAX_FILES files or MAX_UNPACKED bytes.
+    """
+    with _opened(content, label) as archive:
+        _check_files(archive, label)
+        about = _about(archive, label)
+        wheel = _headers(archive, about / "WHEEL", label)
+        if wheel.get("Root-Is-Purelib", "").lower() != "true":
+            raise PluginError(f"{label} has native code; only wheels of pure Python are sent")
+        version = _headers(archive, about / "METADATA", label).get("Version", "")
+        points = _entry_points(archive, about / "entry_points.txt", label)
+    if len(points) != 1:
+        found = ", ".join(sorted(points.names)) or "none"
+        raise PluginError(
+            f"{label} must declare exactly one entry point of {PATTERNS}; it declares {found}"
+        )
+    point = next(iter(points))
+    is_class = point.pattern.fullmatch(point.value) and point.module and point.attr
+    if not is_id(point.name) or not is_class:
+        raise PluginError(f"{label} declares {point.name} = {point.value}; expected module:Class")
+    return WheelPattern(point.name, version[:32], f"{point.module}:{point.attr}")
+
+
+def unpack_wheel(content: bytes, folder: Path, label: str) -> None:
+    """Write the files of a wheel that `inspect_wheel` accepts to a new folder, and to the disk."""
+    with _opened(content, label) as archive:
+        for info in _check_files(archive, label):
+            path = folder / info.filename
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with path.open("wb") as file:
+                file.write(_read(archive, info, label))
+                file.flush()
+                os.fsync(file.fileno())
+
+
+@contextmanager
+def _opened(content: bytes, label: str) -> Iterator[zipfile.ZipFile]:
+    """The archive for the block, in which an error of a damaged archive becomes a PluginError."""
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            yield archive
+    except (PluginError, OSError):
+        raise
+    except Exception as error:  # a damaged archive makes zipfile and zlib raise anything
+        text = " ".join(str(error).split())
+        raise PluginError(f"{label} is no wheel: {text}") from error
+
+
+def _check_files(archive: zipfile.ZipFile, label: str) -> list[zipfile.ZipInfo]:
+    files = [info for info in archive.infolist() if not info.is_dir()]
+    size = sum(info.file_size for info in files)
+    if len(files) > MAX_FILES or size > MAX_UNPACKED:
+        raise PluginError(
+            f"{label} has {len(files)} files of {size} bytes;"
+            f" at most {MAX_FILES} of {MAX_UNPACKED} are unpacked"
+        )
+    for info in files:
+        path = PurePosixPath(info.filename)
+        is_named = bool(path.parts) and not path.is_absolute() and ".." not in path.parts
+        is_inside = is_named and "\\" not in info.filename
+        # The upper half of the attributes is the mode of Unix; a link could lead elsewhere.
+        is_link = (info.external_attr >> 16) & 0o170000 == 0o120000
+        if not is_inside or is_link or not info.filename.isprintable():
+            raise PluginError(f"{label} has the file {info.filename!r}, which lies elsewhere")
+        if path.suffix.lower() in _NATIVE or ".so." in path.name:
+            raise PluginError(f"{label} has native code: {info.filename}")
+        if path.parts[0].removesuffix(".py") in _TAKEN:
+            raise PluginError(f"{label} would hide a module of that name: {info.filename}")
+        if path.parts[0].endswith(".data"):
+            raise PluginError(f"{label} has files outside its packages: {info.filename}")
+    return files
+
+
+def _about(archive: zipfile.ZipFile, label: str) -> PurePosixPath:
+    tops = {PurePosixPath(name).parts[0] for name in archive.namelist() if "/" in name}
+    found = [name for name in tops if name.endswith(".dist-info")]
+    if len(found) != 1:
+        raise PluginError(f"{label} is no wheel: it needs one folder .dist-info")
+    return PurePosixPath(found[0])
+
+
+def _text(archive: zipfile.ZipFile, path: PurePosixPath, label: str) -> str:
+    try:
+        info = archive.getinfo(str(path))
+    except KeyError:
+        raise PluginError(f"{label} is no wheel: it lacks {path}") from None
+    if info.file_size > MAX_METADATA:
+        raise PluginError(f"{label}: {path} has more than {MAX_METADATA} bytes")
+    return _read(archive, info, label).decode(errors="replace")
+
+
+def _read(archive: zipfile.ZipFile, info: zipfile.ZipInfo, label: str) -> bytes:
+    with archive.open(info) as file:
+        content = file.read(info.file_size + 1)  # a head may claim less than there is
+    if len(content) != info.file_size:
+        raise PluginError(f"{label}: {info.filename} has not the size that its head states")
+    return content
+
+
+def _headers(archive: zipfile.ZipFile, path: PurePosixPath, label: str) -> dict[str, str]:
+    return dict(HeaderParser().parsestr(_text(archive, path, label)).items())
+
+
+def _entry_points(archive: zipfile.ZipFile, path: PurePosixPath, label: str) -> EntryPoints:
+    if str(path) not in archive.namelist():
+        return EntryPoints(())
+    from configparser import ConfigParser
+    from configparser import Error as ParserError
+    from importlib.metadata import EntryPoint
+
+    parser = ConfigParser(delimiters=("=",), interpolation=None, strict=False)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]  # names keep their case
+    try:
+        parser.read_string(_text(archive, path, label))
+    except ParserError as error:
+        raise PluginError(f"{label}: {path} cannot be read: {error}") from error
+    found = parser.items(PATTERNS) if parser.has_section(PATTERNS) else ()
+    return EntryPoints(EntryPoint(name, value, PATTERNS) for name, value in found)

@@ -1,0 +1,309 @@
+"""The goals that one robot knows, and what it does about its own one. Pure.
+
+The robot holds the greatest goal that it has seen, and its own one: the greatest that targets it.
+Goals are ordered by generation, issuer and bytes, so that all robots that have seen the same goals
+hold the same one. The age of a goal is handed on from robot to robot without wall clocks: after a
+restart it is unknown until a peer reports it.
+
+A goal that is found, and was not asked for by a request to this robot, does not start a run: it is
+offered. The exception is a goal with `on_join: run` of a known age below its `valid`, while the
+robot may join: it was idle when the goal came, or ran for a lesser goal, and nothing ended a run
+since. If it lacks the pattern of the goal, it joins once more when the pattern is pushed to it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from enum import Enum
+
+from swarmd.core.goal import (
+    MAX_UNSIGNED,
+    Goal,
+    GoalRecord,
+    GoalState,
+    GoalStatus,
+    HeldGoal,
+    KnownGoal,
+)
+from swarmd.core.messages import Refusal, RunRequest
+
+MAX_STOPS = 64  # ids of stops that are remembered
+MAX_ISSUER = 63
+OFFERED = "offered: resume takes it"
+
+
+class Found(Enum):
+    """What a goal that came is to a robot."""
+
+    OLD = "old"  # it is held already, or lesser than the held one
+    AGED = "aged"  # the held goal, whose age was not known until now
+    OTHER = "other"  # the greatest one, for other robots
+    OWN = "own"  # the greatest one for this robot
+
+
+class Goals:
+    """The goals of `robot`; `labels` are those of the swarm file, `record` that of its disk."""
+
+    def __init__(self, robot: str, labels: tuple[str, ...], record: GoalRecord | None) -> None:
+        record = record or GoalRecord()
+        self._robot = robot
+        self._file_labels = labels
+        self._set_labels = record.labels
+        self.held = None if record.held is None else HeldGoal.of(record.held, None)
+        self.own = None if record.own is None else HeldGoal.of(record.own, None)
+        self.before = record.before
+        self.state: GoalState | None = None
+        self.superseded = ""
+        self._reason = ""
+        self._may_join = False
+        self._lease_until: float | None = None
+        self._lease_count = -1
+        self._stops: dict[str, None] = {}
+        self._stopped = b""  # the held goal after which a stop of all came, and made no goal
+        self._is_changed = False
+        # The load that failed since the robot has no such pattern, and whether it was repeated.
+        self._awaits_code: int | None = None
+        self._has_retried = False
+        if self.own is not None:
+            self._offer(record.ended, may_join=record.may_join)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """The labels of the robot: those that an operator set, else those of the file."""
+        return self._file_labels if self._set_labels is None else self._set_labels
+
+    @property
+    def lease_ends(self) -> float | None:
+        """When the run of the own goal ends unless its operator is heard, in s."""
+        return self._lease_until if self.state is GoalState.RUNNING else None
+
+    def forget(self, counts: Callable[[Goal], bool]) -> None:
+        """Drop the goals that do not count any more, such as those of a revoked operator."""
+        held, own, before = self.held, self.own, self.before
+        self.held = None if held is None or not counts(held.goal) else held
+        self.own = None if own is None or not counts(own.goal) else own
+        self.before = None if before is None or not counts(before) else before
+        if self.held is None:
+            self.held = self.own
+        if own is not None and self.own is None:
+            self.state, self._reason, self._may_join, self._lease_until = None, "", False, None
+        self._is_changed |= (held, own, before) != (self.held, self.own, self.before)
+
+    def take_record(self) -> GoalRecord | None:
+        """The record for the disk, if it has changed since it was taken last."""
+        if not self._is_changed:
+            return None
+        self._is_changed = False
+        return self.record()
+
+    def record(self) -> GoalRecord:
+        """The record for the disk."""
+        return GoalRecord(
+            held=None if self.held is None else self.held.goal,
+            own=None if self.own is None else self.own.goal,
+            before=self.before,
+            ended=self._reason if self.state is GoalState.ENDED else "",
+            may_join=self._may_join or self.state in (GoalState.LOADING, GoalState.RUNNING),
+            labels=self._set_labels,
+        )
+
+    def status(self, now: float) -> GoalStatus | None:
+        """The goals for the status; None before there is one."""
+        if self.held is None:
+            return None
+        lease_ends = self.lease_ends
+        return GoalStatus(
+            held=_known(self.held, now),
+            before=self.before,
+            own=None if self.own is None else _known(self.own, now),
+            state=self.state,
+            reason=self._reason,
+            superseded=self.superseded,
+            lease_left=None if lease_ends is None else max(lease_ends - now, 0.0),
+        )
+
+    # Goals that come
+
+    def judge(self, goal: Goal) -> Found:
+        """What a goal is to this robot; nothing changes."""
+        new, held, own = HeldGoal.of(goal, None), self.held, self.own
+        if held is not None and new.content == held.content:
+            return Found.AGED if held.issued is None else Found.OLD
+        is_own = goal.is_for(self._robot, self.labels)
+        if is_own and (own is None or new.order > own.order):
+            return Found.OWN
+        return Found.OTHER if held is None or new.order > held.order else Found.OLD
+
+    def judge_held(self) -> Found:
+        """What the held goal is to this robot, whose labels have changed."""
+        held, own = self.held, self.own
+        if held is None or not held.goal.is_for(self._robot, self.labels):
+            return Found.OLD
+        return Found.OWN if own is None or held.order > own.order else Found.OLD
+
+    def is_held(self, goal: Goal) -> bool:
+        """True if it is the held goal."""
+        return self.held is not None and HeldGoal.of(goal, None).content == self.held.content
+
+    def adopt(self, goal: Goal, age: float | None, now: float, *, may_join: bool) -> None:
+        """Take over a greater goal; an own one is offered, or the robot stands."""
+        is_own = goal.is_for(self._robot, self.labels)
+        new = HeldGoal.of(goal, None if age is None else now - age)
+        if self.held is None or new.order > self.held.order:
+            if self.held is not None and self.held.goal.id != goal.id:
+                self.before = self.held.goal
+            self.held = new
+        if is_own and (self.own is None or new.order > self.own.order):
+            self.own = new
+            self._lease_count = -1
+            self._has_retried = False
+            self._offer("", may_join=may_join)
+        self._is_changed = True
+
+    def learn_age(self, age: float | None, now: float) -> None:
+        """A peer reports the age of the held goal: the greatest age counts."""
+        held = self.held
+        if held is None or age is None or held.content == self._stopped:
+            return
+        issued = now - age if held.issued is None else min(held.issued, now - age)
+        self.held = held._replace(issued=issued)
+        if self.own is not None and self.own.content == held.content:
+            self.own = self.own._replace(issued=issued)
+
+    def refusal_of(self, request: RunRequest) -> tuple[Refusal, str] | None:
+        """Why a run is refused because of its goal."""
+        goal = request.goal
+        if goal is None:
+            return None
+        wanted = (goal.pattern, goal.params, goal.seconds, goal.conditions)
+        if wanted != (request.pattern, request.params, request.seconds, request.until):
+            return Refusal.INVALID_GOAL, f"{goal.text} is of another run than the request"
+        if not goal.is_for(self._robot, self.labels):
+            return Refusal.INVALID_GOAL, f"{goal.text} does not target {self._robot}"
+        return self.overtaken_by(goal)
+
+    def overtaken_by(self, goal: Goal) -> tuple[Refusal, str] | None:
+        """Why a goal comes too late: a greater one is held."""
+        if self.held is None or HeldGoal.of(goal, None).order >= self.held.order:
+            return None
+        return Refusal.OVERTAKEN, f"{self.held.goal.text} came first"
+
+    def stand(self, stop: str, operator: str, age: float, now: float) -> bool:
+        """A stop of all robots makes a goal without a pattern; False if it makes no goal.
+
+        `stop`: its id, `age` in s since it was issued. All robots that hold the same goal make the
+        same one. A repeat makes no goal, nor does a stop that is older than the held goal.
+        """
+        held = self.held
+        if stop in self._stops:
+            return False
+        self._stops[stop] = None
+        while len(self._stops) > MAX_STOPS:
+            del self._stops[next(iter(self._stops))]
+        generation = 1
+        if held is not None:
+            is_newer = held.issued is not None and held.issued > now - age
+            if is_newer or held.goal.id == stop:
+                return False
+            if held.goal.generation >= MAX_UNSIGNED:  # no goal without a signature can follow it
+                self._stopped = held.content
+                self.held = held._replace(issued=None)  # without an age no robot joins its run
+                return False
+            generation = held.goal.generation + 1
+        goal = Goal(generation=generation, issuer=operator[:MAX_ISSUER], id=stop)
+        self.adopt(goal, age, now, may_join=False)
+        return True
+
+    # The robot's runs
+
+    def joins(self, now: float) -> bool:
+        """True if the robot is to run its own goal, which it found, without being asked."""
+        own = self.own
+        if own is None or not self._may_join or self.state is not GoalState.OFFERED:
+            return False
+        goal, age = own.goal, own.age(now)
+        if goal.on_join != "run" or goal.valid is None or age is None or age >= goal.valid:
+            return False
+        return goal.seconds is None or age < goal.seconds
+
+    def on_loading(self) -> None:
+        """The run of the own goal is being loaded."""
+        self.state, self._reason, self._may_join = GoalState.LOADING, "", False
+
+    def await_code(self, generation: int) -> None:
+        """The load `generation` of the own goal has failed: the robot has no such pattern yet."""
+        if self.state is GoalState.ENDED and not self._has_retried:
+            self._awaits_code = generation
+
+    def offer_again(self, generation: int) -> None:
+        """The awaited pattern has come: the robot may join once more, if nothing happened since.
+
+        `generation`: of the last load.
+        """
+        if self._awaits_code == generation:
+            self._has_retried = True
+            self._offer("", may_join=True)
+            self._is_changed = True
+
+    def on_running(self, goal: Goal | None, what: str, age: float, now: float) -> None:
+        """A run began, for `goal`, asked for `age` s ago, or without one. `what`: in words."""
+        self._may_join, self._awaits_code = False, None
+        if goal is None:
+            if self.own is not None:
+                self._end(f"runs {what}, without a goal")
+            return
+        if self.judge(goal) is Found.OWN:
+            self.adopt(goal, age, now, may_join=False)
+        self.state, self._reason, self.superseded = GoalState.RUNNING, "", ""
+        self._lease_until = None if goal.lease is None else now + goal.lease
+        self._is_changed = True
+
+    def on_lease(self, goal: str, count: int, now: float) -> None:
+        """The operator of the goal with this id was heard; old and repeated counts are ignored."""
+        own = self.own
+        if own is None or own.goal.id != goal or own.goal.lease is None:
+            return
+        if count > self._lease_count:
+            self._lease_count = count
+            self._lease_until = now + own.goal.lease
+
+    def on_end(self, why: str) -> None:
+        """A run ended, or an event came after which no found goal may start one."""
+        self._is_changed |= self._may_join
+        self._may_join, self._awaits_code = False, None
+        own = self.own
+        if own is None:
+            return
+        if own.goal.pattern is None:
+            self.state, self._reason = GoalState.STANDING, ""
+        elif self.state in (GoalState.RUNNING, GoalState.LOADING):
+            self._end(why)
+
+    def note(self, text: str) -> None:
+        """The robot differs from its own goal, which it runs, for this reason."""
+        if self.state is GoalState.RUNNING:
+            self._reason = text
+
+    def set_labels(self, labels: tuple[str, ...] | None) -> None:
+        """Set the labels; None: those of the file."""
+        self._set_labels = labels
+        self._awaits_code = None
+        self._is_changed = True
+
+    def _offer(self, ended: str, *, may_join: bool) -> None:
+        own = self.own
+        assert own is not None
+        self._may_join, self._awaits_code = may_join, None
+        if own.goal.pattern is None:
+            self.state, self._reason = GoalState.STANDING, ""
+        elif ended:
+            self.state, self._reason = GoalState.ENDED, ended
+        else:
+            self.state, self._reason = GoalState.OFFERED, OFFERED
+
+    def _end(self, why: str) -> None:
+        self.state, self._reason, self._is_changed = GoalState.ENDED, why, True
+
+
+def _known(held: HeldGoal, now: float) -> KnownGoal:
+    return KnownGoal(goal=held.goal, digest=held.digest.hex(), age=held.age(now))

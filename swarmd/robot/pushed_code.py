@@ -1,0 +1,140 @@
+"""The versions of one pushed behaviour on one robot, and what makes a version current. Pure.
+
+::
+
+    push that passed its trial     -> provisional, current
+    60 s of runs without a fault   -> held
+    fault while provisional        -> returned: the version before is current again
+    3 ends of the daemon in a run  -> returned, likewise
+    removal                        -> gone
+
+A fault of a version that is held changes nothing here: the pattern is restarted and quarantined as
+any other.
+"""
+
+from __future__ import annotations
+
+from enum import StrEnum
+from typing import Annotated
+
+from msgspec import Meta, Struct
+from msgspec.structs import replace
+
+from swarmd.core.behaviour import Entry, Signed
+from swarmd.core.bounds import Line, Seconds
+
+HOLD_TIME = 60.0
+"""Seconds of runs without a fault after which a version is held."""
+MAX_ENDS = 3
+"""Ends of the daemon in runs of a provisional version after which the robot returns from it."""
+
+
+class Standing(StrEnum):
+    """How a pushed behaviour stands on a robot."""
+
+    PROVISIONAL = "provisional"
+    HELD = "held"
+    RETURNED = "returned"
+
+
+class Version(Struct, frozen=True, kw_only=True):
+    """A version on this robot: its manifest, where it came from, and how it did.
+
+    `ran`: seconds of its runs without a fault. `ends`: how often the daemon ended in a run of it.
+    """
+
+    signed: Signed
+    digest: Annotated[bytes, Meta(max_length=32)]
+    label: Line
+    source: Line
+    ran: Seconds = 0.0
+    ends: Annotated[int, Meta(ge=0, le=1000)] = 0
+    is_held: bool = False
+
+    @classmethod
+    def of(cls, entry: Entry, source: str) -> Version:
+        """A provisional version; `source`: the operator or robot that handed it over."""
+        manifest = entry.manifest
+        return cls(signed=entry.signed, digest=manifest.digest, label=manifest.label, source=source)
+
+
+class PushedCode(Struct, frozen=True, kw_only=True):
+    """The versions of one behaviour.
+
+    `before`: to which the robot returns while `current` is provisional. `failed`: the version that
+    it returned from, or that did not pass its trial here, for the reason `fault`. `is_running`: a
+    run of the current version has begun and not ended.
+    """
+
+    current: Version | None = None
+    before: Version | None = None
+    failed: Version | None = None
+    fault: Line = ""
+    is_running: bool = False
+
+    @property
+    def is_provisional(self) -> bool:
+        """True while the current version has not been held."""
+        return self.current is not None and not self.current.is_held
+
+    @property
+    def standing(self) -> Standing:
+        """Returned if the newest push is not the current version because it failed here."""
+        if self.failed is not None:
+            return Standing.RETURNED
+        return Standing.PROVISIONAL if self.is_provisional else Standing.HELD
+
+    def lacks(self, entry: Entry) -> bool:
+        """True if the version of this manifest is not current here, and has not failed here."""
+        known = (self.current, self.failed)
+        return not any(one is not None and one.signed == entry.signed for one in known)
+
+    def accept(self, version: Version) -> PushedCode:
+        """The state after a trial that `version` passed.
+
+        A newer manifest of the present code changes nothing but the manifest.
+        """
+        now = self.current
+        if now is not None and now.digest == version.digest:
+            kept = replace(now, signed=version.signed, label=version.label)
+            return replace(self, current=kept, failed=None, fault="")
+        # What was held is kept over several provisional versions: the robot returns to known code.
+        before = now if now is None or now.is_held or self.before is None else self.before
+        return PushedCode(current=version, before=before)
+
+    def refuse(self, version: Version, fault: str) -> PushedCode:
+        """The state after a trial that `version` did not pass: the same code is not tried again."""
+        return replace(self, failed=version, fault=fault[:300])
+
+    def ran(self, seconds: float) -> PushedCode:
+        """The state after the current version ran for `seconds` more."""
+        if self.current is None or self.current.is_held:
+            return self
+        total = self.current.ran + max(seconds, 0.0)
+        is_held = total >= HOLD_TIME
+        current = replace(self.current, ran=min(total, HOLD_TIME), is_held=is_held)
+        return replace(self, current=current, before=None if is_held else self.before)
+
+    def begin(self) -> PushedCode:
+        """A run of the current version begins."""
+        return replace(self, is_running=True)
+
+    def end(self) -> PushedCode:
+        """The run has ended."""
+        return replace(self, is_running=False)
+
+    def failed_with(self, fault: str) -> PushedCode:
+        """The state after a fault of the current version: a provisional one gives way."""
+        if not self.is_provisional:
+            return self
+        return PushedCode(current=self.before, failed=self.current, fault=fault[:300])
+
+    def restarted(self) -> PushedCode:
+        """The state at a start of the daemon: an end within a run counts against the version."""
+        if not self.is_running or self.current is None:
+            return self
+        current = replace(self.current, ends=min(self.current.ends + 1, 1000))
+        state = replace(self, current=current, is_running=False)
+        if current.ends < MAX_ENDS:
+            return state
+        return state.failed_with(f"the daemon ended {current.ends} times while it ran")

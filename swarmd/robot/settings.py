@@ -1,0 +1,47 @@
+"""What a robot is made with: its settings, and its identity in one life of the daemon. Values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+
+from swarmd.core.host_messages import Layers
+from swarmd.core.messages import NarrowestPassage
+from swarmd.core.values import Platform, TouchZone
+from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotSettings:
+    """Settings of a robot beside its platform.
+
+    `layers` gives the configured parameters of a pattern by layer, weakest first; `touch` the
+    granted touch zones by pattern; `accepts` the platforms that it may drive beside unseen.
+    `tells_pose`: peers need its pose in a shared frame to tell their neighbors.
+    `is_provisional`: whether the pattern of that generation is provisional code.
+    """
+
+    driver: str
+    layers: Callable[[str], Layers]
+    host: str = ""
+    profile: str = "dev"
+    is_secured: bool = False
+    version: str = ""
+    kernels: str = ""
+    labels: tuple[str, ...] = ()
+    touch: Mapping[str, TouchZone] = field(default_factory=dict)
+    accepts: Accepts = ACCEPTS_NONE
+    tells_pose: bool = False
+    is_provisional: Callable[[int], bool] = lambda generation: False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RobotIdentity:
+    """The robot that a pattern is loaded for, in the life `instance` of its daemon."""
+
+    robot: str
+    platform: Platform
+    settings: RobotSettings
+    seed: int
+    instance: str
+    passage: NarrowestPassage | None

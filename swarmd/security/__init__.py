@@ -1,0 +1,1 @@
+"""Identities of a swarm with their roles: rosters, certificates, and the keys of datagrams."""

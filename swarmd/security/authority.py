@@ -1,0 +1,396 @@
+"""The certificate authority of a swarm, in a folder of the operator that made it.
+
+Certificates are X.509 with ECDSA P-256 (RFC 5280, FIPS 186-5): the common name is the name on the
+roster, and the extended key usage is that of both ends of a link. They are valid from 1970 on,
+since a robot without a battery-backed clock boots in the past. Needs the library `cryptography`.
+"""
+
+from __future__ import annotations
+
+import datetime
+import fcntl
+import os
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+import msgspec
+from cryptography import x509
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
+from msgspec import Struct
+from msgspec.structs import replace
+
+from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.keys import check_id
+from swarmd.security.datagram_keys import (
+    SECRET_BYTES,
+    DatagramKeys,
+    derive,
+    reader_keys,
+    robot_keys,
+    robot_secret,
+)
+from swarmd.security.identity import IdentityInfo, RosterFile, write_identity, write_private
+from swarmd.security.private_keys import load_key, pem_of, public_bytes, sign
+from swarmd.security.roster import (
+    Role,
+    Roster,
+    digest_of,
+    encode_roster,
+    pack_roster,
+    read_roster,
+)
+
+KEY, CERTIFICATE, STATE, NAMES = "authority.key", "authority.pem", "state", "names"
+LOCK = "lock"
+DAYS = 90
+"""How long certificates of names are valid, unless stated otherwise."""
+AUTHORITY_DAYS = 3650
+MAX_PAST = 64
+"""Earlier generations of which the authority keeps the secrets, to reach robots that hold them."""
+_BEGIN = datetime.datetime(1970, 1, 1, tzinfo=datetime.UTC)
+
+
+class Generation(Struct, frozen=True, array_like=True):
+    """A signed roster and the secret of the swarm that belongs to it."""
+
+    secret: bytes
+    roster: bytes
+
+
+class IssueRecord(Struct, frozen=True, array_like=True):
+    """`expires`: of a name's newest certificate; `generation`: the newest roster it surely has."""
+
+    expires: int
+    generation: int
+
+
+class AuthorityState(Struct, frozen=True, kw_only=True):
+    """All that changes in an authority but keys: one file, so that it changes as a whole.
+
+    `master`: from which the answer secrets of robots derive. `days`: of new certificates.
+    `revoked`: when the last certificate of a removed name ends, in s since 1970.
+    """
+
+    master: bytes
+    days: float
+    now: Generation
+    past: tuple[Generation, ...] = ()
+    issued: dict[str, IssueRecord] = {}
+    revoked: dict[str, int] = {}
+
+
+@dataclass(frozen=True, slots=True)
+class Issued:
+    """A certificate for a name, with its private key (both PEM)."""
+
+    info: IdentityInfo
+    certificate: bytes
+    key: bytes
+    authority: bytes
+    roster: RosterFile
+
+    def write(self, folder: Path) -> None:
+        """Write it as an identity."""
+        write_identity(
+            folder,
+            self.info,
+            certificate=self.certificate,
+            key=self.key,
+            authority=self.authority,
+            roster=self.roster,
+        )
+
+
+class Authority:
+    """The authority in `folder`; `create` makes a new one. ConfigError if it cannot be read.
+
+    Several processes may change it at a time: each change builds on the last one of any of them.
+    `roster` is the roster that this process read or made last.
+    """
+
+    def __init__(self, folder: Path, passphrase: bytes | None = None) -> None:
+        self.folder = folder
+        self._passphrase = passphrase
+        self._key = load_key(folder / KEY, passphrase)
+        self.public_key = public_bytes(self._key.public_key())
+        try:
+            self._certificate = x509.load_pem_x509_certificate((folder / CERTIFICATE).read_bytes())
+        except OSError as error:
+            raise ConfigError(f"authority {folder}: {error.strerror}: {error.filename}") from error
+        except ValueError as error:
+            raise ConfigError(f"authority {folder}: {error}") from error
+        self._state, self.roster = self._read_state()
+
+    @classmethod
+    def create(
+        cls, folder: Path, swarm: str, passphrase: bytes | None = None, *, days: float = DAYS
+    ) -> Authority:
+        """Make an authority with an empty roster; `change` adds names.
+
+        The passphrase encrypts the private keys of the authority and of the names in its folder.
+        """
+        check_id(swarm, "swarm")
+        try:
+            folder.mkdir(parents=True, mode=0o700)
+        except FileExistsError:
+            raise ConfigError(f"{folder} is there already; remove it to begin anew") from None
+        key = ec.generate_private_key(ec.SECP256R1())
+        name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"swarmd authority of {swarm}")])
+        until = _now() + datetime.timedelta(days=AUTHORITY_DAYS)
+        certificate = (
+            _builder(name, name, key.public_key(), until)
+            .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
+            .sign(key, hashes.SHA256())
+        )
+        secret = os.urandom(SECRET_BYTES)
+        roster = Roster(swarm=swarm, generation=1, secret_digest=digest_of(secret))
+        content = encode_roster(roster)
+        signed = pack_roster(content, sign(key, content))
+        state = AuthorityState(
+            master=os.urandom(SECRET_BYTES), days=days, now=Generation(secret, signed)
+        )
+        write_private(folder / STATE, msgspec.msgpack.encode(state))
+        write_private(folder / CERTIFICATE, certificate.public_bytes(serialization.Encoding.PEM))
+        write_private(folder / KEY, pem_of(key, passphrase))
+        return cls(folder, passphrase)
+
+    def change(
+        self, *, add: Mapping[str, Role] | None = None, remove: Collection[str] = ()
+    ) -> Roster:
+        """Write the next generation of the roster, with a new secret for datagrams.
+
+        ConfigError for a name that is on the roster already, or is not, and for a new name whose
+        earlier certificate was revoked and has not ended: that would be valid again.
+        """
+        with self._locked():
+            self._state, self.roster = self._read_state()
+            return self._change(dict(add or {}), remove)
+
+    def _change(self, add: dict[str, Role], remove: Collection[str]) -> Roster:
+        old = self.roster
+        for name in add:
+            check_id(name, "name")
+            if old.role_of(name) is not None:
+                raise ConfigError(f"{name} is on the roster already, as {old.role_of(name)}")
+            if (ends := self._state.revoked.get(name, 0)) > _now().timestamp():
+                day = datetime.datetime.fromtimestamp(ends, datetime.UTC).date()
+                raise ConfigError(
+                    f"{name} was revoked, and its last certificate ends on {day}; take another name"
+                )
+        for name in remove:
+            if old.role_of(name) is None:
+                raise ConfigError(f"{name} is not on the roster of {old.swarm}")
+        self._remove_keys(add)  # of an earlier holder of the name
+        kept = {name: old.role_of(name) for name in old.names if name not in remove} | add
+        operators = [name for name, role in kept.items() if role is Role.OPERATOR]
+        secret = os.urandom(SECRET_BYTES)
+        roster = Roster(
+            swarm=old.swarm,
+            generation=old.generation + 1,
+            robots=tuple(name for name, role in kept.items() if role is Role.ROBOT),
+            operators={
+                name: old.operators.get(name) or public_bytes(self._key_of(name).public_key())
+                for name in operators
+            },
+            viewers=tuple(name for name, role in kept.items() if role is Role.VIEWER),
+            secret_digest=digest_of(secret),
+        )
+        content = encode_roster(roster)
+        signed = pack_roster(content, sign(self._key, content))
+        issued, state = dict(self._state.issued), self._state
+        ended = {name: issued.pop(name).expires for name in remove if name in issued}
+        revoked = {name: end for name, end in state.revoked.items() if name not in add} | ended
+        past = (*state.past, state.now)[-MAX_PAST:]
+        now = Generation(secret, signed)
+        self._store(replace(state, now=now, past=past, issued=issued, revoked=revoked))
+        self._remove_keys(remove)
+        self.roster = roster
+        return roster
+
+    def issue(self, name: str, *, days: float | None = None, is_recorded: bool = True) -> Issued:
+        """A new certificate for a name of the roster, and what belongs to it.
+
+        `is_recorded` False: it may not reach the name; see `note_issued`.
+        """
+        days = self._state.days if days is None else days
+        role = self.roster.role_of(name)
+        if role is None:
+            raise ConfigError(f"{name} is not on the roster of {self.roster.swarm}")
+        with self._locked():
+            key = self._key_of(name)
+        until = _now() + datetime.timedelta(days=days)
+        subject = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, name)])
+        usages = [ExtendedKeyUsageOID.SERVER_AUTH, ExtendedKeyUsageOID.CLIENT_AUTH]
+        certificate = (
+            _builder(subject, self._certificate.subject, key.public_key(), until)
+            .add_extension(x509.BasicConstraints(ca=False, path_length=None), critical=True)
+            .add_extension(x509.ExtendedKeyUsage(usages), critical=False)
+            .add_extension(x509.SubjectAlternativeName([x509.DNSName(name)]), critical=False)
+            .sign(self._key, hashes.SHA256())
+        )
+        issued = Issued(
+            info=IdentityInfo(
+                swarm=self.roster.swarm,
+                name=name,
+                role=role,
+                expires=int(until.timestamp()),
+                authority=self.public_key,
+            ),
+            certificate=certificate.public_bytes(serialization.Encoding.PEM),
+            key=pem_of(key, None),
+            authority=self._certificate.public_bytes(serialization.Encoding.PEM),
+            roster=RosterFile(self.signed_roster, self.keys_of(name)),
+        )
+        if is_recorded:
+            self.note_issued(issued)
+        return issued
+
+    def note_issued(self, issued: Issued) -> None:
+        """Remember that a name has, or gets, this certificate.
+
+        ConfigError if the name was revoked since it was issued.
+        """
+        name = issued.info.name
+        with self._locked():
+            state, roster = self._read_state()
+            if roster.role_of(name) is None:
+                raise ConfigError(f"{name} was revoked just now by another command")
+            old = state.issued.get(name)
+            # A bundle that is not installed yet changes nothing in what the robot has.
+            generation = self.roster.generation if old is None else old.generation
+            self._note(state, {name: IssueRecord(issued.info.expires, generation)})
+
+    def record_of(self, name: str) -> IssueRecord | None:
+        """The newest certificate of a name; None: none was made yet."""
+        return self._state.issued.get(name)
+
+    def note_taken(self, names: Iterable[str]) -> None:
+        """Remember that these names have the generation of `roster`."""
+        own = self.roster.generation
+        with self._locked():
+            state, _ = self._read_state()
+            known = ((name, state.issued[name]) for name in names if name in state.issued)
+            records = {
+                name: IssueRecord(one.expires, max(one.generation, own)) for name, one in known
+            }
+            self._note(state, records)
+
+    def roster_of(self, name: str, generation: int) -> RosterFile | None:
+        """What a name held at an earlier generation; None if it is not kept any more."""
+        for one in (self._state.now, *reversed(self._state.past)):
+            roster = read_roster(one.roster, self.public_key)
+            if roster.generation == generation:
+                return RosterFile(one.roster, self._keys(name, roster, one.secret))
+        return None
+
+    def keys_of(self, name: str) -> DatagramKeys:
+        """The keys of datagrams that a name of the roster holds."""
+        return self._keys(name, self.roster, self.secret)
+
+    def _keys(self, name: str, roster: Roster, swarm_secret: bytes) -> DatagramKeys:
+        master = self._state.master
+        if name in roster.robots:
+            secret = robot_secret(master, name)
+            return robot_keys(roster.generation, swarm_secret, secret)
+        answers = {
+            robot: derive(robot_secret(master, robot), f"answer/{name}") for robot in roster.robots
+        }
+        return reader_keys(
+            roster.generation,
+            swarm_secret,
+            name,
+            is_operator=name in roster.operators,
+            answers=answers,
+        )
+
+    @property
+    def secret(self) -> bytes:
+        """The secret of the swarm at this generation."""
+        return self._state.now.secret
+
+    @property
+    def signed_roster(self) -> bytes:
+        """The roster of this generation with its signature."""
+        return self._state.now.roster
+
+    @contextmanager
+    def _locked(self) -> Iterator[None]:
+        """Keep other processes from changing the authority in the block."""
+        handle = os.open(self.folder / LOCK, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX)
+            yield
+        finally:
+            os.close(handle)
+
+    def _read_state(self) -> tuple[AuthorityState, Roster]:
+        """What the last change of any process left. ConfigError if it cannot be read."""
+        path = self.folder / STATE
+        try:
+            state = msgspec.msgpack.decode(path.read_bytes(), type=AuthorityState)
+            return state, read_roster(state.now.roster, self.public_key)
+        except OSError as error:
+            raise ConfigError(f"authority {path.parent}: {error.strerror}: {path}") from error
+        except (ValueError, CodecError) as error:
+            raise ConfigError(f"authority {path.parent}: {error}") from error
+
+    def _store(self, state: AuthorityState) -> None:
+        write_private(self.folder / STATE, msgspec.msgpack.encode(state))
+        self._state = state
+
+    def _note(self, newest: AuthorityState, records: Mapping[str, IssueRecord]) -> None:
+        """Add records to the newest state on the disk; `roster` stays that of this process."""
+        issued = {**newest.issued, **records}
+        if issued != newest.issued:
+            write_private(
+                self.folder / STATE, msgspec.msgpack.encode(replace(newest, issued=issued))
+            )
+        self._state = replace(self._state, issued=issued)
+
+    def _remove_keys(self, names: Iterable[str]) -> None:
+        for name in names:
+            with suppress(FileNotFoundError):
+                self._key_path(name).unlink()
+
+    def _key_path(self, name: str) -> Path:
+        return self.folder / NAMES / f"{name}.key"
+
+    def _key_of(self, name: str) -> ec.EllipticCurvePrivateKey:
+        """The private key of a name, made when it is first needed."""
+        path = self._key_path(name)
+        if path.exists():
+            return load_key(path, self._passphrase)
+        key = ec.generate_private_key(ec.SECP256R1())
+        path.parent.mkdir(exist_ok=True, mode=0o700)
+        write_private(path, pem_of(key, self._passphrase))
+        return key
+
+
+def is_encrypted(folder: Path) -> bool:
+    """True if the authority in `folder` needs its passphrase. ConfigError without an authority."""
+    try:
+        return b"ENCRYPTED" in (folder / KEY).read_bytes()
+    except OSError as error:
+        raise ConfigError(f"no authority in {folder}: {error.strerror}") from error
+
+
+def _builder(
+    subject: x509.Name, issuer: x509.Name, key: ec.EllipticCurvePublicKey, until: datetime.datetime
+) -> x509.CertificateBuilder:
+    return (
+        x509.CertificateBuilder()
+        .subject_name(subject)
+        .issuer_name(issuer)
+        .public_key(key)
+        .serial_number(x509.random_serial_number())
+        .not_valid_before(_BEGIN)
+        .not_valid_after(until)
+    )
+
+
+def _now() -> datetime.datetime:
+    return datetime.datetime.now(datetime.UTC)

@@ -1,0 +1,116 @@
+"""A bundle: one file with an identity and the settings of its swarm, to be carried to a machine.
+
+Layout: a line of text with the format, the SHA-256 digest of the rest, and the rest as msgpack. The
+digest finds damage. A bundle holds a private key, and is as secret as that key. It holds no file
+names, so that an installation writes only files of fixed names.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta, Struct
+
+from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.keys import is_id
+from swarmd.security.identity import IdentityInfo, RosterFile, write_identity, write_private
+from swarmd.security.roster import Roster, read_roster
+
+FORMAT = b"swarmd bundle 1\n"
+MAX_BUNDLE = 1024 * 1024
+SUFFIX = ".bundle"
+_DIGEST_BYTES = 32
+
+Pem = Annotated[bytes, Meta(min_length=1, max_length=8192)]
+
+
+class Bundle(Struct, frozen=True, kw_only=True):
+    """An identity with the swarm's settings: keys of swarm.yaml, which its reader checks."""
+
+    info: IdentityInfo
+    certificate: Pem
+    key: Pem
+    authority: Pem
+    roster: RosterFile
+    settings: dict[str, object] = {}
+
+    def write_identity(self, folder: Path) -> None:
+        """Write it as the identity in `folder`."""
+        write_identity(
+            folder,
+            self.info,
+            certificate=self.certificate,
+            key=self.key,
+            authority=self.authority,
+            roster=self.roster,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class OpenedBundle:
+    """A bundle with its roster, whose signature was verified."""
+
+    bundle: Bundle
+    roster: Roster
+
+
+_bundle = msgspec.msgpack.Decoder(Bundle)
+
+
+def pack_bundle(bundle: Bundle) -> bytes:
+    """The content of a bundle's file. ConfigError if it is too large."""
+    body = msgspec.msgpack.encode(bundle)
+    packed = FORMAT + hashlib.sha256(body).digest() + body
+    if len(packed) > MAX_BUNDLE:
+        raise ConfigError(f"a bundle has {len(packed)} bytes; at most {MAX_BUNDLE} are read")
+    return packed
+
+
+def unpack_bundle(data: bytes) -> OpenedBundle:
+    """The bundle in `data`. CodecError in one line if it is damaged, foreign or inconsistent."""
+    if len(data) > MAX_BUNDLE:
+        raise CodecError(f"more than {MAX_BUNDLE} bytes: not a bundle")
+    line, _, _ = data[:64].partition(b"\n")
+    if not data.startswith(FORMAT):
+        if line.startswith(FORMAT[:14]):
+            raise CodecError("a bundle of another format; install with the swarmd that made it")
+        raise CodecError("not a bundle; make one with `swarmctl keys bundle`")
+    digest = data[len(FORMAT) : len(FORMAT) + _DIGEST_BYTES]
+    body = data[len(FORMAT) + _DIGEST_BYTES :]
+    if hashlib.sha256(body).digest() != digest:
+        raise CodecError("damaged or cut short; copy it again")
+    try:
+        bundle = _bundle.decode(body)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise CodecError(f"a bundle that cannot be read: {error}") from error
+    info = bundle.info
+    roster = read_roster(bundle.roster.roster, info.authority)
+    if roster.swarm != info.swarm or roster.role_of(info.name) is not info.role:
+        raise CodecError(f"{info.name} is not on the bundle's roster as {info.role}")
+    if bundle.roster.datagram_keys.generation != roster.generation:
+        raise CodecError("roster and keys of the bundle are of different generations")
+    if not all(is_id(name) for name in (info.swarm, info.name)):
+        raise CodecError("a bundle with names that no key may hold")
+    return OpenedBundle(bundle, roster)
+
+
+def read_bundle(path: Path) -> OpenedBundle:
+    """The bundle in a file. ConfigError in one line with the path."""
+    try:
+        with path.open("rb") as file:
+            data = file.read(MAX_BUNDLE + 1)
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read: {error.strerror}") from error
+    try:
+        return unpack_bundle(data)
+    except CodecError as error:
+        raise ConfigError(f"{path}: {error}") from error
+
+
+def write_bundle(path: Path, bundle: Bundle) -> None:
+    """Write a bundle, readable by its owner alone, whole or not at all."""
+    write_private(path, pack_bundle(bundle))

@@ -1,0 +1,66 @@
+"""Checks a certificate against its key and its authority with Python's `ssl`, which robots have."""
+
+from __future__ import annotations
+
+import ssl
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from swarmd.core.errors import ConfigError
+
+_FLIGHTS = 10  # a handshake of TLS 1.3 takes three
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateFacts:
+    """The common name of a certificate, and when it ends, in s since 1970 (UTC)."""
+
+    name: str
+    expires: int
+
+
+def check_certificate(certificate: Path, key: Path, authority: Path) -> CertificateFacts:
+    """Verify that a certificate fits its key and that the authority signed it, and read it.
+
+    By a handshake in memory, as of a link. ConfigError in one line if a part does not fit. It needs
+    a clock that is right to the life of the authority: not before 1970, not after its end.
+    """
+    try:
+        server = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+        server.load_cert_chain(certificate, key, password=_no_passphrase)
+        client = ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)
+        client.check_hostname = False
+        client.load_verify_locations(authority)
+        found = _peer_of(client, server)
+    except (ssl.SSLError, ValueError) as error:
+        reason = getattr(error, "verify_message", "") or getattr(error, "reason", "") or error
+        raise ConfigError(f"{certificate.name} does not fit its key or authority: {reason}") from (
+            error
+        )
+    except OSError as error:
+        raise ConfigError(f"{certificate}: {error.strerror}") from error
+    subject = dict(pair for group in found["subject"] for pair in group)
+    return CertificateFacts(
+        str(subject.get("commonName", "")), int(ssl.cert_time_to_seconds(str(found["notAfter"])))
+    )
+
+
+def _no_passphrase() -> str:
+    raise ConfigError("the private key is encrypted; a daemon cannot ask for a passphrase")
+
+
+def _peer_of(client: ssl.SSLContext, server: ssl.SSLContext) -> dict[str, Any]:
+    """The certificate of the server as the client has verified it. Raises SSLError."""
+    to_client, to_server = ssl.MemoryBIO(), ssl.MemoryBIO()
+    ends = (
+        client.wrap_bio(to_client, to_server),
+        server.wrap_bio(to_server, to_client, server_side=True),
+    )
+    for _ in range(_FLIGHTS):
+        for end in ends:
+            try:
+                end.do_handshake()
+            except ssl.SSLWantReadError:
+                continue
+    return dict(ends[0].getpeercert() or {})

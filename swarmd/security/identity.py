@@ -1,0 +1,202 @@
+"""The identity of a robot, operator or viewer: a folder with its certificate and keys.
+
+Files, readable by their owner alone: `identity.json`, `certificate.pem`, `key.pem`,
+`authority.pem` and `roster`. No cryptography is needed to read them.
+"""
+
+from __future__ import annotations
+
+import os
+import stat
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import msgspec
+from msgspec import Struct
+
+from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.files import write_whole
+from swarmd.security.datagram_keys import DatagramKeys
+from swarmd.security.roster import Id, PublicKey, Role, Roster, read_roster, stored_roster
+
+INFO, CERTIFICATE, KEY = "identity.json", "certificate.pem", "key.pem"
+AUTHORITY, ROSTER = "authority.pem", "roster"
+SYSTEM_FOLDER = Path("/etc/swarmd/identities")
+
+
+class IdentityInfo(Struct, frozen=True, kw_only=True):
+    """What `identity.json` holds. `expires`: of the certificate, in s since 1970 (UTC)."""
+
+    swarm: Id
+    name: Id
+    role: Role
+    expires: int
+    authority: PublicKey
+
+
+class RosterFile(Struct, frozen=True, array_like=True):
+    """The signed roster and the keys of its generation: one file, since they change together."""
+
+    roster: bytes
+    datagram_keys: DatagramKeys
+
+
+@dataclass(frozen=True, slots=True)
+class Identity:
+    """A name of a swarm with all that it needs to prove it.
+
+    `signed_roster`: as it is handed to others.
+    """
+
+    folder: Path
+    info: IdentityInfo
+    roster: Roster
+    datagram_keys: DatagramKeys
+    signed_roster: bytes = b""
+
+    @property
+    def name(self) -> str:
+        """The name in its certificate."""
+        return self.info.name
+
+    @property
+    def role(self) -> Role:
+        """What it may do."""
+        return self.info.role
+
+    @property
+    def certificate(self) -> Path:
+        """The certificate, PEM."""
+        return self.folder / CERTIFICATE
+
+    @property
+    def key(self) -> Path:
+        """The private key, PEM."""
+        return self.folder / KEY
+
+    @property
+    def authority(self) -> Path:
+        """The certificate of the authority, PEM."""
+        return self.folder / AUTHORITY
+
+
+def authority_of(identity: Identity | None) -> bytes:
+    """The public key of the swarm's authority; empty for an insecure swarm."""
+    return b"" if identity is None else identity.info.authority
+
+
+def user_folder(environ: Mapping[str, str] = os.environ) -> Path | None:
+    """The folder of this user's configuration (XDG base directories); None without a home."""
+    base, home = environ.get("XDG_CONFIG_HOME", ""), environ.get("HOME", "")
+    if os.path.isabs(base):
+        return Path(base) / "swarmd"
+    return Path(home) / ".config/swarmd" if os.path.isabs(home) else None
+
+
+def identity_folders(swarm: str, environ: Mapping[str, str] = os.environ) -> tuple[Path, ...]:
+    """Where the identity for a swarm may be: that of the user, then that of the machine."""
+    user = user_folder(environ)
+    system = SYSTEM_FOLDER / swarm
+    return (system,) if user is None else (user / "identities" / swarm, system)
+
+
+def find_identity(swarm: str, environ: Mapping[str, str] = os.environ) -> Identity | None:
+    """The identity of this user or machine for a swarm, if there is one. See `load_identity`."""
+    for folder in identity_folders(swarm, environ):
+        if (folder / INFO).exists():
+            return load_identity(folder)
+    return None
+
+
+def choose_identity(
+    swarm: str, folder: Path | None, *, insecure: bool, environ: Mapping[str, str] = os.environ
+) -> Identity | None:
+    """The identity for a swarm: in `folder`, else found; None without one, or if `insecure`.
+
+    ConfigError in one line if it cannot be read, or is of another swarm.
+    """
+    if insecure and folder is not None:
+        raise ConfigError("identity and insecure exclude each other; give one of them")
+    if insecure:
+        return None
+    identity = find_identity(swarm, environ) if folder is None else load_identity(folder)
+    if identity is not None and identity.info.swarm != swarm:
+        raise ConfigError(
+            f"identity {identity.folder} is of swarm {identity.info.swarm!r}, not of {swarm!r};"
+            f" give the swarm {identity.info.swarm}, or another identity"
+        )
+    return identity
+
+
+def check_asker(identity: Identity | None) -> None:
+    """Raise ConfigError for the identity of a robot: robots take questions of others only."""
+    if identity is not None and identity.role is Role.ROBOT:
+        raise ConfigError(
+            f"identity {identity.folder} is of the robot {identity.name}; swarmctl needs that of an"
+            " operator or a viewer (--identity)"
+        )
+
+
+def load_identity(folder: Path) -> Identity:
+    """The identity in a folder. ConfigError in one line if it is incomplete, damaged or public."""
+    try:
+        info = msgspec.json.decode((folder / INFO).read_bytes(), type=IdentityInfo)
+        stored = msgspec.msgpack.decode((folder / ROSTER).read_bytes(), type=RosterFile)
+        # Verified when it was written. A process that can change it can change the authority as
+        # well, and the signature would take swarmctl 20 ms at each start.
+        roster = stored_roster(stored.roster)
+        for name in (CERTIFICATE, KEY, AUTHORITY):
+            (folder / name).read_bytes()
+        open_to_others = [
+            folder / name
+            for name in (KEY, ROSTER)
+            if stat.S_IMODE((folder / name).stat().st_mode) & 0o077
+        ]
+    except OSError as error:
+        raise ConfigError(f"identity {folder}: {error.strerror}: {error.filename}") from error
+    except (msgspec.MsgspecError, CodecError) as error:
+        raise ConfigError(f"identity {folder}: {error}; install its bundle again") from error
+    if open_to_others:
+        path = open_to_others[0]
+        raise ConfigError(f"{path} can be read by others; run: chmod 600 {path}")
+    keys = stored.datagram_keys
+    if roster.swarm != info.swarm or keys.generation != roster.generation:
+        raise ConfigError(f"identity {folder}: its files do not belong together; install it again")
+    return Identity(folder, info, roster, keys, stored.roster)
+
+
+def as_of(identity: Identity, file: RosterFile) -> Identity:
+    """The identity with another roster, in memory. CodecError if that is not valid."""
+    roster = read_roster(file.roster, identity.info.authority)
+    return replace(
+        identity, roster=roster, datagram_keys=file.datagram_keys, signed_roster=file.roster
+    )
+
+
+def write_identity(
+    folder: Path,
+    info: IdentityInfo,
+    *,
+    certificate: bytes,
+    key: bytes,
+    authority: bytes,
+    roster: RosterFile,
+) -> None:
+    """Write the files of an identity, `identity.json` last: it marks a complete identity."""
+    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+    write_private(folder / CERTIFICATE, certificate)
+    write_private(folder / KEY, key)
+    write_private(folder / AUTHORITY, authority)
+    write_roster(folder, roster)
+    write_private(folder / INFO, msgspec.json.encode(info))
+
+
+def write_roster(folder: Path, roster: RosterFile) -> None:
+    """Replace the roster and the keys of its generation."""
+    write_private(folder / ROSTER, msgspec.msgpack.encode(roster))
+
+
+def write_private(path: Path, content: bytes) -> None:
+    """Write a file that only its owner can read, whole or not at all, and to the disk."""
+    write_whole(path, content, 0o600)

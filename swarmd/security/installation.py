@@ -1,0 +1,86 @@
+"""Puts the identity of a bundle into place, whole or not at all."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from swarmd.core.errors import ConfigError
+from swarmd.core.files import sync_folder
+from swarmd.security.bundle import OpenedBundle
+from swarmd.security.certificate_check import check_certificate
+from swarmd.security.identity import INFO, Identity, load_identity
+
+
+def check_replaces(opened: OpenedBundle, old: Identity | None, *, is_forced: bool) -> None:
+    """ConfigError if a bundle must not replace an identity of the same swarm.
+
+    `is_forced` permits another name and another authority, never an older roster.
+    """
+    if old is None:
+        return
+    new = opened.bundle.info
+    if new.authority != old.info.authority:
+        if not is_forced:
+            raise ConfigError(
+                f"the bundle is of another authority of swarm {new.swarm} than {old.folder};"
+                " --force replaces it, and this machine then leaves the swarm of the old one"
+            )
+        return
+    if new.name != old.name and not is_forced:
+        raise ConfigError(
+            f"the bundle is of {new.name}, and this machine is {old.name}; --force replaces it"
+        )
+    if opened.roster.generation < old.roster.generation:
+        raise ConfigError(
+            f"the bundle has generation {opened.roster.generation} of the roster, and this machine"
+            f" {old.roster.generation}; make a new bundle with `swarmctl keys bundle {new.name}`"
+        )
+
+
+def installed(folder: Path) -> Identity | None:
+    """The identity in a folder; None without an identity, or if it cannot be read."""
+    if not (folder / INFO).exists():
+        return None
+    try:
+        return load_identity(folder)
+    except ConfigError:
+        return None  # a bundle repairs it
+
+
+@contextmanager
+def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
+    """Put the bundle's identity into `folder` for the block; an error in it brings back the old.
+
+    Key and certificate are checked before anything is replaced. ConfigError, OSError.
+    """
+    draft = folder.with_name(f".{folder.name}.partial")
+    backup = folder.with_name(f".{folder.name}.before")
+    is_in_place = False
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+        if backup.exists() and not folder.exists():  # an earlier installation was cut off
+            backup.rename(folder)
+        for leftover in (draft, backup):
+            shutil.rmtree(leftover, ignore_errors=True)
+        opened.bundle.write_identity(draft)
+        checked = load_identity(draft)
+        facts = check_certificate(checked.certificate, checked.key, checked.authority)
+        if (facts.name, facts.expires) != (checked.name, checked.info.expires):
+            raise ConfigError(f"the certificate of the bundle is of {facts.name}; make a new one")
+        if folder.exists():
+            folder.rename(backup)
+        is_in_place = True
+        draft.rename(folder)
+        sync_folder(folder.parent)
+        yield load_identity(folder)
+    except BaseException:
+        shutil.rmtree(draft, ignore_errors=True)
+        if is_in_place:
+            shutil.rmtree(folder, ignore_errors=True)
+            with suppress(FileNotFoundError):
+                backup.rename(folder)
+        raise
+    shutil.rmtree(backup, ignore_errors=True)

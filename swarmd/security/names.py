@@ -1,0 +1,80 @@
+"""Names written as ranges: `tb3-[01-40]`, `r[1-3,7]`, several separated by commas. Pure."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Iterator
+from fnmatch import fnmatchcase
+from itertools import product
+
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.keys import check_id
+from swarmd.security.roster import MAX_NAMES
+
+_PARTS = re.compile(r"\[([^\[\]]*)\]")
+_COMMA = re.compile(r",(?![^\[]*\])")  # outside of brackets
+_NUMBERS = re.compile(r"(\d{1,9})(?:-(\d{1,9}))?")
+_EXAMPLE = "tb3-[01-40]"
+
+
+def expand_names(text: str) -> tuple[str, ...]:
+    """The names in `text`, in its order. ConfigError for a wrong range, name, or a name twice.
+
+    The width of a range's first number is the least width of all: `[01-40]` gives 01, 02, ... 40.
+    """
+    names: dict[str, None] = {}
+    for word in _COMMA.split(text):
+        for name in _expanded(word.strip(), text):
+            check_id(name, f"a name of {text!r}")
+            if name in names:
+                raise ConfigError(f"{text!r} gives {name} twice; name it once")
+            names[name] = None
+            if len(names) > MAX_NAMES:
+                raise ConfigError(f"{text!r} gives more than {MAX_NAMES} names")
+    return tuple(names)
+
+
+def select_names(words: tuple[str, ...], known: tuple[str, ...]) -> tuple[str, ...]:
+    """The names that words, ranges and globs give, all of them without words. ConfigError."""
+    chosen: dict[str, None] = {} if words else dict.fromkeys(known)
+    for word in words:
+        is_glob = "*" in word or "?" in word
+        found = [n for n in known if fnmatchcase(n, word)] if is_glob else expand_names(word)
+        for name in found or (word,):
+            if name not in known:
+                raise ConfigError(f"{unknown('name', name, known)}; see `swarmctl keys list`")
+            chosen[name] = None
+    return tuple(chosen)
+
+
+def check_distinct(*groups: Iterable[str]) -> None:
+    """ConfigError if a name is in two groups: it has one role."""
+    seen: set[str] = set()
+    for group in groups:
+        for name in group:
+            if name in seen:
+                raise ConfigError(f"{name} is given two roles; each name has one")
+            seen.add(name)
+
+
+def _expanded(word: str, text: str) -> Iterator[str]:
+    pieces = _PARTS.split(word)
+    fixed, ranges = pieces[::2], pieces[1::2]
+    if any("[" in piece or "]" in piece for piece in fixed):
+        raise ConfigError(f"{text!r} has a bracket without its pair; expected such as {_EXAMPLE}")
+    for numbers in product(*(tuple(_numbers(inside, text)) for inside in ranges)):
+        yield "".join(part for pair in zip(fixed, (*numbers, ""), strict=True) for part in pair)
+
+
+def _numbers(inside: str, text: str) -> Iterator[str]:
+    for part in inside.split(","):
+        match = _NUMBERS.fullmatch(part.strip())
+        if match is None:
+            raise ConfigError(f"{text!r} has the range [{inside}]; expected such as {_EXAMPLE}")
+        first, last = match[1], match[2] or match[1]
+        if int(last) < int(first) or int(last) - int(first) >= MAX_NAMES:
+            raise ConfigError(
+                f"{text!r} has the range {part.strip()}; expected up to {MAX_NAMES} rising numbers"
+            )
+        for number in range(int(first), int(last) + 1):
+            yield str(number).zfill(len(first))

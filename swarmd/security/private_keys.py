@@ -1,0 +1,54 @@
+"""Private keys of P-256 in PEM files, and what they sign. Needs the library `cryptography`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives.asymmetric import ec
+from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
+
+from swarmd.core.errors import ConfigError
+
+
+def sign(key: ec.EllipticCurvePrivateKey, content: bytes) -> bytes:
+    """The signature of `content` as `r || s`, 64 bytes."""
+    r, s = decode_dss_signature(key.sign(content, ec.ECDSA(hashes.SHA256())))
+    return r.to_bytes(32, "big") + s.to_bytes(32, "big")
+
+
+def public_bytes(key: ec.EllipticCurvePublicKey) -> bytes:
+    """A public key as `x || y`, 64 bytes."""
+    return key.public_bytes(
+        serialization.Encoding.X962, serialization.PublicFormat.UncompressedPoint
+    )[1:]
+
+
+def load_private_key(path: Path) -> ec.EllipticCurvePrivateKey:
+    """The private key of an identity, with which an operator signs. ConfigError in one line."""
+    return load_key(path, None)
+
+
+def load_key(path: Path, passphrase: bytes | None) -> ec.EllipticCurvePrivateKey:
+    """The private key in a PEM file. ConfigError in one line."""
+    try:
+        key = serialization.load_pem_private_key(path.read_bytes(), passphrase)
+    except OSError as error:
+        raise ConfigError(f"{path}: {error.strerror}") from error
+    except (TypeError, ValueError) as error:
+        if passphrase:
+            raise ConfigError(f"{path}: the passphrase is wrong, or the file is damaged") from None
+        raise ConfigError(f"{path}: {error}") from error
+    if not isinstance(key, ec.EllipticCurvePrivateKey):
+        raise ConfigError(f"{path}: expected a key of the curve P-256")
+    return key
+
+
+def pem_of(key: ec.EllipticCurvePrivateKey, passphrase: bytes | None) -> bytes:
+    """A private key as PEM (PKCS #8), encrypted if there is a passphrase."""
+    encryption: serialization.KeySerializationEncryption = serialization.NoEncryption()
+    if passphrase:
+        encryption = serialization.BestAvailableEncryption(passphrase)
+    return key.private_bytes(
+        serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption
+    )

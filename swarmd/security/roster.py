@@ -1,0 +1,121 @@
+"""The roster: the names of a swarm with their roles, signed by its certificate authority. Pure.
+
+A roster has a generation. A greater one replaces a smaller one, and never the other way round. Its
+signature is ECDSA with P-256 and SHA-256 (FIPS 186-5), 64 bytes `r || s`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from enum import StrEnum
+from typing import Annotated
+
+import msgspec
+from msgspec import Meta, Struct
+
+from swarmd.core.errors import CodecError
+
+PUBLIC_KEY_BYTES = 64
+SIGNATURE_BYTES = 64
+MAX_NAMES = 2048
+MAX_ROSTER = 256 * 1024
+
+Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
+PublicKey = Annotated[bytes, Meta(min_length=PUBLIC_KEY_BYTES, max_length=PUBLIC_KEY_BYTES)]
+"""A point of P-256: `x || y`, big endian."""
+Signature = Annotated[bytes, Meta(max_length=SIGNATURE_BYTES)]
+
+
+class Role(StrEnum):
+    """What a name may do: a robot writes its own subtree, an operator asks, a viewer reads."""
+
+    ROBOT = "robot"
+    OPERATOR = "operator"
+    VIEWER = "viewer"
+
+
+class Roster(Struct, frozen=True, kw_only=True):
+    """The names of a swarm. `operators`: with the public keys that sign goals and behaviours.
+
+    `secret_digest`: SHA-256 of the secret from which the keys of datagrams derive.
+    """
+
+    swarm: Id
+    generation: Annotated[int, Meta(ge=1, le=2**32 - 1)]
+    robots: Annotated[tuple[Id, ...], Meta(max_length=MAX_NAMES)] = ()
+    operators: Annotated[dict[Id, PublicKey], Meta(max_length=MAX_NAMES)] = {}
+    viewers: Annotated[tuple[Id, ...], Meta(max_length=MAX_NAMES)] = ()
+    secret_digest: Annotated[bytes, Meta(min_length=32, max_length=32)]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names: robots, operators, viewers."""
+        return (*self.robots, *self.operators, *self.viewers)
+
+    def role_of(self, name: str) -> Role | None:
+        """The role of a name; None if it is not on the roster."""
+        if name in self.robots:
+            return Role.ROBOT
+        if name in self.operators:
+            return Role.OPERATOR
+        return Role.VIEWER if name in self.viewers else None
+
+
+class SignedRoster(Struct, frozen=True, array_like=True):
+    """A roster as its bytes, and the authority's signature of them."""
+
+    content: Annotated[bytes, Meta(max_length=MAX_ROSTER)]
+    signature: Signature
+
+
+_roster = msgspec.msgpack.Decoder(Roster)
+_signed = msgspec.msgpack.Decoder(SignedRoster)
+_encoder = msgspec.msgpack.Encoder()
+
+
+def encode_roster(roster: Roster) -> bytes:
+    """The bytes that the authority signs."""
+    return _encoder.encode(roster)
+
+
+def pack_roster(content: bytes, signature: bytes) -> bytes:
+    """A signed roster as it is stored and sent."""
+    return _encoder.encode(SignedRoster(content, signature))
+
+
+def stored_roster(data: bytes) -> Roster:
+    """The roster in `data`, whose signature was verified before it was stored. CodecError."""
+    return _decoded(data)[1]
+
+
+def read_roster(data: bytes, authority: bytes) -> Roster:
+    """The roster in `data`, signed by the authority with that public key. CodecError otherwise."""
+    signed, roster = _decoded(data)
+    if not is_signed_by(authority, signed.content, signed.signature):
+        raise CodecError("a roster without a valid signature of this swarm's authority")
+    return roster
+
+
+def _decoded(data: bytes) -> tuple[SignedRoster, Roster]:
+    try:
+        signed = _signed.decode(data)
+        return signed, _roster.decode(signed.content)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise CodecError(f"a roster that cannot be read: {error}") from error
+
+
+def digest_of(secret: bytes) -> bytes:
+    """SHA-256 of the secret of a swarm, as the roster holds it."""
+    return hashlib.sha256(secret).digest()
+
+
+def is_signed_by(public_key: bytes, content: bytes, signature: bytes) -> bool:
+    """True if `signature` is that of `content` by the holder of `public_key`; takes some 4 ms."""
+    from ecdsa import BadSignatureError, NIST256p, VerifyingKey
+    from ecdsa.errors import MalformedPointError
+
+    try:
+        key = VerifyingKey.from_string(public_key, NIST256p, hashlib.sha256)
+        return bool(key.verify(signature, content))
+    except (BadSignatureError, MalformedPointError, AssertionError, ValueError):
+        return False

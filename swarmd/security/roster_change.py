@@ -1,0 +1,173 @@
+"""Taking a roster, and a renewed certificate, into an identity that is there already.
+
+What an identity takes is checked against its authority alone; the sender does not matter. A
+smaller generation never replaces a greater one.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import msgspec
+from msgspec import Struct
+
+from swarmd.core.errors import CodecError, ConfigError
+from swarmd.security.certificate_check import check_certificate
+from swarmd.security.datagram_keys import DatagramKeys, Secret, reader_keys, robot_keys
+from swarmd.security.identity import (
+    CERTIFICATE,
+    INFO,
+    Identity,
+    RosterFile,
+    load_identity,
+    write_private,
+    write_roster,
+)
+from swarmd.security.roster import MAX_ROSTER, Role, Roster, digest_of, read_roster
+
+
+class SharedRoster(Struct, frozen=True, array_like=True):
+    """A signed roster on its way: with the secret for a robot, with its keys for a reader."""
+
+    roster: bytes
+    secret: Secret = b""
+    keys: DatagramKeys | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class TakenRoster:
+    """An identity after it took a roster; `text`: in words. `is_changed` False: it had it.
+
+    `fault`: why it is not on the disk; a roster is then kept in memory, and a restart forgets it.
+    """
+
+    identity: Identity
+    is_changed: bool
+    text: str
+    fault: str = ""
+
+    @property
+    def is_revoked(self) -> bool:
+        """True if the roster does not have this name in its role."""
+        return is_revoked(self.identity)
+
+
+_shared = msgspec.msgpack.Decoder(SharedRoster)
+
+
+def is_revoked(identity: Identity) -> bool:
+    """True if the identity's own roster does not have its name in its role."""
+    return identity.roster.role_of(identity.name) is not identity.role
+
+
+def take_roster(identity: Identity, shared: SharedRoster, certificate: bytes = b"") -> TakenRoster:
+    """Check a roster and a certificate, and write them into the identity's folder.
+
+    A disk that cannot be written keeps no robot from what its authority decided; see `TakenRoster`.
+    CodecError if the roster is not signed by the authority or does not fit; ConfigError if the
+    certificate does not. It takes about 20 ms and writes to the disk.
+    """
+    roster = read_roster(shared.roster, identity.info.authority)
+    if roster.swarm != identity.info.swarm:
+        raise CodecError(f"a roster of swarm {roster.swarm}, not of {identity.info.swarm}")
+    own = identity.roster.generation
+    if roster.generation < own:
+        raise CodecError(f"a roster of generation {roster.generation}; it has generation {own}")
+    if roster.generation == own and shared.roster != identity.signed_roster:
+        raise CodecError(f"another roster of generation {own}: its authority was an older copy")
+    is_newer = roster.generation > own
+    keys = _keys_of(identity, roster, shared) if is_newer else identity.datagram_keys
+    words, fault, is_renewed = [f"generation {roster.generation} of the roster"], "", False
+    taken = replace(identity, roster=roster, datagram_keys=keys, signed_roster=shared.roster)
+    if certificate and certificate != identity.certificate.read_bytes():
+        try:
+            renewed = take_certificate(identity, certificate)
+            if renewed is None:
+                words.append("its certificate ends later than the certificate that was sent")
+            else:
+                taken, is_renewed = replace(taken, info=renewed.info), True
+        except OSError as error:
+            fault = f"the new certificate cannot be written: {error.strerror}"
+    try:
+        if load_identity(identity.folder).signed_roster != shared.roster:
+            write_roster(identity.folder, RosterFile(shared.roster, keys))
+    except OSError as error:
+        fault = f"in memory only: {error.strerror}"
+    if is_revoked(taken):
+        words.append(f"{identity.name} is no longer on it")
+    if is_renewed:
+        words.append("a new certificate")
+    if fault:
+        words.append(fault)
+    return TakenRoster(taken, is_renewed or is_newer, ", ".join(words), fault)
+
+
+def read_shared(data: bytes) -> SharedRoster:
+    """What a peer shared. CodecError if it cannot be read."""
+    if len(data) > 2 * MAX_ROSTER:
+        raise CodecError(f"a shared roster of {len(data)} bytes")
+    try:
+        return _shared.decode(data)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise CodecError(f"a shared roster that cannot be read: {error}") from error
+
+
+def share_roster(identity: Identity, asker: str) -> bytes | None:
+    """What the robot `identity` hands to `asker`, whose name its link has proved; None: nothing.
+
+    A robot gets the swarm's secret; an operator or viewer its own keys, of which this robot can
+    make those with itself only.
+    """
+    keys, role = identity.datagram_keys, identity.roster.role_of(asker)
+    if role is None or is_revoked(identity):
+        return None
+    if role is Role.ROBOT:
+        shared = SharedRoster(identity.signed_roster, keys.secret)
+    else:
+        own = reader_keys(
+            keys.generation,
+            keys.secret,
+            asker,
+            is_operator=role is Role.OPERATOR,
+            answers={identity.name: keys.answer_to(asker)},
+        )
+        shared = SharedRoster(identity.signed_roster, keys=own)
+    return msgspec.msgpack.encode(shared)
+
+
+def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster) -> DatagramKeys:
+    """The keys of the identity at the generation of `roster`; empty ones if it is not on it."""
+    role, old = roster.role_of(identity.name), identity.datagram_keys
+    if role is not identity.role:
+        return DatagramKeys(generation=roster.generation)
+    if role is Role.ROBOT:
+        if digest_of(shared.secret) != roster.secret_digest:
+            raise CodecError("a roster with a secret that does not belong to it")
+        return robot_keys(roster.generation, shared.secret, old.answer_secret)
+    keys = shared.keys
+    if keys is None or keys.generation != roster.generation or not keys.own:
+        raise CodecError("a roster without the keys of its generation")
+    answers = {n: key for n, key in {**old.answers, **keys.answers}.items() if n in roster.robots}
+    return msgspec.structs.replace(keys, secret=b"", answers=answers)
+
+
+def take_certificate(identity: Identity, certificate: bytes) -> Identity | None:
+    """Replace the certificate of an identity, once it is checked against key and authority.
+
+    None if it ends before the present one, which is kept: an old one, sent again, would end the
+    links of a robot early. ConfigError if it does not fit.
+    """
+    draft = identity.folder / f".{CERTIFICATE}.new"
+    try:
+        write_private(draft, certificate)
+        facts = check_certificate(draft, identity.key, identity.authority)
+    finally:
+        draft.unlink(missing_ok=True)
+    if facts.name != identity.name:
+        raise ConfigError(f"a certificate of {facts.name}, not of {identity.name}")
+    if facts.expires < identity.info.expires:
+        return None
+    write_private(identity.certificate, certificate)
+    info = msgspec.structs.replace(identity.info, expires=facts.expires)
+    write_private(identity.folder / INFO, msgspec.json.encode(info))
+    return load_identity(identity.folder)

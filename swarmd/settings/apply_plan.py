@@ -1,0 +1,169 @@
+"""What a swarm file wants of robots beside what they are, and the changes that are left. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from swarmd.core.goal import Goal, GoalState, GoalStatus
+from swarmd.core.messages import State, Status
+from swarmd.network.members_view import Contact, MembersView
+from swarmd.settings.swarmfile import SwarmFile
+from swarmd.texts.goal import content_of, present_goals
+from swarmd.texts.values import NOTHING, number
+from swarmd.texts.why import absence
+
+Params = Mapping[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """The changes that lead to a swarm file.
+
+    `labels`: the new labels of robots. `goal`: the content of a new goal, for the
+    robots in `targets`. `resume`: robots that were offered the goal that is there. `params`: of
+    running robots. `lines`: each change in words, with the robots that it is for. `unknown`: what
+    keeps a robot from being compared. `left`: differences that no change of this plan ends.
+    """
+
+    labels: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    goal: Mapping[str, Any] | None = None
+    targets: tuple[str, ...] = ()
+    resume: tuple[str, ...] = ()
+    params: Mapping[str, Params] = field(default_factory=dict)
+    lines: tuple[tuple[str, str, str], ...] = ()
+    unknown: Mapping[str, str] = field(default_factory=dict)
+    left: Mapping[str, str] = field(default_factory=dict)
+
+    @property
+    def is_empty(self) -> bool:
+        """True if nothing is to be changed."""
+        return not (self.labels or self.goal or self.resume or self.params)
+
+    @property
+    def moves(self) -> bool:
+        """True if it starts motion, or changes that of running robots."""
+        starts = self.goal is not None and self.goal["pattern"] is not None
+        return starts or bool(self.resume or self.params)
+
+
+def plan_of(file: SwarmFile, view: MembersView) -> Plan:
+    """The changes from the robots in `view` to a file; robots without a status are `unknown`.
+
+    A file without labels leaves them as they are; without a goal or parameters likewise.
+    """
+    there = {
+        name: one.status
+        for name, one in view.members.items()
+        if one.status is not None and one.contact is Contact.ANSWERED
+    }
+    expected = sorted(view.expected - there.keys())
+    unknown = {name: absence(view.members.get(name)) for name in expected}
+    for label, robots in file.labels.items():
+        for name in set(robots) - view.members.keys() - unknown.keys():
+            unknown[name] = f"labels.{label} names it, and no such robot is known"
+    labels = {name: labels_in(file, name) for name in there} if file.labels else {}
+    changed = {
+        name: wanted for name, wanted in labels.items() if set(wanted) != {*there[name].labels}
+    }
+    lines = [
+        ("labels", name, f"{_words(there[name].labels)} -> {_words(wanted)}")
+        for name, wanted in changed.items()
+    ]
+    present, _ = present_goals(view)
+    goal: Mapping[str, Any] | None = None
+    targets: tuple[str, ...] = ()
+    resume: tuple[str, ...] = ()
+    left: dict[str, str] = {}
+    if file.goal is not None:
+        after = {name: labels.get(name, status.labels) for name, status in there.items()}
+        wanted_goal = Goal(generation=1, issuer="file", id="file", **file.goal.content)
+        targets = tuple(n for n in sorted(after) if wanted_goal.is_for(n, after[n]))
+        if is_like(present, file.goal.content):
+            resume = tuple(name for name in targets if _is_offered(there[name]))
+            left = {
+                name: status.goal.reason
+                for name, status in there.items()
+                if name in targets and status.goal and _is_left(status.goal)
+            }
+            lines += [("resume", name, file.goal.pattern or "stand") for name in resume]
+        else:
+            goal = file.goal.content
+            before = "no goal" if present is None else present.text
+            lines.append(("goal", _words(targets), f"{before} -> {_goal_text(file.goal.content)}"))
+    params = {
+        name: changes
+        for name, status in there.items()
+        if (changes := _param_changes(file, name, status, labels, goal))
+    }
+    lines += [
+        ("param", name, f"{key} {_value(there[name], key)} -> {number(value)}")
+        for name, changes in params.items()
+        for key, value in changes.items()
+    ]
+    return Plan(changed, goal, targets, resume, params, tuple(lines), unknown, left)
+
+
+def labels_in(file: SwarmFile, robot: str) -> tuple[str, ...]:
+    """The labels of a robot in a file, in its order."""
+    return tuple(label for label, robots in file.labels.items() if robot in robots)
+
+
+def is_like(goal: Goal | None, content: Mapping[str, Any]) -> bool:
+    """True if a goal has this content, and no lease of its own."""
+    if goal is None or goal.lease is not None:
+        return False
+    known = content_of(goal)
+    return all(known[key] == value for key, value in content.items())
+
+
+def params_in(file: SwarmFile, robot: str, labels: tuple[str, ...], pattern: str) -> Params:
+    """The parameters of a robot's pattern in a file: of its labels, then its own above them."""
+    found: dict[str, Any] = {}
+    for label in labels:
+        found |= file.parameters.labels.get(label, {}).get(pattern, {})
+    return found | file.parameters.robots.get(robot, {}).get(pattern, {})
+
+
+def _param_changes(
+    file: SwarmFile,
+    robot: str,
+    status: Status,
+    labels: Mapping[str, tuple[str, ...]],
+    goal: Mapping[str, Any] | None,
+) -> Params:
+    """The parameters of a running pattern that differ; those of a goal count more.
+
+    None where a new goal lets the robot run something else: they are compared after that.
+    """
+    pattern = status.pattern
+    if status.state is not State.RUNNING or pattern is None or goal is not None:
+        return {}
+    wanted = dict(params_in(file, robot, labels.get(robot, status.labels), pattern))
+    if file.goal is not None and file.goal.pattern == pattern:
+        wanted |= file.goal.params
+    known = {key: one.value for key, one in status.params.items()}
+    return {key: value for key, value in wanted.items() if key in known and known[key] != value}
+
+
+def _is_left(goal: GoalStatus) -> bool:
+    """True if the run has ended; parameters of a run that goes on are compared by themselves."""
+    return bool(goal.reason) and goal.state not in (GoalState.OFFERED, GoalState.RUNNING)
+
+
+def _is_offered(status: Status) -> bool:
+    return status.goal is not None and status.goal.state is GoalState.OFFERED
+
+
+def _value(status: Status, key: str) -> str:
+    return number(status.params[key].value)
+
+
+def _words(names: tuple[str, ...]) -> str:
+    return ", ".join(names) or NOTHING
+
+
+def _goal_text(content: Mapping[str, Any]) -> str:
+    params = (f"{key}={number(value)}" for key, value in content["params"].items())
+    return " ".join((content["pattern"] or "stand", *params))

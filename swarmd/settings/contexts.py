@@ -1,0 +1,149 @@
+"""Contexts of an operator: named sets of network options, of which one is in use.
+
+They are in `contexts.yaml` in the folder of the user's configuration::
+
+    use: meadow
+    contexts:
+      meadow: {swarm: meadow, profile: field, interface: wlan0}
+      class: {config: /home/anna/class/swarm.yaml}
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import msgspec
+from msgspec import Struct
+
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.files import whole_file
+from swarmd.core.keys import check_id
+from swarmd.network.settings import Profile, parse_endpoint
+from swarmd.security.identity import user_folder
+
+if TYPE_CHECKING:
+    from swarmd.settings.layered import Fault, Keys
+
+ENVIRONMENT = "SWARM_CONTEXT"
+
+
+class Context(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """Network options as `swarmctl` takes them; None or empty: not set.
+
+    `config` and `identity` are absolute paths.
+    """
+
+    swarm: str | None = None
+    profile: Profile | None = None
+    interface: str | None = None
+    seeds: tuple[str, ...] = ()
+    config: str | None = None
+    identity: str | None = None
+    insecure: bool = False
+
+
+class Contexts(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, omit_defaults=True):
+    """The contexts of a user by name, and the one in use."""
+
+    use: str | None = None
+    contexts: dict[str, Context] = {}
+
+    def get(self, name: str) -> Context:
+        """The context of that name. ConfigError, with the nearest name, if it does not exist."""
+        if name in self.contexts:
+            return self.contexts[name]
+        raise ConfigError(f"{unknown('context', name, self.contexts)}; see `swarmctl context list`")
+
+    def with_use(self, name: str) -> Contexts:
+        """The same with this one in use. ConfigError if there is no such context."""
+        self.get(name)
+        return Contexts(use=name, contexts=self.contexts)
+
+    def with_context(self, name: str, context: Context) -> Contexts:
+        """The same with this context added or replaced. ConfigError for a wrong name or value."""
+        check_id(name, "context")
+        for _, fault in _faults_of(context, ()):
+            raise ConfigError(fault)
+        return Contexts(use=self.use, contexts={**self.contexts, name: context})
+
+    def without(self, name: str) -> Contexts:
+        """The same without this context. ConfigError if there is no such context."""
+        self.get(name)
+        left = {one: context for one, context in self.contexts.items() if one != name}
+        return Contexts(use=None if self.use == name else self.use, contexts=left)
+
+
+def contexts_path(environ: Mapping[str, str] = os.environ) -> Path | None:
+    """Where the contexts of this user are; None without a home."""
+    folder = user_folder(environ)
+    return None if folder is None else folder / "contexts.yaml"
+
+
+def load_contexts(path: Path | None) -> Contexts:
+    """The contexts in a file, empty without one. ConfigError names the first fault."""
+    if path is None or not path.exists():
+        return Contexts()
+    from swarmd.settings.layered import Layered  # YAML, which most commands do without
+    from swarmd.settings.yamlfile import read, shown
+
+    return Layered((shown(path), read(path))).build(Contexts, _check)
+
+
+def save_contexts(path: Path | None, contexts: Contexts) -> None:
+    """Write the contexts, whole or not at all. ConfigError without a home."""
+    import yaml
+
+    if path is None:
+        raise ConfigError("contexts are kept in $HOME/.config/swarmd; set HOME")
+    path.parent.mkdir(parents=True, exist_ok=True, mode=0o700)
+    with whole_file(path) as partial:
+        partial.write_text(yaml.safe_dump(msgspec.to_builtins(contexts), sort_keys=False))
+
+
+def context_in_use(environ: Mapping[str, str] = os.environ) -> tuple[str, Context] | None:
+    """The name and the options of the context that `$SWARM_CONTEXT` or the user has chosen.
+
+    ConfigError if there is no such context, or the file is wrong.
+    """
+    path = contexts_path(environ)
+    named = environ.get(ENVIRONMENT)
+    if not named and (path is None or not path.exists()):
+        return None
+    contexts = load_contexts(path)
+    name = named or contexts.use
+    return (name, contexts.get(name)) if name else None
+
+
+def add_context(
+    name: str, context: Context, *, use: bool = False, environ: Mapping[str, str] = os.environ
+) -> Path:
+    """Add or replace a context of this user; returns the file. ConfigError for a wrong value."""
+    path = contexts_path(environ)
+    contexts = load_contexts(path).with_context(name, context)
+    save_contexts(path, contexts.with_use(name) if use else contexts)
+    assert path is not None
+    return path
+
+
+def _check(value: Any, keys: Keys) -> Iterator[Fault]:
+    if isinstance(value, Context):
+        yield from _faults_of(value, keys)
+    elif isinstance(value, Contexts) and value.use is not None and value.use not in value.contexts:
+        yield ("use",), f"use names {unknown('context', value.use, value.contexts)}"
+
+
+def _faults_of(context: Context, keys: Keys) -> Iterator[Fault]:
+    try:
+        if context.swarm is not None:
+            check_id(context.swarm, "swarm")
+        for seed in context.seeds:
+            parse_endpoint(seed, "seeds has ")
+    except ConfigError as error:
+        yield keys, str(error)
+    for name in ("config", "identity"):
+        path = getattr(context, name)
+        if path is not None and not os.path.isabs(path):
+            yield (*keys, name), f"{name} is {path!r}; expected an absolute path"

@@ -1,0 +1,102 @@
+"""The settings that travel in bundles, and the files into which their installation writes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from swarmd.core.errors import ConfigError
+from swarmd.security.identity import write_private
+from swarmd.settings.layered import Layered
+from swarmd.settings.swarmfile import DaemonFile, SwarmFile, check
+from swarmd.settings.yamlfile import Data, read, shown
+
+SWARM_YAML = "swarm.yaml"
+"""The settings of a swarm, beside the identity of an operator and in the authority's folder."""
+# Keys that belong to a machine and not to its swarm: an installation keeps those that are there.
+OWN_KEYS = (
+    "interface",
+    "listen",
+    *(key for key in DaemonFile.__struct_fields__ if key not in SwarmFile.__struct_fields__),
+)
+_OF_ONE_MACHINE = frozenset({"roster", "identity", "insecure"})
+_REPLACED = ("id", "swarm_file", "identity", "insecure")
+
+
+@dataclass(frozen=True, slots=True)
+class DraftedFile:
+    """A file as it would be written. `kept`: keys of the machine; `dropped`: keys that end."""
+
+    path: Path
+    data: Data
+    kept: tuple[str, ...]
+    dropped: tuple[str, ...]
+
+    def write(self) -> None:
+        """Write it, whole or not at all; a file that was there is kept as `<name>.before`."""
+        if self.path.exists():
+            before = self.path.with_name(f"{self.path.name}.before")
+            write_private(before, self.path.read_bytes())
+        write_yaml(self.path, self.data, f"Written by `swarmd install` for {self.data['id']}.")
+
+
+def swarm_settings(
+    swarm: str, config: Path | None, overrides: Mapping[str, object]
+) -> dict[str, Any]:
+    """The checked keys of swarm.yaml for a swarm. ConfigError names the source of a wrong key.
+
+    The roster is left out: the signed roster of an identity has the names. So are `identity` and
+    `insecure`, which are of one machine.
+    """
+    given = {key: value for key, value in overrides.items() if value}
+    sources: list[tuple[str, Mapping[str, Any]]] = [("command line", {"swarm": swarm, **given})]
+    if config is not None:
+        sources.append((shown(config), read(config)))
+    layers = Layered(*sources)
+    layers.build(SwarmFile)
+    layers.build(DaemonFile, check)
+    left_out = {"swarm", *_OF_ONE_MACHINE}
+    return {"swarm": swarm, **{k: v for k, v in layers.data.items() if k not in left_out}}
+
+
+def checked_settings(name: str, swarm: str, settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings of a bundle, of which `name` is the file. ConfigError if a key is wrong.
+
+    Keys that `swarm_settings` leaves out are refused: no bundle has them, unless it was changed.
+    """
+    if found := sorted(_OF_ONE_MACHINE & settings.keys()):
+        raise ConfigError(f"{name}: a bundle does not set {', '.join(found)}; make a new one")
+    layers = Layered((name, {**settings, "swarm": swarm}))
+    layers.build(SwarmFile)
+    layers.build(DaemonFile, check)
+    return layers.data
+
+
+def draft_daemon_file(
+    path: Path, robot: str, settings: Mapping[str, Any], overrides: Mapping[str, object]
+) -> DraftedFile:
+    """The daemon's own file for a robot: settings of the swarm and what the machine had of its own.
+
+    ConfigError if the file that is there is wrong, or the result is.
+    """
+    old = read(path) if path.exists() else {}
+    kept = {key: old[key] for key in OWN_KEYS if key in old and key not in _REPLACED}
+    given = {key: value for key, value in overrides.items() if value}
+    data: Data = {"id": robot, **settings, **kept, **given}
+    Layered((shown(path), data)).build(DaemonFile, check)
+    return DraftedFile(
+        path,
+        data,
+        tuple(key for key in kept if key not in given),
+        tuple(key for key in old if key not in data),
+    )
+
+
+def write_yaml(path: Path, data: Mapping[str, Any], comment: str) -> None:
+    """Write settings as YAML, readable by their owner alone, whole or not at all."""
+    text = yaml.safe_dump(dict(data), sort_keys=False, allow_unicode=True)
+    write_private(path, f"# {comment}\n{text}".encode())

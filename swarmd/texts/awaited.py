@@ -1,0 +1,101 @@
+"""The conditions that an operator waits for, and the robots that do not meet them. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.keys import is_id
+from swarmd.core.messages import Presence, State
+from swarmd.network.members_view import Contact, MembersView, SeenMember
+from swarmd.texts.goal import differences
+from swarmd.texts.why import absence
+
+KINDS = ("state", "pattern", "presence", "goal", "count")
+_VALUES = {
+    "state": tuple(one.value for one in State),
+    "presence": tuple(one.value for one in Presence),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Awaited:
+    """What each robot must be; None or False: any. `count`: how many must be so; None: all."""
+
+    state: str | None = None
+    pattern: str | None = None
+    presence: str | None = None
+    goal: bool = False
+    count: int | None = None
+
+
+def read_awaited(words: Iterable[str]) -> Awaited:
+    """The conditions in words such as `state=running`. ConfigError for a wrong one."""
+    found: dict[str, str] = {}
+    for word in words:
+        kind, sign, value = word.partition("=")
+        if kind not in KINDS:
+            raise ConfigError(f"--for {word}: {unknown('condition', kind, KINDS)}")
+        if kind in found:
+            raise ConfigError(f"--for {word}: {kind} is there already; keep one")
+        if bool(sign) == (kind == "goal"):
+            wanted = "goal, without a value" if kind == "goal" else f"{kind}=VALUE"
+            raise ConfigError(f"--for {word}: expected {wanted}")
+        if kind in _VALUES and value not in _VALUES[kind]:
+            raise ConfigError(f"--for {word}: {unknown(kind, value, _VALUES[kind])}")
+        if kind == "pattern" and not is_id(value):
+            raise ConfigError(f"--for {word}: {value!r} is no pattern name")
+        if kind == "count" and not (value.isdecimal() and int(value) > 0):
+            raise ConfigError(f"--for {word}: expected a number of robots, such as count=5")
+        found[kind] = value
+    return Awaited(
+        state=found.get("state"),
+        pattern=found.get("pattern"),
+        presence=found.get("presence"),
+        goal="goal" in found,
+        count=int(found["count"]) if "count" in found else None,
+    )
+
+
+def meeting(view: MembersView, names: Iterable[str], awaited: Awaited) -> tuple[str, ...]:
+    """The robots in `names` that meet the conditions; for `count` alive ones."""
+    is_met = {name: not _unmet_by(view, name, view.members.get(name), awaited) for name in names}
+    return tuple(name for name, met in is_met.items() if met)
+
+
+def unmet(view: MembersView, names: Iterable[str], awaited: Awaited) -> dict[str, str]:
+    """The robots in `names` that do not meet the conditions, each with what it is instead.
+
+    With `count` empty once so many meet them; else the key is empty, with their number.
+    """
+    names = tuple(names)
+    found = {name: _unmet_by(view, name, view.members.get(name), awaited) for name in names}
+    lacking = {name: text for name, text in found.items() if text}
+    if awaited.count is None:
+        return lacking if names else {"": "there is no robot"}
+    count = len(names) - len(lacking)
+    if count >= awaited.count:
+        return {}
+    return {"": f"{count} of {awaited.count} robots", **lacking}
+
+
+def _unmet_by(view: MembersView, name: str, member: SeenMember | None, awaited: Awaited) -> str:
+    if member is None:
+        return absence(None)
+    status = member.status if member.contact is Contact.ANSWERED else None
+    wanted = awaited.presence
+    if wanted is not None and member.presence != wanted:
+        return f"is {member.presence}"
+    needs_status = awaited.state or awaited.pattern or awaited.goal
+    if status is None:
+        is_counted = awaited.count is None or member.presence is Presence.ALIVE
+        return "" if not needs_status and wanted and is_counted else absence(member)
+    if awaited.state is not None and status.state != awaited.state:
+        reason = f" ({status.reason})" if status.reason else ""
+        return f"is {status.state}{reason}"
+    if awaited.pattern is not None and status.pattern != awaited.pattern:
+        return f"runs {status.pattern or 'no pattern'}"
+    if awaited.goal:
+        return differences(view, [name])[0].reason
+    return ""

@@ -1,0 +1,73 @@
+"""Lines on the certificates and rosters of robots. Ages are by the clock of the reader."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable, Iterator
+
+from swarmd.core.messages import Status
+from swarmd.texts.values import seconds
+
+WARN_DAYS = 14
+"""A certificate that ends within so many days is warned of."""
+_DAY = 86400.0
+
+
+def day(expires: float) -> str:
+    """The date of a time in s since 1970 (UTC)."""
+    return time.strftime("%Y-%m-%d", time.gmtime(expires))
+
+
+def end_of_certificate(expires: float, now: float) -> str:
+    """Words on a certificate that has ended or ends within WARN_DAYS; empty for a longer life.
+
+    `expires` and `now` in s since 1970.
+    """
+    left = expires - now
+    if left < 0:
+        return "the certificate has ended"
+    if left >= WARN_DAYS * _DAY:
+        return ""
+    return f"the certificate ends in {life(left)}"
+
+
+def own_remedy(name: str) -> str:
+    """How an operator or viewer gets a new certificate."""
+    return f"get a new bundle where the authority is: `swarmctl keys bundle {name}`"
+
+
+def own_end(name: str, expires: float, now: float) -> str:
+    """Words on an own certificate that has ended; else empty."""
+    if expires > now:
+        return ""
+    return (
+        f"the certificate of {name} (this user) has ended by the clock of this machine: robots"
+        f" refuse its links, and hear its stops; {own_remedy(name)}"
+    )
+
+
+def life(left: float) -> str:
+    """What is left of a certificate, in whole days; less than a day in hours or minutes."""
+    days = int(left // _DAY)
+    return f"{days} day{'s' * (days != 1)}" if days else seconds(left)
+
+
+def key_warnings(statuses: Iterable[Status], now: float) -> Iterator[str]:
+    """A line for each end of certificates that is near, and for each roster that is not the newest.
+
+    `now`: in s since 1970.
+    """
+    ends: dict[str, list[str]] = {}
+    generations: dict[int, list[str]] = {}
+    for status in statuses:
+        if status.keys is None:
+            continue
+        generations.setdefault(status.keys.generation, []).append(status.robot)
+        if text := end_of_certificate(status.keys.expires, now):
+            ends.setdefault(text, []).append(status.robot)
+    for text, names in ends.items():
+        yield f"WARNING: {text}: {', '.join(names)}; see `swarmctl keys renew`"
+    newest = max(generations, default=0)
+    for generation, names in sorted(generations.items()):
+        if generation < newest:
+            yield f"older roster: {', '.join(names)} ({generation}, the newest is {newest})"

@@ -1,0 +1,90 @@
+"""Targets by label: who has one, who may have one, and stops."""
+
+from __future__ import annotations
+
+import click
+import pytest
+
+from swarmd.cli.arguments import Failure, Targets, read_targets
+from swarmd.cli.labels import named, robots_of, stopped, unlabelled
+from swarmd.core.messages import Presence
+from swarmd.network.members_view import MembersView
+from swarmd.network.outcome import NO_TARGET, Outcome
+from tests.support.statuses import make_member
+
+LABELS = {"r1": ("red",), "r2": ("red", "fast"), "r3": ("fast",), "r4": ()}
+
+
+def view(*silent: str) -> MembersView:
+    """Four robots; of those in `silent` no status is known."""
+    gone = {name: make_member(name, Presence.FAILED) for name in silent}
+    members = {name: make_member(name, labels=labels) for name, labels in LABELS.items()} | gone
+    return MembersView(members, answered=frozenset(LABELS) - set(silent))
+
+
+@pytest.mark.parametrize(
+    ("targets", "chosen"),
+    [
+        (Targets(labels=("red",)), ("r1", "r2")),
+        (Targets(labels=("red", "fast")), ("r1", "r2", "r3")),
+        (Targets(("r4",), labels=("fast",)), ("r2", "r3", "r4")),
+        (Targets(labels=("red",), exclude=("r2",)), ("r1",)),
+        (Targets(("r[34]",)), ("r3", "r4")),
+    ],
+)
+def test_a_robot_with_any_of_the_labels_is_a_target(
+    targets: Targets, chosen: tuple[str, ...]
+) -> None:
+    assert robots_of(view(), targets) == chosen
+    assert set(stopped(view(), targets).matching(LABELS)) == set(chosen) if targets.labels else True
+
+
+def test_a_label_without_robots_is_refused_with_the_nearest() -> None:
+    for resolve in (named, stopped):
+        with pytest.raises(Failure, match="'red'") as found:
+            resolve(view(), Targets(labels=("rde",)))
+        assert found.value.exit_code == NO_TARGET
+
+
+def test_a_robot_without_a_status_may_have_the_label() -> None:
+    seen = view("r1", "r4")
+    targets = Targets(labels=("red",), exclude=("r4",))
+    assert robots_of(seen, targets) == ("r2",)
+    assert unlabelled(seen, targets) == ("r1",)
+    assert unlabelled(seen, Targets(("r1",), labels=("red",))) == ("r4",)
+    assert unlabelled(seen, Targets(("r1",))) == ()
+
+
+def test_a_stop_by_label_reaches_robots_whose_labels_are_not_known() -> None:
+    seen = view("r1")
+    assert stopped(seen, Targets(labels=("fast",))).matching((*LABELS, "new")) == (
+        *("new", "r1", "r2", "r3"),
+    )
+    # r1 may be the robot that has it.
+    assert stopped(seen, Targets(labels=("blue",))).matching(LABELS) == ("r1",)
+
+
+def test_names_alone_do_not_show_labels() -> None:
+    targets = Targets(labels=("red",))
+    assert not targets.is_whole_swarm
+    assert targets.matching(LABELS) == ()
+    with pytest.raises(Failure):
+        targets.select(LABELS)
+
+
+def test_an_outcome_with_unknown_labels_is_partial() -> None:
+    whole = Outcome({}, missing=("r1",))
+    assert whole.exit_code != 0
+    from swarmd.core.messages import Code, Reply
+
+    replies = {"r1": Reply(id="a", robot="r1", code=Code.APPLIED)}
+    assert Outcome(replies).exit_code == 0
+    assert Outcome(replies, unlabelled=("r2",)).exit_code == 3
+
+
+def test_targets_of_a_line() -> None:
+    assert read_targets("run", (), False, (), ("red",), is_required=True).labels == ("red",)
+    with pytest.raises(click.UsageError):
+        read_targets("run", (), False, (), ("Red",), is_required=True)
+    with pytest.raises(click.UsageError):
+        read_targets("run", (), True, (), ("red",), is_required=True)

@@ -1,0 +1,86 @@
+"""What swarmctl refuses to push before anything is sent, and what a list marks."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from swarmd.cli.plugin_list import _differing
+from swarmd.cli.plugin_push import greatest_of, read_source
+from swarmd.core.behaviour import MAX_CODE, Manifest, encode_manifest
+from swarmd.core.errors import SwarmError
+from swarmd.core.messages import BehaviourReport, BehavioursReply
+from swarmd.security.private_keys import load_private_key, sign
+from tests.support.keys import SwarmKeys
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "told"),
+    [
+        ("own.py", b"x = 1\n\ndef broken(:\n", "own.py:3"),
+        ("own.py", b"\xff\xfe", "own.py"),
+        ("own.py", b"#" * (MAX_CODE + 1), "1 MiB"),
+        ("Own Pattern.py", b"", "Own Pattern"),
+        ("own.yaml", b"", ".whl"),
+        ("own.whl", b"no zip", "no wheel"),
+    ],
+)
+def test_files_that_cannot_be_pushed_are_refused_in_one_line(
+    name: str, content: bytes, told: str, tmp_path: Path
+) -> None:
+    file = tmp_path / name
+    file.write_bytes(content)
+    with pytest.raises(SwarmError) as error:
+        read_source(file)
+    assert told in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_is_the_pattern_of_its_name(tmp_path: Path) -> None:
+    file = tmp_path / "own.py"
+    file.write_bytes(b"x = 1\n")
+    source = read_source(file)
+    assert (source.name, source.kind, source.code) == ("own", "file", b"x = 1\n")
+
+
+def test_robots_that_differ_from_most_are_marked() -> None:
+    def reply(robot: str, **hashes: str) -> BehavioursReply:
+        rows = tuple(
+            BehaviourReport(name=name, standing="held", digest=digest)
+            for name, digest in hashes.items()
+        )
+        return BehavioursReply(robot=robot, behaviours=rows)
+
+    found = {
+        "r1": reply("r1", own="a", other="x"),
+        "r2": reply("r2", own="a"),
+        "r3": reply("r3", own="b", other="x"),
+    }
+    assert _differing(found) == {("r3", "own")}
+
+
+def test_generations_of_behaviours_count_by_their_signatures(tmp_path: Path) -> None:
+    keys = SwarmKeys(tmp_path, "lab", ["r1"], operators=["alice"])
+
+    def reply(generation: int, *, is_signed: bool) -> BehavioursReply:
+        manifest = Manifest(
+            swarm="lab", name="own", generation=generation, issuer="alice", kind="removed"
+        )
+        content = encode_manifest(manifest)
+        key = load_private_key(keys["alice"].key)
+        return BehavioursReply(
+            robot="r1",
+            generation=generation,
+            newest=content,
+            signature=sign(key, content) if is_signed else bytes(64),
+        )
+
+    replies = (
+        reply(7, is_signed=True),
+        reply(2**32 - 1, is_signed=False),
+        BehavioursReply(robot="r2", generation=2**40),
+    )
+    assert greatest_of(replies, keys["alice"]) == 7
+    assert greatest_of((), keys["alice"]) == 0
+    assert greatest_of(replies[:2], None) == 2**32 - 1

@@ -1,0 +1,49 @@
+from __future__ import annotations
+
+import pytest
+
+from swarmd.core.errors import CodecError
+from swarmd.core.goal import Goal, decode_goal, digest_of, encode_goal, generation_of, signed_part
+
+
+def test_a_goal_is_read_as_it_was_written() -> None:
+    goal = Goal(generation=7, issuer="alice", id="ab", pattern="drive", params={"speed": 0.1})
+    assert decode_goal(encode_goal(goal)) == goal
+    assert generation_of(digest_of(goal)) == 7
+    assert generation_of(digest_of(None)) == 0
+
+
+@pytest.mark.parametrize(
+    ("targets", "is_target"),
+    [((), True), (("r01",), True), (("r*",), True), (("label:red",), True), (("label:r",), False)],
+)
+def test_targets_are_names_globs_and_labels(targets: tuple[str, ...], is_target: bool) -> None:
+    goal = Goal(generation=1, issuer="alice", id="ab", targets=targets)
+    assert goal.is_for("r01", {"red"}) is is_target
+
+
+def test_the_order_is_by_generation_and_then_by_issuer() -> None:
+    goals = [(2, "alice"), (1, "bob"), (2, "bob")]
+    ordered = sorted(
+        (Goal(generation=n, issuer=who, id="x") for n, who in goals), key=lambda goal: goal.order
+    )
+    assert [goal.order for goal in ordered] == [(1, "bob"), (2, "alice"), (2, "bob")]
+
+
+def test_the_signature_is_no_part_of_what_is_signed() -> None:
+    goal = Goal(generation=1, issuer="alice", id="ab")
+    signed = Goal(generation=1, issuer="alice", id="ab", signature=bytes(64))
+    assert signed_part(goal) == signed_part(signed)
+    assert digest_of(goal) != digest_of(signed)
+
+
+@pytest.mark.parametrize("content", [b"", b"\xc1", b"\x80", bytes(1001)])
+def test_what_is_no_goal_is_refused(content: bytes) -> None:
+    with pytest.raises(CodecError):
+        decode_goal(content)
+
+
+def test_a_goal_that_no_datagram_carries_is_refused() -> None:
+    goal = Goal(generation=1, issuer="a", id="b", targets=tuple(f"robot-{n:04}" for n in range(99)))
+    with pytest.raises(CodecError, match="fewer targets"):
+        encode_goal(goal)

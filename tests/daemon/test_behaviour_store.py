@@ -1,0 +1,367 @@
+"""What a robot takes, keeps and loads of pushed behaviours; whole daemons: tests/swarm."""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+from msgspec.structs import replace
+
+from swarmd.core.behaviour import Manifest, Signed, encode_manifest, encode_table, read_entry
+from swarmd.core.clock import boottime
+from swarmd.core.host_messages import Load, TrialDone
+from swarmd.core.messages import Code, Epoch, PushRequest, Refusal, ReloadRequest, Reply
+from swarmd.daemon import behaviour_state
+from swarmd.daemon.behaviour_files import BehaviourFiles
+from swarmd.daemon.behaviour_runs import CodeRuns
+from swarmd.daemon.behaviour_state import BehaviourState
+from swarmd.daemon.behaviour_store import BehaviourStore
+from swarmd.daemon.behaviour_sync import BehaviourSync
+from swarmd.plugins import Origin
+from swarmd.robot.actions import FailedCode
+from swarmd.robot.pushed_code import HOLD_TIME
+from swarmd.security.private_keys import load_private_key, sign
+from swarmd.settings.settings import load_platform
+from tests.support.keys import SwarmKeys
+
+CODE = b"from swarmd.api import Pattern\n"
+EPOCH = Epoch("0123456789ab", 1)
+
+
+class Control:
+    """The daemon's side: every trial ends at once, with `fault`."""
+
+    def __init__(self) -> None:
+        self.store: BehaviourStore
+        self.fault = ""
+        self.replies: list[Reply] = []
+        self.events: list[str] = []
+        self.own: dict[str, Origin] = {}
+        self.changes = 0
+
+    def try_code(self, request: ReloadRequest) -> None:
+        done = self.store.on_event(TrialDone(1, self.fault))
+        assert isinstance(done, TrialDone)
+        is_good = not done.text
+        code, refusal = (Code.APPLIED, None) if is_good else (Code.REFUSED, done.refusal)
+        self.reply(
+            self.store.on_reply(
+                Reply(id=request.id, robot="r1", code=code, refusal=refusal, text=done.text)
+            )
+        )
+
+    def code_changed(self) -> None:
+        self.changes += 1
+
+    def reply(self, reply: Reply) -> None:
+        self.replies.append(reply)
+
+    def event(self, text: str) -> None:
+        self.events.append(text)
+
+    def epoch(self) -> Epoch:
+        return EPOCH
+
+    def labels(self) -> tuple[str, ...]:
+        return ()
+
+    def own_patterns(self) -> Mapping[str, Origin]:
+        return self.own
+
+
+class Rig:
+    """One store in a folder; each start reads what the one before has written."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self.keys: SwarmKeys | None = None
+        self.operators: Mapping[str, bytes] | None = None
+        self._generation = 0
+        self.control: Control
+        self.store: BehaviourStore
+
+    async def start(self) -> None:
+        control = self.control = Control()
+        files = BehaviourFiles(self.folder / "behaviours")
+        self.state = BehaviourState(files, "r1", "lab", lambda: self.operators, control)
+        self.store = control.store = BehaviourStore(self.state)
+        self.runs = CodeRuns(self.state)
+        await self.state.open()
+
+    def secure(self) -> None:
+        self.keys = SwarmKeys(self.folder / "keys", "lab", ["r1"], operators=["alice", "bob"])
+        self.operators = self.keys.authority.roster.operators
+
+    async def push(
+        self, code: bytes = CODE, signer: str = "alice", issuer: str = "alice", **fields: Any
+    ) -> Reply:
+        """Push code as one file, and return the robot's reply."""
+        self._generation += 1
+        digest = hashlib.sha256(code).digest()
+        wanted = {"kind": "file", "digest": digest, "size": len(code), "name": "own", **fields}
+        content = encode_manifest(
+            Manifest(swarm="lab", generation=self._generation, issuer=issuer, **wanted)
+        )
+        signature = b""
+        if self.keys is not None and signer:
+            signature = sign(load_private_key(self.keys[signer].key), content)
+        request = PushRequest(
+            id=f"p{self._generation}",
+            operator=issuer,
+            targets={"r1": EPOCH},
+            content=content,
+            signature=signature,
+            data=code,
+        )
+        reply = self.store.push(request)
+        count = len(self.control.replies)
+        async with asyncio.timeout(20.0):
+            while reply is None:
+                await asyncio.sleep(0.005)
+                if len(self.control.replies) > count:
+                    reply = self.control.replies[-1]
+        return reply
+
+    def origin(self, name: str = "own", *, generation: int = 1, is_restart: bool = False) -> str:
+        """Where a load finds a pattern; empty: nowhere."""
+        load = Load(generation, name, (), "r1", PLATFORM, 0, is_restart=is_restart)
+        found = self.runs.overlay(self.control.own, load, False)
+        return found[name].value if name in found else ""
+
+    def standing(self) -> str:
+        (one,) = self.state.report().behaviours
+        return one.standing
+
+
+PLATFORM = load_platform("waffle_pi")
+
+
+@pytest.fixture
+def rig(runner: asyncio.Runner, tmp_path: Path) -> Rig:
+    made = Rig(tmp_path)
+    runner.run(made.start())
+    return made
+
+
+async def test_pushed_code_is_there_after_a_restart(rig: Rig) -> None:
+    assert (await rig.push()).code is Code.APPLIED
+    assert Path(rig.origin()).read_bytes() == CODE
+    await rig.start()
+    assert Path(rig.origin()).read_bytes() == CODE
+    assert rig.state.digest != b""
+    await rig.push(b"", kind="removed", digest=b"")
+    assert rig.origin() == ""
+    await rig.start()
+    assert rig.origin() == ""
+
+
+async def test_with_keys_only_code_that_an_operator_signed_is_taken(rig: Rig) -> None:
+    rig.secure()
+    for signer, issuer in (("", "alice"), ("bob", "alice"), ("r1", "alice"), ("bob", "mallory")):
+        reply = await rig.push(signer=signer, issuer=issuer)
+        assert (reply.code, reply.refusal) == (Code.REFUSED, Refusal.NOT_SIGNED), signer
+    assert rig.origin() == ""
+    assert not (rig.folder / "behaviours" / "own").exists()
+    assert (await rig.push(signer="bob", issuer="bob")).code is Code.APPLIED
+    assert rig.origin() != ""
+
+
+async def test_without_keys_on_a_network_no_code_is_taken(rig: Rig) -> None:
+    await rig.push()
+    rig.operators = {}
+    assert (await rig.push(CODE + b"# new\n")).refusal is Refusal.NOT_SIGNED
+    await rig.start()
+    assert rig.origin() == ""
+
+
+async def test_code_from_before_the_keys_and_of_a_revoked_operator_is_not_loaded(rig: Rig) -> None:
+    await rig.push()
+    rig.secure()
+    await rig.start()
+    assert rig.origin() == ""
+    assert rig.state.table == ()
+    await rig.push()
+    assert rig.origin() != ""
+    rig.operators = {name: key for name, key in (rig.operators or {}).items() if name == "bob"}
+    await rig.state.check_again()
+    assert (rig.origin(), rig.control.changes) == ("", 1)
+    assert rig.standing() == "returned"
+
+
+async def test_code_that_was_damaged_on_the_disk_is_not_loaded(rig: Rig) -> None:
+    await rig.push()
+    Path(rig.origin()).write_bytes(b"something else")
+    await rig.start()
+    assert rig.origin() == ""
+    assert any("damaged" in text for text in rig.control.events)
+    (wanted,) = rig.state.missing()  # another robot may have it
+    rig.store.take(wanted, CODE, "r2")
+    async with asyncio.timeout(20.0):
+        while not rig.control.replies:
+            await asyncio.sleep(0.005)
+    assert Path(rig.origin()).read_bytes() == CODE
+
+
+async def test_a_pattern_of_the_robot_is_hidden_only_on_request(rig: Rig) -> None:
+    rig.control.own["own"] = Origin("mine.py", "plugin_dir", is_file=True)
+    assert (await rig.push()).refusal is Refusal.NAME_TAKEN
+    assert rig.origin() == "mine.py"
+    assert (await rig.push(replaces=True)).code is Code.APPLIED
+    assert rig.origin() != "mine.py"
+
+
+async def test_code_that_cannot_be_written_is_refused_and_nothing_changes(rig: Rig) -> None:
+    (rig.folder / "behaviours").write_bytes(b"a file where the folder should be")
+    reply = await rig.push()
+    assert reply.code is Code.REFUSED
+    assert "cannot be written" in reply.text
+    assert (rig.origin(), rig.state.table) == ("", ())
+
+
+async def test_a_run_that_is_restarted_keeps_its_code(rig: Rig) -> None:
+    await rig.push()
+    old = rig.origin(generation=1)
+    await rig.push(CODE + b"# new\n")
+    assert rig.origin(generation=2, is_restart=True) == old
+    assert rig.origin(generation=3) != old
+    assert not rig.runs.is_provisional(2)  # a fault of the old code is no fault of the new
+
+
+async def test_a_fault_returns_and_a_long_run_holds(rig: Rig) -> None:
+    await rig.push()
+    old = rig.origin(generation=1)
+    for now in (0.0, 1.0, HOLD_TIME - 1.0):
+        rig.runs.advance(now, 1, is_running=True)
+    assert rig.standing() == "provisional"
+    rig.runs.advance(HOLD_TIME + 1.0, 1, is_running=True)
+    assert rig.standing() == "held"
+    reply = await rig.push(CODE + b"# new\n")
+    assert reply.code is Code.APPLIED, reply
+    assert rig.origin(generation=2) != old
+    rig.runs.on_failed(FailedCode(2, "ZeroDivisionError"))
+    assert (rig.standing(), rig.origin(generation=3)) == ("returned", old)
+    await rig.start()
+    assert (rig.standing(), rig.origin(generation=1)) == ("returned", old)
+
+
+async def test_a_daemon_that_dies_in_runs_of_provisional_code_returns(rig: Rig) -> None:
+    await rig.push()
+    old = rig.origin()
+    rig.runs.advance(0.0, 1, is_running=True)
+    rig.runs.advance(HOLD_TIME, 1, is_running=True)
+    await rig.push(CODE + b"# new\n")
+    for _ in range(3):  # they stay open
+        assert rig.origin() != old
+        await rig.start()
+    assert (rig.standing(), rig.origin()) == ("returned", old)
+
+
+async def test_an_older_push_never_replaces_a_newer_one(rig: Rig) -> None:
+    await rig.push()
+    await rig.push()
+    rig._generation = 0
+    assert (await rig.push(CODE + b"# older\n")).refusal is Refusal.OVERTAKEN
+
+
+async def test_a_push_of_what_is_being_pulled_waits_and_is_applied(rig: Rig) -> None:
+    digest = hashlib.sha256(CODE).digest()
+    manifest = Manifest(
+        swarm="lab",
+        name="own",
+        generation=1,
+        issuer="alice",
+        kind="file",
+        digest=digest,
+        size=len(CODE),
+    )
+    entry = read_entry(Signed(encode_manifest(manifest)))
+    rig.store.take(entry, CODE, "r2")
+    request = PushRequest(
+        id="p1", operator="alice", targets={"r1": EPOCH}, content=entry.signed.content, data=CODE
+    )
+    assert rig.store.push(request) is None
+    async with asyncio.timeout(20.0):
+        while len(rig.control.replies) < 2:
+            await asyncio.sleep(0.005)
+    assert [(reply.id[:4], reply.code) for reply in rig.control.replies] == [
+        ("pull", Code.APPLIED),
+        ("p1", Code.APPLIED),
+    ]
+
+
+@pytest.mark.parametrize(
+    "spoil", [lambda code: code + b"x", lambda code: code[:-1] + b"x"], ids=["longer", "other"]
+)
+async def test_code_that_is_not_that_of_its_manifest_is_refused(
+    rig: Rig, spoil: Callable[[bytes], bytes]
+) -> None:
+    digest = hashlib.sha256(CODE).digest()
+    reply = await rig.push(spoil(CODE), digest=digest, size=len(CODE))
+    assert reply.code is Code.REFUSED
+    assert rig.origin() == ""
+
+
+async def test_another_robot_s_behaviours_are_kept_in_the_table_alone(rig: Rig) -> None:
+    content = encode_manifest(
+        Manifest(
+            swarm="lab",
+            name="far",
+            generation=9,
+            issuer="bob",
+            kind="file",
+            digest=bytes(32),
+            targets=("r7",),
+        )
+    )
+    rig.store.merge([read_entry(Signed(content))])
+    assert rig.state.missing() == []
+    assert rig.state.report().generation == 9
+    assert rig.state.report().behaviours == ()
+
+
+class Pulling:
+    """A puller that gets `blob` from each robot that is asked."""
+
+    def __init__(self, blob: bytes) -> None:
+        self.blob = blob
+        self.asked: list[str] = []
+
+    def pull(self, peer: str, *_: Any, on_done: Callable[[bytes, str], object], **__: Any) -> bool:
+        self.asked.append(peer)
+        on_done(self.blob, "")
+        return True
+
+
+async def test_a_table_with_false_signatures_costs_one_check(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rig.secure()
+    manifest = Manifest(
+        swarm="lab", name="own", generation=1, issuer="eve", kind="removed", targets=("r7",)
+    )
+    foreign = [Signed(encode_manifest(manifest), bytes(64))]
+    false = [
+        Signed(encode_manifest(replace(manifest, name=f"b{n}", issuer="bob")), bytes(64))
+        for n in range(256)
+    ]
+    checked: list[bytes] = []
+
+    def check(key: bytes, content: bytes, signature: bytes) -> bool:
+        checked.append(content)
+        return False
+
+    monkeypatch.setattr(behaviour_state, "is_signed_by", check)
+    puller = Pulling(encode_table(map(read_entry, (*foreign, *false))))
+    sync = BehaviourSync(rig.state, rig.store, puller, lambda *_: None)  # type: ignore[arg-type]
+    digests = (number.to_bytes(4, "big") + b"xx" for number in range(1, 100))
+    for digest in digests:
+        sync.on_beacon("r2", digest, ("127.0.0.1", 1), boottime())
+        if sync._checking is not None:
+            await sync._checking
+    assert puller.asked == ["r2"]
+    assert len(checked) == 1
+    assert rig.state.table == ()

@@ -1,0 +1,552 @@
+"""Goals of one robot: what is offered, what is run, what ends a run, and who came first."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from swarmd.core.goal import MAX_UNSIGNED, Goal, GoalRecord, GoalState, GoalStatus, digest_of
+from swarmd.core.messages import Code, Latch, Reason, Refusal, Reply, State, StopRequest
+from swarmd.robot.goals import Goals
+from swarmd.robot.latches import LatchRecord
+from tests.support.robot_harness import RobotHarness
+from tests.support.stub_patterns import PATTERNS, standing_state
+
+
+def goal(generation: int = 1, issuer: str = "bob", **fields: Any) -> Goal:
+    fields = {"id": f"g{generation}{issuer}", "pattern": "forward", **fields}
+    return Goal(generation=generation, issuer=issuer, **fields)
+
+
+JOINED: dict[str, Any] = {"on_join": "run", "valid": 60.0}
+
+
+def ready(record: GoalRecord | None = None) -> RobotHarness:
+    harness = RobotHarness(patterns=PATTERNS, goals=record)
+    harness.advance(0.5)
+    return harness
+
+
+def run(harness: RobotHarness, wanted: Goal, **fields: Any) -> Reply:
+    """The reply to a run of a goal."""
+    reply = harness.ask(
+        "run",
+        pattern=wanted.pattern,
+        params=wanted.params,
+        seconds=wanted.seconds,
+        until=wanted.conditions,
+        goal=wanted,
+        **fields,
+    )
+    assert reply is not None
+    return reply
+
+
+def told(harness: RobotHarness) -> GoalStatus:
+    """The goals in its status."""
+    status = harness.status.goal
+    assert status is not None
+    return status
+
+
+def test_a_goal_that_is_found_is_offered_and_resume_takes_it() -> None:
+    harness = ready()
+    harness.find(goal(valid=60.0))
+    harness.advance(2.0)
+    assert told(harness).state is GoalState.OFFERED
+    assert harness.status.state is State.IDLE
+    assert harness.twist.is_zero
+    harness.applied("resume")
+    harness.advance(1.0)
+    assert told(harness).state is GoalState.RUNNING
+    assert told(harness).reason == ""
+    assert harness.twist.linear > 0.0
+
+
+def test_resume_needs_a_goal_and_the_one_that_was_seen() -> None:
+    harness = ready()
+    assert harness.refused("resume").refusal is Refusal.NO_GOAL
+    harness.find(goal())
+    assert harness.refused("resume", digest="00").refusal is Refusal.OVERTAKEN
+    harness.applied("resume", digest=told(harness).own.digest)  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("fields", "age", "runs"),
+    [
+        (JOINED, 59.0, True),
+        (JOINED, 60.0, False),
+        (JOINED, None, False),
+        ({"on_join": "run"}, 0.0, False),
+        ({**JOINED, "on_join": "offer"}, 0.0, False),
+        ({**JOINED, "seconds": 10.0}, 9.0, True),
+        ({**JOINED, "seconds": 10.0}, 11.0, False),
+        ({**JOINED, "targets": ("r*",)}, 0.0, False),
+    ],
+)
+def test_only_a_young_goal_with_on_join_run_is_run(
+    fields: dict[str, Any], age: float | None, runs: bool
+) -> None:
+    harness = ready()
+    harness.find(goal(**fields), age)
+    harness.advance(0.5)
+    assert (harness.status.state is State.RUNNING) is runs
+
+
+def test_who_joins_a_run_of_some_seconds_ends_it_with_the_others() -> None:
+    harness = ready()
+    harness.find(goal(**JOINED, seconds=5.0), 3.0)
+    harness.advance(1.5)
+    assert harness.status.state is State.RUNNING
+    harness.advance(1.0)
+    assert standing_state(harness) == (State.IDLE, Reason.FINISHED)
+    assert told(harness).state is GoalState.ENDED
+
+
+def test_a_goal_whose_age_is_told_later_is_run_then() -> None:
+    harness = ready(GoalRecord(held=goal(**JOINED), own=goal(**JOINED)))
+    assert told(harness).state is GoalState.OFFERED
+    harness.find(goal(**JOINED), None)
+    assert standing_state(harness)[0] is State.IDLE
+    harness.find(goal(**JOINED), 10.0)
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+
+
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+def test_after_a_stop_no_found_goal_runs_not_even_after_a_reset(verb: str) -> None:
+    harness = ready(GoalRecord(held=goal(**JOINED), own=goal(**JOINED)))
+    harness.applied(verb, id="s1")
+    harness.find(goal(**JOINED), 1.0)
+    harness.find(goal(2, **JOINED), 1.0)
+    harness.advance(1.0)
+    assert standing_state(harness)[0] in (State.STOPPED, State.ESTOPPED)
+    harness.applied("reset", ids=("s1",))
+    harness.find(goal(2, **JOINED), 1.0)
+    harness.advance(1.0)
+    assert harness.status.state is State.IDLE
+    assert told(harness).state is GoalState.OFFERED
+
+
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+def test_a_reset_does_not_run_a_goal_whose_age_is_told_after_it(verb: str) -> None:
+    harness = ready(GoalRecord(held=goal(**JOINED), own=goal(**JOINED)))
+    harness.applied(verb, id="s1")
+    harness.applied("reset", ids=("s1",))
+    harness.find(goal(**JOINED), 1.0)
+    harness.advance(1.0)
+    assert standing_state(harness) == (State.IDLE, Reason.RESET)
+    again = ready(harness.record)
+    again.find(goal(**JOINED), 1.0)
+    again.advance(1.0)
+    assert again.status.state is State.IDLE, "nor after a restart"
+
+
+def test_a_robot_that_restarts_while_it_runs_joins_again() -> None:
+    harness = ready()
+    run(harness, goal(**JOINED))
+    harness.carry_out(harness.robot.on_leave(harness.now))
+    again = ready(harness.record)
+    again.find(goal(**JOINED), 1.0)
+    again.advance(0.5)
+    assert again.status.state is State.RUNNING
+
+
+def test_a_robot_that_starts_with_a_latch_loads_nothing() -> None:
+    latch = Latch(issuer="anna", scope="swarm")
+    harness = RobotHarness(
+        patterns=PATTERNS,
+        latches=LatchRecord(held={"e1": latch}),
+        goals=GoalRecord(held=goal(**JOINED), own=goal(**JOINED)),
+    )
+    harness.find(goal(**JOINED), 1.0)
+    harness.find(goal(2, **JOINED), 1.0)
+    harness.advance(0.5)
+    assert harness.sent == []
+
+
+def test_the_latch_of_a_peer_ends_a_run_that_was_joined() -> None:
+    harness = ready()
+    harness.is_hung = True  # it is still loading
+    harness.find(goal(**JOINED))
+    harness.is_hung = False
+    latches = {"e1": Latch(issuer="anna", scope="swarm")}
+    harness.carry_out(harness.robot.on_latches(latches, harness.now))
+    harness.advance(1.0)
+    assert standing_state(harness) == (State.ESTOPPED, Reason.ESTOP)
+
+
+def test_a_greater_goal_ends_the_run_of_a_lesser_one_and_says_which() -> None:
+    harness = ready()
+    assert run(harness, goal(6)).code is Code.APPLIED
+    harness.find(goal(5, "carol"))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+    harness.find(goal(7, pattern="finisher"))
+    harness.advance(0.5)
+    assert standing_state(harness) == (State.STOPPED, Reason.SUPERSEDED)
+    assert harness.status.detail == "by goal 7 of bob: finisher"
+    assert told(harness).superseded == "goal 7 of bob: finisher"
+    assert told(harness).state is GoalState.OFFERED
+
+
+@pytest.mark.parametrize("fields", [{}, JOINED], ids=["offered", "joined"])
+def test_a_run_whose_goal_came_from_a_peer_first_is_not_stale(fields: dict[str, Any]) -> None:
+    harness = ready()
+    run(harness, goal(6))
+    seen = harness.epoch
+    wanted = goal(7, **fields, params={"speed": 0.1})
+    harness.find(wanted)
+    harness.advance(0.5)
+    assert run(harness, goal(8), epoch=seen).refusal is Refusal.STALE_EPOCH
+    assert run(harness, wanted, epoch=seen).code is Code.APPLIED
+    assert told(harness).state is GoalState.RUNNING
+    assert run(harness, wanted, epoch=seen).refusal is Refusal.STALE_EPOCH
+
+
+def test_a_run_is_stale_if_more_than_its_goal_came_first() -> None:
+    harness = ready()
+    run(harness, goal(6))
+    seen = harness.epoch
+    harness.find(goal(7))
+    harness.applied("stop")
+    assert run(harness, goal(7), epoch=seen).refusal is Refusal.STALE_EPOCH
+
+
+def test_a_robot_that_runs_goes_over_to_a_greater_goal_with_on_join_run() -> None:
+    harness = ready()
+    run(harness, goal(6))
+    harness.find(goal(7, "carol", **JOINED, params={"speed": 0.1}))
+    harness.advance(1.0)
+    assert harness.status.state is State.RUNNING
+    assert told(harness).state is GoalState.RUNNING
+    assert any("superseded" in event.text for event in harness.status.events)
+
+
+def test_a_greater_goal_for_other_robots_changes_nothing_here() -> None:
+    harness = ready()
+    run(harness, goal(6))
+    harness.find(goal(7, targets=("r*",)))
+    harness.advance(0.5)
+    assert told(harness).state is GoalState.RUNNING
+    assert harness.robot.goal is not None
+    assert harness.robot.goal.goal.generation == 7
+
+
+def test_a_run_whose_goal_is_not_greater_is_refused_by_name_of_the_issuer() -> None:
+    harness = ready()
+    harness.find(goal(7, "bob"))
+    late = run(harness, goal(7, "alice"))
+    assert late.refusal is Refusal.OVERTAKEN
+    assert "goal 7 of bob" in late.text
+    assert run(harness, goal(7, "bob")).code is Code.APPLIED, "the same goal again"
+
+
+def test_a_run_whose_goal_is_of_another_run_or_robot_is_refused() -> None:
+    harness = ready()
+    other = harness.refused("run", pattern="finisher", goal=goal())
+    assert other.refusal is Refusal.INVALID_GOAL
+    assert run(harness, goal(targets=("r*",))).refusal is Refusal.INVALID_GOAL
+
+
+def test_goals_of_one_generation_and_issuer_have_one_order_everywhere() -> None:
+    one, other = goal(3, params={"speed": 0.1}), goal(3, params={"speed": 0.2})
+    held = []
+    for order in ((one, other), (other, one)):
+        harness = ready()
+        for found in order:
+            harness.find(found)
+        assert harness.robot.goal is not None
+        held.append(harness.robot.goal.digest)
+    assert held[0] == held[1]
+
+
+def test_a_stop_of_all_makes_the_same_standing_goal_in_all_robots() -> None:
+    harnesses = [ready(), ready()]
+    for harness in harnesses:
+        run(harness, goal(6))
+        stop = StopRequest(id="s1", operator="alice")
+        for _ in range(3):  # an operator repeats it
+            harness.carry_out(harness.robot.on_request(stop, harness.now))
+            harness.advance(0.1)
+        assert told(harness).state is GoalState.STANDING
+    held = [harness.robot.goal for harness in harnesses]
+    assert held[0] is not None
+    assert held[1] is not None
+    assert held[0].content == held[1].content
+    assert held[0].goal.order == (7, "alice")
+    harnesses[0].find(goal(8), None)
+    harnesses[0].carry_out(harnesses[0].robot.on_request(stop, harnesses[0].now))
+    assert told(harnesses[0]).held.goal.generation == 8  # type: ignore[union-attr]
+
+
+def test_a_stop_that_is_older_than_the_held_goal_makes_none() -> None:
+    harness = ready()
+    harness.find(goal(7), 2.0)
+    harness.carry_out(
+        harness.robot.on_request(StopRequest(id="s1", operator="a", age=10.0), harness.now)
+    )
+    assert told(harness).held.goal.generation == 7  # type: ignore[union-attr]
+
+
+def test_a_standing_goal_that_is_found_ends_a_run() -> None:
+    harness = ready()
+    run(harness, goal(6))
+    harness.find(goal(7, "alice", pattern=None))
+    harness.advance(0.2)
+    assert standing_state(harness) == (State.STOPPED, Reason.SUPERSEDED)
+    assert told(harness).state is GoalState.STANDING
+    assert harness.refused("resume").refusal is Refusal.NO_GOAL
+
+
+def test_a_stop_of_named_robots_makes_no_goal_and_is_the_reason_of_the_difference() -> None:
+    harness = ready()
+    run(harness, goal(6))
+    harness.applied("stop", operator="carol")
+    assert told(harness).held.goal.generation == 6  # type: ignore[union-attr]
+    assert told(harness).state is GoalState.ENDED
+    assert "carol" in told(harness).reason
+    harness.applied("resume")
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+
+
+def test_set_parameters_are_the_reason_of_a_difference() -> None:
+    harness = ready()
+    run(harness, goal(6))
+    harness.ask("param", params={"speed": 0.1}, operator="carol")
+    harness.advance(0.2)
+    assert told(harness).state is GoalState.RUNNING
+    assert told(harness).reason == "param set by carol: speed"
+
+
+def test_a_run_ends_when_its_operator_is_not_heard_for_the_lease() -> None:
+    harness = ready()
+    run(harness, goal(6, lease=2.0))
+    for count in range(1, 4):
+        harness.advance(1.5)
+        harness.robot.on_run_lease("g6bob", count, harness.now)
+    assert told(harness).lease_left == pytest.approx(2.0)
+    harness.advance(1.0)
+    harness.robot.on_run_lease("g6bob", 3, harness.now)  # an old one again
+    harness.robot.on_run_lease("other", 9, harness.now)
+    assert harness.status.state is State.RUNNING
+    harness.advance(1.1)
+    assert standing_state(harness) == (State.STOPPED, Reason.LEASE_ENDED)
+    assert "bob" in harness.status.detail
+    harness.robot.on_run_lease("g6bob", 4, harness.now)
+    harness.advance(1.0)
+    assert harness.twist.is_zero, "a late lease starts nothing"
+
+
+def test_a_restarted_robot_offers_its_goal_and_tells_why_it_had_ended() -> None:
+    harness = ready()
+    run(harness, goal(6))
+    harness.carry_out(harness.robot.on_leave(harness.now))
+    again = ready(harness.record)
+    assert told(again).state is GoalState.OFFERED
+    assert told(again).own.age is None  # type: ignore[union-attr]
+    harness = ready()
+    run(harness, goal(6))
+    harness.applied("stop", operator="carol")
+    again = ready(harness.record)
+    assert told(again).state is GoalState.ENDED
+    assert "carol" in told(again).reason
+    again.find(goal(6), 1.0)
+    assert told(again).own.age == 1.0  # type: ignore[union-attr]
+
+
+def test_ages_are_handed_on_and_the_greatest_counts() -> None:
+    goals = Goals("r1", (), None)
+    goals.adopt(goal(), 5.0, 100.0, may_join=False)
+    goals.learn_age(3.0, 100.0)
+    assert goals.held is not None
+    assert goals.held.age(110.0) == 15.0
+    goals.learn_age(30.0, 110.0)
+    assert goals.held.age(110.0) == 30.0
+
+
+def test_a_goal_without_a_run_is_offered_or_ends_the_run() -> None:
+    harness = ready()
+    harness.applied("goal", goal=goal(2, **JOINED))
+    assert told(harness).state is GoalState.OFFERED
+    harness.applied("resume")
+    harness.applied("goal", goal=goal(3, pattern=None))
+    assert standing_state(harness) == (State.STOPPED, Reason.SUPERSEDED)
+    assert harness.refused("goal", goal=goal(2)).refusal is Refusal.OVERTAKEN
+
+
+def test_labels_are_kept_and_a_goal_may_target_them() -> None:
+    harness = ready()
+    harness.find(goal(4, targets=("label:red",)))
+    assert told(harness).own is None
+    harness.applied("label", labels=("red", "left"))
+    assert set(harness.status.labels) == {"red", "left"}
+    assert told(harness).state is GoalState.OFFERED
+    assert ready(harness.record).status.labels == ("red", "left")
+    harness.applied("label", labels=None)
+    assert harness.status.labels == ()
+
+
+def test_a_run_starts_at_its_time() -> None:
+    harness = ready()
+    at = harness.now + 2.03
+    request = harness.request("run", pattern="forward", at={"tb3-01": at}, goal=goal())
+    assert harness.send(request) is None
+    harness.advance(2.0)
+    assert harness.status.state is State.IDLE
+    assert harness.twist.is_zero
+    harness.advance(0.05)
+    assert harness.reply_to(request).code is Code.APPLIED
+    assert harness.status.since == pytest.approx(harness.now - at, abs=1e-6)
+    assert told(harness).own.age == pytest.approx(2.05, abs=1e-6)  # type: ignore[union-attr]
+
+
+def test_a_stop_before_the_time_of_a_run_refuses_it() -> None:
+    harness = ready()
+    request = harness.request("run", pattern="forward", at={"tb3-01": harness.now + 2.0})
+    harness.send(request)
+    harness.advance(1.0)
+    harness.applied("stop")
+    harness.advance(2.0)
+    assert harness.reply_to(request).refusal is Refusal.OVERTAKEN
+    assert harness.status.state is State.STOPPED
+
+
+def test_a_run_that_comes_too_late_or_too_early_is_refused() -> None:
+    harness = ready()
+    late = harness.refused("run", pattern="forward", at={"tb3-01": harness.now - 0.6})
+    assert late.refusal is Refusal.TOO_LATE
+    early = harness.refused("run", pattern="forward", at={"tb3-01": harness.now + 61.0})
+    assert early.refusal is Refusal.INVALID_REQUEST
+    harness.applied("run", pattern="forward", at={"tb3-01": harness.now - 0.4})
+
+
+def test_a_pattern_that_loads_until_after_its_time_does_not_start() -> None:
+    harness = ready()
+    harness.is_hung = True
+    request = harness.request("run", pattern="forward", at={"tb3-01": harness.now + 0.1})
+    harness.send(request)
+    harness.advance(0.8)
+    harness.is_hung = False
+    load = harness.sent[-1]
+    event = harness._runner.send(load)
+    assert event is not None
+    harness.host_says(event)
+    assert harness.reply_to(request).refusal is Refusal.TOO_LATE
+    harness.advance(0.5)
+    assert harness.twist.is_zero
+
+
+def test_a_goal_that_peers_run_and_this_robot_cannot_load_is_the_reason() -> None:
+    harness = ready()
+    wanted = goal(8, pattern="unheard_of")
+    harness.is_hung = True
+    request = harness.request("run", pattern="unheard_of", goal=wanted)
+    harness.send(request)
+    harness.find(wanted)
+    assert told(harness).state is GoalState.LOADING
+    event = harness._runner.send(harness.sent[-1])
+    harness.is_hung = False
+    assert event is not None
+    harness.host_says(event)
+    assert harness.reply_to(request).refusal is Refusal.UNKNOWN_PATTERN
+    assert told(harness).state is GoalState.ENDED
+    assert "unheard_of" in told(harness).reason
+
+
+def push(harness: RobotHarness, name: str = "pushed") -> None:
+    """A pattern is pushed to the robot, and passes its trial."""
+    harness.install(name, PATTERNS["forward"])
+    harness.applied("reload", pattern=name, keeps_running=True)
+    harness.advance(0.5)
+
+
+def lacking(**fields: Any) -> RobotHarness:
+    """A robot that could not join a goal since it had no such pattern."""
+    harness = ready()
+    harness.find(goal(**{**JOINED, "pattern": "pushed", **fields}))
+    harness.advance(0.5)
+    assert told(harness).state is GoalState.ENDED
+    return harness
+
+
+def test_a_robot_that_lacked_the_pattern_joins_when_it_comes() -> None:
+    harness = lacking()
+    push(harness)
+    assert harness.status.state is State.RUNNING
+    assert told(harness).state is GoalState.RUNNING
+
+
+def test_a_pattern_that_comes_later_than_the_goal_is_valid_starts_nothing() -> None:
+    harness = lacking(valid=5.0)
+    harness.advance(5.0)
+    push(harness)
+    assert harness.status.state is State.IDLE
+    assert told(harness).state is GoalState.OFFERED
+
+
+@pytest.mark.parametrize("verb", ["stop", "estop", "label", "run", "goal"])
+def test_a_pattern_that_comes_after_another_event_starts_nothing(verb: str) -> None:
+    harness = lacking()
+    args: dict[str, dict[str, Any]] = {
+        "label": {"labels": ("red",)},
+        "run": {"pattern": "absent"},
+        "goal": {"goal": goal(2, pattern=None)},
+    }
+    harness.ask(verb, **args.get(verb, {}))
+    harness.ask("reset", ids=tuple(harness.robot.latches))
+    push(harness)
+    assert harness.status.state is not State.RUNNING
+    assert harness.twist.is_zero
+
+
+def test_a_reload_by_an_operator_joins_no_goal() -> None:
+    harness = lacking()
+    harness.install("pushed", PATTERNS["forward"])
+    harness.applied("reload", pattern="pushed")
+    harness.advance(0.5)
+    assert standing_state(harness)[0] is State.IDLE
+
+
+def test_a_goal_that_lacked_its_pattern_is_joined_only_once_more() -> None:
+    harness = lacking()
+    push(harness, "other")
+    assert told(harness).state is GoalState.ENDED
+    push(harness)
+    assert told(harness).state is GoalState.RUNNING
+    harness.applied("stop")
+    push(harness)
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
+
+
+def test_after_a_stop_no_robot_joins_a_goal_that_no_standing_goal_can_follow() -> None:
+    stopped, late = ready(), ready()
+    last = goal(MAX_UNSIGNED + 1, **JOINED)
+    assert run(stopped, last).code is Code.APPLIED
+    stopped.advance(1.0)
+    stopped.send(StopRequest(id="s1", operator="anna", targets=None))
+    held = stopped.robot.goal
+    assert held is not None
+    assert held.goal == last
+    stopped.find(last, age=1.0)  # of a robot that did not hear the stop
+    assert held.issued is None
+    assert told(stopped).held.age is None  # type: ignore[union-attr]
+    late.find(last, age=held.age(late.now))
+    late.advance(2.0)
+    assert late.status.state is State.IDLE
+
+
+def test_goals_of_a_revoked_operator_are_forgotten() -> None:
+    harness = ready()
+    own, last = goal(3), goal(2**32 - 1, "eve", targets=("r9",))
+    assert run(harness, own).code is Code.APPLIED
+    harness.find(last)
+    assert told(harness).held.goal == last  # type: ignore[union-attr]
+    harness.carry_out(harness.robot.forget_goals((digest_of(last).hex(),), harness.now))
+    assert told(harness).held.goal == own  # type: ignore[union-attr]
+    assert told(harness).state is GoalState.RUNNING
+    harness.carry_out(harness.robot.forget_goals((digest_of(own).hex(),), harness.now))
+    assert harness.status.goal is None
+    assert run(harness, goal(1)).code is Code.APPLIED

@@ -1,0 +1,45 @@
+"""Keys of a swarm for tests: an authority and the identities of names, in a folder."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+
+from swarmd.security.authority import Authority
+from swarmd.security.identity import Identity, load_identity
+from swarmd.security.roster import Role
+
+
+class SwarmKeys:
+    """The authority of `swarm` in `folder`, and an identity for each name, in a folder of its own.
+
+    20 names take about 0.1 s.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        swarm: str,
+        robots: Iterable[str] = (),
+        *,
+        operators: Iterable[str] = (),
+        viewers: Iterable[str] = (),
+    ) -> None:
+        self.folder = folder
+        self.authority = Authority.create(folder / "authority", swarm)
+        self.authority.change(
+            add=dict.fromkeys(robots, Role.ROBOT)
+            | dict.fromkeys(operators, Role.OPERATOR)
+            | dict.fromkeys(viewers, Role.VIEWER)
+        )
+        roster = self.authority.roster
+        for name in (*roster.robots, *roster.operators, *roster.viewers):
+            self.authority.issue(name).write(self.folder_of(name))
+
+    def folder_of(self, name: str) -> Path:
+        """The folder of an identity, for `--identity` and the setting `identity`."""
+        return self.folder / name
+
+    def __getitem__(self, name: str) -> Identity:
+        """The identity of a name."""
+        return load_identity(self.folder_of(name))

@@ -1,0 +1,14 @@
+"""The threads that an operator leaves to end by themselves."""
+
+from __future__ import annotations
+
+import threading
+
+from swarmd.network.operator import COMMANDING, LOOKING
+from swarmd.network.roster_follower import CLOSING
+
+
+def is_closing() -> bool:
+    """True while a session that was closed, a command or a look of a view has not ended."""
+    names = (CLOSING, COMMANDING, LOOKING)
+    return any(thread.name in names for thread in threading.enumerate())

@@ -1,0 +1,78 @@
+"""Goals among real daemons: who joins late, restarts, or comes back from an emergency stop."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+
+from swarmd.core.goal import Goal, GoalState, GoalStatus
+from swarmd.core.messages import Code, Refusal, ResumeRequest, RunRequest, State, Status
+from tests.swarm.conftest import Swarm
+
+pytestmark = pytest.mark.integration
+
+
+def run_goal(swarm: Swarm, generation: int, *robots: str, **fields: Any) -> Goal:
+    """Run a goal by request on some robots."""
+    goal = Goal(generation=generation, issuer="bob", id=f"g{generation}", pattern="drive", **fields)
+    epochs = {name: swarm.status(name).epoch for name in robots}
+    swarm.operator.members()
+    outcome = swarm.operator.request(RunRequest, epochs, pattern="drive", goal=goal)
+    assert {reply.code for reply in outcome.replies.values()} == {Code.APPLIED}, outcome
+    return goal
+
+
+def goals_of(status: Status) -> GoalStatus:
+    return status.goal or GoalStatus()
+
+
+def await_goal(swarm: Swarm, robot: str, state: GoalState) -> Status:
+    return swarm.await_status(robot, state, lambda one: goals_of(one).state is state)
+
+
+def test_late_joiners_and_restarted_robots_are_offered_the_goal_and_resume_takes_it(
+    swarm: Swarm,
+) -> None:
+    first, late = swarm.body("r1"), swarm.body("r2")
+    daemon = swarm.start("r1", first)
+    swarm.await_status("r1", "sensing", lambda one: one.decision.scan_age is not None)
+    goal = run_goal(swarm, 1, "r1")
+    swarm.start("r2", late)
+    offered = await_goal(swarm, "r2", GoalState.OFFERED)
+    assert offered.state is State.IDLE
+    daemon.process.terminate()
+    daemon.process.wait()
+    swarm.start("r1", first)
+    again = await_goal(swarm, "r1", GoalState.OFFERED)
+    assert again.state is State.IDLE
+    swarm.await_status("r2", "sensing", lambda one: one.decision.scan_age is not None)
+    swarm.operator.members()
+    epochs = {"r2": swarm.status("r2").epoch}
+    assert swarm.operator.request(ResumeRequest, epochs).replies["r2"].code is Code.APPLIED
+    assert goals_of(await_goal(swarm, "r2", GoalState.RUNNING)).own.goal == goal  # type: ignore[union-attr]
+
+
+def test_a_goal_with_on_join_run_is_joined_until_an_emergency_stop(swarm: Swarm) -> None:
+    swarm.start("r1", swarm.body("r1"))
+    swarm.await_status("r1", "sensing", lambda one: one.decision.scan_age is not None)
+    run_goal(swarm, 4, "r1", on_join="run", valid=600.0)
+    swarm.start("r2", swarm.body("r2"))
+    await_goal(swarm, "r2", GoalState.RUNNING)
+    entries = swarm.ctl("audit", "r2", "-o", "json").json["entries"]
+    assert ("goal", "bob", "a peer") in {(e["verb"], e["operator"], e["from"]) for e in entries}
+    older = Goal(generation=3, issuer="carol", id="g3", pattern="drive")
+    swarm.operator.members()
+    epochs = {"r2": swarm.status("r2").epoch}
+    outcome = swarm.operator.request(RunRequest, epochs, pattern="drive", goal=older)
+    assert outcome.replies["r2"].refusal is Refusal.OVERTAKEN
+    assert "goal 4 of bob" in outcome.replies["r2"].text
+
+    assert swarm.ctl("estop").code == 0
+    swarm.start("r3", swarm.body("r3"))
+    swarm.await_state("r3", State.ESTOPPED)
+    await_goal(swarm, "r3", GoalState.OFFERED)
+    assert swarm.ctl("reset", "--all", "--yes").code == 0
+    for robot in ("r1", "r2", "r3"):
+        swarm.await_state(robot, State.IDLE)
+    assert goals_of(swarm.status("r3")).state is GoalState.OFFERED
