@@ -39,7 +39,11 @@ _CHANCE = "; chance comes from self.context.rng"
 
 @contextlib.contextmanager
 def no_side_effects(module: str) -> Iterator[None]:
-    """Within it these calls raise AssertionError, also by names that the module imported."""
+    """Within it these calls of this thread raise AssertionError, also by names the module imported.
+
+    Calls of other threads go through.
+    """
+    thread = threading.get_ident()
     own = vars(sys.modules[module]) if module in sys.modules else {}
     names = {id(value): name for name, value in own.items() if callable(value)}
     saved: list[tuple[Any, str, Any]] = []
@@ -49,7 +53,8 @@ def no_side_effects(module: str) -> Iterator[None]:
         setattr(owner, name, value)
 
     try:
-        for owner, name, original, guard in _GUARDS:
+        for owner, name, original, forbidden in _GUARDS:
+            guard = _only_in(thread, forbidden, original)
             replace(owner, name, guard)
             if id(original) in names:
                 replace(sys.modules[module], names[id(original)], guard)
@@ -76,6 +81,15 @@ def _guards() -> Iterator[tuple[Any, str, Any, Callable[..., Any]]]:
             if getattr(function, "__self__", None) is not None:  # a method of the shared generator
                 yield module, name, function, _raiser(f"{module.__name__}.{name}", _CHANCE)
     yield np.random, "default_rng", np.random.default_rng, _seeded_rng
+
+
+def _only_in(
+    thread: int, forbidden: Callable[..., Any], original: Callable[..., Any]
+) -> Callable[..., Any]:
+    def chosen(*args: Any, **named: Any) -> Any:
+        return (forbidden if threading.get_ident() == thread else original)(*args, **named)
+
+    return chosen
 
 
 def _raiser(name: str, hint: str) -> Callable[..., NoReturn]:

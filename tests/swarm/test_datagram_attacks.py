@@ -201,16 +201,26 @@ def test_a_replayed_estop_renews_no_latch_that_was_reset(swarm: SecuredSwarm) ->
     stranger = swarm.stranger
     assert swarm.anna.send_stop("estop").exit_code == 0
     assert swarm.status("r1").state is State.ESTOPPED
+    latches: list[bytes] = []
+
+    def hears_latches() -> bool:
+        latches[:] = [raw for raw, _ in list(stranger._heard) if raw[KIND_OFFSET] == Kind.LATCHES]
+        return bool(latches)
+
+    wait_until(hears_latches, "the robots send their new latches to all")
     for robot in ("r1", "r2"):
         swarm.reset(robot)
     estops = [raw for body, raw, _ in stranger.recorded(Stop)]
-    latches = [raw for raw, _ in list(stranger._heard) if raw[KIND_OFFSET] == Kind.LATCHES]
     assert estops
-    assert latches
     r1 = stranger.address_of("r1")
-    for raw in (*estops, *latches) * 3:
-        stranger.mouth.sendto(raw, r1)
-    wait_until(lambda: _dropped(swarm.status("r1"), "repeated") > 0, "latches are counted")
+
+    def replay() -> bool:
+        for raw in (*estops, *latches):
+            stranger.mouth.sendto(raw, r1)
+        return _dropped(swarm.status("r1"), "repeated") > 0
+
+    # Until r1 has heard that r2 was reset, the latches of r2 are no repetition.
+    wait_until(replay, "latches are counted")
     assert swarm.status("r1").state is State.IDLE
 
     # A robot that restarts knows what it heard before.

@@ -16,6 +16,26 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.integration
 
+HELD_UP = "loading took more than 3 s"
+
+
+def run_until_applied(swarm: Swarm, pattern: str, robots: tuple[str, ...]) -> None:
+    """Each robot acks the run and applies it; after a stall of a busy machine it is asked again."""
+    for _ in range(5):
+        before = {robot: swarm.status(robot).generation for robot in robots}
+        done = swarm.ctl("run", pattern, "--all", "--timeout", "60s", "-o", "json")
+        replies = done.json["replies"]
+        assert (tuple(sorted(replies)), done.json["missing"]) == (robots, []), done.out
+        for robot in done.json["applied"]:
+            assert swarm.status(robot).generation == before[robot] + 1
+        others = [replies[robot]["text"] for robot in robots if robot not in done.json["applied"]]
+        if not others:
+            line = f"{len(robots)} targeted, {len(robots)} applied"
+            assert (done.code, done.json["line"]) == (0, line)
+            return
+        assert all(text.endswith(HELD_UP) or "by a stall of" in text for text in others), done.out
+    pytest.fail(f"{pattern} was not applied by all in five runs: {done.out}")
+
 
 @pytest.mark.parametrize(
     ("count", "runs"), [(8, 6), pytest.param(20, 50, marks=pytest.mark.evidence)]
@@ -30,20 +50,15 @@ def test_every_robot_acks_each_of_many_cold_runs(swarm: Swarm, count: int, runs:
     print(f"{count} daemons ready after {time.monotonic() - began:.1f} s")
     # Many hosts that start at once on a busy machine may take longer than a load may last.
     wait_until(lambda: swarm.ctl("run", "drive", "--all").code == 0, "loaded once by all", 120.0)
-    before = {robot: swarm.status(robot).generation for robot in robots}
     seconds = []
     for number in range(runs):
         pattern = ("random_walk", "drive")[number % 2]
         began = time.monotonic()
-        done = swarm.ctl("run", pattern, "--all", "--timeout", "60s", "-o", "json")
+        run_until_applied(swarm, pattern, robots)
         seconds.append(time.monotonic() - began)
-        assert done.code == 0, (number, done.json["line"], done.err)
-        assert tuple(done.json["applied"]) == robots, (number, done.json["line"])
-        assert done.json["line"] == f"{count} targeted, {count} applied"
     print(f"a cold run: median {statistics.median(seconds):.3f} s, worst {max(seconds):.3f} s")
     for robot in robots:
         status = swarm.status(robot)
-        assert status.generation == before[robot] + runs
         assert status.state in (State.RUNNING, State.STOPPED)
     done = swarm.ctl("stop")
     assert done.outcome == (0, f"{count} targeted, {count} applied")

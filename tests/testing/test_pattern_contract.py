@@ -7,6 +7,7 @@ import random
 import sys
 import time
 from collections.abc import Callable, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any, TypeAlias
@@ -20,6 +21,7 @@ from swarmd.core.values import Array, Inputs, Outputs, Twist
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.params import Params, about
 from swarmd.sensing.rays import nearest
+from swarmd.testing.no_side_effects import no_side_effects
 from swarmd.testing.pattern_contract import PatternContract
 
 Kind: TypeAlias = type[Pattern[Any]]
@@ -231,6 +233,16 @@ def test_a_step_with_a_side_effect_fails(name: str) -> None:
 
     with pytest.raises(AssertionError, match=name):
         run(driving(drive), STEPS)
+
+
+def test_other_threads_may_call_what_a_step_may_not() -> None:
+    with ThreadPoolExecutor(1) as thread:
+        thread.submit(int).result()  # it has started
+        with no_side_effects(__name__):
+            now = thread.submit(lambda: time.monotonic())
+            with pytest.raises(AssertionError, match=r"time\.monotonic"):
+                time.monotonic()
+            assert now.result() > 0.0
 
 
 def test_a_pattern_that_never_ends_fails_in_time() -> None:
