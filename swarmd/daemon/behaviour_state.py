@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import asyncio
-import logging
 from collections.abc import Callable, Collection, Mapping
-from dataclasses import dataclass
 from typing import Protocol
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from swarmd.core.behaviour import (
@@ -17,10 +16,12 @@ from swarmd.core.behaviour import (
     Table,
     digest_of,
     greatest_generation,
+    merged,
     read_entry,
     wanted_by,
 )
 from swarmd.core.errors import CodecError
+from swarmd.core.host_messages import TrialDone
 from swarmd.core.messages import (
     BehaviourReport,
     BehavioursReply,
@@ -29,11 +30,10 @@ from swarmd.core.messages import (
     Reply,
 )
 from swarmd.daemon.behaviour_files import BehaviourFiles
+from swarmd.daemon.record_writer import RecordWriter
 from swarmd.plugins import Origin
 from swarmd.robot.pushed_code import PushedCode, Version
 from swarmd.security.roster import is_signed_by
-
-log = logging.getLogger(__name__)
 
 Operators = Mapping[str, bytes]
 """The public keys of operators by name."""
@@ -45,6 +45,9 @@ class RobotControl(Protocol):
     def try_code(self, request: ReloadRequest) -> None:
         """Hand a reload to the robot; its reply comes to `BehaviourStore.on_reply`."""
 
+    def end_trial(self, event: TrialDone) -> None:
+        """Hand the end of a trial to the robot, which `BehaviourStore.on_event` held back."""
+
     def code_changed(self) -> None:
         """Let the next run have a fresh pattern host."""
 
@@ -53,6 +56,9 @@ class RobotControl(Protocol):
 
     def event(self, text: str) -> None:
         """A line for the robot's events and its log."""
+
+    def fault(self, text: str) -> None:
+        """The same as a warning."""
 
     def epoch(self) -> Epoch:
         """The robot's present epoch."""
@@ -64,14 +70,21 @@ class RobotControl(Protocol):
         """The patterns that the robot has by other means."""
 
 
-@dataclass(frozen=True, slots=True)
-class Candidate:
-    """Code that is being tried, for the request `id`."""
+class Candidate(Struct, frozen=True):
+    """Code that is being tried, for the request `id`.
+
+    `is_passed`: its trial succeeded, and it is being written. `is_accepted`: it is on the disk.
+    """
 
     id: str
     entry: Entry
     version: Version
+    is_passed: bool = False
     is_accepted: bool = False
+
+
+Versions = Mapping[str, PushedCode]
+"""The versions of each pushed behaviour, by name."""
 
 
 class BehaviourState:
@@ -79,7 +92,7 @@ class BehaviourState:
 
     Else code without a signature of these operators is neither stored nor loaded. Patterns of
     packages and of `plugin_dir` are the owner's and need no signature. `candidate`: code in its
-    trial. `pinned`: what the last run of each name began with.
+    trial. `pinned`: what the last run of each name began with. A thread writes the newest state.
     """
 
     def __init__(
@@ -91,6 +104,7 @@ class BehaviourState:
         control: RobotControl,
     ) -> None:
         self.files = files
+        self._writer = RecordWriter(files.folder, _write_to(files), control.fault)
         self.robot, self.swarm = robot, swarm
         self.operators = operators
         self.control = control
@@ -100,6 +114,7 @@ class BehaviourState:
         self.changes = 0  # of the table or the versions
         self.candidate: Candidate | None = None
         self.pinned: dict[str, Version] = {}
+        self._adopting: tuple[Entry, Version] | None = None
 
     # On the disk
 
@@ -117,18 +132,63 @@ class BehaviourState:
         for name, code in self.versions.items():
             if code.failed is not None and code.failed != versions[name].failed:
                 self.tell_of_return(name, code)
-        self.save()
+        await self._writer.write(self._record())
         await asyncio.to_thread(self.files.prune, self.in_use())
 
-    def save(self) -> bool:
-        """Write all to the disk; False, with a line in the log, if that fails."""
+    def save(self) -> None:
+        """Write the present state to the disk soon."""
         self.changes += 1
+        self._writer.store(self._record())
+
+    def _record(self) -> tuple[Table, Versions]:
+        """What the disk is to have."""
+        if self._adopting is None:
+            return self.table, dict(self.versions)
+        return self._adopted(*self._adopting)
+
+    def _adopted(self, entry: Entry, version: Version) -> tuple[Table, dict[str, PushedCode]]:
+        """The state after a removal, or after a trial that `version` passed."""
+        versions, name = dict(self.versions), entry.manifest.name
+        if entry.is_removal:
+            versions.pop(name, None)
+        else:
+            versions[name] = versions.get(name, PushedCode()).accept(version)
+        return merged(self.table, [entry]), versions
+
+    def apply(self, entry: Entry, version: Version) -> None:
+        """Carry out a removal or make a version current; `save` writes it."""
+        table, self.versions = self._adopted(entry, version)
+        self.set_table(table)
+
+    @property
+    def is_adopting(self) -> bool:
+        """True while `adopt` waits for the disk."""
+        return self._adopting is not None
+
+    async def adopt(self, entry: Entry, version: Version, is_wanted: Callable[[], bool]) -> str:
+        """The same once it is on the disk; why nothing has changed, empty if it is done.
+
+        `is_wanted` is asked when it is on the disk. One entry is adopted at a time.
+        """
+        assert self._adopting is None
+        self._adopting = entry, version
         try:
-            self.files.write(self.table, self.versions)
-        except OSError as error:
-            log.error("%s cannot be written (%s)", self.files.folder, error)
-            return False
-        return True
+            fault = await self._writer.write(self._record())
+        finally:
+            self._adopting = None
+        if fault:
+            fault = "it cannot be written to the disk; see the log"
+        elif not is_wanted() or entry not in merged(self.table, [entry]):
+            fault = "another request came while it was written"
+        if fault:
+            self.save()  # the disk may have it
+        else:
+            self.apply(entry, version)
+        return fault
+
+    async def close(self) -> None:
+        """Wait until the newest state is on the disk, or could not be written once more."""
+        await self._writer.close()
 
     def in_use(self) -> set[tuple[str, bytes]]:
         """Names and digests of the code that may be loaded."""
@@ -275,6 +335,10 @@ class BehaviourState:
             if current is not None and current.digest.hex() == digest:
                 return self.files.code(name, current.digest)
         return None
+
+
+def _write_to(files: BehaviourFiles) -> Callable[[tuple[Table, Versions]], None]:
+    return lambda record: files.write(*record)
 
 
 def _report(name: str, entry: Entry | None, code: PushedCode) -> BehaviourReport:

@@ -1,10 +1,10 @@
 """Takes behaviours that operators push or peers have: checked, written, tried, and then current.
 
 Code becomes current in this order: its signature and SHA-256 are checked and its files written in
-a thread; the robot tries it in a host of its own, as for a reload; with the success of the trial
-the new version is on the disk before the robot acts on it. No run starts or stops by a push,
-but that of a valid goal which the robot could not join without the code; see `robot/goals.py`.
-`behaviour_sync.py` pulls what other robots have.
+a thread; the robot tries it in a host of its own, as for a reload; after the success of the trial
+a thread writes the new version to the disk, and only then the robot acts on it. No run starts or
+stops by a push, but that of a valid goal which the robot could not join without the code; see
+`robot/goals.py`. `behaviour_sync.py` pulls what other robots have.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.host_messages import HostEvent, TrialDone
 from swarmd.core.messages import Code, Epoch, PushRequest, Refusal, ReloadRequest, Reply
 from swarmd.daemon.behaviour_state import BehaviourState, Candidate
-from swarmd.robot.pushed_code import PushedCode, Version
+from swarmd.robot.pushed_code import Version
 
 MAX_QUEUE = 4
 MAX_UPLOADS = 2  # behaviours of which pieces are kept
@@ -47,9 +47,10 @@ class BehaviourStore:
         self._queue.clear()
         for task in self._tasks:
             task.cancel()
-        if any(code.is_running for code in self._state.versions.values()):
-            self._state.versions = {name: code.end() for name, code in self._state.versions.items()}
-            self._state.save()
+        state = self._state
+        if any(code.is_running for code in state.versions.values()):
+            state.versions = {name: code.end() for name, code in state.versions.items()}
+            state.save()
 
     def _start(self, work: Coroutine[None, None, None]) -> None:
         task = asyncio.get_running_loop().create_task(work)
@@ -123,7 +124,8 @@ class BehaviourStore:
     @property
     def is_busy(self) -> bool:
         """True while a behaviour is checked, written or tried."""
-        return self._is_taking or self._state.candidate is not None
+        state = self._state
+        return self._is_taking or state.candidate is not None or state.is_adopting
 
     async def _take(
         self, entry: Entry, code: bytes, source: str, request: PushRequest | None
@@ -131,18 +133,21 @@ class BehaviourStore:
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
         is_rerun = request is not None and request.is_rerun
         fault = self._refusal_of(entry)  # again: it may have waited
+        reply = None
         try:
             await asyncio.to_thread(self._state.files.prune, self._state.in_use())
             fault = fault or await asyncio.to_thread(self._write_checked, entry, code)
+            if fault is not None:
+                refusal, text = fault
+                if refusal is Refusal.PATTERN_FAILED:
+                    self._state.note_failed(entry, Version.of(entry, source), text)
+                reply = self._refused(id, refusal, text)
+            elif entry.is_removal or (self._state.has(entry) and not is_rerun):
+                reply = await self._adopt(id, entry)
         finally:
             self._is_taking = False
-        if fault is not None:
-            refusal, text = fault
-            if refusal is Refusal.PATTERN_FAILED:
-                self._state.note_failed(entry, Version.of(entry, source), text)
-            self._state.control.reply(self._refused(id, refusal, text))
-        elif entry.is_removal or (self._state.has(entry) and not is_rerun):
-            self._state.control.reply(self._adopt(id, entry))
+        if reply is not None:
+            self._state.control.reply(reply)
         else:
             self._try(id, entry, Version.of(entry, source), request)
         self._take_next()
@@ -161,26 +166,27 @@ class BehaviourStore:
             return Refusal.BUSY, f"{entry.manifest.label} cannot be written: {error.strerror}"
         return None
 
-    def _adopt(self, id: str, entry: Entry) -> Reply:
+    async def _adopt(self, id: str, entry: Entry) -> Reply:
         """Take a manifest that needs no trial: a removal, or a newer one of the current code."""
-        name, before = entry.manifest.name, (self._state.table, dict(self._state.versions))
-        self._state.set_table(merged(self._state.table, [entry]))
+        robot, name = self._state.robot, entry.manifest.name
+        is_here = name in self._state.versions
+
+        def is_wanted() -> bool:
+            return entry.is_removal or self._state.has(entry)  # a fault may have ended that code
+
+        if fault := await self._state.adopt(entry, Version.of(entry, ""), is_wanted):
+            return Reply(id=id, robot=robot, code=Code.FAILED, text=fault)
         if entry.is_removal:
-            removed = self._state.versions.pop(name, None)
-            text = f"{name} is removed" if removed is not None else f"had no pushed {name}"
+            text = f"{name} is removed" if is_here else f"had no pushed {name}"
+            self._tell_of_removal(text, entry)
         else:
-            code = self._state.versions[name].accept(Version.of(entry, ""))
-            self._state.versions[name] = code
-            text = f"has {entry.manifest.label} already: {code.standing}"
-        if not self._state.save():
-            self._state.set_table(before[0])
-            self._state.versions = before[1]
-            text = "it cannot be written to the disk; see the log"
-            return Reply(id=id, robot=self._state.robot, code=Code.FAILED, text=text)
-        if entry.is_removal:
-            self._state.control.event(f"{text}, by {entry.manifest.issuer}")
-            self._state.control.code_changed()
-        return Reply(id=id, robot=self._state.robot, code=Code.APPLIED, text=text)
+            standing = self._state.versions[name].standing
+            text = f"has {entry.manifest.label} already: {standing}"
+        return Reply(id=id, robot=robot, code=Code.APPLIED, text=text)
+
+    def _tell_of_removal(self, text: str, entry: Entry) -> None:
+        self._state.control.event(f"{text}, by {entry.manifest.issuer}")
+        self._state.control.code_changed()
 
     def _try(self, id: str, entry: Entry, version: Version, request: PushRequest | None) -> None:
         self._state.candidate = Candidate(id, entry, version)
@@ -199,26 +205,34 @@ class BehaviourStore:
             )
         )
 
-    def on_event(self, event: HostEvent) -> HostEvent:
-        """An event of the pattern host, before the robot has it: a trial's success is stored."""
+    def on_event(self, event: HostEvent) -> HostEvent | None:
+        """An event of the pattern host, before the robot has it.
+
+        None: a trial succeeded. The robot gets the event when the version is on the disk.
+        """
         candidate = self._state.candidate
         if candidate is None or not isinstance(event, TrialDone) or event.text:
             return event
-        entry, name = candidate.entry, candidate.entry.manifest.name
-        before = self._state.table, dict(self._state.versions)
-        self._state.versions[name] = self._state.versions.get(name, PushedCode()).accept(
-            candidate.version
-        )
-        self._state.set_table(merged(self._state.table, [entry]))
-        if not self._state.save():
-            self._state.set_table(before[0])
-            self._state.versions = before[1]
-            return TrialDone(event.generation, "it cannot be written to the disk", Refusal.BUSY)
-        self._state.candidate = Candidate(candidate.id, entry, candidate.version, is_accepted=True)
-        self._state.control.event(
-            f"{entry.manifest.label} is provisional, from {candidate.version.source}"
-        )
-        return event
+        self._state.candidate = passed = replace(candidate, is_passed=True)
+        self._start(self._accept(passed, event))
+        return None
+
+    async def _accept(self, candidate: Candidate, event: TrialDone) -> None:
+        state, entry, version = self._state, candidate.entry, candidate.version
+
+        def is_wanted() -> bool:
+            return state.candidate is candidate  # else the robot ended the trial, and has replied
+
+        fault = await state.adopt(entry, version, is_wanted)
+        if not is_wanted():
+            self._take_next()
+            return
+        if fault:
+            state.control.end_trial(TrialDone(event.generation, fault, Refusal.BUSY))
+            return
+        state.candidate = replace(candidate, is_accepted=True)
+        state.control.event(f"{entry.manifest.label} is provisional, from {version.source}")
+        state.control.end_trial(event)
 
     def on_reply(self, reply: Reply) -> Reply:
         """A reply of the robot: that to a trial ends it, and gets the standing as its text."""
@@ -230,8 +244,12 @@ class BehaviourStore:
         label = candidate.entry.manifest.label
         if candidate.is_accepted:
             return replace(reply, text=f"{label} is provisional; {reply.text}"[:300])
-        if reply.refusal not in _PASSING:
-            self._state.note_failed(candidate.entry, candidate.version, reply.text)
+        if reply.refusal in _PASSING:
+            return reply
+        if candidate.is_passed:  # to write it took longer than a trial may take
+            text = f"{label} passed its trial, but the disk is slow: it is not written yet"
+            return replace(reply, refusal=Refusal.BUSY, text=text)
+        self._state.note_failed(candidate.entry, candidate.version, reply.text)
         return reply
 
     def _refused(self, id: str, refusal: Refusal, text: str) -> Reply:
@@ -240,10 +258,13 @@ class BehaviourStore:
 
     def merge(self, entries: Collection[Entry]) -> None:
         """Take manifests of other robots, which are trusted, and carry out removals."""
-        self._state.set_table(merged(self._state.table, entries))
-        for name, entry in self._state.wanted().items():
-            if (entry.is_removal and name in self._state.versions) or (
-                self._state.has(entry) and self._state.versions[name].lacks(entry)
-            ):
-                self._adopt("", entry)
-        self._state.save()
+        state = self._state
+        state.set_table(merged(state.table, entries))
+        for name, entry in state.wanted().items():
+            is_here = name in state.versions
+            if is_here and entry.is_removal:
+                state.apply(entry, Version.of(entry, ""))
+                self._tell_of_removal(f"{name} is removed", entry)
+            elif is_here and state.has(entry) and state.versions[name].lacks(entry):
+                state.apply(entry, Version.of(entry, ""))
+        state.save()

@@ -25,7 +25,7 @@ from swarmd.core.behaviour import Entry
 from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.codec import decode_value, encode, encode_value
 from swarmd.core.errors import CodecError, PluginError, SwarmError
-from swarmd.core.host_messages import Layers
+from swarmd.core.host_messages import Layers, TrialDone
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.messages import (
     REQUEST_TYPES,
@@ -257,6 +257,7 @@ class Daemon:
                 for end in ends:
                     await _end(end)
                 await self._goals.close()
+                await self._behaviour_state.close()
         if self._crash is not None:  # while it was leaving
             raise self._crash
 
@@ -471,6 +472,10 @@ class Daemon:
         """Hand a reload of pushed code to the robot."""
         self._on_request(request)
 
+    def end_trial(self, event: TrialDone) -> None:
+        """Hand the end of a trial of pushed code to the robot."""
+        self._carry_out(self._robot.on_host(event, boottime()))
+
     def code_changed(self) -> None:
         """Let the next run have a fresh pattern host."""
         self._carry_out(self._robot.on_code_changed(boottime()))
@@ -483,6 +488,10 @@ class Daemon:
         """A line for the events and the log."""
         log.info("%s", text)
         self._robot.log(text, boottime())
+
+    def fault(self, text: str) -> None:
+        """A line for the events and a warning for the log."""
+        self._on_network_event(text)
 
     def epoch(self) -> Epoch:
         """The robot's present epoch."""
@@ -512,8 +521,8 @@ class Daemon:
         if self._ticks % MOTION_PERIOD == 0:
             self._publish_motion()
         self._tools.advance(boottime())
-        if self._latches.fault and self._ticks % STORAGE_PERIOD == 0:
-            self._check_storage()
+        if self._latches.fault and self._ticks % STORAGE_PERIOD == 0 and not self._robot.is_running:
+            self._check_storage()  # on the loop, where a slow disk would end a run
         if self._ticks % USAGE_PERIOD == 0:
             robot = self._robot
             self._code_runs.advance(
@@ -550,8 +559,9 @@ class Daemon:
 
     def _on_host_events(self) -> None:
         for event in self._runner.events():
-            event = self._behaviours.on_event(event)
-            self._carry_out(self._robot.on_host(event, boottime()))
+            kept = self._behaviours.on_event(event)
+            if kept is not None:
+                self._carry_out(self._robot.on_host(kept, boottime()))
 
     def _carry_out(self, actions: Actions) -> None:
         if self._idle.allows(actions.twist, actions.is_idle, boottime()):

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import asyncio
 import logging
 from collections.abc import Callable
-from contextlib import suppress
 from pathlib import Path
 
 from msgspec.structs import replace
@@ -16,12 +14,11 @@ from swarmd.core.errors import CodecError
 from swarmd.core.files import write_whole
 from swarmd.core.goal import Goal, GoalRecord, digest_of
 from swarmd.core.messages import Code, GoalRequest, Refusal, Reply, Request, RunRequest
+from swarmd.daemon.record_writer import RecordWriter
 from swarmd.network.goal_sync import GoalCheck, is_signed_goal
 from swarmd.security.identity import Identity
 
 log = logging.getLogger(__name__)
-
-RETRY_PERIOD = 5.0  # s between two tries to write a file that could not be written
 
 
 class GoalFile:
@@ -41,18 +38,14 @@ class GoalFile:
             log.warning("%s cannot be read (%s): goal and labels are lost", self.path, error)
             return GoalRecord()
 
-    def write(self, record: GoalRecord) -> str:
-        """Write the record and wait until it is on the disk; why not, or an empty text."""
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(self.path, encode(record))
-        except OSError as error:
-            return f"{self.path} cannot be written ({error.strerror}): kept in memory only"
-        return ""
+    def write(self, record: GoalRecord) -> None:
+        """Write the record and wait until it is on the disk. OSError if that fails."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(self.path, encode(record))
 
 
 class GoalService:
-    """Stores the goals in a thread, since a disk takes its time, and checks those that come.
+    """Stores the goals, and checks those that come.
 
     `identity`: the present one; without one each goal counts. `on_event` takes a line for people.
     """
@@ -62,13 +55,9 @@ class GoalService:
     ) -> None:
         self._file = GoalFile(folder)
         self._identity = identity
-        self._on_event = on_event
+        self._writer = RecordWriter(self._file.path, self._file.write, on_event)
         # Robots that hand on false goals must not use up what the requests of operators need.
         self._check, self._check_asked = GoalCheck(self._key_of), GoalCheck(self._key_of)
-        self._wanted: GoalRecord | None = None
-        self._writing: asyncio.Task[None] | None = None
-        self._closed = asyncio.Event()
-        self._fault = ""
 
     def read(self) -> GoalRecord:
         """The goals of an earlier instance, without those that do not count."""
@@ -97,15 +86,11 @@ class GoalService:
 
     def store(self, record: GoalRecord) -> None:
         """Write the record soon; a later one replaces it."""
-        self._wanted = record
-        if self._writing is None or self._writing.done():
-            self._writing = asyncio.get_running_loop().create_task(self._write())
+        self._writer.store(record)
 
     async def close(self) -> None:
         """Write what is not written yet."""
-        self._closed.set()
-        if self._writing is not None:
-            await self._writing
+        await self._writer.close()
 
     def check(self, goal: Goal, now: float) -> bool | None:
         """True if a goal counts; None if it cannot be verified now."""
@@ -127,18 +112,3 @@ class GoalService:
     def _key_of(self, issuer: str) -> bytes | None:
         identity = self._identity()
         return None if identity is None else identity.roster.operators.get(issuer)
-
-    async def _write(self) -> None:
-        while self._wanted is not None:
-            record = self._wanted
-            fault = await asyncio.to_thread(self._file.write, record)
-            if fault != self._fault:
-                self._fault = fault
-                self._on_event(fault or f"{self._file.path} can be written again")
-            if fault and self._closed.is_set():
-                return
-            if fault:
-                with suppress(TimeoutError):
-                    await asyncio.wait_for(self._closed.wait(), RETRY_PERIOD)
-            elif self._wanted is record:
-                self._wanted = None

@@ -15,7 +15,10 @@ log = logging.getLogger(__name__)
 
 
 class LatchFile:
-    """The file `latches` in a robot's state folder.
+    """The file `latches` in a robot's state folder, which the daemon writes on its loop.
+
+    A latch is on the disk before it is acknowledged. The robot does not run when its latches
+    change, so that a slow disk ends no run. The command zero is sent before.
 
     `fault`: why what is latched now would be lost by a restart; empty if it would not.
     """

@@ -4,14 +4,23 @@ from __future__ import annotations
 
 import asyncio
 import hashlib
-from collections.abc import Callable, Mapping
+import threading
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.behaviour import Manifest, Signed, encode_manifest, encode_table, read_entry
+from swarmd.core.behaviour import (
+    Manifest,
+    Signed,
+    Table,
+    encode_manifest,
+    encode_table,
+    read_entry,
+)
 from swarmd.core.clock import boottime
 from swarmd.core.host_messages import Load, TrialDone
 from swarmd.core.messages import Code, Epoch, PushRequest, Refusal, ReloadRequest, Reply
@@ -23,7 +32,7 @@ from swarmd.daemon.behaviour_store import BehaviourStore
 from swarmd.daemon.behaviour_sync import BehaviourSync
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
-from swarmd.robot.pushed_code import HOLD_TIME
+from swarmd.robot.pushed_code import HOLD_TIME, PushedCode
 from swarmd.security.private_keys import load_private_key, sign
 from swarmd.settings.settings import load_platform
 from tests.support.keys import SwarmKeys
@@ -33,26 +42,34 @@ EPOCH = Epoch("0123456789ab", 1)
 
 
 class Control:
-    """The daemon's side: every trial ends at once, with `fault`."""
+    """The daemon's side: every trial ends at once, with `trial_fault`."""
 
     def __init__(self) -> None:
         self.store: BehaviourStore
-        self.fault = ""
+        self.trial_fault = ""
+        self.tried: list[str] = []
+        self.faults: list[str] = []
         self.replies: list[Reply] = []
         self.events: list[str] = []
         self.own: dict[str, Origin] = {}
         self.changes = 0
 
     def try_code(self, request: ReloadRequest) -> None:
-        done = self.store.on_event(TrialDone(1, self.fault))
-        assert isinstance(done, TrialDone)
-        is_good = not done.text
-        code, refusal = (Code.APPLIED, None) if is_good else (Code.REFUSED, done.refusal)
-        self.reply(
-            self.store.on_reply(
-                Reply(id=request.id, robot="r1", code=code, refusal=refusal, text=done.text)
-            )
-        )
+        self.tried.append(request.id)
+        done = self.store.on_event(TrialDone(1, self.trial_fault))
+        if done is not None:
+            assert isinstance(done, TrialDone)
+            self.end_trial(done)
+
+    def end_trial(self, event: TrialDone) -> None:
+        is_good = not event.text
+        code, refusal = (Code.APPLIED, None) if is_good else (Code.REFUSED, event.refusal)
+        self.answer(code, refusal, event.text)
+
+    def answer(self, code: Code, refusal: Refusal | None, text: str) -> None:
+        """The robot's answer to the latest trial."""
+        reply = Reply(id=self.tried[-1], robot="r1", code=code, refusal=refusal, text=text)
+        self.reply(self.store.on_reply(reply))
 
     def code_changed(self) -> None:
         self.changes += 1
@@ -63,6 +80,9 @@ class Control:
     def event(self, text: str) -> None:
         self.events.append(text)
 
+    def fault(self, text: str) -> None:
+        self.faults.append(text)
+
     def epoch(self) -> Epoch:
         return EPOCH
 
@@ -71,6 +91,35 @@ class Control:
 
     def own_patterns(self) -> Mapping[str, Origin]:
         return self.own
+
+
+class GatedFiles(BehaviourFiles):
+    """Files on a disk that takes no write while `is_open` is not set, and fails with `error`."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder)
+        self.is_open, self.is_asked = threading.Event(), threading.Event()
+        self.is_open.set()
+        self.error: OSError | None = None
+        self.written = 0
+
+    def write(self, table: Table, versions: Mapping[str, PushedCode]) -> None:
+        self.is_asked.set()
+        assert self.is_open.wait(60.0)
+        if self.error is not None:
+            raise self.error
+        super().write(table, versions)
+        self.written += 1
+
+    @contextmanager
+    def stuck(self) -> Iterator[None]:
+        """Let no write end in the block."""
+        self.is_open.clear()
+        self.is_asked.clear()
+        try:
+            yield
+        finally:
+            self.is_open.set()
 
 
 class Rig:
@@ -83,11 +132,16 @@ class Rig:
         self._generation = 0
         self.control: Control
         self.store: BehaviourStore
+        self.state: BehaviourState
+        self._is_started = False
 
     async def start(self) -> None:
+        if self._is_started:
+            await self.state.close()
+        self._is_started = True
         control = self.control = Control()
-        files = BehaviourFiles(self.folder / "behaviours")
-        self.state = BehaviourState(files, "r1", "lab", lambda: self.operators, control)
+        self.files = GatedFiles(self.folder / "behaviours")
+        self.state = BehaviourState(self.files, "r1", "lab", lambda: self.operators, control)
         self.store = control.store = BehaviourStore(self.state)
         self.runs = CodeRuns(self.state)
         await self.state.open()
@@ -220,6 +274,96 @@ async def test_code_that_cannot_be_written_is_refused_and_nothing_changes(rig: R
     assert reply.code is Code.REFUSED
     assert "cannot be written" in reply.text
     assert (rig.origin(), rig.state.table) == ("", ())
+
+
+async def happens(condition: Callable[[], bool]) -> None:
+    """Wait on the loop, which goes on meanwhile."""
+    async with asyncio.timeout(60.0):
+        while not condition():
+            await asyncio.sleep(0.005)
+
+
+@pytest.mark.parametrize("what", ["code", "newer manifest", "removal"])
+async def test_a_push_is_applied_when_it_is_on_the_disk_and_the_loop_goes_on_meanwhile(
+    rig: Rig, what: str
+) -> None:
+    if what != "code":
+        await rig.push()
+    before = rig.state.table
+    fields: dict[str, Any] = {"kind": "removed", "digest": b""} if what == "removal" else {}
+    count = len(rig.control.replies)
+    with rig.files.stuck():
+        pushing = asyncio.create_task(rig.push(b"" if what == "removal" else CODE, **fields))
+        await happens(rig.files.is_asked.is_set)
+        for _ in range(20):  # ticks
+            await asyncio.sleep(0.005)
+        assert len(rig.control.replies) == count
+        assert rig.state.table == before  # nor do the peers see it
+    assert (await pushing).code is Code.APPLIED
+    assert rig.files.read()[0] == rig.state.table != before
+    assert (rig.origin() == "") == (what == "removal")
+
+
+async def test_a_change_while_a_push_is_written_does_not_lose_it(rig: Rig) -> None:
+    with rig.files.stuck():
+        pushing = asyncio.create_task(rig.push())
+        await happens(rig.files.is_asked.is_set)
+        content = encode_manifest(
+            Manifest(
+                swarm="lab", name="far", generation=9, issuer="bob", kind="removed", targets=("r7",)
+            )
+        )
+        rig.store.merge([read_entry(Signed(content))])
+    assert (await pushing).code is Code.APPLIED
+    await rig.start()
+    assert {entry.manifest.name for entry in rig.state.table} == {"own", "far"}
+    assert rig.origin() != ""
+
+
+async def test_a_version_that_cannot_be_written_is_refused_and_may_be_pushed_again(
+    rig: Rig,
+) -> None:
+    rig.files.error = OSError(28, "No space left on device")
+    reply = await rig.push()
+    assert (reply.code, reply.refusal) == (Code.REFUSED, Refusal.BUSY)
+    assert (rig.origin(), rig.state.table) == ("", ())
+    await rig.push()
+    assert len(rig.control.faults) == 1
+    rig.files.error = None
+    assert (await rig.push()).code is Code.APPLIED
+    await rig.start()
+    assert rig.origin() != ""
+
+
+@pytest.mark.parametrize("refusal", [Refusal.OVERTAKEN, Refusal.PATTERN_FAILED])
+async def test_a_trial_that_the_robot_ends_while_it_is_written_changes_nothing(
+    rig: Rig, refusal: Refusal
+) -> None:
+    with rig.files.stuck():
+        pushing = asyncio.create_task(rig.push())
+        await happens(rig.files.is_asked.is_set)
+        rig.control.answer(Code.REFUSED, refusal, "stopped, or it took more than 10 s")
+        assert (await pushing).code is Code.REFUSED
+    await happens(lambda: rig.files.written == 2)
+    await rig.start()
+    assert (rig.origin(), rig.state.table, rig.state.versions) == ("", (), {})
+    assert (await rig.push()).code is Code.APPLIED
+
+
+async def test_a_push_waits_for_one_that_the_robot_gave_up_while_it_is_written(rig: Rig) -> None:
+    with rig.files.stuck():
+        first = asyncio.create_task(rig.push())
+        await happens(rig.files.is_asked.is_set)
+        rig.control.answer(Code.REFUSED, Refusal.OVERTAKEN, "stopped")
+        await first
+        second = asyncio.create_task(rig.push(CODE + b"# new\n"))
+        for _ in range(20):
+            await asyncio.sleep(0.005)
+        assert len(rig.control.tried) == 1
+    assert (await second).code is Code.APPLIED
+    await rig.start()
+    assert Path(rig.origin()).read_bytes() == CODE + b"# new\n"
+    assert (await rig.push()).code is Code.APPLIED
 
 
 async def test_a_run_that_is_restarted_keeps_its_code(rig: Rig) -> None:

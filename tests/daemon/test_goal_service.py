@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from swarmd.core.goal import Goal, GoalRecord
 from swarmd.core.messages import GoalRequest
-from swarmd.daemon import goal_service
+from swarmd.daemon import record_writer
 from swarmd.daemon.goal_service import GoalFile, GoalService
 from swarmd.network.next_goal import sign_goal
 from tests.support.keys import SwarmKeys
@@ -22,7 +22,7 @@ RECORD = GoalRecord(held=GOAL, own=GOAL, ended="stopped", labels=("red",))
 def test_a_record_is_written_whole_and_read_again(tmp_path: Path) -> None:
     file = GoalFile(tmp_path / "deep")
     assert file.read() == GoalRecord()
-    assert file.write(RECORD) == ""
+    file.write(RECORD)
     assert GoalFile(tmp_path / "deep").read() == RECORD
     assert [path.name for path in (tmp_path / "deep").iterdir()] == ["goal"]
 
@@ -35,7 +35,7 @@ def test_a_file_that_cannot_be_read_is_no_goal(tmp_path: Path) -> None:
 def test_a_folder_that_cannot_be_written_is_told_once_and_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(goal_service, "RETRY_PERIOD", 0.01)
+    monkeypatch.setattr(record_writer, "RETRY_PERIOD", 0.01)
     blocker, told = tmp_path / "state", list[str]()
     blocker.write_text("in the way")
 
