@@ -126,6 +126,7 @@ def test_all_runs_are_there_though_one_worker_is_killed_and_one_hangs(
     assert not list((cluster.folder / "worker-1").rglob("swarmd-*"))
 
 
+@pytest.mark.evidence
 @pytest.mark.timeout(300)
 def test_runs_that_crash_or_hang_fail_alone(
     tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
@@ -139,6 +140,7 @@ def test_runs_that_crash_or_hang_fail_alone(
     assert [line.split(",")[0] for line in table(tmp_path / "far")[1:]] == ["end=none_s0000"]
 
 
+@pytest.mark.evidence
 @pytest.mark.timeout(300)
 def test_ctrl_c_cancels_what_runs_and_keeps_what_is_finished(
     tmp_path: Path, duo: Path, cluster: Cluster
@@ -160,13 +162,11 @@ def test_ctrl_c_cancels_what_runs_and_keeps_what_is_finished(
     wait_until(lambda: not is_running_one(worker), "it is cancelled")
 
 
+@pytest.mark.evidence
 @pytest.mark.timeout(300)
 @pytest.mark.parametrize(
     ("number", "words"),
-    [
-        (signal.SIGKILL, "is gone"),
-        pytest.param(signal.SIGSTOP, "has not answered for 5 s", marks=pytest.mark.evidence),
-    ],
+    [(signal.SIGKILL, "is gone"), (signal.SIGSTOP, "has not answered for 5 s")],
 )
 def test_a_scheduler_that_ends_or_hangs_is_one_line_and_keeps_finished_runs(
     tmp_path: Path, duo: Path, cluster: Cluster, number: signal.Signals, words: str

@@ -37,7 +37,10 @@ def done(jobs: list[Job], processes: int) -> dict[str, JobResult]:
     return {result.run: result for result in listed}
 
 
-@pytest.mark.parametrize("processes", [1, 2, 5])
+@pytest.mark.parametrize(
+    "processes",
+    [pytest.param(1, marks=pytest.mark.evidence), 2, pytest.param(5, marks=pytest.mark.evidence)],
+)
 def test_every_job_is_done_once_though_workers_crash(duo: Path, processes: int) -> None:
     jobs = [
         job(duo, 0),
@@ -154,6 +157,7 @@ def test_runs_do_not_share_process_state(duo: Path) -> None:
     assert after.metrics == alone.metrics is not None
 
 
+@pytest.mark.evidence
 def test_a_pattern_that_forks_has_one_result(duo: Path) -> None:
     before = set(children(os.getpid()))
     jobs = [job(duo, 0, None, {END: "fork"}), job(duo, 1), job(duo, 2)]
@@ -163,6 +167,7 @@ def test_a_pattern_that_forks_has_one_result(duo: Path) -> None:
     assert set(children(os.getpid())) == before
 
 
+@pytest.mark.evidence
 def test_a_pattern_that_closes_all_files_costs_its_own_run(duo: Path) -> None:
     found = done([job(duo, 0, None, {END: "close"}), job(duo, 1)], 1)
     assert found["s0"].reason.startswith("its process ended with code")
