@@ -2,106 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core import codec
-from swarmd.core.messages import Epoch, Member, PeerView, Presence, State, StatusHeader
-from swarmd.network.datagram import PRESENCES, STATES, Beacon, Flag, MemberList, MemberReport
+from swarmd.core.messages import Presence
+from swarmd.network.beacon_table import MAX_ROBOTS, QUIET_TIME
 from swarmd.network.discovery import (
     ANSWER_WAIT,
     FIRST_ROBOT_TIMEOUT,
     GONE_WAIT,
-    INDIRECT_TIME,
     LOOK_CAP,
     MAX_COPIES,
     MAX_INDIRECT_DIALS,
-    MAX_ROBOTS,
-    MAX_ROUND_TRIP,
-    QUIET_TIME,
     UNREACHABLE_WAIT,
     Discovery,
-    reported_address,
 )
-from swarmd.network.members_view import Contact
-from tests.support.fake_daemon import light_status
-
-ALIVE, LEFT, FAILED = Presence.ALIVE, Presence.LEFT, Presence.FAILED
-
-
-def life(instance: int = 1) -> bytes:
-    return bytes([instance] * 6)
-
-
-def beacon(robot: str, *, instance: int = 1, sequence: int = 1, **changes: Any) -> Beacon:
-    fields = {"wire": codec.VERSION, "state": STATES.index(State.RUNNING), "revision": 0} | changes
-    return Beacon(robot=robot, instance=life(instance), sequence=sequence, **fields)
-
-
-def heard(
-    robot: str, presence: Presence = ALIVE, *, instance: int = 1, age: int = 0
-) -> MemberReport:
-    return MemberReport(
-        robot=robot,
-        instance=life(instance),
-        presence=PRESENCES.index(presence),
-        age=age,
-        host="10.0.0.9",
-        port=7440,
-    )
-
-
-def word(
-    robot: str,
-    *others: MemberReport,
-    part: int = 0,
-    parts: int = 1,
-    echo: int = 0,
-    roster: Any = (),
-) -> MemberList:
-    return MemberList(
-        robot=robot,
-        instance=life(),
-        members=others,
-        part=part,
-        parts=parts,
-        echo=echo,
-        roster=roster,
-    )
-
-
-def view(robot: str, *others: str, instance: int = 1, roster: tuple[str, ...] = ()) -> PeerView:
-    members = tuple(
-        Member(robot=name, instance=life().hex(), presence=ALIVE, age=9.0) for name in others
-    )
-    status = light_status(robot, life(instance).hex())
-    return PeerView(robot=robot, status=status, members=members, roster=roster)
-
-
-def address(robot: str) -> tuple[str, int]:
-    return (f"10.0.0.{ord(robot[0])}", 7440)
-
-
-class Rig:
-    """A look that began at 0."""
-
-    def __init__(self, *roster: str, needs_status: bool = True) -> None:
-        self.found = Discovery(0.0, roster, needs_status=needs_status)
-
-    def hear(self, *robots: str, at: float = 0.01, **changes: Any) -> None:
-        for robot in robots:
-            self.found.on_beacon(beacon(robot, **changes), address(robot), at)
-
-    def tell(self, robot: str, *others: MemberReport, at: float = 0.01, **changes: Any) -> None:
-        self.found.on_member_list(word(robot, *others, **changes), at)
-
-    def answer(self, robot: str, *others: str, at: float = 0.02, **changes: Any) -> None:
-        self.found.on_view(view(robot, *others, **changes), at)
-
-    def contact(self, robot: str, now: float = 0.1) -> Contact:
-        return self.found.result(now).members[robot].contact
+from swarmd.network.seen_member import INDIRECT_TIME
+from tests.network.discovery_rig import ALIVE, FAILED, Rig, address, beacon, heard, life, word
 
 
 @pytest.fixture
@@ -120,15 +37,6 @@ def test_one_robot_that_answered_is_complete_only_after_the_quiet_time(rig: Rig)
     rig.hear("a")
     rig.answer("a")
     assert not rig.found.is_complete(0.02 + QUIET_TIME / 2)
-    assert rig.found.is_complete(0.021 + QUIET_TIME)
-
-
-@pytest.mark.parametrize("do_agree", [True, False])
-def test_views_that_agree_are_complete_at_once(rig: Rig, do_agree: bool) -> None:
-    rig.hear("a", "b")
-    rig.answer("a", "b")
-    rig.answer("b", *(["a"] if do_agree else []))
-    assert rig.found.is_complete(0.02) is do_agree
     assert rig.found.is_complete(0.021 + QUIET_TIME)
 
 
@@ -153,99 +61,6 @@ def test_a_robot_that_anything_names_must_answer(source: str) -> None:
     rig.hear("b", at=1.0)
     rig.answer("b", "a", at=1.0)
     assert rig.found.is_complete(1.01 + QUIET_TIME)
-
-
-def test_a_robot_is_heard_or_known_by_the_word_of_others(rig: Rig) -> None:
-    rig.hear("a", "b")
-    others = [heard("c", age=400), heard("d", FAILED, age=5000), heard("e", LEFT)]
-    rig.tell("a", *others, at=0.1)
-    rig.answer("a")
-    members = rig.found.result(0.2).members
-    assert {name: one.contact for name, one in members.items()} == {
-        "a": Contact.ANSWERED,
-        "b": Contact.NO_ANSWER,
-        "c": Contact.UNREACHABLE,
-        "d": Contact.GONE,
-        "e": Contact.GONE,
-    }
-    assert (members["b"].state, round(members["b"].age, 3)) == ("running", 0.19)
-    assert (members["c"].by, members["c"].presence) == ("a", ALIVE)
-    assert members["c"].age == pytest.approx(0.5)
-    assert (members["d"].presence, round(members["d"].age, 3)) == (FAILED, 5.1)
-    assert rig.found.result(0.2).missing == ("b", "c", "d")  # `e` left in order
-
-
-def test_an_old_word_does_not_make_a_robot_alive(rig: Rig) -> None:
-    rig.hear("a")
-    rig.tell("a", heard("c", age=60_000))
-    member = rig.found.result(0.1).members["c"]
-    assert (member.presence, round(member.age)) == (FAILED, 60)
-
-
-@pytest.mark.parametrize(
-    ("words", "truth"),
-    [
-        ((heard("x", FAILED, age=1), heard("x", ALIVE, age=9)), ALIVE),
-        ((heard("x", FAILED, age=1), heard("x", LEFT, age=9)), LEFT),
-        ((heard("x", FAILED, age=1), heard("x", LEFT, instance=2, age=9)), FAILED),
-        ((heard("x", FAILED, age=9), heard("x", LEFT, instance=2, age=1)), LEFT),
-    ],
-)
-def test_the_more_certain_of_two_words_counts(
-    rig: Rig, words: tuple[MemberReport, MemberReport], truth: Presence
-) -> None:
-    rig.hear("a", "b")
-    rig.tell("a", words[0])
-    rig.tell("b", words[1])
-    assert rig.found.result(0.1).members["x"].presence is truth
-
-
-def test_a_robot_that_changes_its_word_is_believed(rig: Rig) -> None:
-    rig.hear("a")
-    rig.tell("a", heard("b", ALIVE))
-    rig.tell("a", heard("b", FAILED), at=1.0)
-    assert rig.found.result(1.0).members["b"].presence is FAILED
-
-
-def test_words_come_in_parts(rig: Rig) -> None:
-    rig.hear("a")
-    rig.tell("a", heard("b", LEFT), parts=2)
-    assert not rig.found.has_all_lists(5.0)
-    rig.tell("a", heard("c", LEFT), part=1, parts=2, roster=("z",))
-    assert rig.found.known == {"a", "b", "c", "z"}
-    assert rig.found.has_all_lists(5.0)
-
-
-def test_a_robot_that_says_that_it_leaves_has_left(rig: Rig) -> None:
-    rig.hear("a", "b")
-    rig.tell("a", heard("b"))
-    rig.answer("b")
-    rig.hear("b", flags=int(Flag.LEFT), at=0.05)
-    assert rig.found.result(0.1).members["b"].presence is LEFT
-    assert rig.found.result(0.1).expected == {"a"}
-
-
-def test_a_robot_that_does_not_own_its_id_yet_is_no_member(rig: Rig) -> None:
-    rig.hear("a", flags=int(Flag.JOINING))
-    assert rig.found.known == set()
-
-
-def test_a_robot_that_fell_silent_has_failed(rig: Rig) -> None:
-    rig.hear("a")
-    assert rig.contact("a", 3.0) is Contact.NO_ANSWER
-    member = rig.found.result(4.01).members["a"]
-    assert (member.presence, round(member.age, 2)) == (FAILED, 4.0)
-
-
-def test_the_epochs_are_those_that_robots_showed(rig: Rig) -> None:
-    rig.hear("a")
-    rig.answer("a", instance=9)
-    rig.hear("a", instance=9, at=0.03)
-    rig.hear("b", sequence=2, revision=7)
-    rig.hear("b", sequence=1, revision=6)
-    epochs = rig.found.result(0.1).epochs(["a", "b", "zz"])
-    b = Epoch(life().hex(), 7)
-    assert epochs == {"a": light_status("a", life(9).hex()).epoch, "b": b, "zz": None}
 
 
 def test_without_need_of_a_status_an_echo_and_a_list_are_an_answer() -> None:
@@ -291,40 +106,6 @@ def test_without_need_of_a_status_a_robot_that_others_name_is_missing() -> None:
     rig.tell("a", heard("b"))
     assert not rig.found.is_complete(1.0)
     assert rig.found.result(1.0).missing == ("b",)
-
-
-def test_both_daemons_of_one_id_must_answer(rig: Rig) -> None:
-    rig.hear("b")
-    for at in (0.01, 0.05):
-        rig.hear("a", instance=1, at=at)
-        rig.hear("a", instance=2, at=at + 0.01)
-    rig.answer("a", "b", instance=1)
-    rig.answer("b", "a")
-    assert not rig.found.is_complete(0.5)
-    assert rig.found.result(0.1).duplicates == {"a": (life(1).hex(), life(2).hex())}
-    rig.answer("a", "b", instance=2)
-    assert rig.found.is_complete(0.1)
-
-
-def test_a_restart_is_no_duplicate(rig: Rig) -> None:
-    rig.hear("a", instance=1, at=0.01)
-    rig.answer("a", instance=1)
-    rig.hear("a", instance=2, at=1.5)
-    assert rig.found.holders("a") == {life(2).hex()}
-    assert rig.contact("a", 1.5) is Contact.NO_ANSWER  # the answer was that of the first
-
-
-def test_a_robot_of_another_version_answers_by_its_beacon(rig: Rig) -> None:
-    rig.hear("a", wire=codec.VERSION + 1, version="9.1")
-    assert rig.found.of_other_version == {"a"}
-    member = rig.found.result(0.1).members["a"]
-    assert (member.contact, member.state) == (Contact.OTHER_VERSION, "running")
-    assert (member.wire, member.version) == (codec.VERSION + 1, "9.1")
-    assert rig.found.result(0.1).missing == ()
-    header = StatusHeader(robot="a", instance=life().hex(), state="idle", reason="finished")
-    rig.found.on_header(header, 0.1)
-    assert rig.found.result(0.2).members["a"].header == header
-    assert rig.found.is_complete(0.3)
 
 
 # How long to wait
@@ -410,12 +191,6 @@ def test_a_robot_that_moved_is_found_at_its_new_address(rig: Rig) -> None:
     assert rig.found.address("a") == ("10.0.1.1", 7440)
 
 
-def test_a_beacon_that_was_overtaken_changes_nothing(rig: Rig) -> None:
-    rig.hear("a", sequence=5)
-    rig.hear("a", sequence=4, state=STATES.index(State.IDLE))
-    assert rig.found.result(0.1).members["a"].state == "running"
-
-
 def test_strangers_are_bounded() -> None:
     rig = Rig("own")
     for number in range(2 * MAX_ROBOTS):
@@ -424,56 +199,6 @@ def test_strangers_are_bounded() -> None:
         rig.answer(f"v{number}")
     assert len(rig.found.known) <= MAX_ROBOTS + 1
     assert "own" in rig.found.result(0.1).missing
-
-
-def test_parts_of_two_answers_are_no_whole_list(rig: Rig) -> None:
-    """Part 1 of an old answer may lack the robot that part 1 of the new one has."""
-    rig.hear("a")
-    rig.tell("a", heard("b"), part=1, parts=2, echo=1)
-    rig.tell("a", heard("c"), part=0, parts=2, echo=2)
-    assert not rig.found.has_all_lists(10.0)
-    rig.tell("a", heard("b"), heard("d"), part=1, parts=2, echo=2)
-    assert rig.found.has_all_lists(10.0)
-    assert rig.found.known == {"a", "b", "c", "d"}
-
-
-def test_a_delayed_beacon_does_not_revive_a_robot_that_left(rig: Rig) -> None:
-    rig.hear("a")
-    rig.hear("a", sequence=3, flags=Flag.LEFT)
-    rig.hear("a", sequence=2)
-    assert not rig.found.heard
-
-
-@pytest.mark.parametrize(
-    ("host", "port", "is_taken"),
-    [
-        ("10.0.0.5", 7440, True),
-        ("fd00::5", 7440, True),
-        ("fe80::1%2", 7440, True),
-        ("fe80::1%a b/c#?", 7440, False),
-        ("fd00::5%2", 7440, False),
-        ("a b/c#?", 7440, False),
-        ("robot.example", 7440, False),
-        ("10.0.0.5", 0, False),
-        ("0.0.0.0", 7440, False),
-        ("224.0.0.226", 7440, False),
-        ("127.0.0.1", 22, False),
-        ("::1", 22, False),
-    ],
-)
-def test_only_addresses_that_a_robot_can_have_are_taken_from_others(
-    host: str, port: int, is_taken: bool
-) -> None:
-    assert reported_address(host, port, is_local=False) == ((host, port) if is_taken else None)
-    rig = Rig()
-    rig.tell("a", replace(heard("b"), host=host, port=port))
-    assert list(rig.found.to_dial(0.1).values()) == ([(host, port)] if is_taken else [])
-
-
-def test_on_loopback_only_addresses_of_loopback_are_taken() -> None:
-    assert reported_address("127.0.0.9", 7440, is_local=True) == ("127.0.0.9", 7440)
-    assert reported_address("10.0.0.5", 7440, is_local=True) is None
-    assert reported_address("::1", 7440, is_local=True) is None
 
 
 def test_robots_known_by_the_word_of_others_are_dialled_some_at_a_time(rig: Rig) -> None:
@@ -514,36 +239,6 @@ def test_nothing_prolongs_a_look_for_ever(rig: Rig) -> None:
         assert now <= LOOK_CAP
 
 
-def test_late_answers_do_not_make_the_round_trip_long(rig: Rig) -> None:
-    for echo in range(1, 5):
-        rig.found.on_solicit(echo, 0.0)
-    for echo in (1, 2):
-        rig.hear("a", at=0.1, echo=echo, sequence=echo)
-    rig.hear("once", at=4.0, echo=1)
-    assert rig.found.round_trip == pytest.approx(0.1)
-    for echo in (1, 2):
-        rig.hear("late", at=100.0, echo=echo, sequence=echo)
-    assert rig.found.round_trip == MAX_ROUND_TRIP
-    for robot in "bcdefghi":
-        for echo in (3, 4):
-            rig.hear(robot, at=0.2, echo=echo, sequence=echo)
-    assert rig.found.round_trip == pytest.approx(0.2)
-
-
-@pytest.mark.parametrize("sequence", [2, 10**9])
-def test_a_robot_that_is_heard_after_a_false_leave_is_there(rig: Rig, sequence: int) -> None:
-    rig.hear("a")
-    rig.found.on_solicit(1, 0.02)
-    rig.hear("a", sequence=sequence, flags=Flag.LEFT, at=0.03)
-    rig.hear("a", sequence=2, echo=1, at=0.04)  # the answer to what was sent before
-    assert not rig.found.heard
-    rig.found.on_solicit(2, 0.05)
-    rig.hear("a", sequence=3, echo=2, at=0.06)
-    assert rig.found.heard == {"a"}
-    rig.hear("a", sequence=sequence + 9, flags=Flag.LEFT, at=0.07)  # nor does a repeat count
-    assert rig.found.heard == {"a"}
-
-
 @pytest.mark.parametrize("forger", ["forger", "a"])
 def test_a_robot_that_was_named_once_is_dropped(rig: Rig, forger: str) -> None:
     """A forged list named it: of an unknown robot, or of a robot that lists others since."""
@@ -579,14 +274,3 @@ def test_robots_of_an_earlier_look_stay_expected(rig: Rig) -> None:
     later.on_beacon(beacon("a"), address("a"), end)
     later.on_member_list(word("a"), end)
     assert later.known == {"a", "b"}
-
-
-def test_links_are_pairs_that_report_each_other_as_alive(rig: Rig) -> None:
-    rig.hear("a", "b", "c", "d")
-    rig.tell("a", heard("b"), heard("c"), heard("d"))
-    rig.tell("b", heard("a"))
-    rig.tell("c", heard("a", FAILED))
-    assert rig.found.links(0.1) == {("a", "b")}
-    rig.tell("d", heard("a"), at=0.2)
-    assert rig.found.links(0.3) == {("a", "b"), ("a", "d")}
-    assert rig.found.links(60.0) == set()

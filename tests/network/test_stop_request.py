@@ -11,7 +11,7 @@ from swarmd.core.messages import Code, Presence
 from swarmd.network.datagram import Ack, Flag, Stop, pack, tag_of
 from swarmd.network.outcome import PARTIAL, TIMEOUT
 from swarmd.network.stop_request import STOP_CAP, STOP_WAIT, PendingStop
-from tests.network.test_discovery import Rig, heard, life
+from tests.network.discovery_rig import Rig, heard, life
 
 REQUEST = Stop(id="q", verb="estop", operator="anna@laptop")
 
