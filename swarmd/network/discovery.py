@@ -129,7 +129,7 @@ class Discovery:
 
     def on_member_list(self, word: MemberList, now: float) -> None:
         """A robot's word about others; the parts of one come one by one."""
-        if not self._has_room(word.robot):
+        if word.part >= word.parts or not self._has_room(word.robot):
             return
         self._mention(word.robot, now)
         self._name(word.robot, now)

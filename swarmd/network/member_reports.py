@@ -92,8 +92,7 @@ class MemberReports:
     def add_list(self, word: MemberList, now: float) -> dict[str, list[Report]]:
         """Keep a part of a robot's member list; what all parts that are there report, by robot."""
         parts = self._lists.setdefault(word.robot, {})
-        if word.part < word.parts:
-            parts[word.echo, word.part] = (word, now)
+        parts[word.echo, word.part] = (word, now)
         whole = [echo for echo, _ in parts if _has_all(parts, echo)]
         oldest = whole[-1] if whole else list(dict.fromkeys(echo for echo, _ in parts))[-4:][0]
         for key in list(parts):

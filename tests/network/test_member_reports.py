@@ -61,6 +61,11 @@ def test_parts_of_two_answers_are_no_whole_list(rig: Rig) -> None:
     assert rig.found.known == {"a", "b", "c", "d"}
 
 
+def test_a_part_beyond_the_number_of_parts_is_dropped(rig: Rig) -> None:
+    rig.tell("forger", heard("b"), part=5, parts=1)
+    assert rig.found.known == set()
+
+
 @pytest.mark.parametrize(
     ("host", "port", "is_taken"),
     [
