@@ -62,7 +62,8 @@ def goal(options: CommonOptions, targets: Targets) -> None:
 def resume(options: CommonOptions, targets: Targets) -> None:
     """Let TARGETS run the goal that they were offered, or whose run has ended.
 
-    A robot refuses if its goal has changed since swarmctl looked.
+    A robot refuses if its goal has changed since swarmctl looked, and if the goal is of a run with
+    `--lease` whose operator is not heard.
     """
     with options.operator() as operator:
         view = known_members(options, operator, is_request_next=True)
@@ -77,7 +78,7 @@ def undo(options: CommonOptions) -> None:
     """Set the goal before the present one again, from any machine: robots keep both.
 
     Robots run it at once. Robots that only the present goal is for are stopped. A second undo takes
-    the first one back.
+    the first one back. A run with `--lease` is not set again.
     """
     with options.operator() as operator:
         look = known_members(options, operator, is_request_next=True)
@@ -86,6 +87,9 @@ def undo(options: CommonOptions) -> None:
         if present is None or before is None:
             what = "no goal is set" if present is None else f"no goal precedes {present.text}"
             raise Failure(f"nothing to undo: {what}", NO_TARGET)
+        if before.lease is not None:
+            text = f"nothing to undo: {before.text} had a run lease, which undo cannot renew"
+            raise Failure(text, NO_TARGET)
         goal = next_goal(operator, view, **content_of(before))
         run, stand = set_apart(view, present, before)
         warn(f"{describe_goal(goal)}, in place of {present.text}")

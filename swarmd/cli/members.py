@@ -177,13 +177,15 @@ def health(view: MembersView) -> Iterator[str]:
 
 def offered(statuses: Iterable[Status]) -> Iterator[str]:
     """A line for each goal that robots were offered."""
-    waiting: dict[str, list[str]] = {}
+    waiting: dict[tuple[str, str], list[str]] = {}
     for status in statuses:
         goal = status.goal
         if goal is not None and goal.own is not None and goal.state is GoalState.OFFERED:
-            waiting.setdefault(goal.own.goal.text, []).append(status.robot)
-    for text, names in waiting.items():
-        yield f"offered {text}: {', '.join(names)}; swarmctl resume {' '.join(names)}"
+            own = goal.own.goal
+            until = "" if own.lease is None else f" while {own.issuer} is heard"
+            waiting.setdefault((own.text, until), []).append(status.robot)
+    for (text, until), names in waiting.items():
+        yield f"offered {text}: {', '.join(names)}; swarmctl resume {' '.join(names)}{until}"
 
 
 def incompatible(statuses: Iterable[Status]) -> Iterator[str]:

@@ -83,6 +83,9 @@ class GoalHandler:
             lifecycle.refuse(effects, request, Refusal.OVERTAKEN, f"it has {own.goal.text}")
         elif self._goals.state in (GoalState.RUNNING, GoalState.LOADING):
             lifecycle.applied(effects, request, f"runs {own.goal.pattern} already")
+        elif why := self._goals.refusal_to_resume(effects.now):
+            text = f"{own.goal.text}: {why}; run it anew"
+            lifecycle.refuse(effects, request, Refusal.NO_GOAL, text)
         elif fault := fault_of(own.goal.conditions):
             lifecycle.refuse(effects, request, Refusal.INVALID_CONDITION, fault)
         else:

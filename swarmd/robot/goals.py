@@ -30,6 +30,7 @@ from swarmd.core.messages import Refusal, RunRequest
 MAX_STOPS = 64  # ids of stops that are remembered
 MAX_ISSUER = 63
 OFFERED = "offered: resume takes it"
+OFFERED_WITH_LEASE = "offered: resume takes it while {} is heard"
 
 
 class Found(Enum):
@@ -155,7 +156,7 @@ class Goals:
             self.held = new
         if is_own and (self.own is None or new.order > self.own.order):
             self.own = new
-            self._lease_count = -1
+            self._lease_count, self._lease_until = -1, None
             self._has_retried = False
             self._offer("", may_join=may_join)
         self._is_changed = True
@@ -245,8 +246,22 @@ class Goals:
             self._offer("", may_join=True)
             self._is_changed = True
 
-    def on_running(self, goal: Goal | None, what: str, age: float, now: float) -> None:
-        """A run began, for `goal`, asked for `age` s ago, or without one. `what`: in words."""
+    def refusal_to_resume(self, now: float) -> str:
+        """Why the run of the own goal is not resumed: its lease has ended; empty if it may be."""
+        own = self.own
+        if own is None or own.goal.lease is None:
+            return ""
+        if self._lease_until is not None and now < self._lease_until:
+            return ""
+        return f"the operator of its run lease was not heard for {own.goal.lease:g} s"
+
+    def on_running(
+        self, goal: Goal | None, what: str, age: float, now: float, *, is_resumed: bool = False
+    ) -> None:
+        """A run began, for `goal`, asked for `age` s ago, or without one. `what`: in words.
+
+        `is_resumed`: the request did not set the goal, and does not renew its lease.
+        """
         self._may_join, self._awaits_code = False, None
         if goal is None:
             if self.own is not None:
@@ -255,7 +270,8 @@ class Goals:
         if self.judge(goal) is Found.OWN:
             self.adopt(goal, age, now, may_join=False)
         self.state, self._reason, self.superseded = GoalState.RUNNING, "", ""
-        self._lease_until = None if goal.lease is None else now + goal.lease
+        if not is_resumed:
+            self._lease_until = None if goal.lease is None else now + goal.lease
         self._is_changed = True
 
     def on_lease(self, goal: str, count: int, now: float) -> None:
@@ -299,7 +315,9 @@ class Goals:
         elif ended:
             self.state, self._reason = GoalState.ENDED, ended
         else:
-            self.state, self._reason = GoalState.OFFERED, OFFERED
+            is_leased = own.goal.lease is not None
+            text = OFFERED_WITH_LEASE.format(own.goal.issuer) if is_leased else OFFERED
+            self.state, self._reason = GoalState.OFFERED, text
 
     def _end(self, why: str) -> None:
         self.state, self._reason, self._is_changed = GoalState.ENDED, why, True

@@ -203,7 +203,13 @@ class Lifecycle:
         else:
             effects.is_new_run = True
             self.report = {}
-            self.goals.on_running(loading.goal, loading.pattern, now - loading.since, now)
+            self.goals.on_running(
+                loading.goal,
+                loading.pattern,
+                now - loading.since,
+                now,
+                is_resumed=isinstance(loading.request, ResumeRequest | ReloadRequest),
+            )
             text = f"runs {loading.pattern}"
             text = f"{text}; {event.note}" if event.note else text
             if loading.request is None:

@@ -340,6 +340,35 @@ def test_a_run_ends_when_its_operator_is_not_heard_for_the_lease() -> None:
     assert harness.twist.is_zero, "a late lease starts nothing"
 
 
+def test_a_run_with_a_lease_is_resumed_only_while_its_operator_is_heard() -> None:
+    harness = ready()
+    run(harness, goal(6, lease=2.0))
+    harness.applied("stop", operator="carol")
+    harness.advance(1.0)
+    harness.applied("resume")
+    harness.advance(0.5)
+    assert told(harness).lease_left == pytest.approx(0.5, abs=0.1)  # resume does not renew it
+    harness.advance(1.0)
+    assert standing_state(harness) == (State.STOPPED, Reason.LEASE_ENDED)
+    assert harness.refused("resume").refusal is Refusal.NO_GOAL
+    harness.robot.on_run_lease("g6bob", 1, harness.now)
+    harness.applied("resume")
+    harness.advance(0.5)
+    assert told(harness).state is GoalState.RUNNING
+
+
+def test_a_robot_that_finds_a_goal_with_a_lease_resumes_it_once_the_operator_is_heard() -> None:
+    harness = ready(GoalRecord(held=goal(6, lease=2.0), own=goal(6, lease=2.0)))
+    assert harness.refused("resume").refusal is Refusal.NO_GOAL
+    harness.robot.on_run_lease("g6bob", 7, harness.now)
+    harness.find(goal(7, lease=2.0))  # its operator is not that of the lease before
+    assert harness.refused("resume").refusal is Refusal.NO_GOAL
+    harness.robot.on_run_lease("g7bob", 1, harness.now)
+    harness.applied("resume")
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+
+
 def test_a_restarted_robot_offers_its_goal_and_tells_why_it_had_ended() -> None:
     harness = ready()
     run(harness, goal(6))

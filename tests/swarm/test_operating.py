@@ -11,6 +11,7 @@ import pytest
 from swarmd.core.clock import boottime
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Value
+from swarmd.network.outcome import NO_TARGET, REFUSED
 from tests.support.fake_body import Body
 from tests.support.processes import wait_until
 from tests.swarm.conftest import Swarm
@@ -128,6 +129,14 @@ def test_a_run_with_a_lease_ends_with_its_operator(swarm: Swarm) -> None:
         keeper.communicate()
     for name in NAMES:
         assert swarm.await_state(name, State.STOPPED).reason is Reason.LEASE_ENDED
+    resumed = swarm.ctl("resume", "r1")
+    assert resumed.code == REFUSED, resumed
+    assert swarm.status("r1").reason is Reason.LEASE_ENDED
+    assert swarm.ctl("run", "drive", "r1").code == 0
+    held = generation(swarm, "r1")
+    undone = swarm.ctl("undo")
+    assert undone.code == NO_TARGET, undone
+    assert generation(swarm, "r1") == held
 
 
 def test_ctrl_c_stops_a_run_with_a_lease(swarm: Swarm) -> None:
