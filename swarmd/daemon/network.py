@@ -1,8 +1,7 @@
 """The network of one daemon: datagrams to all, and a Zenoh session that operators dial.
 
-`Network` owns the UDP carrier, the session and the watch of the interface. Sockets and session are
-opened again when the interface gets another address; the robot stands first. Everything runs on
-the loop; `advance` is called by the daemon's tick.
+`Network` joins the pure `Peer` to what moves its bytes, the `NetworkConnection`, and to the daemon.
+Everything runs on the loop; `advance` is called by the daemon's tick.
 """
 
 from __future__ import annotations
@@ -10,19 +9,18 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
-import zenoh
 from msgspec.structs import replace
 
 from swarmd.core import codec
 from swarmd.core.clock import ClockSample, boottime, clock_id
-from swarmd.core.errors import CodecError, IdHeldError, NetworkError
+from swarmd.core.errors import CodecError, IdHeldError
 from swarmd.core.messages import Body, Latch, Member, Presence, Reply
 from swarmd.core.values import PeerPlace, SharedPose
+from swarmd.daemon.connection import NetworkConnection
 from swarmd.daemon.datagram_guard import DatagramGuard
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import (
@@ -44,28 +42,20 @@ from swarmd.network.datagram import (
 )
 from swarmd.network.goal_sync import FoundGoal
 from swarmd.network.inbound_queue import DropCounter
-from swarmd.network.interface_watch import InterfaceChange, InterfaceWatch
+from swarmd.network.interface_watch import InterfaceChange
 from swarmd.network.link_quality import LinkQuality
-from swarmd.network.link_watch import watch_links
 from swarmd.network.membership import MAX_MEMBERS
 from swarmd.network.peer import CheckGoal, Effects, Peer, Summary
 from swarmd.network.routed import RoutedCarrier
-from swarmd.network.session import default_listen, open_in_thread, open_session
-from swarmd.network.settings import Endpoint, NetworkSettings, parse_endpoint
+from swarmd.network.settings import NetworkSettings
 from swarmd.network.signature import Author
 from swarmd.network.udp import UdpCarrier
 from swarmd.security.identity import Identity, authority_of
-from swarmd.security.roster_change import is_revoked
 
 log = logging.getLogger(__name__)
 
-MAX_PORT_TRIES = 5
 MAX_ACK_TEXT = 300  # bytes
-CLOSE_TIMEOUT = 1.0  # s
 CLAIM_WARNING = 5.0
-REOPEN_PERIOD = 1.0
-ANSWER_TIME = 0.1
-"""How long an answer has, in s, to be sent before the session closes; the asker repeats."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +99,6 @@ class Network:
         identity: Identity | None = None,
         stop_counters: Path = Path("stops"),
     ) -> None:
-        self._identity = identity
         self._version = version
         self._body = body
         self._settings = settings
@@ -131,13 +120,18 @@ class Network:
                 on_newer_roster=handlers.on_newer_roster,
             )
         self._lost = 0
-        self._carrier: UdpCarrier | RoutedCarrier | None = None
-        self._session: zenoh.Session | None = None
-        self.bus: ZenohBus | None = None
-        self._watch: InterfaceWatch | None = None
-        self._reopening: asyncio.Task[None] | None = None
+        self._connection = NetworkConnection(
+            settings,
+            robot,
+            self._tag,
+            identity,
+            self._drops,
+            on_datagram=self._on_datagram,
+            on_interface=handlers.on_interface,
+            on_reopened=self._serve,
+            on_event=handlers.on_event,
+        )
         self._is_settled = False  # the id is owned, and the latches of the others are known
-        self._is_stale = False  # the sockets belong to an earlier state of the interface
         self._is_duplicate = False
         self._is_full = False
         self._roster = roster
@@ -198,6 +192,11 @@ class Network:
         return self._roster
 
     @property
+    def interface_text(self) -> str:
+        """The state of the interface in a few words; empty if it is not watched."""
+        return self._connection.interface_text
+
+    @property
     def dropped(self) -> dict[str, int]:
         """What was dropped or lost so far, by kind, such as `control/run:key` or `msg:lost`."""
         counts = self._drops.counts()
@@ -216,16 +215,7 @@ class Network:
     async def join(self) -> None:
         """Open the network and take the id. Raises NetworkError, IdHeldError in one line."""
         settings = self._settings
-        if settings.profile == "routed":
-            await self._open_again()  # a robot may boot before its routers
-        else:
-            await self._open()
-        if settings.profile == "field":
-            self._watch = InterfaceWatch(
-                self._loop, settings.interface_name, self._on_interface_change
-            )
-            if not self._watch.state.is_usable:
-                log.warning("%s", self.interface_text)
+        await self._connection.open()
         self._peer = Peer(
             robot=self._robot,
             instance=self._instance,
@@ -302,8 +292,9 @@ class Network:
 
     def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
         """Publish status, motion, scan or log to those that subscribe to it."""
-        if self.bus is not None and self.owns_id:
-            self.bus.publish(name, payload)
+        bus = self._connection.bus
+        if bus is not None and self.owns_id:
+            bus.publish(name, payload)
 
     def drop(self, kind: str) -> None:
         """Count what could not be read or sent."""
@@ -323,13 +314,7 @@ class Network:
         if is_leaving and self._peer is not None and self._peer.owns_id:
             for _ in range(2):
                 self._send(self._peer.leave_beacon(self._handlers.summary()), None)
-        if self._reopening is not None:
-            self._reopening.cancel()
-        if self._watch is not None:
-            self._watch.close()
-        session = self._release()
-        if session is not None:
-            _close(session)
+        self._connection.close()
 
     def take_identity(self, identity: Identity) -> None:
         """Speak as this identity from now on: with its roster, its keys and its certificate.
@@ -337,17 +322,18 @@ class Network:
         The network is opened again, after a moment in which answers under way are sent; not for an
         identity that is no longer on the roster.
         """
-        self._identity, self._roster = identity, identity.roster.robots
+        self._roster = identity.roster.robots
         if self._guard is not None:
             self._guard.take(identity)
         if self._peer is not None:
             self._peer.take_roster(self._roster)
-        self._is_stale = True
-        if self._reopening is None:
-            self._reopening = self._loop.create_task(self._reopen(ANSWER_TIME))
-            self._reopening.add_done_callback(self._on_reopened)
+        self._connection.take_identity(identity)
 
     # Datagrams
+
+    @property
+    def _carrier(self) -> UdpCarrier | RoutedCarrier | None:
+        return self._connection.carrier
 
     def _on_datagram(self, payload: bytes, source: Address, by_group: bool) -> None:
         peer = self._peer
@@ -412,7 +398,7 @@ class Network:
             self._send(body, address, author if address == source else None)
         if self._carrier is not None:
             for address in effects.indirect_addresses:
-                self._carrier.recipients.on_mentioned(self._local(address), boottime())
+                self._carrier.recipients.on_mentioned(self._connection.local(address), boottime())
         self._lost += effects.lost
         if effects.latches:
             self._handlers.on_latches(effects.latches)
@@ -429,7 +415,7 @@ class Network:
         for sample in effects.clocks:
             self._handlers.on_clock(sample)
         for robot, digest, address in effects.tables:
-            self._handlers.on_table(robot, digest, self._local(address))
+            self._handlers.on_table(robot, digest, self._connection.local(address))
         if effects.duplicate:
             self._is_duplicate = True
             self._handlers.on_duplicate(f"instance {effects.duplicate}")
@@ -471,126 +457,8 @@ class Network:
         else:
             self._carrier.send_to(payload, address)
 
-    def _local(self, address: Address) -> Address:
-        """The address, with the scope of this machine if it is local to the link."""
-        host, port = address
-        if host.startswith("fe80:") and self._watch is not None:
-            host = f"{host.partition('%')[0]}%{self._watch.state.index}"
-        return host, port
-
-    # Sockets and session
-
-    @property
-    def interface_text(self) -> str:
-        """The state of the interface in a few words; empty if it is not watched."""
-        if self._watch is None:
-            return ""
-        return f"{self._settings.interface_name}: {self._watch.state.text}"
-
-    def _on_interface_change(self, change: InterfaceChange) -> None:
-        """The interface changed; the robot stands before anything is opened again."""
-        self._handlers.on_interface(change)
-        if change.must_reopen:
-            self._is_stale = True
-            if self._reopening is None:
-                self._reopening = self._loop.create_task(self._reopen())
-                self._reopening.add_done_callback(self._on_reopened)
-        elif change.must_rejoin and self._carrier is not None:
-            self._carrier.rejoin()
-
-    async def _reopen(self, delay: float = 0.0) -> None:
-        """Close carrier and session, and open them again as soon as that is possible."""
-        await asyncio.sleep(delay)
-        while self._is_stale:
-            self._is_stale = False
-            old = self._release()
-            if old is not None:
-                # A close that waits for a vanished operator must not delay the new session.
-                closing = self._loop.run_in_executor(None, _close, old)
-                await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT)
-            if self._identity is not None and is_revoked(self._identity):
-                log.error("no longer on the roster: the network stays closed")
-                return
-            await self._open_again()
-        self._serve()
-        log.info("the network is open again")
-
-    def _on_reopened(self, task: asyncio.Task[None]) -> None:
-        """End the daemon by the loop's handler of exceptions if it could not be opened."""
-        self._reopening = None
-        if not task.cancelled():
-            task.result()
-
     def _serve(self) -> None:
         """Answer operators, once the id is owned and the latches of the others are known."""
-        if self.bus is not None and self._is_settled:
-            self._handlers.serve(self.bus)
-
-    async def _open_again(self) -> None:
-        """Open as soon as that is possible, and log each new reason why it is not."""
-        logged = ""
-        while True:
-            try:
-                await self._open()
-                return
-            except (NetworkError, zenoh.ZError, OSError) as error:
-                leftover = self._release()
-                if leftover is not None:
-                    self._loop.run_in_executor(None, _close, leftover)
-                if str(error) != logged:
-                    logged = str(error)
-                    log.warning("the network cannot be opened yet: %s", logged)
-                await asyncio.sleep(REOPEN_PERIOD)
-
-    async def _open(self) -> None:
-        settings = self._settings
-        if settings.profile == "routed":
-            session = await open_in_thread(partial(open_session, settings, self._identity))
-            self._carrier = RoutedCarrier(session, settings.swarm, self._robot)
-        else:
-            self._carrier, session = await self._open_udp()
-        self._session = session
-        self.bus = ZenohBus(session, swarm=settings.swarm, robot=self._robot, drops=self._drops)
-        if self._identity is not None and settings.profile != "routed":
-            watch_links(session, self._identity.roster, self._loop, self._handlers.on_event)
-        self._carrier.attach(self._loop, self._on_datagram)
-
-    async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
-        """The sockets, and a session that listens on their port: beacons show where to dial."""
-        settings = self._settings
-        listen = settings.listen or (default_listen(settings),)
-        first = parse_endpoint(listen[0])
-        for trial in range(MAX_PORT_TRIES):
-            carrier = UdpCarrier(
-                settings, self._tag, port=first.port, is_secured=self._guard is not None
-            )
-            endpoint = f"{first.protocol}/{_host(first)}:{carrier.port}{first.suffix}"
-            opening = replace(settings, listen=(endpoint, *listen[1:]))
-            try:
-                return carrier, await open_in_thread(partial(open_session, opening, self._identity))
-            except BaseException as error:
-                carrier.close()
-                is_retried = isinstance(error, NetworkError) and not first.port
-                if not is_retried or trial == MAX_PORT_TRIES - 1:
-                    raise
-        raise AssertionError("unreachable")
-
-    def _release(self) -> zenoh.Session | None:
-        """Stop receiving and sending at once; the session, which is still to be closed."""
-        if self.bus is not None:
-            self.bus.close()
-            self.bus = None
-        if self._carrier is not None:
-            self._carrier.close()
-            self._carrier = None
-        session, self._session = self._session, None
-        return session
-
-
-def _host(endpoint: Endpoint) -> str:
-    return f"[{endpoint.host}]" if ":" in endpoint.host else endpoint.host
-
-
-def _close(session: zenoh.Session) -> None:
-    with suppress(zenoh.ZError):  # a link to a vanished operator may not end in time
-        session.close()
+        bus = self._connection.bus
+        if bus is not None and self._is_settled:
+            self._handlers.serve(bus)

@@ -1,0 +1,230 @@
+"""The carrier of datagrams and the Zenoh session of one daemon, and when they are opened again.
+
+A change of the interface's address or of the identity closes both and opens them again; the robot
+stands first.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+
+import zenoh
+from msgspec.structs import replace
+
+from swarmd.core.errors import NetworkError
+from swarmd.network.bus import ZenohBus
+from swarmd.network.datagram import Address
+from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.interface_watch import InterfaceChange, InterfaceWatch
+from swarmd.network.link_watch import watch_links
+from swarmd.network.routed import RoutedCarrier
+from swarmd.network.session import default_listen, open_in_thread, open_session
+from swarmd.network.settings import Endpoint, NetworkSettings, parse_endpoint
+from swarmd.network.udp import UdpCarrier
+from swarmd.security.identity import Identity
+from swarmd.security.roster_change import is_revoked
+
+log = logging.getLogger(__name__)
+
+MAX_PORT_TRIES = 5
+CLOSE_TIMEOUT = 1.0  # s
+REOPEN_PERIOD = 1.0
+ANSWER_TIME = 0.1
+"""How long an answer has, in s, to be sent before the session closes; the asker repeats."""
+
+OnDatagram = Callable[[bytes, Address, bool], None]
+"""Takes a datagram, its source, and whether it came to the group."""
+
+
+class NetworkConnection:
+    """Carrier and session of the daemon `robot`; both are None while they are closed.
+
+    `tag` begins each datagram. With an `identity` the session is mTLS. All callbacks come on the
+    loop: `on_datagram` for each datagram, `on_interface` for a change of the interface, before
+    anything is opened again, `on_reopened` when both are open again, `on_event` with a line.
+    """
+
+    def __init__(
+        self,
+        settings: NetworkSettings,
+        robot: str,
+        tag: bytes,
+        identity: Identity | None,
+        drops: DropCounter,
+        *,
+        on_datagram: OnDatagram,
+        on_interface: Callable[[InterfaceChange], None],
+        on_reopened: Callable[[], None],
+        on_event: Callable[[str], None],
+    ) -> None:
+        self._settings = settings
+        self._robot = robot
+        self._tag = tag
+        self._identity = identity
+        self._drops = drops
+        self._on_datagram = on_datagram
+        self._on_interface, self._on_reopened = on_interface, on_reopened
+        self._on_event = on_event
+        self._loop = asyncio.get_running_loop()
+        self.carrier: UdpCarrier | RoutedCarrier | None = None
+        self.bus: ZenohBus | None = None
+        self._session: zenoh.Session | None = None
+        self._watch: InterfaceWatch | None = None
+        self._reopening: asyncio.Task[None] | None = None
+        self._is_stale = False  # the sockets belong to an earlier state of the interface
+
+    @property
+    def interface_text(self) -> str:
+        """The state of the interface in a few words; empty if it is not watched."""
+        if self._watch is None:
+            return ""
+        return f"{self._settings.interface_name}: {self._watch.state.text}"
+
+    def local(self, address: Address) -> Address:
+        """The address, with the scope of this machine if it is local to the link."""
+        host, port = address
+        if host.startswith("fe80:") and self._watch is not None:
+            host = f"{host.partition('%')[0]}%{self._watch.state.index}"
+        return host, port
+
+    async def open(self) -> None:
+        """Open carrier and session, and watch the interface. Raises NetworkError in one line."""
+        settings = self._settings
+        if settings.profile == "routed":
+            await self._open_again()  # a robot may boot before its routers
+        else:
+            await self._open()
+        if settings.profile == "field":
+            self._watch = InterfaceWatch(
+                self._loop, settings.interface_name, self._on_interface_change
+            )
+            if not self._watch.state.is_usable:
+                log.warning("%s", self.interface_text)
+
+    def close(self) -> None:
+        """Close at once."""
+        if self._reopening is not None:
+            self._reopening.cancel()
+        if self._watch is not None:
+            self._watch.close()
+        session = self._release()
+        if session is not None:
+            _close(session)
+
+    def take_identity(self, identity: Identity) -> None:
+        """Open again as this identity, after a moment in which answers under way are sent.
+
+        Both stay closed for an identity that is no longer on the roster.
+        """
+        self._identity = identity
+        self._begin_reopening(ANSWER_TIME)
+
+    def _begin_reopening(self, delay: float = 0.0) -> None:
+        self._is_stale = True
+        if self._reopening is None:
+            self._reopening = self._loop.create_task(self._reopen(delay))
+            self._reopening.add_done_callback(self._end_reopening)
+
+    def _on_interface_change(self, change: InterfaceChange) -> None:
+        """The interface changed; the robot stands before anything is opened again."""
+        self._on_interface(change)
+        if change.must_reopen:
+            self._begin_reopening()
+        elif change.must_rejoin and self.carrier is not None:
+            self.carrier.rejoin()
+
+    async def _reopen(self, delay: float = 0.0) -> None:
+        """Close carrier and session, and open them again as soon as that is possible."""
+        await asyncio.sleep(delay)
+        while self._is_stale:
+            self._is_stale = False
+            old = self._release()
+            if old is not None:
+                # A close that waits for a vanished operator must not delay the new session.
+                closing = self._loop.run_in_executor(None, _close, old)
+                await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT)
+            if self._identity is not None and is_revoked(self._identity):
+                log.error("no longer on the roster: the network stays closed")
+                return
+            await self._open_again()
+        self._on_reopened()
+        log.info("the network is open again")
+
+    def _end_reopening(self, task: asyncio.Task[None]) -> None:
+        """End the daemon by the loop's handler of exceptions if it could not be opened."""
+        self._reopening = None
+        if not task.cancelled():
+            task.result()
+
+    async def _open_again(self) -> None:
+        """Open as soon as that is possible, and log each new reason why it is not."""
+        logged = ""
+        while True:
+            try:
+                await self._open()
+                return
+            except (NetworkError, zenoh.ZError, OSError) as error:
+                leftover = self._release()
+                if leftover is not None:
+                    self._loop.run_in_executor(None, _close, leftover)
+                if str(error) != logged:
+                    logged = str(error)
+                    log.warning("the network cannot be opened yet: %s", logged)
+                await asyncio.sleep(REOPEN_PERIOD)
+
+    async def _open(self) -> None:
+        settings = self._settings
+        if settings.profile == "routed":
+            session = await open_in_thread(partial(open_session, settings, self._identity))
+            self.carrier = RoutedCarrier(session, settings.swarm, self._robot)
+        else:
+            self.carrier, session = await self._open_udp()
+        self._session = session
+        self.bus = ZenohBus(session, swarm=settings.swarm, robot=self._robot, drops=self._drops)
+        if self._identity is not None and settings.profile != "routed":
+            watch_links(session, self._identity.roster, self._loop, self._on_event)
+        self.carrier.attach(self._loop, self._on_datagram)
+
+    async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
+        """The sockets, and a session that listens on their port: beacons show where to dial."""
+        settings = self._settings
+        listen = settings.listen or (default_listen(settings),)
+        first = parse_endpoint(listen[0])
+        for trial in range(MAX_PORT_TRIES):
+            carrier = UdpCarrier(
+                settings, self._tag, port=first.port, is_secured=self._identity is not None
+            )
+            endpoint = f"{first.protocol}/{_host(first)}:{carrier.port}{first.suffix}"
+            opening = replace(settings, listen=(endpoint, *listen[1:]))
+            try:
+                return carrier, await open_in_thread(partial(open_session, opening, self._identity))
+            except BaseException as error:
+                carrier.close()
+                is_retried = isinstance(error, NetworkError) and not first.port
+                if not is_retried or trial == MAX_PORT_TRIES - 1:
+                    raise
+        raise AssertionError("unreachable")
+
+    def _release(self) -> zenoh.Session | None:
+        """Stop receiving and sending at once; the session, which is still to be closed."""
+        if self.bus is not None:
+            self.bus.close()
+            self.bus = None
+        if self.carrier is not None:
+            self.carrier.close()
+            self.carrier = None
+        session, self._session = self._session, None
+        return session
+
+
+def _host(endpoint: Endpoint) -> str:
+    return f"[{endpoint.host}]" if ":" in endpoint.host else endpoint.host
+
+
+def _close(session: zenoh.Session) -> None:
+    with suppress(zenoh.ZError):  # a link to a vanished operator may not end in time
+        session.close()
