@@ -18,8 +18,8 @@ from swarmd.core.goal import LABEL
 from swarmd.core.messages import RunRequest
 from swarmd.network.clock_query import read_clocks, start_times
 from swarmd.network.next_goal import next_generation, resigned
-from swarmd.network.operator import REQUEST_WAIT
 from swarmd.network.outcome import FAILED, PARTIAL, Outcome
+from swarmd.network.request_sender import REQUEST_WAIT
 from swarmd.texts.values import seconds as in_short
 
 if TYPE_CHECKING:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+# Of solicits, as `steps` of a timer: often at first, then sparing the network.
+SOLICIT_PACE = ((0.5, 0.1), (float("inf"), 0.5))
+
 
 class RepeatTimer:
     """When to do something again; `steps`: (until, period) in s since the start."""

@@ -13,7 +13,7 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import LabelRequest, ParamRequest, ResetRequest, RunRequest
 from swarmd.network.members_view import MembersView
 from swarmd.network.next_goal import next_goal
-from swarmd.network.operator import COMMANDING, Operator
+from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome, joined
 from swarmd.texts.assignments import read_assignments
 from swarmd.texts.labels import changed, read_changes
@@ -25,6 +25,8 @@ MAX_REQUESTS = 8
 """Requests under way at a time: a request that waits for others would start motion late."""
 MAX_STOPS = 16
 """Stops under way at a time; more wait. An emergency stop never waits."""
+COMMANDING = "swarmd-commanding"
+"""The name of the daemon threads that carry commands out."""
 R = TypeVar("R")
 
 

@@ -11,10 +11,12 @@ from swarmd.core.codec import Decoder
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import STATUS_SILENCE, Status
 from swarmd.network.members_view import Contact, MembersView
-from swarmd.network.operator import LOOKING, Operator
+from swarmd.network.operator import Operator
 
 LOOK_PERIOD = 1.0
 LOOK_TIME = 1.0
+LOOKING = "swarmd-looking"
+"""The name of the daemon threads that look for members."""
 _HEARD = (Contact.ANSWERED, Contact.NO_ANSWER)
 
 _status = Decoder(Status)

@@ -5,12 +5,15 @@ from __future__ import annotations
 import asyncio
 import secrets
 import time
-from collections.abc import Awaitable, Callable
+from collections.abc import Awaitable, Callable, Iterator
+from typing import Any
 
 import pytest
 
 from swarmd.network.settings import NetworkSettings
+from tests.support.fake_daemon import FakeSwarm
 
+Robots = Callable[..., FakeSwarm]
 Until = Callable[[Callable[[], bool]], Awaitable[None]]
 
 
@@ -31,3 +34,18 @@ def until() -> Until:
             await asyncio.sleep(0.005)
 
     return wait
+
+
+@pytest.fixture
+def robots(settings: NetworkSettings) -> Iterator[Robots]:
+    """Starts light daemons on a loop of their own; all are gone after the test."""
+    made: list[FakeSwarm] = []
+
+    def start(*names: str, **options: Any) -> FakeSwarm:
+        swarm = FakeSwarm(settings, names, **options)
+        made.append(swarm)
+        return swarm
+
+    yield start
+    for swarm in made:
+        swarm.close()

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import threading
 
-from swarmd.network.operator import COMMANDING, LOOKING
 from swarmd.network.roster_follower import CLOSING
+from swarmd.view.commander import COMMANDING
+from swarmd.view.swarm_watch import LOOKING
 
 
 def is_closing() -> bool:

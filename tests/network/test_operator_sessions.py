@@ -1,0 +1,55 @@
+"""The sessions of an operator: endpoints that Zenoh refuses, closes that hang."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+
+import pytest
+
+from swarmd.network import operator_sessions
+from swarmd.network.datagram import Address
+from swarmd.network.operator import Operator
+from swarmd.network.settings import NetworkSettings
+from tests.network.conftest import Robots
+from tests.support.operator_threads import is_closing
+from tests.support.processes import wait_until
+
+
+class Stubborn:
+    """A session whose end takes long, or fails."""
+
+    def __init__(self, act: Callable[[], object]) -> None:
+        self.close = act
+
+
+def test_a_close_that_hangs_or_fails_holds_nobody_up(
+    settings: NetworkSettings, robots: Robots
+) -> None:
+    robots("a")
+    go_on = threading.Event()
+
+    def fail() -> None:
+        raise RuntimeError("close operation timed out!")
+
+    with Operator(settings) as operator:
+        assert operator.members().answered == {"a"}
+        operator._sessions._opened += [Stubborn(go_on.wait), Stubborn(fail)]  # type: ignore[list-item]
+    assert is_closing()
+    go_on.set()
+    wait_until(lambda: not is_closing(), "all sessions are closed")
+
+
+def test_an_endpoint_that_zenoh_refuses_ends_no_look(
+    settings: NetworkSettings, robots: Robots, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """One wrong endpoint among those dialled together costs no other robot its link."""
+    robots("a", "b")
+    first, endpoint = [True], operator_sessions._endpoint
+
+    def spoil(address: Address) -> str:
+        return "tcp/[a b/c#?]:1" if first and first.pop() else endpoint(address)
+
+    monkeypatch.setattr(operator_sessions, "_endpoint", spoil)
+    with Operator(settings) as operator:
+        assert operator.members(timeout=20.0).answered == {"a", "b"}
