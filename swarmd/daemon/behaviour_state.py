@@ -101,13 +101,14 @@ class BehaviourState:
         robot: str,
         swarm: str,
         operators: Callable[[], Operators | None],
-        control: RobotControl,
     ) -> None:
         self.files = files
-        self._writer = RecordWriter(files.folder, _write_to(files), control.fault)
+        self._writer = RecordWriter(
+            files.folder, _write_to(files), lambda text: self.control.fault(text)
+        )
         self.robot, self.swarm = robot, swarm
         self.operators = operators
-        self.control = control
+        self.control: RobotControl  # from `open` on
         self.table: Table = ()
         self.versions: dict[str, PushedCode] = {}
         self.digest = b""
@@ -118,8 +119,9 @@ class BehaviourState:
 
     # On the disk
 
-    async def open(self) -> None:
+    async def open(self, control: RobotControl) -> None:
         """Read what is on the disk, and check it; call it once, before the robot may run."""
+        self.control = control
         table, versions = await asyncio.to_thread(self.files.read)
         if not table and not versions:
             return

@@ -10,75 +10,64 @@ from __future__ import annotations
 import asyncio
 import gc
 import logging
-import os
 import secrets
 import signal
-import socket
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
 from msgspec.structs import replace
 
 from swarmd.core.behaviour import Entry
-from swarmd.core.clock import ClockSample, boottime, clock_id
-from swarmd.core.codec import decode_value, encode, encode_value
-from swarmd.core.errors import CodecError, PluginError, SwarmError
-from swarmd.core.host_messages import Layers, TrialDone
-from swarmd.core.kernels import describe_kernels
+from swarmd.core.clock import boottime, clock_id
+from swarmd.core.codec import encode, encode_value
+from swarmd.core.errors import CodecError, SwarmError
 from swarmd.core.messages import (
     REQUEST_TYPES,
-    Epoch,
-    Latch,
-    ReloadRequest,
-    Reply,
     Request,
     Status,
 )
-from swarmd.core.values import ZERO, Neighbor, PeerPlace, Twist
+from swarmd.core.values import Neighbor
 from swarmd.daemon.audit import Audit
+from swarmd.daemon.behaviour_control import BehaviourControl
 from swarmd.daemon.behaviour_files import BehaviourFiles
 from swarmd.daemon.behaviour_runs import CodeRuns
 from swarmd.daemon.behaviour_state import BehaviourState
 from swarmd.daemon.behaviour_store import BehaviourStore
 from swarmd.daemon.behaviour_sync import BehaviourSync
 from swarmd.daemon.driver_factory import make_driver
+from swarmd.daemon.driver_output import DriverOutput
 from swarmd.daemon.driver_sink import DriverSink
 from swarmd.daemon.field_tools import FieldTools
 from swarmd.daemon.goal_service import GoalService
+from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.latchfile import LatchFile
 from swarmd.daemon.neighbor_selection import NeighborSelection
 from swarmd.daemon.network import Network, NetworkHandlers
-from swarmd.daemon.recorded_robot import RecordedRobot
+from swarmd.daemon.network_inputs import NetworkInputs
 from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.request_server import RequestServer
+from swarmd.daemon.robot_setup import make_robot, recording_head
 from swarmd.daemon.roster_service import RosterService
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
-from swarmd.daemon.usage import UsageMeter
 from swarmd.driver_api.driver import Driver, check_protected, message_carrier
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.bus import ZenohBus
-from swarmd.network.datagram import Address, Message, RunLease, Stop
-from swarmd.network.goal_sync import FoundGoal
-from swarmd.network.interface_watch import InterfaceChange
+from swarmd.network.datagram import Address
 from swarmd.network.peer import Summary
 from swarmd.network.pull import Puller, serve_shared
 from swarmd.pattern_host.runner import ProcessRunner
-from swarmd.plugins import Origin, pattern_names
 from swarmd.protection.compatibility import body_of
-from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.robot.actions import Actions
-from swarmd.robot.settings import RobotSettings
 from swarmd.security.roster_change import TakenRoster
-from swarmd.settings.driver_options import IdleOutputFilter, base_options
+from swarmd.settings.driver_options import base_options
 from swarmd.settings.settings import DaemonSettings
 
 log = logging.getLogger(__name__)
 
-DRIVER_RETRY_PERIOD = 1.0
 NEIGHBORS_PERIOD = 10  # ticks
 USAGE_PERIOD = 20  # ticks
 MOTION_PERIOD = 2  # ticks
@@ -103,10 +92,11 @@ class Daemon:
     def __init__(self, settings: DaemonSettings, driver: Driver) -> None:
         check_protected(settings.platform, driver, settings.driver)
         self._settings = settings
-        self._driver = driver
         self._carrier = message_carrier(driver)
         base = base_options(settings.driver_options, f"driver {settings.driver}")
-        self._idle = IdleOutputFilter(base.idle_output)
+        self._output = DriverOutput(
+            driver, settings.driver, base.idle_output, self._on_driver_crash
+        )
         self._loop = asyncio.get_running_loop()
         self._loop.set_exception_handler(self._on_crash)
         self._crash: BaseException | None = None
@@ -117,14 +107,13 @@ class Daemon:
         folder = settings.state_dir / settings.network.swarm / settings.id
         self._latches = LatchFile(folder)
         self._rosters = RosterService(settings.id, settings.identity, self._on_roster)
-        self._goals = GoalService(folder, lambda: self._rosters.identity, self._on_network_event)
+        self._goals = GoalService(folder, lambda: self._rosters.identity, self._warn)
         self._puller = Puller(settings.network, settings.id, settings.identity)
         self._behaviour_state = BehaviourState(
             BehaviourFiles(folder / "behaviours"),
             settings.id,
             settings.network.swarm,
             self._operators,
-            self,
         )
         self._behaviours = BehaviourStore(self._behaviour_state)
         self._code_runs = CodeRuns(self._behaviour_state)
@@ -134,13 +123,22 @@ class Daemon:
         self._runner = ProcessRunner(
             self._loop, settings.plugin_dir, self._on_host_events, self._code_runs.overlay
         )
-        self._network = self._make_network()
+        self._network = Network(
+            settings.network,
+            settings.id,
+            self._instance,
+            settings.roster,
+            version=version("swarmd"),
+            body=body_of(settings.platform),
+            identity=settings.identity,
+            stop_counters=self._latches.path.with_name("stops"),
+        )
         self._has_joined = False
         self._recording = RecordingService(
             settings.id,
             settings.recording,
             self._head,
-            self._on_network_event,
+            self._warn,
             self._network.drop,
         )
         self._tools = FieldTools(
@@ -161,10 +159,17 @@ class Daemon:
             is_secured=settings.identity is not None,
             push=self._behaviours.push,
         )
-        self._usage, self._pattern_usage = UsageMeter(), UsageMeter()
         self._ticks = 0
         self._shown_scan = -1  # sequence of the last scan for viewers
-        self._robot = self._make_robot()
+        self._robot = make_robot(
+            settings,
+            self._instance,
+            self._seed,
+            latches=self._latches.read(),
+            goals=self._goals.read(),
+            recorder=self._recording.recorder,
+            is_provisional=self._code_runs.is_provisional,
+        )
         self._neighborhood = NeighborSelection(
             settings.neighbors,
             self._network.heard,
@@ -173,65 +178,19 @@ class Daemon:
         )
         self.sink = DriverSink(self._robot, self._carry_out, self._neighborhood)
         self._timer = TickTimer(self._loop, self._on_tick)
-
-    def _make_network(self) -> Network:
-        """The network, with what the daemon does about what comes from it."""
-        settings = self._settings
-        return Network(
-            settings.network,
-            settings.id,
-            self._instance,
-            settings.roster,
-            NetworkHandlers(
-                summary=self._summary,
-                on_stop=self._on_stop,
-                on_latches=self._on_latches,
-                on_goal=self._on_goal,
-                on_run_lease=self._on_run_lease,
-                check_goal=self._goals.check,
-                on_message=self._on_message,
-                on_place=self._on_place,
-                on_clock=self._on_clock,
-                on_members=self._update_neighbors,
-                on_duplicate=self._on_duplicate,
-                on_interface=self._on_interface,
-                on_event=self._on_network_event,
-                on_newer_roster=self._on_newer_roster,
-                serve=self._serve,
-                on_table=self._on_table,
-            ),
-            version=version("swarmd"),
-            body=body_of(settings.platform),
-            identity=settings.identity,
-            stop_counters=self._latches.path.with_name("stops"),
+        self._health = HealthMeter(
+            self._timer,
+            (lambda: self._network.dropped, lambda: self.sink.drops, self._dropped_frames),
         )
-
-    def _make_robot(self) -> RecordedRobot:
-        """The robot as its settings and its files have it."""
-        settings = self._settings
-        return RecordedRobot(
-            settings.id,
-            settings.platform,
-            RobotSettings(
-                driver=settings.driver,
-                layers=self._layers,
-                host=socket.gethostname(),
-                profile=settings.network.profile,
-                is_secured=settings.identity is not None,
-                version=version("swarmd"),
-                kernels=describe_kernels(),
-                labels=settings.labels,
-                touch=settings.touch_zones,
-                accepts=settings.accepts,
-                tells_pose=settings.neighbors.neighborhood == "range",
-                is_provisional=self._code_runs.is_provisional,
-            ),
-            seed=self._seed,
-            instance=self._instance,
-            now=boottime(),
-            latches=self._latches.read(),
-            goals=self._goals.read(),
+        self._inputs = NetworkInputs(
+            self._robot,
+            self._carry_out,
+            stop=self._requests.stop,
+            drop=self._network.drop,
+            audit=self._audit,
+            neighborhood=self._neighborhood,
             recorder=self._recording.recorder,
+            notify=self._notify,
         )
 
     async def run(self, stop: asyncio.Event) -> None:
@@ -273,43 +232,57 @@ class Daemon:
         if text := self._network.interface_text:
             self._notify.status(text)
         log.info("ready in swarm %s as %s", self._settings.network.swarm, self._instance)
-        await self._drive()  # only now the base belongs to this daemon
-
-    async def _drive(self) -> None:
-        """Run the driver; one that raises is started again."""
-        while True:
-            try:
-                await self._driver.run(self.sink)
-            except SwarmError as error:
-                log.warning("driver %s: %s", self._settings.driver, error)
-                self.sink.state(False, str(error))
-            await asyncio.sleep(DRIVER_RETRY_PERIOD)
+        await self._output.run(self.sink)  # only now the base belongs to this daemon
 
     def _on_crash(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """A callback of the daemon raised: command zero and end the daemon."""
         loop.default_exception_handler(context)
         self._crash = self._crash or context.get("exception") or RuntimeError(context["message"])
         self._crashed.set()
-        self._send(ZERO, -1, -1)
+        self._output.send_zero()
 
-    def _send(
-        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
-    ) -> None:
-        """Hand a command to the driver; one that raises ends the daemon after all else is done."""
-        try:
-            self._driver.send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
-        except Exception as error:  # a driver may raise anything
-            log.exception("driver %s: a command could not be sent", self._settings.driver)
-            self._crash = self._crash or error
-            self._crashed.set()
+    def _on_driver_crash(self, error: Exception) -> None:
+        """The driver took no command: end the daemon after all else is done."""
+        self._crash = self._crash or error
+        self._crashed.set()
 
     async def _join(self) -> None:
         if self._settings.network.profile != "dev" and self._settings.identity is None:
             log.warning("insecure: anyone on this network can drive this robot")
-        await self._behaviour_state.open()
-        await self._network.join()
+        control = BehaviourControl(
+            self._robot,
+            self._runner,
+            on_request=self._on_request,
+            carry_out=self._carry_out,
+            reply=self._requests.reply,
+            warn=self._warn,
+        )
+        await self._behaviour_state.open(control)
+        await self._network.join(self._handlers())
         self._has_joined = True
         self._update_neighbors()
+
+    def _handlers(self) -> NetworkHandlers:
+        """What the daemon does about what comes from the network."""
+        inputs = self._inputs
+        return NetworkHandlers(
+            summary=self._summary,
+            on_stop=inputs.on_stop,
+            on_latches=inputs.on_latches,
+            on_goal=inputs.on_goal,
+            on_run_lease=inputs.on_run_lease,
+            check_goal=self._goals.check,
+            on_message=inputs.on_message,
+            on_place=inputs.on_place,
+            on_clock=inputs.on_clock,
+            on_members=self._update_neighbors,
+            on_duplicate=inputs.on_duplicate,
+            on_interface=inputs.on_interface,
+            on_event=self._warn,
+            on_newer_roster=self._on_newer_roster,
+            serve=self._serve,
+            on_table=self._on_table,
+        )
 
     def _serve(self, bus: ZenohBus) -> None:
         """Answer requests on a bus that was opened, the first one or a later one."""
@@ -330,7 +303,7 @@ class Daemon:
         After a crash the last beacon is not sent, so that the peers list the robot as failed.
         """
         self._timer.stop()
-        self._send(ZERO, -1, -1)
+        self._output.send_zero()
         try:
             if self._crash is None:
                 self._carry_out(self._robot.on_leave(boottime()))
@@ -358,61 +331,6 @@ class Daemon:
         log.info("%s", line)
         self._robot.log(line, boottime())
 
-    def _on_stop(self, stop: Stop, source: Address, answer: Callable[[Reply], None]) -> None:
-        self._requests.stop(stop, f"{source[0]}:{source[1]}", answer)
-
-    def _on_latches(self, latches: Mapping[str, Latch]) -> None:
-        before, held = self._robot.state, set(self._robot.latches)
-        self._carry_out(self._robot.on_latches(latches, boottime()))
-        for id in sorted(self._robot.latches.keys() - held):
-            latch = self._robot.latches[id]
-            self._audit.note(f"latch {id}", latch.issuer, "a peer", latch.reason, boottime())
-        if self._robot.state is not before:
-            text = self._robot.status(boottime()).detail
-            log.info("estopped by the latch of a peer: %s", text)
-
-    def _on_goal(self, found: FoundGoal) -> None:
-        goal, before = found.goal, self._robot.goal
-        self._carry_out(self._robot.on_goal(goal, found.age, boottime()))
-        held = self._robot.goal
-        if held is not None and held.goal == goal and (before is None or before.goal != goal):
-            on_join = f"on_join {goal.on_join}" if goal.pattern else ""
-            self._audit.note(goal.text, goal.issuer, "a peer", on_join, boottime())
-
-    def _on_run_lease(self, lease: RunLease) -> None:
-        self._robot.on_run_lease(lease.id, lease.count, boottime())
-
-    def _on_message(self, message: Message) -> None:
-        try:
-            value = decode_value(message.payload)
-            is_accepted = self._robot.on_message(message.robot, message.channel, value, boottime())
-        except CodecError:
-            self._network.drop("msg:malformed")
-            return
-        if not is_accepted:
-            self._network.drop("msg:not_a_neighbor")
-
-    def _on_place(self, place: PeerPlace) -> None:
-        self._neighborhood.on_place(place, boottime())
-        self._robot.on_peer_place(place, boottime())
-
-    def _on_clock(self, sample: ClockSample) -> None:
-        self._recording.recorder.add(frames.ClockEntry(boottime(), *sample))
-
-    def _on_duplicate(self, holder: str | None) -> None:
-        if holder is not None:
-            log.error("id %s is also held by %s", self._robot.id, holder)
-        self._carry_out(self._robot.on_duplicate(holder, boottime()))
-
-    def _on_interface(self, change: InterfaceChange) -> None:
-        """Tell of a change of the interface; with another address the robot stands."""
-        log.warning("%s", change.line)
-        self._notify.status(change.line)
-        if change.must_reopen:
-            self._carry_out(self._robot.on_network_changed(change.line, boottime()))
-        else:
-            self._robot.log(change.line, boottime())
-
     def _on_roster(self, taken: TakenRoster) -> None:
         """The identity took a roster: the robot stands, and the network opens anew."""
         log.warning("roster: %s", taken.text)
@@ -431,7 +349,8 @@ class Daemon:
         if self._puller.pull(robot, address, "roster", on_done=self._rosters.on_pulled):
             log.info("%s at %s may have roster %d: asking for it", robot, address[0], generation)
 
-    def _on_network_event(self, text: str) -> None:
+    def _warn(self, text: str) -> None:
+        """A line for the events and a warning for the log."""
         log.warning("%s", text)
         self._robot.log(text, boottime())
 
@@ -449,7 +368,7 @@ class Daemon:
         revision, behaviours = robot.epoch.revision, self._behaviour_state.digest
         return Summary(robot.state, revision, robot.latches, robot.goal, behaviours=behaviours)
 
-    # Pushed behaviours: what the store asks of the daemon
+    # Pushed behaviours
 
     def _operators(self) -> Mapping[str, bytes] | None:
         """The public keys of the operators whose code is taken; None: code needs no signature.
@@ -467,46 +386,6 @@ class Daemon:
     def _on_pulled_code(self, robot: str, entry: Entry) -> None:
         manifest = entry.manifest
         self._audit.note(f"push {manifest.label}", manifest.issuer, robot, "", boottime())
-
-    def try_code(self, request: ReloadRequest) -> None:
-        """Hand a reload of pushed code to the robot."""
-        self._on_request(request)
-
-    def end_trial(self, event: TrialDone) -> None:
-        """Hand the end of a trial of pushed code to the robot."""
-        self._carry_out(self._robot.on_host(event, boottime()))
-
-    def code_changed(self) -> None:
-        """Let the next run have a fresh pattern host."""
-        self._carry_out(self._robot.on_code_changed(boottime()))
-
-    def reply(self, reply: Reply) -> None:
-        """Answer a push."""
-        self._requests.reply(reply)
-
-    def event(self, text: str) -> None:
-        """A line for the events and the log."""
-        log.info("%s", text)
-        self._robot.log(text, boottime())
-
-    def fault(self, text: str) -> None:
-        """A line for the events and a warning for the log."""
-        self._on_network_event(text)
-
-    def epoch(self) -> Epoch:
-        """The robot's present epoch."""
-        return self._robot.epoch
-
-    def labels(self) -> tuple[str, ...]:
-        """The robot's present labels."""
-        return self._robot.labels
-
-    def own_patterns(self) -> Mapping[str, Origin]:
-        """The patterns that the robot has beside pushed ones."""
-        try:
-            return self._runner.own_patterns()
-        except PluginError:  # the folder is gone; a run is refused with the reason
-            return {}
 
     # Ticks and actions
 
@@ -528,8 +407,7 @@ class Daemon:
             self._code_runs.advance(
                 boottime(), robot.running_generation, is_running=robot.is_running
             )
-            self._usage.measure(os.getpid(), boottime())
-            self._pattern_usage.measure(self._runner.pid, boottime())
+            self._health.measure(self._runner.pid, boottime())
         if self._ticks % NEIGHBORS_PERIOD == 0:
             self._update_neighbors()
             self._notify.feed_watchdog(self._robot.decided_at, boottime())
@@ -564,13 +442,7 @@ class Daemon:
                 self._carry_out(self._robot.on_host(kept, boottime()))
 
     def _carry_out(self, actions: Actions) -> None:
-        if self._idle.allows(actions.twist, actions.is_idle, boottime()):
-            self._send(
-                actions.twist,
-                actions.decision.scan_seq,
-                actions.requested_scan_seq,
-                is_stopped=actions.is_stopped,
-            )
+        self._output.command(actions, boottime())
         if actions.is_quiet:
             return
         if actions.goals is not None:
@@ -602,56 +474,19 @@ class Daemon:
 
     def _status(self) -> Status:
         status = self._robot.status(boottime())
-        frames = {"host/frames": self._runner.dropped} if self._runner.dropped else {}
-        dropped = {
-            **status.health.dropped,
-            **self._network.dropped,
-            **self.sink.drops,
-            **frames,
-        }
-        health = replace(
-            status.health,
-            loop_p99=self._timer.p99,
-            loop_stalls=self._timer.stalls,
-            dropped=dropped,
-            network=self._network.interface_text,
-            storage=self._latches.fault[:1000],
-            usage=self._usage.usage,
-            pattern_usage=self._pattern_usage.usage,
+        health = self._health.added_to(
+            status.health, network=self._network.interface_text, storage=self._latches.fault
         )
         return replace(
             status, health=health, recording=self._recording.summary, keys=self._rosters.summary
         )
 
-    def _layers(self, pattern: str) -> Layers:
-        """The configured parameters of a pattern, by the present labels."""
-        return self._settings.pattern_layers(pattern, self._robot.labels)
+    def _dropped_frames(self) -> Mapping[str, int]:
+        return {"host/frames": self._runner.dropped} if self._runner.dropped else {}
 
     def _head(self) -> RecordingHead:
-        """What recordings tell of this robot."""
-        settings = self._settings
-        names = {*pattern_names(settings.plugin_dir), *self._behaviour_state.versions}
-        layers = {name: self._layers(name) for name in sorted(names)}
-        return RecordingHead(
-            robot=settings.id,
-            swarm=settings.network.swarm,
-            driver=settings.driver,
-            clock=clock_id(),
-            instance=self._instance,
-            seed=self._seed,
-            version=version("swarmd"),
-            kernels=describe_kernels(),
-            platform=settings.platform,
-            labels=self._robot.labels,
-            layers={name: values for name, values in layers.items() if values},
-            touch=settings.touch_zones,
-            accepts=settings.accepts,
-            revision=self._robot.epoch.revision,
-            generation=self._robot.generation,
-            latches=self._robot.latches,
-            cleared=self._robot.cleared,
-            goals=self._robot.goals,
-        )
+        pushed = self._behaviour_state.versions
+        return recording_head(self._settings, self._robot, self._instance, self._seed, pushed)
 
 
 async def _end(task: asyncio.Task[Any]) -> None:

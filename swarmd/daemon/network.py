@@ -92,7 +92,6 @@ class Network:
         robot: str,
         instance: str,
         roster: tuple[str, ...],
-        handlers: NetworkHandlers,
         *,
         version: str,
         body: Body | None = None,
@@ -104,21 +103,13 @@ class Network:
         self._settings = settings
         self._robot = robot
         self._instance = bytes.fromhex(instance)
-        self._handlers = handlers
+        self._identity = identity
+        self._stop_counters = stop_counters
+        self._handlers: NetworkHandlers  # from `join` on
         self._loop = asyncio.get_running_loop()
         self._tag = tag_of(settings.profile, settings.swarm, authority_of(identity))
         self._drops = DropCounter()
         self._guard: DatagramGuard | None = None
-        if identity is not None:
-            self._guard = DatagramGuard(
-                identity,
-                self._tag,
-                settings.lease_seconds,
-                stop_counters,
-                self._drops,
-                on_event=handlers.on_event,
-                on_newer_roster=handlers.on_newer_roster,
-            )
         self._lost = 0
         self._connection = NetworkConnection(
             settings,
@@ -127,9 +118,9 @@ class Network:
             identity,
             self._drops,
             on_datagram=self._on_datagram,
-            on_interface=handlers.on_interface,
+            on_interface=lambda change: self._handlers.on_interface(change),
             on_reopened=self._serve,
-            on_event=handlers.on_event,
+            on_event=lambda text: self._handlers.on_event(text),
         )
         self._is_settled = False  # the id is owned, and the latches of the others are known
         self._is_duplicate = False
@@ -212,9 +203,20 @@ class Network:
 
     # Life
 
-    async def join(self) -> None:
+    async def join(self, handlers: NetworkHandlers) -> None:
         """Open the network and take the id. Raises NetworkError, IdHeldError in one line."""
         settings = self._settings
+        self._handlers = handlers
+        if self._identity is not None:
+            self._guard = DatagramGuard(
+                self._identity,
+                self._tag,
+                settings.lease_seconds,
+                self._stop_counters,
+                self._drops,
+                on_event=handlers.on_event,
+                on_newer_roster=handlers.on_newer_roster,
+            )
         await self._connection.open()
         self._peer = Peer(
             robot=self._robot,

@@ -141,10 +141,10 @@ class Rig:
         self._is_started = True
         control = self.control = Control()
         self.files = GatedFiles(self.folder / "behaviours")
-        self.state = BehaviourState(self.files, "r1", "lab", lambda: self.operators, control)
+        self.state = BehaviourState(self.files, "r1", "lab", lambda: self.operators)
         self.store = control.store = BehaviourStore(self.state)
         self.runs = CodeRuns(self.state)
-        await self.state.open()
+        await self.state.open(control)
 
     def secure(self) -> None:
         self.keys = SwarmKeys(self.folder / "keys", "lab", ["r1"], operators=["alice", "bob"])

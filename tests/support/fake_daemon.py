@@ -102,13 +102,12 @@ class FakeDaemon:
             self.robot,
             self.instance,
             self._roster,
-            handlers,
             version=self._version,
             identity=self._identity,
         )
         self._advancing = asyncio.create_task(self._advance())
         try:
-            await self.network.join()
+            await self.network.join(handlers)
         except BaseException:
             self.vanish()
             raise

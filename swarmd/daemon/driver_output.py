@@ -1,0 +1,65 @@
+"""Runs the driver of a daemon and hands it the safe commands."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+
+from swarmd.core.errors import SwarmError
+from swarmd.core.values import ZERO, Twist
+from swarmd.driver_api.driver import Driver, Sink
+from swarmd.robot.actions import Actions
+from swarmd.settings.driver_options import IdleOutputFilter
+
+log = logging.getLogger(__name__)
+
+RETRY_PERIOD = 1.0  # s between the end of a driver and its next start
+
+
+class DriverOutput:
+    """The driver called `name`. `idle_output`: what an idle robot sends, as in `BaseOptions`.
+
+    `on_crash` is called with what the driver raised for a command; `command` itself never raises.
+    """
+
+    def __init__(
+        self, driver: Driver, name: str, idle_output: str, on_crash: Callable[[Exception], None]
+    ) -> None:
+        self._driver = driver
+        self._name = name
+        self._idle = IdleOutputFilter(idle_output)
+        self._on_crash = on_crash
+
+    async def run(self, sink: Sink) -> None:
+        """Run the driver; one that raises SwarmError is started again."""
+        while True:
+            try:
+                await self._driver.run(sink)
+            except SwarmError as error:
+                log.warning("driver %s: %s", self._name, error)
+                sink.state(False, str(error))
+            await asyncio.sleep(RETRY_PERIOD)
+
+    def command(self, actions: Actions, now: float) -> None:
+        """Send the command of these actions, unless an idle robot sends none."""
+        if self._idle.allows(actions.twist, actions.is_idle, now):
+            self._send(
+                actions.twist,
+                actions.decision.scan_seq,
+                actions.requested_scan_seq,
+                is_stopped=actions.is_stopped,
+            )
+
+    def send_zero(self) -> None:
+        """Send the command zero."""
+        self._send(ZERO, -1, -1)
+
+    def _send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
+        try:
+            self._driver.send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
+        except Exception as error:  # a driver may raise anything
+            log.exception("driver %s: a command could not be sent", self._name)
+            self._on_crash(error)

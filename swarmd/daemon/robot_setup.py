@@ -1,0 +1,92 @@
+"""The robot of a daemon, made of its settings and files, and the head of its recordings."""
+
+from __future__ import annotations
+
+import socket
+from collections.abc import Callable, Iterable
+from importlib.metadata import version
+
+from swarmd.core.clock import boottime, clock_id
+from swarmd.core.goal import GoalRecord
+from swarmd.core.host_messages import Layers
+from swarmd.core.kernels import describe_kernels
+from swarmd.daemon.recorded_robot import RecordedRobot
+from swarmd.daemon.recorder import Recorder
+from swarmd.plugins import pattern_names
+from swarmd.recording.head import RecordingHead
+from swarmd.robot.latches import LatchRecord
+from swarmd.robot.settings import RobotSettings
+from swarmd.settings.settings import DaemonSettings
+
+
+def make_robot(
+    settings: DaemonSettings,
+    instance: str,
+    seed: int,
+    *,
+    latches: LatchRecord,
+    goals: GoalRecord,
+    recorder: Recorder,
+    is_provisional: Callable[[int], bool],
+) -> RecordedRobot:
+    """The robot of the daemon's life `instance`. `latches` and `goals`: as its files have them.
+
+    `is_provisional`: whether the load of a generation has code that is not held yet.
+    """
+
+    def layers(pattern: str) -> Layers:
+        return settings.pattern_layers(pattern, robot.labels)  # by the present labels
+
+    robot = RecordedRobot(
+        settings.id,
+        settings.platform,
+        RobotSettings(
+            driver=settings.driver,
+            layers=layers,
+            host=socket.gethostname(),
+            profile=settings.network.profile,
+            is_secured=settings.identity is not None,
+            version=version("swarmd"),
+            kernels=describe_kernels(),
+            labels=settings.labels,
+            touch=settings.touch_zones,
+            accepts=settings.accepts,
+            tells_pose=settings.neighbors.neighborhood == "range",
+            is_provisional=is_provisional,
+        ),
+        seed=seed,
+        instance=instance,
+        now=boottime(),
+        latches=latches,
+        goals=goals,
+        recorder=recorder,
+    )
+    return robot
+
+
+def recording_head(
+    settings: DaemonSettings, robot: RecordedRobot, instance: str, seed: int, pushed: Iterable[str]
+) -> RecordingHead:
+    """What recordings tell of a robot. `pushed`: the names of the pushed behaviours."""
+    names = {*pattern_names(settings.plugin_dir), *pushed}
+    layers = {name: settings.pattern_layers(name, robot.labels) for name in sorted(names)}
+    return RecordingHead(
+        robot=settings.id,
+        swarm=settings.network.swarm,
+        driver=settings.driver,
+        clock=clock_id(),
+        instance=instance,
+        seed=seed,
+        version=version("swarmd"),
+        kernels=describe_kernels(),
+        platform=settings.platform,
+        labels=robot.labels,
+        layers={name: values for name, values in layers.items() if values},
+        touch=settings.touch_zones,
+        accepts=settings.accepts,
+        revision=robot.epoch.revision,
+        generation=robot.generation,
+        latches=robot.latches,
+        cleared=robot.cleared,
+        goals=robot.goals,
+    )
