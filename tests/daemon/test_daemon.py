@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
+import threading
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
@@ -11,8 +12,10 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.clock import boottime
+from swarmd.core.goal import GoalRecord
 from swarmd.core.messages import Code, Reply
 from swarmd.core.values import Twist
+from swarmd.daemon import behaviour_files, goal_service
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.latchfile import LatchFile
 from swarmd.driver_api.driver import Finding, Sink
@@ -136,6 +139,37 @@ async def test_a_request_is_in_the_log_and_in_the_events(
     line = "estop to all robots, by alice from 10.0.0.5: applied"
     assert any(text.startswith(line) for text in events), events
     assert any(text.startswith(line) for text in caplog.messages), caplog.messages
+
+
+async def test_a_disk_that_takes_no_write_stops_no_tick(
+    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver, stop = RecordingDriver(), asyncio.Event()
+    is_open, asked = threading.Event(), list[str]()
+
+    def write(path: Path, content: bytes) -> None:
+        asked.append(path.name)
+        assert is_open.wait(60.0)
+
+    for module in (goal_service, behaviour_files):
+        monkeypatch.setattr(module, "write_whole", write)
+    daemon = Daemon(settings, driver)
+
+    async def change() -> None:
+        daemon._goals.store(GoalRecord())
+        daemon._behaviour_state.save()
+        while len(asked) < 2:
+            await asyncio.sleep(0.01)
+        count = len(driver.sent)
+        while len(driver.sent) < count + 20:
+            await asyncio.sleep(0.01)
+        is_open.set()
+        stop.set()
+
+    changes: list[asyncio.Task[None]] = []
+    await run(daemon, stop, lambda: changes.append(asyncio.create_task(change())))
+    await changes[0]
+    assert set(asked) >= {"goal", "versions"}
 
 
 @pytest.mark.parametrize("ends", [False, True])
