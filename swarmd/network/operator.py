@@ -176,10 +176,10 @@ class Operator:
         """Ask with this identity from the next look on: with its keys, on links of its own."""
         answers = self._answers_for(identity)
         with self._arrivals.lock:
-            self.identity = self._sessions.identity = identity
+            self.identity = identity
             self._datagrams.answers, self._rosters.shown = answers, None
             self._roster |= frozenset(identity.roster.robots)
-        self._sessions.close()
+        self._sessions.take_identity(identity)
 
     def expect(self, names: Iterable[str]) -> None:
         """Expect these robots as well, as if they were on the roster."""

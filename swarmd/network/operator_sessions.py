@@ -38,7 +38,7 @@ class OperatorSessions:
     def __init__(
         self, settings: NetworkSettings, identity: Identity | None, arrivals: Arrivals
     ) -> None:
-        self.identity = identity
+        self._identity = identity
         self._settings = settings
         self._asker = ANYONE if identity is None else identity.name
         self._arrivals = arrivals
@@ -63,9 +63,18 @@ class OperatorSessions:
         """Open a session that dials no robot."""
         from swarmd.network.session import open_operator_session
 
-        session = open_operator_session(self._settings, (), self.identity)
+        session = open_operator_session(self._settings, (), self._identity)
         self._opened.append(session)
         return session
+
+    def take_identity(self, identity: Identity) -> None:
+        """Dial as this identity from now on; a session to routers stays, since its carrier uses it.
+
+        The roster sets the access rules of sessions that dial robots, and of no other.
+        """
+        self._identity = identity
+        if self.needs_links:
+            self.close()
 
     def close(self) -> list[threading.Thread]:
         """Close all sessions, each on a thread; robots are dialled anew afterwards."""
@@ -130,7 +139,7 @@ class OperatorSessions:
         from swarmd.network.session import open_operator_session
 
         try:
-            return [open_operator_session(self._settings, endpoints, self.identity)]
+            return [open_operator_session(self._settings, endpoints, self._identity)]
         except NetworkError:
             if len(endpoints) < 2:
                 return []

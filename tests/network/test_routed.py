@@ -72,6 +72,9 @@ def test_a_router_with_keys_lets_each_name_do_what_its_role_may(tmp_path: Path) 
             assert view.answered == set(ROBOTS)
             outcome = operator.request(RunRequest, view.epochs(ROBOTS), pattern="x")
             assert outcome.applied == ROBOTS
+            operator.take_identity(keys["alice"])  # as a newer roster does
+            assert operator.members().answered == set(ROBOTS)
+            assert operator.send_stop("stop").applied == ROBOTS
         with Operator(settings, identity=keys["eve"]) as viewer:
             assert viewer.members().answered == set(ROBOTS)
             with pytest.raises(ConfigError, match="viewer"):
