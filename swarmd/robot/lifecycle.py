@@ -434,10 +434,16 @@ class Lifecycle:
         self.end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
 
     def stall(self, late: float, effects: Effects) -> None:
-        """The daemon's loop was late: earlier epochs become stale and the run ends."""
+        """The daemon's loop was late: earlier epochs become stale and the run ends.
+
+        An idle robot stays idle, since a busy computer stalls most while the daemon starts.
+        """
         self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"
+        before = self.state_machine.state
         self.end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
+        if self.state_machine.state is before:  # else `end` has logged it
+            self.log(detail, effects.now)
 
     def on_network_changed(self, text: str, effects: Effects) -> None:
         """The daemon speaks on another network: earlier epochs become stale and the run ends."""

@@ -58,7 +58,7 @@ TRANSITIONS: Mapping[Trigger, Mapping[State, State]] = MappingProxyType(
         Trigger.STOP: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.HOLD_LASTED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.LOAD_FAILED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
-        Trigger.STALL: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.STALL: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.NETWORK: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.ESTOP: {_I: _E, _R: _E, _S: _E, _E: _E, _F: _E},
         Trigger.FAULT: {_I: _F, _R: _F, _S: _F, _E: _E, _F: _F},

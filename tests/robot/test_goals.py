@@ -501,6 +501,15 @@ def lacking(**fields: Any) -> RobotHarness:
     return harness
 
 
+def test_a_robot_that_stalled_while_it_started_joins() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(1.5, ticks=False)
+    harness.advance(0.5)
+    harness.find(goal(**JOINED), 1.0)
+    harness.advance(1.0)
+    assert harness.status.state is State.RUNNING
+
+
 def test_a_robot_that_lacked_the_pattern_joins_when_it_comes() -> None:
     harness = lacking()
     push(harness)

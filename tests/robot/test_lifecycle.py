@@ -7,7 +7,8 @@ import pytest
 from swarmd.api import Twist
 from swarmd.core.host_messages import KillHost, Load, Loaded
 from swarmd.core.messages import Code, Reason, Refusal, State
-from tests.support.stub_patterns import standing_state, started
+from tests.support.robot_harness import RobotHarness
+from tests.support.stub_patterns import PATTERNS, standing_state, started
 
 BACK = {"speed": -0.1}
 
@@ -106,3 +107,17 @@ def test_loop_over_1_s_late_is_stalled(late: float, state: tuple[State, Reason |
     assert harness.status.state is state[0]
     assert state[1] is None or standing_state(harness) == state
     assert harness.twist.is_zero or state[0] is State.RUNNING
+
+
+def test_a_stall_leaves_an_idle_robot_idle_and_is_an_event() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(0.5)
+    looked = harness.status.epoch
+    harness.advance(1.5, ticks=False)
+    harness.carry_out(harness.robot.tick(harness.now))
+    assert standing_state(harness) == (State.IDLE, Reason.NEVER_ASKED)
+    assert harness.status.events[-1].text == "the daemon did not run for 1.5 s"
+    assert harness.refused("run", pattern="forward", epoch=looked).refusal is Refusal.STALE_EPOCH
+    harness.ask("run", pattern="forward")
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING

@@ -313,7 +313,7 @@ def test_a_tick_that_is_late_is_not_quiet() -> None:
     pair.live(1.0)
     pair.now += 1.5
     pair.tick()
-    assert pair.robots[0].reason is Reason.LOOP_STALLED
+    assert pair.robots[0].epoch.revision == 1
 
 
 def test_quiet_tick_gives_the_command_alone() -> None:
