@@ -24,6 +24,7 @@ pytestmark = pytest.mark.integration
 
 ROBOTS = ("r01", "r02", "r03")
 LAPTOP = "laptop"
+STALLED = r"by a stall of|loop_stalled|loading took more than"  # in refusals on a busy machine
 Made = Callable[..., FieldSwarm]
 
 
@@ -74,9 +75,19 @@ def await_all(
 
 
 def run_all(swarm: FieldSwarm) -> None:
-    """All robots drive after one request."""
-    answer = swarm.ctl(LAPTOP, "run", "drive", "--all")
-    assert answer.code == 0, answer
+    """All robots drive after one request, which is repeated while a stall makes any refuse it."""
+
+    def run() -> bool:
+        answer = swarm.ctl(LAPTOP, "run", "drive", "--all", "-o", "json")
+        assert answer.json is not None, answer
+        replies, applied = answer.json["replies"], set(answer.json["applied"])
+        assert replies.keys() == set(swarm.robots), answer
+        texts = [replies[robot]["text"] for robot in replies.keys() - applied]
+        assert all(re.search(STALLED, text) for text in texts), answer
+        assert answer.code == 0 or texts, answer
+        return not texts
+
+    wait_until(run, "all robots run drive")
     swarm.await_moving()
 
 
@@ -271,13 +282,17 @@ def test_a_swarm_stays_on_its_interface(made: Made) -> None:
         return found.keys() >= {"r01", "r02"}
 
     wait_until(look, "r01 and r02 are found")
-    run = swarm.ctl(LAPTOP, "run", "drive", "--all")
-    assert run.code == 0, run
+    # A roster names all robots: with keys r03 is missing, without them it is not known.
+    absent = [] if swarm.keys is None else ["r03"]
+    run = swarm.ctl(LAPTOP, "run", "drive", "--all", "-o", "json")
+    assert (run.json["applied"], run.json["missing"]) == (["r01", "r02"], absent), run
     swarm.await_moving("r01", "r02")
     assert "r03" not in swarm.states(LAPTOP)
     assert "r03" not in swarm.moved()
-    assert swarm.ctl(LAPTOP, "estop").code == 0
-    assert "r03" not in swarm.members(LAPTOP)
+    estop = swarm.ctl(LAPTOP, "estop", "-o", "json")
+    assert (estop.json["applied"], estop.json["missing"]) == (["r01", "r02"], absent), estop
+    assert estop.code == (3 if absent else 0), estop
+    assert swarm.members(LAPTOP).keys() == {"r01", "r02"}
 
 
 def test_a_robot_that_roams_to_another_access_point_drives_on(made: Made) -> None:
@@ -321,14 +336,16 @@ def test_no_wall_clock_is_needed(made: Made, tmp_path: Path) -> None:
         environ = {"PYTHONPATH": str(tmp_path / "clock"), "YEARS": str(next(years))}
         swarm.spawn(robot, environ=environ)
     for daemon in swarm.daemons.values():
-        years_of_lines = {line[:4] for line in daemon.wait_ready().text().splitlines()}
-        assert len(years_of_lines) > 1, daemon.text()
+        daemon.wait_ready()
     await_all(swarm, "clocks wrong by years", "idle", *ROBOTS)
     run_all(swarm)
     assert swarm.ctl(LAPTOP, "estop").code == 0
     await_all(swarm, "after the estop", "estopped", *ROBOTS)
     assert swarm.ctl(LAPTOP, "reset", "--all", "--yes").code == 0
     run_all(swarm)
+    for daemon in swarm.daemons.values():
+        years_of_lines = {line[:4] for line in daemon.text().splitlines()}
+        assert len(years_of_lines) > 1, daemon.text()
 
 
 def test_a_robot_that_was_suspended_stands_and_is_found_again(made: Made) -> None:
