@@ -52,6 +52,8 @@ class EventFeed:
     def on_status(self, status: Status, now: float) -> list[EventLine]:
         """The lines that follow from a status."""
         name, known = status.robot, self._last.get(status.robot)
+        if known is not None and _is_overtaken(status, known[0]):
+            return []
         self._last[name] = status, now
         lines = []
         if self._absent.pop(name, ""):
@@ -131,6 +133,11 @@ def _new(
         if before[-shared:] == events[:shared]:
             return events[shared:]
     return events
+
+
+def _is_overtaken(status: Status, last: Status) -> bool:
+    """True if a status left its daemon before the last one that came: a frozen robot thaws."""
+    return status.instance == last.instance and status.uptime < last.uptime
 
 
 def _hold(status: Status) -> Reason | None:

@@ -53,6 +53,15 @@ def test_a_later_status_gives_only_what_is_new() -> None:
     assert texts(lines) == [f"event {MAX_EVENTS}", f"event {MAX_EVENTS + 1}"]
 
 
+def test_a_status_that_arrives_after_a_later_one_repeats_nothing() -> None:
+    feed = EventFeed()
+    feed.on_status(having(MAX_EVENTS), START)
+    feed.on_status(having(MAX_EVENTS, first=1), START + 1.0)
+    assert feed.on_status(having(MAX_EVENTS), START + 1.1) == []
+    lines = feed.on_status(having(MAX_EVENTS, first=2), START + 2.0)
+    assert texts(lines) == [f"event {MAX_EVENTS + 1}"]
+
+
 def test_a_full_log_tells_that_earlier_events_are_not_known() -> None:
     lines = EventFeed().on_status(having(MAX_EVENTS), START)
     assert [line.kind for line in lines] == ["gap", *["event"] * MAX_EVENTS]
