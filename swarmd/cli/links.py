@@ -18,7 +18,7 @@ from swarmd.core.codec import encode
 from swarmd.core.tool_messages import LinkReport, LinksQuery, LinksReply
 from swarmd.texts.values import NOTHING, printable, seconds
 
-PING_TIME = 0.6  # s for robots to measure round trips, between two questions
+PING_TIME = 0.6  # s at least for robots to measure round trips, between two questions
 MAX_ROWS = 60
 HEADER = ("ROBOT", "HEARS", "LOSS", "ROUND TRIP", "AGE", "WAY")
 
@@ -46,7 +46,8 @@ def links(options: CommonOptions, targets: Targets, every: bool) -> None:
     """Show how well each of TARGETS, or of all robots, hears the others.
 
     LOSS counts the beacons of about the last 30 s that did not arrive, in this direction. ROUND
-    TRIP is measured now, from each robot to up to 20 others. AGE is the time since the last beacon.
+    TRIP is measured now, from each robot to up to 20 others; `-`: no answer. AGE is the time since
+    the last beacon.
     """
     with options.operator() as operator:
         view = known_members(options, operator)
@@ -54,7 +55,7 @@ def links(options: CommonOptions, targets: Targets, every: bool) -> None:
         ask = encode(LinksQuery(measures=True))
         replies = ask_robots(options, operator, in_reach(view, names), "links", ask, LinksReply)
         if any(reply.links for reply in replies.values()):
-            time.sleep(PING_TIME)
+            time.sleep(max(PING_TIME, 2.0 * view.round_trip))
             ask = encode(LinksQuery())
             replies |= ask_robots(options, operator, replies, "links", ask, LinksReply)
         pairs = pairs_of(replies, set(view.expected) | set(replies))

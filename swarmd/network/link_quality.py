@@ -6,6 +6,8 @@ directed: it measures how well this robot hears the other one.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from msgspec import Struct
 
 from swarmd.network.datagram import Address
@@ -81,6 +83,12 @@ class LinkQualities:
         link = self._links.get(robot)
         if link is not None:
             link.round_trip, link.measured = seconds, now
+
+    def drop_round_trips(self, robots: Iterable[str]) -> None:
+        """These robots are asked anew, or are gone: their earlier round trips no longer hold."""
+        for robot in robots:
+            if link := self._links.get(robot):
+                link.round_trip = None
 
     def quality(self, robot: str, now: float) -> LinkQuality | None:
         """How well a robot is heard; None: it never was."""

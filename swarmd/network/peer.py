@@ -304,10 +304,15 @@ class Peer:
         return [*self._clocks.queries(self.membership.alive_addresses(), now)]
 
     def pings(self, robots: Iterable[str], now: float) -> list[tuple[Datagram, Address | None]]:
-        """Questions to these robots whose answers give the round trips in `links`."""
+        """Questions to these robots whose answers give the round trips in `links`.
+
+        Earlier round trips to them are dropped.
+        """
         if self._claim is not None:
             return []
-        return [*self._clocks.pings(robots, self.membership.alive_addresses(), now)]
+        asked = tuple(robots)
+        self.links.drop_round_trips(asked)
+        return [*self._clocks.pings(asked, self.membership.alive_addresses(), now)]
 
     def leave_beacon(self, summary: Summary) -> Beacon:
         """The last beacon of a robot that leaves in order."""

@@ -113,3 +113,6 @@ def test_a_ping_measures_the_round_trip() -> None:
         assert found is not None
         assert found.round_trip is not None
         assert 0.04 <= found.round_trip <= 0.15  # datagrams arrive with ticks
+    peer.pings(("r2",), network.now)
+    trips = [peer.links.quality(name, network.now) for name in ("r2", "r3")]
+    assert [one is not None and one.round_trip is None for one in trips] == [True, False]
