@@ -422,6 +422,8 @@ class Lifecycle:
         effects.is_latched = True
         if self.latches.add(latch_id, latch):
             self.raise_revision(f"{latch.issuer} (estop)")
+        elif self.state_machine.state is State.ESTOPPED:
+            return  # a copy of a stop that holds the robot: a trial that began since goes on
         self.end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
 
     def adopt_latches(self, latches: Mapping[str, Latch], effects: Effects) -> None:

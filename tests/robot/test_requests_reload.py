@@ -139,6 +139,20 @@ def test_copies_of_stops_that_the_robot_obeyed_before_leave_the_trial_alone() ->
     assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
 
 
+def test_copies_of_an_emergency_stop_that_holds_the_robot_leave_the_trial_alone() -> None:
+    harness = driving()
+    harness.ask("estop", id="e1")
+    request = harness.request("reload", pattern="own")
+    harness.robot.on_request(request, harness.now)
+    copy = harness.ask("estop", id="e1")
+    assert copy is not None
+    assert copy.code is Code.APPLIED
+    assert not harness.is_answered(request)
+    harness.ask("estop", id="e2")
+    assert harness.reply_to(request).refusal is Refusal.OVERTAKEN
+    assert harness.status.state is State.ESTOPPED
+
+
 def test_frozen_daemon_ends_the_trial() -> None:
     harness = driving()
     request = begun(harness, is_rerun=True)
