@@ -17,6 +17,7 @@ import click
 from swarmd.cli.options import DEFAULT_SWARM, CommonOptions, VerbGroup
 from swarmd.cli.output import print_section, warn
 from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.settings.contexts import context_in_use
 from swarmd.sim.cli.options import fleet_for, fleet_options, need
 from swarmd.sim.cli.world_page import page_option, world_page
 
@@ -148,7 +149,8 @@ def _report_ends(fleet: Fleet) -> NoReturn:
 
 
 def _print_usage(spec: FleetSpec) -> None:
-    swarmctl = "swarmctl" if spec.swarm == DEFAULT_SWARM else f"SWARM={spec.swarm} swarmctl"
+    is_default = spec.swarm == DEFAULT_SWARM and context_in_use() is None
+    swarmctl = "swarmctl" if is_default else f"SWARM={spec.swarm} swarmctl"
     names = list(spec.robots)
     click.echo(f"{len(names)} robots are up in swarm {spec.swarm}: {names[0]} to {names[-1]}")
     print_section(

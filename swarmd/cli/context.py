@@ -35,7 +35,8 @@ def context() -> None:
     """Keep sets of network options by name; every verb takes those of the one in use.
 
     An option of the line counts more, then the environment ($SWARM, $SWARM_CONFIG), then the
-    context. $SWARM_CONTEXT names another context than the one in use.
+    context. A context of one swarm is not used if they name another swarm. $SWARM_CONTEXT names
+    another context than the one in use.
     """
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import getpass
 import math
+import os
 import re
 import shutil
 import socket
@@ -126,8 +127,11 @@ def init(
         raise
     click.echo(f"authority of swarm {swarm}, certificates of {days:g} days: wrote {folder}")
     report_identity(installed, authority.roster)
+    _report_context(swarm)
+    option = "" if _is_in_use(swarm) else f" --swarm {swarm}"
     click.echo(
-        "next: swarmctl keys bundle --all -o bundles, then on each robot: swarmd install FILE\n"
+        f"next: swarmctl keys bundle --all -o bundles{option},"
+        " then on each robot: swarmd install FILE\n"
         f"keep a copy of {folder}: without it no name can be added, renewed or revoked"
     )
 
@@ -228,6 +232,7 @@ def install(file: Path, interface: str | None, force: bool) -> None:
         raise ConfigError(f"{file} is the bundle of robot {name}; take it there: swarmd install")
     identity = install_reader(opened, {"interface": interface}, is_forced=force)
     report_identity(identity, opened.roster)
+    _report_context(identity.info.swarm)
 
 
 def bundle_of(authority: Authority, name: str, *, days: float | None = None) -> Bundle:
@@ -272,6 +277,22 @@ def install_reader(
     context = Context(swarm=info.swarm, config=str(folder / SWARM_YAML))
     add_context(info.swarm, context, use=context_in_use() is None)
     return identity
+
+
+def _is_in_use(swarm: str) -> bool:
+    """True if verbs without options go to this swarm."""
+    from swarmd.settings.contexts import context_in_use
+
+    chosen = context_in_use()
+    return chosen is not None and chosen[1].swarm == swarm and not os.environ.get("SWARM")
+
+
+def _report_context(swarm: str) -> None:
+    """Print whether swarmctl uses the new context."""
+    if _is_in_use(swarm):
+        click.echo(f"swarmctl uses context {swarm} from now on; see `swarmctl context list`")
+    else:
+        click.echo(f"another swarm is in use; change to this one: swarmctl context use {swarm}")
 
 
 def _row(row: Mapping[str, Any], now: float) -> tuple[str, ...]:

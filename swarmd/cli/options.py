@@ -113,8 +113,8 @@ class CommonOptions:
     def in_context(self) -> CommonOptions:
         """These options, and those of the context in use where neither they nor $SWARM set any.
 
-        A swarm file that the line or $SWARM_CONFIG names takes the place of the context.
-        ConfigError if the context does not exist.
+        A swarm file that the line or $SWARM_CONFIG names takes the place of the context. A context
+        of one swarm is not used for another swarm. ConfigError if the context does not exist.
         """
         import msgspec
 
@@ -123,8 +123,11 @@ class CommonOptions:
         chosen = context_in_use() if self.config is None else None
         if chosen is None:
             return self
+        swarm = self.swarm or os.environ.get("SWARM")
+        if swarm and chosen[1].swarm not in (None, swarm):
+            return self
         given = msgspec.structs.asdict(chosen[1])
-        given["swarm"] = os.environ.get("SWARM") or chosen[1].swarm
+        given["swarm"] = swarm or chosen[1].swarm
         for name in ("config", "identity"):
             given[name] = Path(given[name]) if given[name] else None
         return replace(self, **{key: one for key, one in given.items() if not getattr(self, key)})

@@ -51,9 +51,21 @@ def test_an_option_then_the_environment_count_more_than_the_context(
     found = CommonOptions(interface="wlan1").in_context()
     assert (found.swarm, found.profile, found.interface) == ("meadow", "field", "wlan1")
     assert found.seeds == MEADOW.seeds
+    add_context("wlan", Context(profile="field", interface="wlan0"), use=True)
     monkeypatch.setenv("SWARM", "lab")
-    assert CommonOptions().in_context().swarm == "lab"
+    found = CommonOptions().in_context()
+    assert (found.swarm, found.interface) == ("lab", "wlan0")
     assert CommonOptions(swarm="own").in_context().swarm == "own"
+
+
+def test_a_context_of_one_swarm_is_not_used_for_another(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    add_context("meadow", MEADOW, use=True)
+    assert CommonOptions(swarm="meadow").in_context().interface == "wlan0"
+    assert CommonOptions(swarm="lab").in_context() == CommonOptions(swarm="lab")
+    monkeypatch.setenv("SWARM", "lab")
+    assert CommonOptions().in_context() == CommonOptions()
 
 
 def test_a_swarm_file_takes_the_place_of_the_context(home: Path) -> None:
