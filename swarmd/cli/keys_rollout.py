@@ -17,7 +17,7 @@ from swarmd.cli.send import report, time_left
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.messages import Reply, RosterRequest
 from swarmd.network.outcome import NO_TARGET, Outcome
-from swarmd.security.identity import RosterFile, as_of, load_identity, write_roster
+from swarmd.security.identity import RosterFile, as_of, find_identity, load_identity, write_roster
 from swarmd.security.names import expand_names, select_names
 from swarmd.security.roster import Role
 from swarmd.security.roster_change import take_certificate
@@ -73,6 +73,12 @@ def revoke(options: CommonOptions, names: tuple[str, ...]) -> None:
     gone = select_names(names, roster.names)
     if not roster.operators.keys() - set(gone) or not set(roster.robots) - set(gone):
         raise ConfigError("a swarm needs a robot and an operator; add another one first")
+    own = find_identity(roster.swarm)
+    if own is not None and own.info.authority == authority.public_key and own.name in gone:
+        raise ConfigError(
+            f"{own.name} is this user, who could roll out no further roster from here; take the"
+            " bundle of another operator first (`swarmctl keys install --force`)"
+        )
     authority.change(remove=gone)
     _announce(authority, f"revoked {', '.join(gone)}")
     roll_out(options, authority, revoked=tuple(name for name in gone if name in roster.robots))

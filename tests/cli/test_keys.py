@@ -235,5 +235,6 @@ def test_the_last_operator_and_the_last_robot_stay(meadow: Run, home: Path) -> N
     before = tree(home)
     for words in (("alice", "bob"), ("tb3-*",), ("nobody",)):
         assert is_refused(meadow("revoke", *words))
+    assert is_refused(meadow("revoke", "alice"))  # this user, who could roll out no roster then
     assert is_refused(meadow("add", "tb3-01", "--role", "viewer"))
     assert tree(home) == before
