@@ -45,10 +45,10 @@ def named(view: MembersView, targets: Targets) -> Targets:
 def stopped(view: MembersView, targets: Targets) -> Targets:
     """The targets of a stop: all robots except those whose known labels match no label.
 
-    Failure if all robots have answered and no robot has such a label.
+    Failure if all robots have answered and no robot has such a label. All robots if none was heard.
     """
     found = labels_of(view)
-    if view.expected <= found.keys():
+    if view.expected and view.expected <= found.keys():
         _check(targets.labels, found.values())
     by_name = set(Targets(targets.names).matching(found)) if targets.names else set[str]()
     others = {name for name, labels in found.items() if not {*labels} & {*targets.labels}}

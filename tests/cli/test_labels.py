@@ -64,6 +64,10 @@ def test_a_stop_by_label_reaches_robots_whose_labels_are_not_known() -> None:
     assert stopped(seen, Targets(labels=("blue",))).matching(LABELS) == ("r1",)
 
 
+def test_a_stop_by_label_goes_to_all_if_no_robot_was_heard() -> None:
+    assert stopped(MembersView({}), Targets(labels=("red",))).matching(LABELS) == tuple(LABELS)
+
+
 def test_names_alone_do_not_show_labels() -> None:
     targets = Targets(labels=("red",))
     assert not targets.is_whole_swarm
