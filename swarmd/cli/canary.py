@@ -8,11 +8,12 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.arguments import check_known
+from swarmd.cli.arguments import Failure
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder
 from swarmd.core.keys import is_id
 from swarmd.core.messages import STATUS_SILENCE, Reason, State, Status
+from swarmd.network.outcome import NO_TARGET
 
 if TYPE_CHECKING:
     from swarmd.network.operator import Operator
@@ -44,8 +45,9 @@ def canaries_of(text: str, names: Iterable[str]) -> tuple[str, ...]:
     UsageError if no target is left for afterwards.
     """
     wanted, known = read_canary(text), tuple(names)
-    if not isinstance(wanted, int):
-        check_known(text, known)
+    if not isinstance(wanted, int) and text not in known:
+        targets = ", ".join(known) or "none"
+        raise Failure(f"--canary {text} is not among the targets: {targets}", NO_TARGET)
     if len(known) <= (wanted if isinstance(wanted, int) else 1):
         raise click.UsageError(f"--canary {text}: {len(known)} targeted, no other robot is left")
     return known[:wanted] if isinstance(wanted, int) else (text,)

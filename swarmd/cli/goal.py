@@ -92,7 +92,7 @@ def undo(options: CommonOptions) -> None:
             raise Failure(text, NO_TARGET)
         goal = next_goal(operator, view, **content_of(before))
         run, stand = set_apart(view, present, before)
-        warn(f"{describe_goal(goal)}, in place of {present.text}")
+        warn(f"sends {describe_goal(goal)}, in place of {present.text}")
         outcomes = []
         if stand:
             outcomes.append(stop_names(operator, stand))

@@ -71,7 +71,8 @@ def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> N
         latches = view.latches(names)
         for latch_id, latch in latches.items():
             text = f" ({latch.reason})" if latch.reason else ""
-            warn(f"clears {latch_id}, by {latch.issuer}, for {latch.scope}{text}")
+            of = "all robots" if latch.scope == "swarm" else "named robots"
+            warn(f"clears emergency stop {latch_id} of {latch.issuer} for {of}{text}")
         question = f"Reset {', '.join(names)}?"
         if len(names) > 1 and not yes and not click.confirm(question, err=True):
             raise click.ClickException("nothing was sent")

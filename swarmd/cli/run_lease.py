@@ -57,7 +57,8 @@ def run_while_here(
             if not outcome.applied:
                 report_again(outcome)
             warn(
-                f"the robots run while this goes on, and {seconds(goal.lease)} longer; Ctrl-C ends"
+                f"the robots run while this command runs, and {seconds(goal.lease)} longer;"
+                " Ctrl-C stops them"
             )
             running = {name: outcome.replies[name].epoch for name in outcome.applied}
             follow_runs(operator, goal, goal.lease + SILENCE, running)

@@ -13,7 +13,7 @@ from swarmd.cli.arguments import Failure, Targets
 from swarmd.cli.canary import watch_canary
 from swarmd.cli.output import warn
 from swarmd.cli.send import report, stop_names, time_left
-from swarmd.core.clock import boottime
+from swarmd.core.clock import TICK, boottime
 from swarmd.core.goal import LABEL
 from swarmd.core.messages import RunRequest
 from swarmd.network.clock_query import read_clocks, start_times
@@ -95,7 +95,10 @@ def start(
     if unknown:
         warn(f"not asked, since their clocks did not answer: {', '.join(unknown)}")
     if len(starts) > 1:
-        warn(f"start in {in_short(at)}, at most {1e3 * skew:.1f} ms apart by clocks, and a tick")
+        warn(
+            f"start in {in_short(at)}: robots start at most {1e3 * (skew + TICK):.0f} ms apart,"
+            f" {1e3 * skew:.1f} ms of it by their clocks"
+        )
     try:
         outcome = operator.request(
             RunRequest, known, timeout=wait, least=REQUEST_WAIT + at, at=starts, **fields
@@ -163,7 +166,8 @@ def _fail(
     missing = ", ".join(stopped.missing)
     end = f"{missing} DID NOT ACKNOWLEDGE THE STOP" if missing else "it was stopped"
     others = targeted - len(canaries)
-    text = f"canary failed: {why}; {end}; nothing was sent to the {others} others"
+    rest = f"the other {others} robots" if others > 1 else "the other robot"
+    text = f"canary failed: {why}; {end}; nothing was sent to {rest}"
     raise Failure(text, PARTIAL if missing else FAILED)
 
 

@@ -75,7 +75,7 @@ def time_left(options: CommonOptions, view: MembersView) -> float | None:
 
 
 def unreachable(operator: Operator, sent: str = "") -> Failure:
-    """The error of a swarm in which nobody was reached; `sent`: what was sent nevertheless."""
+    """The error of a swarm in which no robot was reached; `sent`: what was sent nevertheless."""
     text = f"no daemon of swarm {operator.settings.swarm!r} can be reached{sent}"
     return Failure(f"{text}{_instead(operator)}", UNREACHABLE)
 
@@ -192,7 +192,7 @@ def send_stop(
         view = operator.seen()
         if not outcome.reached and not outcome.replies and not view.roster:
             how = f"`{verb}` was sent {_where(operator)} for {seconds(outcome.seconds)}"
-            raise unreachable(operator, f"; {how} and nobody answered")
+            raise unreachable(operator, f"; {how} and no robot answered")
         known = view.members.keys() | view.roster | outcome.replies.keys()
         lost = [name for name in outcome.missing if name not in known]
         if not outcome.targeted or len(lost) == outcome.targeted:

@@ -158,8 +158,10 @@ def _reason(status: Status, wanted: KnownGoal) -> str:
         return f"runs {status.pattern}" if status.state is State.RUNNING else ""
     if goals.state is GoalState.RUNNING and status.state is State.RUNNING:
         return goals.reason
-    fallback = goals.state.value if goals.state else f"{status.state}"
-    return goals.reason or fallback
+    reason = goals.reason or (goals.state.value if goals.state else f"{status.state}")
+    if goals.state is GoalState.ENDED and not reason.startswith(status.state.value):
+        return f"its run ended: {reason}; resume runs the goal again"
+    return reason
 
 
 def _place(member: SeenMember) -> str:

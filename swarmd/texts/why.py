@@ -23,7 +23,7 @@ SENTENCES = {
     Reason.LOOP_STALLED: "its daemon was blocked for over 1 s{detail}; check its host, then run",
     Reason.LOAD_FAILED: "the pattern could not be loaded{detail}; correct it, then run",
     Reason.DUPLICATE_ID: "another daemon has the same id{detail}; stop one of them, then reset",
-    Reason.QUARANTINED: "the pattern failed repeatedly{detail}; correct it, then reset",
+    Reason.QUARANTINED: "the pattern failed{detail}; correct it, then reset",
     Reason.LEAVING: "its daemon is shutting down",
     Reason.NETWORK_CHANGED: f"its network has changed{{detail}}; {_START}",
     Reason.ROSTER_CHANGED: f"it has taken another roster{{detail}}; {_START}",

@@ -214,7 +214,10 @@ def test_estop_is_held_until_reset_names_it(swarm: Swarm) -> None:
     assert (latch["scope"], latch["reason"]) == ("swarm", "smoke")
     reset = swarm.ctl("reset", "--all", "--yes", "--reason", "out")
     assert reset.returncode == 0
-    assert f"clears {latch_id}, by {latch['issuer']}, for swarm (smoke)" in reset.stderr
+    assert (
+        f"clears emergency stop {latch_id} of {latch['issuer']} for all robots (smoke)"
+        in reset.stderr
+    )
     assert [swarm.status(robot)["state"] for robot in ROBOTS] == ["idle"] * 3
 
 

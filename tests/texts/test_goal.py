@@ -54,6 +54,12 @@ def test_the_reason_is_that_of_the_robot(
     assert reason in found.reason
 
 
+def test_a_run_that_an_emergency_stop_ended_is_told_apart_from_an_emergency_stop() -> None:
+    goals = goal_status(DRIVE, state=GoalState.ENDED, reason="estopped (estop) by bob")
+    found = line(member_with("r1", goals, state=State.IDLE, reason=Reason.RESET))
+    assert found.reason == "its run ended: estopped (estop) by bob; resume runs the goal again"
+
+
 def test_an_emergency_stop_names_its_issuer() -> None:
     latches = {"e1": Latch(issuer="bob", scope="swarm", reason="")}
     found = line(member_with("r1", goal_status(DRIVE), state=State.ESTOPPED, latches=latches))
