@@ -1,7 +1,7 @@
 """The carrier of datagrams and the Zenoh session of one daemon, and when they are opened again.
 
 A change of the interface's address or of the identity closes both and opens them again; the robot
-stands first.
+stands first. A flood of connections closes the session alone; the run goes on.
 """
 
 from __future__ import annotations
@@ -15,11 +15,13 @@ from functools import partial
 import zenoh
 from msgspec.structs import replace
 
+from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import Address
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.interface_watch import InterfaceChange, InterfaceWatch
+from swarmd.network.link_gate import LinkFlood, LinkGate, open_files
 from swarmd.network.link_watch import watch_links
 from swarmd.network.routed import RoutedCarrier
 from swarmd.network.session import default_listen, open_in_thread, open_session
@@ -73,6 +75,9 @@ class NetworkConnection:
         self.carrier: UdpCarrier | RoutedCarrier | None = None
         self.bus: ZenohBus | None = None
         self._session: zenoh.Session | None = None
+        self._opened = settings  # with the port that the session has
+        self._flood: LinkFlood | None = None
+        self._gate: LinkGate | None = None
         self._watch: InterfaceWatch | None = None
         self._reopening: asyncio.Task[None] | None = None
         self._is_stale = False  # the sockets belong to an earlier state of the interface
@@ -104,6 +109,35 @@ class NetworkConnection:
             )
             if not self._watch.state.is_usable:
                 log.warning("%s", self.interface_text)
+
+    def watch_for_flood(self, now: float) -> None:
+        """Let only known hosts connect while too many connections wait; call it on each tick."""
+        flood, session = self._flood, self._session
+        if flood is None or session is None or not flood.is_due(now):
+            return
+        if flood.look(open_files(), lambda: len(session.info.links()), now):
+            self._on_event(
+                f"{flood.waiting} connections wait at the port for links: for"
+                f" {flood.closed_until - now:.0f} s it takes those of hosts that sent a signed"
+                " datagram"
+            )
+            self._set_gate(now)
+            if self._reopening is None:
+                self._reopening = self._loop.create_task(self._renew_session())
+                self._reopening.add_done_callback(self._end_reopening)
+        elif self._gate is not None and self._gate.is_closed and not flood.is_closed(now):
+            self._gate.admit(None)
+
+    def admit_links_from(self, source: Address, now: float) -> None:
+        """A host has sent a datagram with a valid signature."""
+        flood = self._flood
+        if flood is not None and flood.hear(source[0].partition("%")[0], now):
+            self._set_gate(now)
+
+    def _set_gate(self, now: float) -> None:
+        flood = self._flood
+        if self._gate is not None and flood is not None and flood.is_closed(now):
+            self._gate.admit(flood.known(now))
 
     def close(self) -> None:
         """Close at once."""
@@ -154,6 +188,27 @@ class NetworkConnection:
         self._on_reopened()
         log.info("the network is open again")
 
+    async def _renew_session(self) -> None:
+        """Open the session again at its port, which ends the connections that wait in it.
+
+        Datagrams go on, and so does the run of the robot.
+        """
+        old = self._release_session()
+        if old is not None:
+            closing = self._loop.run_in_executor(None, _close, old)
+            await asyncio.wait({closing}, timeout=CLOSE_TIMEOUT)
+        while not self._is_stale:
+            try:
+                opening = partial(open_session, self._opened, self._identity)
+                self._use(await open_in_thread(opening))
+                self._on_reopened()
+                break
+            except (NetworkError, zenoh.ZError, OSError) as error:
+                log.warning("the session cannot be opened yet: %s", error)
+                await asyncio.sleep(REOPEN_PERIOD)
+        if self._is_stale:
+            await self._reopen()
+
     def _end_reopening(self, task: asyncio.Task[None]) -> None:
         """End the daemon by the loop's handler of exceptions if it could not be opened."""
         self._reopening = None
@@ -183,11 +238,21 @@ class NetworkConnection:
             self.carrier = RoutedCarrier(session, settings.swarm, self._robot)
         else:
             self.carrier, session = await self._open_udp()
-        self._session = session
-        self.bus = ZenohBus(session, swarm=settings.swarm, robot=self._robot, drops=self._drops)
-        if self._identity is not None and settings.profile != "routed":
-            watch_links(session, self._identity.roster, self._loop, self._on_event)
+        self._use(session)
         self.carrier.attach(self._loop, self._on_datagram)
+
+    def _use(self, session: zenoh.Session) -> None:
+        """Take a new session, and watch its links."""
+        swarm, now = self._settings.swarm, boottime()
+        self._session = session
+        self.bus = ZenohBus(session, swarm=swarm, robot=self._robot, drops=self._drops)
+        if self._identity is None or self._settings.profile == "routed":
+            return
+        watch_links(session, self._identity.roster, self._loop, self._on_event)
+        self._gate = LinkGate({parse_endpoint(one).port for one in self._opened.listen})
+        if self._flood is None:
+            self._flood = LinkFlood(open_files(), now)
+        self._set_gate(now)
 
     async def _open_udp(self) -> tuple[UdpCarrier, zenoh.Session]:
         """The sockets, and a session that listens on their port: beacons show where to dial."""
@@ -199,7 +264,7 @@ class NetworkConnection:
                 settings, self._tag, port=first.port, is_secured=self._identity is not None
             )
             endpoint = f"{first.protocol}/{_host(first)}:{carrier.port}{first.suffix}"
-            opening = replace(settings, listen=(endpoint, *listen[1:]))
+            opening = self._opened = replace(settings, listen=(endpoint, *listen[1:]))
             try:
                 return carrier, await open_in_thread(partial(open_session, opening, self._identity))
             except BaseException as error:
@@ -211,12 +276,20 @@ class NetworkConnection:
 
     def _release(self) -> zenoh.Session | None:
         """Stop receiving and sending at once; the session, which is still to be closed."""
-        if self.bus is not None:
-            self.bus.close()
-            self.bus = None
+        session = self._release_session()
         if self.carrier is not None:
             self.carrier.close()
             self.carrier = None
+        return session
+
+    def _release_session(self) -> zenoh.Session | None:
+        """Stop answering; the session, which is still to be closed."""
+        if self.bus is not None:
+            self.bus.close()
+            self.bus = None
+        if self._gate is not None:
+            self._gate.close()  # the port is free when the last socket at it is closed
+            self._gate = None
         session, self._session = self._session, None
         return session
 

@@ -258,6 +258,7 @@ class Network:
             return
         now = boottime()
         self._carry_out(peer.advance(now, self._handlers.summary()))
+        self._connection.watch_for_flood(now)
         if self._guard is not None and self._guard.has_new_counters():
             self._loop.run_in_executor(None, self._guard.write_counters)
         if peer.membership.ignored and not self._is_full:
@@ -346,6 +347,7 @@ class Network:
             author = self._guard.author_of(payload, source, now)
             if author is None:
                 return
+            self._connection.admit_links_from(source, now)
         try:
             body = unpack(self._tag, payload)
         except CodecError:

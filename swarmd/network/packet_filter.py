@@ -67,6 +67,17 @@ def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
     return b"".join(struct.pack("=HBBI", *one) for one in program)
 
 
+def host_filter(hosts: Iterable[ipaddress.IPv4Address | ipaddress.IPv6Address]) -> bytes:
+    """Accepts what comes from these hosts, of either family; for a listening TCP socket."""
+    blocks: list[Block] = []
+    for host in hosts:
+        words = struct.unpack(f">{len(host.packed) // 4}I", host.packed)
+        first = _SOURCE4 if host.version == 4 else _SOURCE6
+        tests = [(_LOAD, first + 4 * index, _EQUALS, word) for index, word in enumerate(words)]
+        blocks.append((_ACCEPT, tests))
+    return b"".join(struct.pack("=HBBI", *one) for one in _stage(blocks))
+
+
 def _head(tag: bytes) -> list[Test]:
     (magic,) = struct.unpack(">I", MAGIC)
     first, second = struct.unpack(">II", tag)

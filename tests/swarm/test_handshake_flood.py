@@ -1,0 +1,135 @@
+"""Floods of TLS handshakes at the port of a robot, from a host of their own on loopback."""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from swarmd.core.messages import ResetRequest, RunRequest, State
+from swarmd.network.operator import Operator
+from swarmd.network.settings import NetworkSettings
+from tests.support.handshakes import KINDS
+from tests.support.keys import SwarmKeys
+from tests.support.processes import DaemonProcess, free_endpoint, unique_swarm, wait_until
+
+pytestmark = pytest.mark.integration
+
+ROBOTS = ("r1", "r2")
+FLOOD_TIME = 300.0  # s; it is ended when the test has seen enough
+SPARE_FILES = 20  # that a daemon may have opened meanwhile, for a run and its log
+
+
+class Flooded:
+    """Two daemons of a secured swarm and its operator; `r1` listens at a port that is known."""
+
+    def __init__(self, folder: Path, left: contextlib.ExitStack) -> None:
+        self.name = unique_swarm()
+        self.keys = SwarmKeys(folder / "keys", self.name, ROBOTS, operators=["alice"])
+        self.foreign = SwarmKeys(folder / "foreign", self.name, ROBOTS, operators=["alice"])
+        self.settings = NetworkSettings(swarm=self.name)
+        endpoint = free_endpoint()
+        self.port = endpoint.rpartition(":")[2]
+        self._left = left
+        self.daemons = {
+            robot: left.enter_context(
+                DaemonProcess(
+                    folder / robot,
+                    swarm=self.name,
+                    robot=robot,
+                    endpoint="tcp/127.0.0.1:9",
+                    options={
+                        "identity": str(self.keys.folder_of(robot)),
+                        **({"listen": [endpoint]} if robot == "r1" else {}),
+                    },
+                )
+            )
+            for robot in ROBOTS
+        }
+        for daemon in self.daemons.values():
+            daemon.wait_ready()
+
+    def flood(self, kind: str, at_once: int, rate: float = 0.0) -> subprocess.Popen[bytes]:
+        """Begin a flood; it is gone after the test."""
+        folder = self.foreign.folder_of("alice")
+        words = [kind, self.port, at_once, FLOOD_TIME, folder, rate]
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tests.support.handshakes", *map(str, words)],
+            stdout=subprocess.DEVNULL,
+        )
+        self._left.callback(process.wait)
+        self._left.callback(process.kill)
+        return process
+
+    def operator(self) -> Operator:
+        """An operator that has no link yet, a context manager."""
+        return Operator(self.settings, identity=self.keys["alice"])
+
+    def states(self) -> dict[str, State]:
+        """The states of the robots that answer a new operator over a link."""
+        with self.operator() as alice:
+            members = alice.members(timeout=5.0).members
+        return {name: one.status.state for name, one in members.items() if one.status is not None}
+
+    def files(self) -> int:
+        """The files that `r1` has open."""
+        return len(os.listdir(f"/proc/{self.daemons['r1'].process.pid}/fd"))
+
+
+@pytest.fixture
+def flooded(tmp_path: Path) -> Iterator[Flooded]:
+    with contextlib.ExitStack() as left:
+        yield Flooded(tmp_path, left)
+
+
+def is_reset(flooded: Flooded) -> bool:
+    """Reset all robots; False if a latch came from a peer meanwhile."""
+    with flooded.operator() as alice:
+        view = alice.members(timeout=20.0)
+        ids = tuple(view.latches(ROBOTS))
+        done = alice.request(ResetRequest, view.epochs(ROBOTS), ids=ids, timeout=20.0)
+    return done.exit_code == 0
+
+
+def run_and_stop(flooded: Flooded) -> None:
+    """An operator without a link runs all robots, stops them, latches them and resets them."""
+    with flooded.operator() as alice:
+        view = alice.members(timeout=20.0)
+        done = alice.request(RunRequest, view.epochs(ROBOTS), pattern="drive", timeout=20.0)
+        assert done.exit_code == 0, done
+        for verb in ("stop", "estop"):
+            assert alice.send_stop(verb).exit_code == 0
+    wait_until(lambda: is_reset(flooded), "both are reset")
+
+
+def check(flooded: Flooded, kind: str, at_once: int, rate: float = 0.0) -> None:
+    before = flooded.files()
+    flood = flooded.flood(kind, at_once, rate)
+    log = flooded.daemons["r1"]
+    wait_until(lambda: "connections wait at the port" in log.text(), "r1 notices the flood")
+    wait_until(lambda: set(flooded.states()) == set(ROBOTS), "both answer in the flood")
+    run_and_stop(flooded)
+    assert flood.poll() is None
+    wait_until(lambda: flooded.files() <= before + SPARE_FILES, "its files are closed again")
+    flood.kill()
+    flood.wait()
+    assert set(flooded.states()) == set(ROBOTS)
+    assert log.terminate() == 0
+
+
+@pytest.mark.parametrize(("kind", "at_once", "rate"), [("abort", 8, 50.0), ("silent", 300, 0.0)])
+def test_a_flood_of_handshakes_keeps_no_operator_out(
+    flooded: Flooded, kind: str, at_once: int, rate: float
+) -> None:
+    check(flooded, kind, at_once, rate)
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_great_flood_of_handshakes_keeps_no_operator_out(flooded: Flooded, kind: str) -> None:
+    check(flooded, kind, 2000 if kind in ("silent", "half", "slow") else 100)
