@@ -47,7 +47,7 @@ def routed(field: Field, host: str, folder: Path) -> Iterator[None]:
 
 
 def test_robots_out_of_each_others_radio_are_one_swarm_over_a_mesh(
-    namespaces_permitted: None, tmp_path: Path
+    namespaces_permitted: None, is_secured: bool, tmp_path: Path
 ) -> None:
     with contextlib.ExitStack() as left:
         field = left.enter_context(contextlib.closing(Field(ROBOTS)))
@@ -62,19 +62,22 @@ def test_robots_out_of_each_others_radio_are_one_swarm_over_a_mesh(
 
         wait_until(has_route, "a route from a to c by b")
         seeds = [f"tcp/{address(host)}:7440" for host in ROBOTS]
-        swarm = left.enter_context(FieldSwarm(tmp_path, field, ROBOTS, {"seeds": seeds}))
+        options: dict[str, object] = {"seeds": seeds}
+        swarm = left.enter_context(
+            FieldSwarm(tmp_path, field, ROBOTS, options, is_secured=is_secured)
+        )
         swarm.start()
-        options = [word for seed in seeds for word in ("--seed", seed)]
+        words = [word for seed in seeds for word in ("--seed", seed)]
 
         def is_whole() -> bool:
-            answer = swarm.ctl("a", *options, "members", "-o", "json").json
+            answer = swarm.ctl("a", *words, "members", "-o", "json").json
             members = [] if answer is None else answer["members"]
             return {one["robot"] for one in members if one["presence"] == "alive"} == set(ROBOTS)
 
         wait_until(is_whole, "all robots of the line, seen from one end")
-        answer = swarm.ctl("a", *options, "run", "drive", "--all", "-o", "json")
+        answer = swarm.ctl("a", *words, "run", "drive", "--all", "-o", "json")
         assert (answer.code, answer.json["missing"]) == (0, []), answer
         swarm.await_moving(*ROBOTS)
-        answer = swarm.ctl("a", *options, "stop", "c")
+        answer = swarm.ctl("a", *words, "stop", "c")
         assert answer.code == 0, answer
         swarm.await_standing("c")
