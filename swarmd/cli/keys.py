@@ -27,12 +27,13 @@ from swarmd.cli.authority_folder import (
 from swarmd.cli.install import report_identity
 from swarmd.cli.options import CommonOptions, VerbGroup, local_options
 from swarmd.cli.output import print_json, print_table, warn
+from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import check_id
 from swarmd.plugins import need
 from swarmd.security.names import check_distinct, expand_names, select_names
 from swarmd.security.roster import Role
-from swarmd.texts.keys import day, end_of_certificate, life
+from swarmd.texts.keys import UNSET_CLOCK, day, end_of_certificate, life
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
@@ -210,8 +211,11 @@ def list_(options: CommonOptions) -> None:
     print_table(header, [_row(row, now) for row in rows])
     click.echo(f"# swarm {roster.swarm}, roster of generation {roster.generation}")
     for row in rows:
-        if row["expires"] and (text := end_of_certificate(row["expires"], now)):
+        is_known = row["expires"] and now >= FIRST_WALL
+        if is_known and (text := end_of_certificate(row["expires"], now)):
             click.echo(f"# {row['name']}: {text}; see `swarmctl keys renew`")
+    if now < FIRST_WALL:
+        click.echo(f"# {UNSET_CLOCK}: whether certificates have ended is not known")
 
 
 @keys.command()
@@ -300,6 +304,8 @@ def _row(row: Mapping[str, Any], now: float) -> tuple[str, ...]:
         return (row["name"], row["role"], NOTHING, NOTHING, "no")
     left = row["expires"] - now
     ends = life(left) if left > 0.0 else "ended"
+    if now < FIRST_WALL:
+        ends = day(row["expires"])
     return (row["name"], row["role"], ends, str(row["generation"]), "yes")
 
 

@@ -15,6 +15,7 @@ from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import print_json, print_table
 from swarmd.cli.send import exit_code_of, known_members, report, time_left
 from swarmd.core import codec
+from swarmd.core.clock import FIRST_WALL
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import ForgetRequest, Presence, State, Status
 from swarmd.network.members_view import Contact, SeenMember
@@ -84,7 +85,8 @@ def _secured(identity: Identity | None) -> Iterator[str]:
         roster = identity.roster
         yield f"secured: asked as {identity.name} ({identity.role}), roster {roster.generation}"
         if text := end_of_certificate(identity.info.expires, time.time()):
-            yield f"WARNING: {text}: {identity.name} (this user); {own_remedy(identity.name)}"
+            remedy = own_remedy(identity.name) if time.time() >= FIRST_WALL else "set it"
+            yield f"WARNING: {text}: {identity.name} (this user); {remedy}"
 
 
 def row(member: SeenMember) -> tuple[str, ...]:

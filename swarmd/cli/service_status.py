@@ -8,8 +8,10 @@ import time
 from pathlib import Path
 
 from swarmd.cli.service_files import Steps
+from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import SwarmError
 from swarmd.daemon.unit import CONFIG_FILE, SERVICE, STATE_FOLDER, UNIT_FILE
+from swarmd.texts.keys import UNSET_CLOCK, day
 
 _ETC = Path("/etc")
 _TIMEOUT = 5.0
@@ -82,6 +84,8 @@ def _settings_rows(steps: Steps) -> list[tuple[str, str]]:
         return [("settings", where), ("identity", "absent: the swarm is insecure")]
     days = (identity.info.expires - time.time()) / _DAY
     ends = f"ends in {days:.0f} days" if days >= 0 else "has ended by this machine's clock"
+    if time.time() < FIRST_WALL:
+        ends = f"until {day(identity.info.expires)} ({UNSET_CLOCK})"
     generation = identity.roster.generation
     text = f"{identity.folder}: certificate {ends}, roster of generation {generation}"
     return [("settings", where), ("identity", text)]

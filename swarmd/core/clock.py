@@ -15,6 +15,8 @@ Clock = Callable[[], float]
 
 TICK = 0.05
 """Seconds between two decisions of a robot, at most."""
+FIRST_WALL = 1.7e9
+"""A wall clock of before November 2023, in s since 1970, has not been set."""
 
 
 def boottime() -> float:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from msgspec.structs import replace
 
 from swarmd.core.behaviour import Signed, read_entry
+from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import (
     AnyRequest,
@@ -41,8 +42,6 @@ PEER_RATE, PEER_BURST = 0.1, 50.0
 """Lines and entries per second of what robots hand on: a stolen robot can invent stops,
 latches and goals, which must not push the requests of operators out of the files."""
 HANDED_ON = "handed on by "
-MIN_WALL = 1.7e9
-"""A clock of before November 2023 has not been set."""
 
 
 class Audit:
@@ -111,7 +110,7 @@ class Audit:
         return AuditEntry(
             boot=round(now, 3),
             clock=self._clock,
-            wall=round(wall, 3) if wall >= MIN_WALL else None,
+            wall=round(wall, 3) if wall >= FIRST_WALL else None,
             operator=_printable(_short(operator, 128)),
             source=_printable(_short(source)),
             verb=_printable(what.partition(" ")[0][:MAX_PART]),

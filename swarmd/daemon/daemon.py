@@ -62,6 +62,7 @@ from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.protection.compatibility import body_of
 from swarmd.recording.head import RecordingHead
 from swarmd.robot.actions import Actions
+from swarmd.security.identity import Identity
 from swarmd.security.roster_change import TakenRoster
 from swarmd.settings.driver_options import base_options
 from swarmd.settings.settings import DaemonSettings
@@ -249,6 +250,8 @@ class Daemon:
     async def _join(self) -> None:
         if self._settings.network.profile != "dev" and self._settings.identity is None:
             log.warning("insecure: anyone on this network can drive this robot")
+        if self._settings.identity is not None:
+            _warn_of_end(self._settings.identity)
         control = BehaviourControl(
             self._robot,
             self._runner,
@@ -492,3 +495,16 @@ class Daemon:
 async def _end(task: asyncio.Task[Any]) -> None:
     task.cancel()
     await asyncio.gather(task, return_exceptions=True)
+
+
+def _warn_of_end(identity: Identity) -> None:
+    """Log a line if the certificate has ended by this machine's clock, right or wrong."""
+    if (wall := time.time()) > identity.info.expires:
+        log.warning(
+            "the certificate of %s has ended by the clock of this machine (%s): this robot has no"
+            " links, and takes stops; set the clock if it is wrong, else install a new bundle"
+            " (swarmctl keys bundle %s)",
+            identity.name,
+            time.strftime("%Y-%m-%d", time.gmtime(wall)),
+            identity.name,
+        )

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import msgspec
 
-from swarmd.core.clock import boottime, clock_id
+from swarmd.core.clock import FIRST_WALL, boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.kernels import describe_kernels
@@ -39,7 +39,6 @@ from swarmd.core.tool_messages import (
     MachineFacts,
     NetworkFacts,
 )
-from swarmd.daemon.audit import MIN_WALL
 from swarmd.daemon.audit_log import AuditLog
 from swarmd.daemon.log_capture import LogCapture
 from swarmd.daemon.network import Network
@@ -124,7 +123,7 @@ class FieldTools:
         def age_of(entry: AuditEntry) -> float | None:
             if entry.clock == clock:
                 return max(now - entry.boot, 0.0)
-            is_known = entry.wall is not None and wall >= MIN_WALL
+            is_known = entry.wall is not None and wall >= FIRST_WALL
             return max(wall - (entry.wall or 0.0), 0.0) if is_known else None
 
         entries, has_more = self.audit.read(_audit(payload), age_of)

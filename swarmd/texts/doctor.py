@@ -6,8 +6,9 @@ from collections.abc import Iterable, Iterator, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
+from swarmd.core.clock import FIRST_WALL
 from swarmd.core.tool_messages import DiskFacts, DoctorReply, MachineFacts, NetworkFacts
-from swarmd.texts.keys import life
+from swarmd.texts.keys import end_of_certificate, life
 
 GOOD_MTU = 1400 + 28
 """The largest datagram with the heads of IPv4 and UDP; a smaller MTU makes fragments."""
@@ -16,8 +17,6 @@ MIN_FREE_MEMORY = 100_000_000
 MAX_LOAD = 1.5  # of each core
 MAX_SKEW = 2.0  # s
 EXPIRES_SOON = 14 * 86400.0
-FIRST_WALL = 1.7e9
-"""A clock of before November 2023 has not been set."""
 _PORT = 7440
 THIS = "this process"
 
@@ -183,6 +182,9 @@ def _identity(reply: DoctorReply, now: float) -> Finding:
 def identity(expires: float, now: float) -> Finding:
     """The finding of a certificate that ends at `expires`, in s since 1970."""
     left = expires - now
+    if now < FIRST_WALL:
+        remedy = "set the clock of this machine"
+        return Finding(Level.WARNING, "identity", end_of_certificate(expires, now), remedy)
     if left <= 0.0:
         text, level = f"its certificate ended {life(-left)} ago", Level.FAULT
     else:

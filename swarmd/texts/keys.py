@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from collections.abc import Iterable, Iterator
 
+from swarmd.core.clock import FIRST_WALL
 from swarmd.core.messages import Status
 from swarmd.texts.values import seconds
 
 WARN_DAYS = 14
 """A certificate that ends within so many days is warned of."""
+UNSET_CLOCK = "the clock of this machine has not been set"
 _DAY = 86400.0
 
 
@@ -21,11 +23,13 @@ def day(expires: float) -> str:
 def end_of_certificate(expires: float, now: float) -> str:
     """Words on a certificate that has ended or ends within WARN_DAYS; empty for a longer life.
 
-    `expires` and `now` in s since 1970.
+    `expires` and `now` in s since 1970. A clock that was not set knows nothing of it.
     """
     left = expires - now
+    if now < FIRST_WALL:
+        return f"whether the certificate has ended is not known: {UNSET_CLOCK}"
     if left < 0:
-        return "the certificate has ended"
+        return "the certificate has ended by the clock of this machine"
     if left >= WARN_DAYS * _DAY:
         return ""
     return f"the certificate ends in {life(left)}"
@@ -42,7 +46,8 @@ def own_end(name: str, expires: float, now: float) -> str:
         return ""
     return (
         f"the certificate of {name} (this user) has ended by the clock of this machine: robots"
-        f" refuse its links, and hear its stops; {own_remedy(name)}"
+        f" refuse its links, and hear its stops; set the clock if it is wrong, else"
+        f" {own_remedy(name)}"
     )
 
 
@@ -65,8 +70,9 @@ def key_warnings(statuses: Iterable[Status], now: float) -> Iterator[str]:
         generations.setdefault(status.keys.generation, []).append(status.robot)
         if text := end_of_certificate(status.keys.expires, now):
             ends.setdefault(text, []).append(status.robot)
+    remedy = "set it" if now < FIRST_WALL else "see `swarmctl keys renew`"
     for text, names in ends.items():
-        yield f"WARNING: {text}: {', '.join(names)}; see `swarmctl keys renew`"
+        yield f"WARNING: {text}: {', '.join(names)}; {remedy}"
     newest = max(generations, default=0)
     for generation, names in sorted(generations.items()):
         if generation < newest:

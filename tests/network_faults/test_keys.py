@@ -46,7 +46,9 @@ def test_a_clock_of_1970_has_links_and_one_beyond_the_certificates_stops_alone(
     for robot, clock in {"r01": "@1970-01-02 00:00:00", "r02": "+14600d"}.items():
         environ = {"FAKETIME": clock, "FAKETIME_DONT_FAKE_MONOTONIC": "1"}
         swarm.daemons[robot].kill()
-        swarm.spawn(robot, environ={"LD_PRELOAD": str(FAKETIME), **environ}).wait_ready()
+        daemon = swarm.spawn(robot, environ={"LD_PRELOAD": str(FAKETIME), **environ}).wait_ready()
+        has_line = "has ended by the clock" in daemon.text()
+        assert has_line is (robot == "r02"), daemon.text()
 
     def is_run_by_two() -> bool:
         ran = swarm.ctl(NEAR, "run", "drive", "--all", "-o", "json").json or {}

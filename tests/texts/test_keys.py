@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.messages import KeySummary, Status
+from swarmd.texts.doctor import Level, identity
 from swarmd.texts.keys import day, end_of_certificate, key_warnings, own_end
 from tests.support.statuses import status
 
@@ -31,6 +32,19 @@ def test_ends_are_warned_of_from_14_days_before(days: float, words: str) -> None
     text = end_of_certificate(NOW + days * DAY, NOW)
     assert words in text
     assert bool(text) == bool(words)
+
+
+@pytest.mark.parametrize("days", [90, -1])
+def test_a_clock_that_was_not_set_knows_no_end(days: float) -> None:
+    """The clock of a machine that booted without one: no certificate is called ended or valid."""
+    expires = NOW + days * DAY
+    assert "not been set" in end_of_certificate(expires, DAY)
+    (line,) = key_warnings([of("r1", days)], DAY)
+    assert "not been set" in line
+    assert "keys renew" not in line
+    finding = identity(expires, DAY)
+    assert finding.level is Level.WARNING
+    assert "not been set" in finding.text
 
 
 def test_robots_with_one_end_share_a_line() -> None:
