@@ -17,7 +17,7 @@ from swarmd.cli.labels import robots_of
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import has_colour, print_json, print_line, warn
 from swarmd.cli.questions import MAX_ANSWER, ask_robots, end, in_reach
-from swarmd.cli.send import known_members
+from swarmd.cli.send import gap, known_members
 from swarmd.cli.terminal import signals_end
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.log_ring import matching
@@ -115,6 +115,7 @@ def _follow(
         printer.print_new(replies.values())
 
     lives: dict[str, str] = {}
+    silent: set[str] = set()
     look_at = 0.0
     while True:
         if time.monotonic() >= look_at:
@@ -124,6 +125,12 @@ def _follow(
                 operator.watch("log", on_batch, robot)
             look_back([robot for robot, life in found.items() if lives.get(robot) != life])
             lives |= found
+            gone = lives.keys() - found.keys()
+            for robot in sorted(gone - silent):
+                warn(gap(view, robot))
+            for robot in sorted(silent - gone):
+                warn(f"{robot} is heard again")
+            silent = gone
             view = operator.members(timeout=1.0, needs_status=False)
             if not targets.labels:
                 names |= set(targets.matching(view.members))

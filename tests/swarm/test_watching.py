@@ -48,6 +48,20 @@ def test_events_and_load_of_three_daemons(swarm: Swarm) -> None:
     missing = swarm.ctl("events", "-o", "json", "--timeout", "2s")
     assert (missing.code, missing.json["missing"]) == (3, ["tb3-03"])
 
+    follower = swarm.begin("logs", "-f")
+    assert follower.stdout is not None
+    assert follower.stderr is not None
+    try:
+        next(line for line in follower.stdout if "tb3-02" in line)
+        daemons[1].kill()
+        next(line for line in follower.stderr if line.startswith("tb3-02 "))
+        swarm.spawn("tb3-02").wait_ready()
+        next(line for line in follower.stderr if line.startswith("tb3-02 is heard again"))
+    finally:
+        follower.send_signal(signal.SIGTERM)
+        code = swarm.finish(follower).code
+    assert code == 128 + signal.SIGTERM
+
     load = swarm.ctl("top", "--once", "-o", "json", "tb3-01", "tb3-02")
     assert load.code == 0
     assert all(one["memory"] > 10_000_000 for one in load.json["robots"])
