@@ -113,6 +113,8 @@ def renew(options: CommonOptions, names: tuple[str, ...], is_all: bool, days: fl
     outcome = _sent(options, settings, own, authority, robots, issued=issued)
     for name in outcome.applied:
         authority.note_issued(issued[name])
+    if outcome.missing:
+        warn("robots that were not reached keep their certificates: repeat `swarmctl keys renew`")
     _finish(options, authority, own, outcome)
 
 
@@ -145,6 +147,8 @@ def roll_out(
     except SwarmError:
         warn("the roster is not rolled out; repeat it with `swarmctl keys push`")
         raise
+    if outcome.missing:
+        warn("robots that were not reached take the roster from others, or by `swarmctl keys push`")
     _finish(options, authority, own, outcome)
 
 
@@ -171,6 +175,14 @@ def _network(options: CommonOptions, authority: Authority) -> tuple[NetworkSetti
         raise Failure(
             f"this user has no identity of this authority of swarm {swarm}; take the bundle of an"
             " operator (`swarmctl keys install`), then `swarmctl keys push`",
+            NO_TARGET,
+        )
+    if authority.roster.role_of(identity.name) is not Role.OPERATOR:
+        raise Failure(
+            f"{identity.name} (this user) is no operator on generation"
+            f" {authority.roster.generation} of the roster, so that robots refuse its requests;"
+            " nothing was sent; install the bundle of an operator (`swarmctl keys bundle`,"
+            " `swarmctl keys install --force`), then `swarmctl keys push`",
             NO_TARGET,
         )
     return settings, identity
@@ -268,8 +280,6 @@ def _finish(
         write_roster(own.folder, file)
         taken.append(own.name)
     authority.note_taken(taken)
-    if outcome.missing:
-        warn("robots that were not reached take the roster from others, or by `swarmctl keys push`")
     report(options, outcome)
 
 

@@ -15,6 +15,7 @@ from click.testing import CliRunner, Result
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.swarmctl import cli
 from swarmd.core.errors import ConfigError
+from swarmd.network.outcome import NO_TARGET
 from swarmd.security.identity import find_identity, load_identity
 from swarmd.settings.contexts import context_in_use
 from swarmd.settings.settings import load_daemon_settings
@@ -229,6 +230,15 @@ def test_operators_and_viewers_install_for_themselves(meadow: Run, home: Path) -
     identity = find_identity("meadow")
     assert identity is not None
     assert identity.name == "bob"
+
+
+def test_a_revoked_operator_rolls_out_no_roster(meadow: Run) -> None:
+    assert meadow("install", "b/bob.bundle", "--force").exit_code == 0
+    meadow("revoke", "alice", "--timeout", "0.1s")  # there is no such interface: no robot hears it
+    assert meadow("install", "b/alice.bundle", "--force").exit_code == 0
+    done = meadow("push")
+    assert done.exit_code == NO_TARGET
+    assert "alice (this user) is no operator on generation 3" in done.output
 
 
 def test_the_last_operator_and_the_last_robot_stay(meadow: Run, home: Path) -> None:
