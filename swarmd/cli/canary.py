@@ -70,8 +70,8 @@ def fault_of(before: Status | None, first: Status, now: Status) -> str:
     usual = before.decision.duty if before is not None and was_running else 0.0
     rise = now.decision.duty - usual
     if now.decision.decisions >= MIN_DECISIONS and rise > MAX_DUTY_RISE:
-        share = f"{now.decision.duty:.0%} of the time, {usual:.0%} before"
-        return f"protection acts in {share}"
+        earlier = f"{usual:.0%} in its run before" if was_running else "it did not run before"
+        return f"protection acts {now.decision.duty:.0%} of the time; {earlier}"
     return ""
 
 

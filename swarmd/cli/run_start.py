@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from swarmd.cli.arguments import Failure, Targets
 from swarmd.cli.canary import watch_canary
 from swarmd.cli.output import warn
-from swarmd.cli.send import report, stop_names, time_left
+from swarmd.cli.send import report, stop_names, stop_on_interrupt, time_left
 from swarmd.core.clock import TICK, boottime
 from swarmd.core.goal import LABEL
 from swarmd.core.messages import RunRequest
@@ -104,7 +104,7 @@ def start(
             RunRequest, known, timeout=wait, least=REQUEST_WAIT + at, at=starts, **fields
         )
     except (KeyboardInterrupt, SystemExit):
-        stop_names(operator, known)  # they would start without an operator who wants it
+        stop_on_interrupt(operator, known)  # they would start without an operator who wants it
         raise
     notes = {"start": {"in": at, "skew": round(skew, 6), "clocks": _errors(offsets)}}
     return replace(outcome, missing=tuple(sorted((*outcome.missing, *unknown)))), notes
@@ -146,7 +146,7 @@ def run_with_canary(
     try:
         faults = watch_canary(operator, canaries, seconds, before)
     except (KeyboardInterrupt, SystemExit):
-        stop_names(operator, canaries)
+        stop_on_interrupt(operator, canaries)
         raise
     if faults:
         _fail(operator, canaries, faults, len(names))

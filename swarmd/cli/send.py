@@ -205,6 +205,11 @@ def send_stop(
         report(options, replace(outcome, warnings=(*outcome.warnings, *warnings)))
 
 
+def stop_on_interrupt(operator: Operator, names: Collection[str]) -> None:
+    """Stop these robots as the verb is interrupted, and say on stderr which of them stopped."""
+    warn(f"interrupted: the robots are stopped: {stop_names(operator, names).line}")
+
+
 def stop_names(operator: Operator, names: Collection[str]) -> Outcome:
     """Stop these robots, within 5 s."""
     chosen = set(names)
