@@ -164,7 +164,7 @@ def send_stop(
             unclear = unlabelled(view, targets)
             targets = stopped(view, targets)
             if unclear:
-                warn(f"labels are not known, stopped too: {', '.join(unclear)}")
+                warn(f"labels are not known, a stop is sent to them, too: {', '.join(unclear)}")
 
         def on_progress(missing: tuple[str, ...]) -> None:
             view = operator.seen()
@@ -207,7 +207,7 @@ def send_stop(
 
 def stop_on_interrupt(operator: Operator, names: Collection[str]) -> None:
     """Stop these robots as the verb is interrupted, and say on stderr which of them stopped."""
-    warn(f"interrupted: the robots are stopped: {stop_names(operator, names).line}")
+    warn(f"interrupted: stop sent: {stop_names(operator, names).line}")
 
 
 def stop_names(operator: Operator, names: Collection[str]) -> Outcome:
