@@ -438,14 +438,16 @@ class Lifecycle:
     def stall(self, late: float, effects: Effects) -> None:
         """The daemon's loop was late: earlier epochs become stale and the run ends.
 
-        An idle robot stays idle, since a busy computer stalls most while the daemon starts.
+        A robot that is idle and loads nothing stays so: a busy computer stalls most while the
+        daemon starts.
         """
         self.raise_revision(f"a stall of {late:.1f} s")
         detail = f"the daemon did not run for {late:.1f} s"
-        before = self.state_machine.state
-        self.end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
-        if self.state_machine.state is before:  # else `end` has logged it
+        is_busy = self.pattern_run.loading is not None or self.trial is not None
+        if self.state_machine.state is State.IDLE and not is_busy:
             self.log(detail, effects.now)
+            return
+        self.end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
 
     def on_network_changed(self, text: str, effects: Effects) -> None:
         """The daemon speaks on another network: earlier epochs become stale and the run ends."""

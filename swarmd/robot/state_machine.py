@@ -13,7 +13,8 @@
 |             | a roster without this robot                            | roster_changed       |
 | HOLD_LASTED | a hold has lasted for MAX_HOLD_TIME                    | the hold             |
 | LOAD_FAILED | a load fails or times out; a restart is refused        | load_failed          |
-| STALL       | the daemon's loop was late by STALL_TIMEOUT (robot)    | loop_stalled         |
+| STALL       | the daemon's loop was late by STALL_TIMEOUT, unless    | loop_stalled         |
+|             | the robot is idle and loads and tries nothing          |                      |
 | NETWORK     | the network that the daemon speaks on has changed      | network_changed      |
 |             | the daemon takes a roster                              | roster_changed       |
 | ESTOP       | an estop request; the latch of a peer; a latch on disk | estop                |
@@ -58,7 +59,7 @@ TRANSITIONS: Mapping[Trigger, Mapping[State, State]] = MappingProxyType(
         Trigger.STOP: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.HOLD_LASTED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.LOAD_FAILED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
-        Trigger.STALL: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.STALL: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.NETWORK: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.ESTOP: {_I: _E, _R: _E, _S: _E, _E: _E, _F: _E},
         Trigger.FAULT: {_I: _F, _R: _F, _S: _F, _E: _E, _F: _F},

@@ -109,6 +109,17 @@ def test_loop_over_1_s_late_is_stalled(late: float, state: tuple[State, Reason |
     assert harness.twist.is_zero or state[0] is State.RUNNING
 
 
+def test_a_stall_ends_a_run_that_waits_for_its_start() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(0.5)
+    harness.ask("run", pattern="forward", at={harness.robot.id: harness.now + 5.0})
+    harness.advance(1.0)
+    assert harness.status.state is State.IDLE
+    harness.advance(1.5, ticks=False)
+    harness.advance(8.0)
+    assert standing_state(harness) == (State.STOPPED, Reason.LOOP_STALLED)
+
+
 def test_a_stall_leaves_an_idle_robot_idle_and_is_an_event() -> None:
     harness = RobotHarness(patterns=PATTERNS)
     harness.advance(0.5)
