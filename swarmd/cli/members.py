@@ -180,14 +180,19 @@ def health(view: MembersView) -> Iterator[str]:
 def offered(statuses: Iterable[Status]) -> Iterator[str]:
     """A line for each goal that robots were offered."""
     waiting: dict[tuple[str, str], list[str]] = {}
+    latched = set[str]()
     for status in statuses:
         goal = status.goal
+        if status.state in (State.ESTOPPED, State.FAULTED):
+            latched.add(status.robot)
         if goal is not None and goal.own is not None and goal.state is GoalState.OFFERED:
             own = goal.own.goal
             until = "" if own.lease is None else f" while {own.issuer} is heard"
             waiting.setdefault((own.text, until), []).append(status.robot)
     for (text, until), names in waiting.items():
-        yield f"offered {text}: {', '.join(names)}; swarmctl resume {' '.join(names)}{until}"
+        line = f"offered {text}: {', '.join(names)}; swarmctl resume {' '.join(names)}{until}"
+        held = [name for name in names if name in latched]
+        yield f"{line}; first reset {', '.join(held)}" if held else line
 
 
 def incompatible(statuses: Iterable[Status]) -> Iterator[str]:

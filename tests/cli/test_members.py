@@ -163,4 +163,7 @@ def test_wide_shows_labels_and_goals_and_a_note_names_offers() -> None:
     running = member_with("r1", goal_status(goal))
     notes = [note for note in health(view_of(running, offered)) if "offered" in note]
     assert len(notes) == 1
-    assert "swarmctl resume r2" in notes[0]
+    assert notes[0].endswith("swarmctl resume r2")
+    latched = member_with("r3", goal_status(goal, state=GoalState.OFFERED), state=State.ESTOPPED)
+    notes = [note for note in health(view_of(offered, latched)) if "offered" in note]
+    assert notes[0].endswith("swarmctl resume r2 r3; first reset r3")
