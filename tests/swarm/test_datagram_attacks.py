@@ -87,12 +87,18 @@ class Stranger:
 
 
 class SecuredSwarm:
-    """Daemons `r1` and `r2`, an operator, and a stranger."""
+    """Daemons `r1` and `r2`, an operator, and a stranger; `names` are the robots on the roster."""
 
-    def __init__(self, folder: Path, left: contextlib.ExitStack) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        left: contextlib.ExitStack,
+        *,
+        names: tuple[str, ...] = ("r1", "r2"),
+    ) -> None:
         self.name = unique_swarm()
         self.keys = SwarmKeys(
-            folder / "keys", self.name, ("r1", "r2"), operators=("anna",), viewers=("class",)
+            folder / "keys", self.name, names, operators=("anna",), viewers=("class",)
         )
         self._folder, self._left, self._lives = folder, left, 0
         self.settings = NetworkSettings(swarm=self.name)

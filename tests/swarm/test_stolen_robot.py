@@ -1,0 +1,182 @@
+"""What the keys of a stolen robot can forge by datagrams, against real daemons on loopback.
+
+The rows of `docs/security.md` on the bundle of a robot.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+from msgspec.structs import replace
+
+from swarmd.core.messages import Presence, RunRequest, State
+from swarmd.network.datagram import (
+    Ack,
+    Address,
+    Beacon,
+    Datagram,
+    Flag,
+    RunLease,
+    Solicit,
+    Stop,
+    pack,
+)
+from swarmd.network.signature import Signer
+from swarmd.network.udp import GROUP4, GROUP_PORT
+from swarmd.security.datagram_keys import reader_keys
+from swarmd.security.roster import Role
+from tests.support.processes import wait_until
+from tests.swarm.test_datagram_attacks import SecuredSwarm, _dropped
+
+pytestmark = pytest.mark.integration
+
+GROUP: Address = (GROUP4, GROUP_PORT)
+
+
+class Thief:
+    """Sends datagrams that are signed with the keys of the robot `r3`, which does not run."""
+
+    def __init__(self, swarm: SecuredSwarm) -> None:
+        self.swarm = swarm
+        keys = swarm.keys["r3"].datagram_keys
+        self._robot = Signer(keys, Role.ROBOT, "r3")
+        named = reader_keys(keys.generation, keys.secret, "anna", is_operator=True, answers={})
+        self._operator = Signer(named, Role.OPERATOR, "anna")
+
+    def send(self, body: Datagram, *, as_operator: bool = False, to: Address = GROUP) -> None:
+        """Sign as the stolen robot, or with a key of anna that is derived from its secret."""
+        signer = self._operator if as_operator else self._robot
+        payload = signer.sign(pack(self.swarm.tag, body))
+        self.swarm.stranger.mouth.sendto(payload, to)
+
+    def beacon(self, robot: str) -> Beacon:
+        """The newest beacon of a robot that was heard."""
+        found = [
+            body
+            for body, _, _ in self.swarm.stranger.recorded(Beacon)
+            if isinstance(body, Beacon) and body.robot == robot
+        ]
+        return found[-1]
+
+
+@contextlib.contextmanager
+def repeated(action: Callable[[], None]) -> Iterator[None]:
+    """Meanwhile the action is carried out 50 times a second, in a thread."""
+    ended = threading.Event()
+
+    def repeat() -> None:
+        while not ended.wait(0.02):
+            action()
+
+    thread = threading.Thread(target=repeat)
+    thread.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        thread.join()
+
+
+@pytest.fixture
+def swarm(tmp_path: Path) -> Iterator[SecuredSwarm]:
+    with contextlib.ExitStack() as left:
+        yield SecuredSwarm(tmp_path, left, names=("r1", "r2", "r3"))
+
+
+@pytest.fixture
+def thief(swarm: SecuredSwarm) -> Thief:
+    for robot in ("r1", "r2"):
+        swarm.stranger.address_of(robot)
+    wait_until(lambda: swarm.presence("r2") is Presence.ALIVE, "r2 is alive")
+    return Thief(swarm)
+
+
+def run(swarm: SecuredSwarm) -> None:
+    def runs() -> bool:
+        view = swarm.anna.members()
+        robots = ["r1", "r2"]
+        done = swarm.anna.request(RunRequest, view.epochs(robots), pattern="drive")
+        return done.exit_code == 0
+
+    wait_until(runs, "both run")
+
+
+@pytest.mark.parametrize("as_operator", [False, True])
+def test_robots_obey_a_stop_in_the_name_of_an_operator(
+    swarm: SecuredSwarm, thief: Thief, as_operator: bool
+) -> None:
+    """Handed on by a robot, or signed with the key of an operator, which robots can derive."""
+    run(swarm)
+    stop = Stop(
+        id="forged",
+        verb="stop",
+        operator="anna",
+        hops=0 if as_operator else 1,
+        origin=b"thie",
+        counter=2**50,
+    )
+    thief.send(stop, as_operator=as_operator)
+    for robot in ("r1", "r2"):
+        wait_until(lambda: swarm.status(robot).state is State.STOPPED, f"{robot} is stopped")  # noqa: B023
+    assert "by anna" in swarm.daemons["r1"].text()
+    assert set(swarm.anna.send_stop("estop").replies) == {"r1", "r2"}  # her next stop counts
+    assert swarm.status("r1").state is State.ESTOPPED
+
+
+def test_what_no_robot_may_sign_is_refused(swarm: SecuredSwarm, thief: Thief) -> None:
+    """A stop that was not handed on, a lease of a run, and a robot that is not on the roster."""
+    thief.send(Stop(id="direct", verb="estop", operator="anna", counter=2**50, origin=b"thie"))
+    thief.send(RunLease(id="forged", operator="anna", count=2**40))
+    thief.send(replace(thief.beacon("r2"), robot="ghost", instance=b"ghosts"))
+    wait_until(lambda: _dropped(swarm.status("r1"), "forged") >= 2, "two are refused")
+    wait_until(lambda: _dropped(swarm.status("r1"), "role") >= 1, "one is not for robots")
+    assert swarm.status("r1").latches == {}
+    assert "estop" not in swarm.daemons["r1"].text()
+    assert "ghost" not in swarm.anna.members().members
+
+
+def test_robots_believe_forged_farewells_of_another_robot(
+    swarm: SecuredSwarm, thief: Thief
+) -> None:
+    """Until they hear it again; a stop still waits for that robot, which is on the roster."""
+
+    def forge() -> None:
+        beacon = thief.beacon("r2")
+        thief.send(replace(beacon, sequence=beacon.sequence + 1, flags=Flag.LEFT))
+
+    with repeated(forge):
+        wait_until(lambda: swarm.status("r1").neighbors == (), "r1 has no neighbor")
+        outcome = swarm.anna.send_stop("stop")
+    assert {"r1", "r2"} <= set(outcome.replies)
+    wait_until(lambda: swarm.status("r1").neighbors == ("r2",), "r1 hears r2 again")
+
+
+def test_no_ack_of_another_robot_counts(swarm: SecuredSwarm, thief: Thief) -> None:
+    """A frozen robot is missing in a stop, whatever the thief says in its name."""
+    swarm.daemons["r2"].freeze()
+    instance = thief.beacon("r2").instance
+
+    def forge() -> None:
+        for body, _, source in swarm.stranger.recorded(Stop)[-4:]:
+            assert isinstance(body, Stop)
+            ack = Ack(id=body.id, robot="r2", instance=instance, revision=1, code="applied")
+            for via in ("", "r1", "r3"):
+                thief.send(replace(ack, via=via), to=source)
+
+    with repeated(forge):
+        outcome = swarm.anna.send_stop("stop")
+    swarm.daemons["r2"].thaw()
+    assert swarm.stranger.recorded(Stop)
+    assert "r1" in outcome.replies
+    assert "r2" not in outcome.replies
+    assert outcome.exit_code != 0
+
+
+def test_questions_of_a_stolen_robot_are_answered(swarm: SecuredSwarm, thief: Thief) -> None:
+    swarm.stranger.mouth.settimeout(10.0)
+    thief.send(Solicit(echo=77, wants_members=True))
+    assert swarm.stranger.mouth.recv(2000)
