@@ -24,7 +24,7 @@ from swarmd.core.behaviour import MAX_CODE, Manifest, Signed, encode_manifest, r
 from swarmd.core.errors import CodecError, ConfigError, PluginError
 from swarmd.core.keys import check_id, is_id
 from swarmd.core.messages import BehaviourReport, BehavioursReply, Code, PushRequest
-from swarmd.network.outcome import PARTIAL
+from swarmd.network.outcome import PARTIAL, TIMEOUT
 
 if TYPE_CHECKING:
     from swarmd.network.members_view import MembersView
@@ -194,8 +194,14 @@ class _Pusher:
         self._replace, self._rerun, self._name = replace, rerun, name
 
     def next_generation(self) -> int:
-        """A generation greater than that of every robot in reach. ConfigError after the last."""
+        """A generation greater than that of every robot in reach that answers.
+
+        Failure if no robot answers; ConfigError after the last generation.
+        """
         found = behaviours_of(self._options, self._operator, self._view, self._view.members)
+        if not found:
+            asked = ", ".join(sorted(self._view.members)) or "any robot"
+            raise Failure(f"no answer about behaviours from {asked}; nothing was sent", TIMEOUT)
         generation = 1 + greatest_of(found.values(), self._operator.identity)
         if generation > MAX_GENERATION:
             raise ConfigError(

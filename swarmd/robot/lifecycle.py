@@ -66,6 +66,8 @@ from swarmd.robot.state_machine import StateMachine, Trigger
 
 MAX_HOLD_TIME = 2.0  # s after which a hold ends the run
 MAX_TEXT = 300  # characters
+# The next run, if it was requested already, goes on loading; a load has a timeout of its own.
+_ENDS_RUN_ALONE = frozenset({Trigger.FINISH, Trigger.HOLD_LASTED})
 _ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL, Trigger.NETWORK})
 
 
@@ -335,8 +337,8 @@ class Lifecycle:
     def end(self, trigger: Trigger, reason: Reason, detail: str, effects: Effects) -> None:
         """End the run, if any, and fire a trigger; no pattern is stepped after it."""
         loading = self.pattern_run.loading
-        if trigger is Trigger.FINISH and loading is not None and loading.request is not None:
-            self.pattern_run.end_running()  # the next run, already requested, goes on loading
+        if trigger in _ENDS_RUN_ALONE and loading is not None and loading.request is not None:
+            self.pattern_run.end_running()
         else:
             if loading is not None:
                 effects.command_host(KillHost())

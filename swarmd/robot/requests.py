@@ -131,7 +131,7 @@ class RequestHandler:
         """True if this stop or a later stop stopped the robot, and it stands."""
         is_known = request.id == self._last_stop[0] or now - request.age <= self._stopped
         lifecycle = self._lifecycle
-        is_stopped = lifecycle.state_machine.state is State.STOPPED
+        is_stopped = lifecycle.state_machine.state in (State.STOPPED, State.ESTOPPED)
         return is_known and is_stopped and lifecycle.pattern_run.loading is None
 
     def _estop(self, request: EstopRequest, effects: Effects) -> None:

@@ -3,9 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
+from swarmd.cli import plugin_push
+from swarmd.cli.arguments import Failure
 from swarmd.cli.plugin_list import _differing
 from swarmd.cli.plugin_push import greatest_of, read_source
 from swarmd.core.behaviour import MAX_CODE, Manifest, encode_manifest
@@ -84,3 +88,15 @@ def test_generations_of_behaviours_count_by_their_signatures(tmp_path: Path) -> 
     assert greatest_of(replies, keys["alice"]) == 7
     assert greatest_of((), keys["alice"]) == 0
     assert greatest_of(replies[:2], None) == 2**32 - 1
+
+
+def test_without_an_answer_no_generation_is_guessed(monkeypatch: pytest.MonkeyPatch) -> None:
+    view: Any = SimpleNamespace(members={"r1": None, "r2": None})
+    anyone: Any = SimpleNamespace(identity=None)
+    pusher = plugin_push._Pusher(anyone, anyone, view, None, "", replace=False, rerun=False)
+    answers = {"r2": BehavioursReply(robot="r2", generation=4)}
+    monkeypatch.setattr(plugin_push, "behaviours_of", lambda *_: answers)
+    assert pusher.next_generation() == 5
+    answers.clear()
+    with pytest.raises(Failure, match="from r1, r2; nothing was sent"):
+        pusher.next_generation()

@@ -61,13 +61,20 @@ def test_command_is_zero_during_a_slow_load_until_the_next_run() -> None:
     assert standing_state(harness)[0] is State.RUNNING
 
 
-def test_stale_scans_during_a_load_stop_the_robot() -> None:
+def test_stale_scans_during_a_load_end_the_run_before_it_alone() -> None:
     harness = started()
     harness.is_hung = True
     harness.scans = lambda seq, now: None
-    harness.send(harness.request("run", pattern="forward", params=BACK))
+    run = harness.request("run", pattern="forward", params=BACK)
+    harness.send(run)
     harness.advance(2.9)
     assert standing_state(harness) == (State.STOPPED, Reason.STALE_SCAN)
+    assert not harness.is_answered(run)
+    harness.host_says(Loaded(harness.status.generation, 10.0, frozenset(), {}))
+    assert harness.reply_to(run).code is Code.APPLIED
+    harness.advance(0.1)
+    assert standing_state(harness) == (State.RUNNING, Reason.STALE_SCAN)
+    assert harness.twist.is_zero
 
 
 @pytest.mark.parametrize("verb", ["stop", "estop"])

@@ -67,6 +67,19 @@ def test_a_stop_that_another_robot_hands_on_late_does_not_undo_a_reset() -> None
     assert harness.status.state is State.STOPPED
 
 
+def test_a_stop_that_another_robot_hands_on_late_changes_no_robot_that_is_estopped() -> None:
+    harness = started()
+    harness.advance(1.0)
+    harness.ask("stop", id="s1")
+    harness.ask("estop", id="e1")
+    epoch = harness.status.epoch
+    harness.advance(0.5)
+    late = harness.ask("stop", id="s1", age=0.5)
+    assert late is not None
+    assert (late.code, harness.status.state) == (Code.APPLIED, State.ESTOPPED)
+    assert harness.status.epoch == epoch  # a reset that was asked for at this epoch counts
+
+
 def test_thawed_daemon_stops_before_it_reads_requests() -> None:
     harness = started()
     waiting = harness.request("run", pattern="forward")

@@ -123,7 +123,8 @@ def test_all_runs_are_there_though_one_worker_is_killed_and_one_hangs(
     assert traces(tmp_path / "far") == traces(tmp_path / "near")
     hung.send_signal(signal.SIGCONT)
     wait_until(lambda: not is_running_one(hung), "what it did is cancelled")
-    assert not list((cluster.folder / "worker-1").rglob("swarmd-*"))
+    of_worker = cluster.folder / "worker-1"
+    wait_until(lambda: not list(of_worker.rglob("swarmd-*")), "its files are removed")
 
 
 @pytest.mark.evidence
