@@ -343,8 +343,8 @@ class Lifecycle:
             if loading is not None:
                 effects.command_host(KillHost())
                 if loading.request is not None:
-                    text = f"{reason} while it was being loaded"
-                    self.refuse(effects, loading.request, Refusal.OVERTAKEN, text)
+                    text = f"{reason} while it was being loaded" + (detail and f": {detail}")
+                    self.refuse(effects, loading.request, Refusal.OVERTAKEN, text[:MAX_TEXT])
             self.pattern_run.end()
         if trigger in _ENDS_TRIAL:
             text = f"{reason} while the new code was being tried"

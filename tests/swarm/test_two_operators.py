@@ -13,7 +13,10 @@ if TYPE_CHECKING:
 pytestmark = pytest.mark.integration
 
 ROBOTS = ("r1", "r2", "r3")
-CHANGED_BY = re.compile(r"(?:robot changed since you looked|still loading drive), by (\w+)@\w+")
+LOST_TO = re.compile(
+    r"(?:robot changed since you looked, by|still loading drive, by|superseded while it was being"
+    r" loaded: by|goal) (?:goal )?(?:\d+ of )?(\w+)@\w+"
+)
 ROUNDS = 20
 
 
@@ -45,7 +48,7 @@ def losers_of(robot: str, done: dict[str, Finished]) -> list[str]:
     for loser in losers:
         (winner,) = replies.keys() - {loser}
         assert replies[winner]["code"] == "applied"
-        match = CHANGED_BY.match(replies[loser]["text"])
+        match = LOST_TO.match(replies[loser]["text"])
         assert match, replies
         assert match[1] == winner
     return losers
