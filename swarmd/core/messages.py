@@ -373,7 +373,7 @@ class BehaviourReport(Struct, frozen=True, kw_only=True):
     """A pushed behaviour on a robot.
 
     `standing`: provisional, held, returned, missing (not pulled yet) or removed. `version` and
-    `digest` (hex) of the code that a run takes, empty if there is none; `pushed` those of the
+    `digest` (hex) of the code that a run takes, empty without code; `pushed`: the digest of the
     newest push. `ran`: s without a fault. `source`: the operator or robot that handed it over.
     `text`: why it was returned, or cannot be used.
     """

@@ -28,7 +28,7 @@ class AuditEntry(Struct, frozen=True, kw_only=True, omit_defaults=True):
 
     `seq` counts the entries of a robot. `boot`: the clock `clock` of the robot in s; `wall` in s
     since 1970 (UTC), None if its clock had not been set. `targets` None: all robots. `left_out`:
-    entries before this one that were not written, because they were too many or the disk failed.
+    earlier entries that were not written, since there were too many or the disk failed.
     """
 
     seq: Count = 0

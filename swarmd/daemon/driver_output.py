@@ -32,7 +32,7 @@ class DriverOutput:
         self._on_crash = on_crash
 
     async def run(self, sink: Sink) -> None:
-        """Run the driver; one that raises SwarmError is started again."""
+        """Run the driver; after a SwarmError it is started again."""
         while True:
             try:
                 await self._driver.run(sink)

@@ -52,7 +52,7 @@ class NetworkInputs:
         self._notify = notify
 
     def on_stop(self, stop: Stop, source: Address, answer: Callable[[Reply], None]) -> None:
-        """A stop or estop, also one that a robot hands on; the reply goes to `answer`."""
+        """Carry out a stop or estop of an operator or relay; the reply goes to `answer`."""
         self._stop(stop, f"{source[0]}:{source[1]}", answer)
 
     def on_latches(self, latches: Mapping[str, Latch]) -> None:

@@ -98,7 +98,7 @@ class BeaconTable:
             known[instance] = HeardInstance(beacon, address, now, now, self.solicits)
         heard = known[instance]
         heard.last = now
-        if beacon.sequence >= heard.beacon.sequence:  # not one that was overtaken on the way
+        if beacon.sequence >= heard.beacon.sequence:  # an older beacon may arrive later
             heard.address, heard.beacon = address, beacon
         heard.version = beacon.version or heard.version
         return BeaconChange.FOUND if is_new else BeaconChange.REFRESHED
@@ -159,7 +159,7 @@ class BeaconTable:
 
     @property
     def round_trip(self) -> float:
-        """The round trip, in s: the longest, the median of many robots; 0 if nobody answered.
+        """The round trip, in s: the longest, the median of many robots; 0 without an answer.
 
         Robots that answered one solicit alone count only while no robot answered two.
         """

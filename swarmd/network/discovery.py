@@ -428,7 +428,7 @@ class Discovery:
             self._on_news(robot, now)
 
     def _all_reports(self, robot: str) -> list[Report]:
-        """What is reported of a robot, and what it said itself before it left."""
+        """The reports of other robots about a robot, and its own last beacon before it left."""
         left = [
             Report(instance, Presence.LEFT, at)
             for (name, instance), (at, _) in self._beacons.gone.items()

@@ -29,7 +29,7 @@ class Report(Struct, frozen=True):
 
 
 def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
-    """The address of a robot by the word of another; None if it is none that a robot can have.
+    """The address of a robot in the report of another robot; None if no robot can have it.
 
     The host must be an IP literal, with a numeric scope only if it is local to its link. With
     `is_local` it must be in 127.0.0.0/8, else it must not be this machine itself.

@@ -18,7 +18,7 @@ class Contact(StrEnum):
     ANSWERED = "answered"
     NO_ANSWER = "no answer"  # heard, but without a status
     OTHER_VERSION = "other version"  # heard; its beacon has the state
-    UNREACHABLE = "unreachable"  # alive by the word of another robot
+    UNREACHABLE = "unreachable"  # another robot reports it as alive
     GONE = "gone"  # it failed or left
 
 

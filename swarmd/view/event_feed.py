@@ -136,7 +136,7 @@ def _new(
 
 
 def _is_overtaken(status: Status, last: Status) -> bool:
-    """True if a status left its daemon before the last one that came: a frozen robot thaws."""
+    """True if a status is older than the status that came last: a frozen robot thaws."""
     return status.instance == last.instance and status.uptime < last.uptime
 
 
