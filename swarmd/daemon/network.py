@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -239,7 +239,7 @@ class Network:
             self.advance()
             if boottime() > warn_at:
                 warn_at = float("inf")
-                log.warning("another daemon claims the id %s, too; waiting for it", self._robot)
+                _warn_of_claim(self._robot, self._peer.rivals)
             if holder := self._peer.holder:
                 raise IdHeldError(
                     f"robot id {self._robot!r} is held by another daemon (instance {holder});"
@@ -466,3 +466,13 @@ class Network:
         bus = self._connection.bus
         if bus is not None and self._is_settled:
             self._handlers.serve(bus)
+
+
+def _warn_of_claim(robot: str, rivals: Collection[str]) -> None:
+    """Log why the claim of an id takes long."""
+    if rivals:
+        log.warning(
+            "the id %s is also claimed by the daemon %s; waiting for it", robot, ", ".join(rivals)
+        )
+    else:
+        log.warning("the claim of the id %s takes long: this computer is busy", robot)

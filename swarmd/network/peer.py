@@ -196,6 +196,11 @@ class Peer:
         return self._claim.holder.hex()
 
     @property
+    def rivals(self) -> tuple[str, ...]:
+        """The instances that were heard to own or claim the id, while the own claim is open."""
+        return () if self._claim is None else tuple(one.hex() for one in self._claim.rivals)
+
+    @property
     def duplicates(self) -> tuple[str, ...]:
         """Other instances that own this id now."""
         return tuple(name.hex() for name in self._duplicates)
