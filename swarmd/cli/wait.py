@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from swarmd.network.operator import Operator
 
 TIME = 30.0
-PERIOD, LOOK_TIME = 0.3, 2.0
+PERIOD = 0.3  # s between looks
 
 
 @click.command()
@@ -50,7 +50,7 @@ def wait(options: CommonOptions, targets: Targets, wanted: tuple[str, ...]) -> N
         until = boottime() + limit
         missing: dict[str, str] = {}
         while True:
-            view = operator.members(timeout=min(max(until - boottime(), 0.05), LOOK_TIME))
+            view = operator.members(cap=max(until - boottime(), 0.05))
             view = signed_goals(view, operator.identity) if conditions.goal else view
             names = _names(view, targets)
             missing, met = unmet(view, names, conditions), meeting(view, names, conditions)

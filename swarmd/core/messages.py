@@ -162,7 +162,8 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     `goal`: the goal that the run belongs to, with the same pattern, parameters and ends. It must
     be greater than the goal that the robot holds, or the same. `at`: when each robot is to start,
     in s on its own clock (CLOCK_BOOTTIME); the pattern is loaded before, and robots without an
-    entry start when it is loaded. More than MAX_LATE after that time the robot refuses.
+    entry start when it is loaded. More than MAX_LATE after that time the robot refuses. `age`:
+    seconds since the operator issued the request, with the longest round trip of its look added.
     """
 
     pattern: Name
@@ -171,6 +172,7 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     until: tuple[Word, ...] = ()
     goal: Goal | None = None
     at: dict[Name, Seconds] = {}
+    age: Seconds = 0.0
 
 
 class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
@@ -184,9 +186,13 @@ class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
 
 
 class GoalRequest(_EpochRequest, frozen=True, kw_only=True, tag="goal"):
-    """Set a goal without a run: robots stand by a goal without a pattern, and offer any other."""
+    """Set a goal without a run: robots stand by a goal without a pattern, and offer any other.
+
+    `age`: as that of RunRequest.
+    """
 
     goal: Goal
+    age: Seconds = 0.0
 
 
 class LabelRequest(_EpochRequest, frozen=True, kw_only=True, tag="label"):

@@ -4,9 +4,9 @@ A daemon that starts sends beacons with Flag.JOINING and listens. The owner of t
 of them, so that a claimer that hears an owner twice has lost; one alone may be a delayed beacon
 of a daemon that has ended. Of several claimers the smallest instance wins. A claim is won after
 `settle` seconds of listening without a rival. Listening is counted from look to look, and at most
-LONGEST_LOOK of it each time: after a stall the beacons of others may still wait to be read, so that
-a claim takes at least settle / LONGEST_LOOK looks, and on a busy computer not many more. Two owners
-can still meet when a cut heals: `Membership` and the daemon then see the beacons of a second instance.
+LONGEST_LOOK of it each time: after a stall the beacons of others may still wait to be read. So a
+claim takes settle / LONGEST_LOOK looks on a busy computer. Two owners can still meet when a cut
+heals: `Membership` and the daemon then see the beacons of a second instance.
 """
 
 from __future__ import annotations

@@ -35,11 +35,12 @@ class MemberSearch:
         self._arrivals = arrivals
 
     def look(
-        self, discovery: Discovery, timeout: float | None, *, needs_status: bool
+        self, discovery: Discovery, timeout: float | None, cap: float, *, needs_status: bool
     ) -> MembersView:
-        """The members, once `discovery`, which was just begun, is complete or over.
+        """The members, once `discovery`, which was just begun, is complete.
 
-        Else after `timeout` s. Without `needs_status` a datagram is answer enough.
+        Else after `timeout` s; without a `timeout` once it is over, and after `cap` s at the
+        latest. Without `needs_status` a datagram is answer enough.
         """
         now = discovery.started
         solicit, poll = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
@@ -51,7 +52,9 @@ class MemberSearch:
                 now, count = boottime(), self._arrivals.count
                 is_complete = discovery.is_complete(now)
                 is_late = until is not None and now >= until
-                is_over = until is None and over.is_due(now) and discovery.is_over(now)
+                is_over = until is None and (
+                    now - discovery.started >= cap or (over.is_due(now) and discovery.is_over(now))
+                )
             if is_complete or is_late or is_over:
                 while is_complete and (wait := self._sessions.dial(discovery, now)) < float("inf"):
                     time.sleep(wait)

@@ -15,6 +15,7 @@ the carrier only put what they receive into tables (`arrivals.py`); the caller's
 from __future__ import annotations
 
 import contextlib
+import math
 import os
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
@@ -187,21 +188,28 @@ class Operator:
 
     # Looks
 
-    def members(self, *, timeout: float | None = None, needs_status: bool = True) -> MembersView:
+    def members(
+        self,
+        *,
+        timeout: float | None = None,
+        cap: float = math.inf,
+        needs_status: bool = True,
+    ) -> MembersView:
         """The members, once all that are expected have answered.
 
-        Else after `timeout` s, or after a time that follows from the round trip. Without
-        `needs_status` a datagram is answer enough: its beacon has the epoch for a request. If
-        robots are missing that may have a newer roster, it is taken, and the look repeated.
+        Else after `timeout` s, or without one after a time that follows from the round trip, and
+        after `cap` s at the latest. Without `needs_status` a datagram is answer enough: its beacon
+        has the epoch for a request. If robots are missing that may have a newer roster, it is
+        taken, and the look repeated.
         """
-        view = self._look(timeout, needs_status=needs_status)
+        view = self._look(timeout, cap, needs_status=needs_status)
         if view.missing and self.update_roster():
-            view = self._look(timeout, needs_status=needs_status)
+            view = self._look(timeout, cap, needs_status=needs_status)
         return view
 
-    def _look(self, timeout: float | None, *, needs_status: bool) -> MembersView:
+    def _look(self, timeout: float | None, cap: float, *, needs_status: bool) -> MembersView:
         discovery = self._new_discovery(boottime(), needs_status=needs_status)
-        self._looked = self._search.look(discovery, timeout, needs_status=needs_status)
+        self._looked = self._search.look(discovery, timeout, cap, needs_status=needs_status)
         return self._looked
 
     def seen(self) -> MembersView:

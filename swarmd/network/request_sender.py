@@ -4,11 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Mapping
 
+from msgspec.structs import replace
+
 from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode, version_of
 from swarmd.core.keys import ANY, CONTROL
-from swarmd.core.messages import AnyRequest, Code, Epoch, Refusal, Reply, ReplyHeader
+from swarmd.core.messages import (
+    AnyRequest,
+    Code,
+    Epoch,
+    GoalRequest,
+    Refusal,
+    Reply,
+    ReplyHeader,
+    RunRequest,
+)
 from swarmd.network.arrivals import Arrivals
 from swarmd.network.discovery import Discovery
 from swarmd.network.members_view import MembersView
@@ -54,7 +65,7 @@ class RequestSender:
         `view`: the last look. Robots without a link yet are dialled as `discovery` finds them.
         """
         others = set(asked) & set(view.of_other_version())
-        payload, acks = encode(request), Acks(request.id)
+        acks = Acks(request.id)
         patience = min(timeout, 1.0 + 6.0 * view.round_trip)
         started = now = boottime()
         links = self._sessions.question_links(request.verb)
@@ -68,6 +79,7 @@ class RequestSender:
             if is_due or linked:
                 repeat_at = now + REPEAT_PERIOD if is_due else repeat_at
                 asking = set(robots) - unlinked if is_due else linked
+                payload = encode(_aged(request, now - started + view.round_trip))
                 for robot in (ANY,) if len(asking) == len(asked) else sorted(asking):
                     self._sessions.get(robot, CONTROL, request.verb, payload, left, _collect(acks))
             if unlinked and discovery is not None:
@@ -121,6 +133,11 @@ def _collect(acks: Acks) -> Callable[[str, bytes], object]:
         acks.on_reply(robot, reply)
 
     return take
+
+
+def _aged(request: AnyRequest, age: float) -> AnyRequest:
+    """The request as it is sent `age` s after it was issued; a goal in it is as old."""
+    return replace(request, age=age) if isinstance(request, RunRequest | GoalRequest) else request
 
 
 def _refused(request: str, robot: str, wire: int | None) -> Reply:

@@ -100,9 +100,9 @@ class GoalHandler:
             return
         found = goals.judge(goal)
         if found is Found.OWN:
-            self._take_over(goal, 0.0, effects, may_join=False)
+            self._take_over(goal, request.age, effects, may_join=False)
         elif found is Found.OTHER:
-            goals.adopt(goal, 0.0, effects.now, may_join=False)
+            goals.adopt(goal, request.age, effects.now, may_join=False)
         lifecycle.applied(effects, request, f"holds {goal.text}")
 
     def set_labels(self, request: LabelRequest, effects: Effects) -> None:

@@ -205,10 +205,11 @@ class Lifecycle:
         else:
             effects.is_new_run = True
             self.report = {}
+            sent = loading.request.age if isinstance(loading.request, RunRequest) else 0.0
             self.goals.on_running(
                 loading.goal,
                 loading.pattern,
-                now - loading.since,
+                now - loading.since + sent,
                 now,
                 is_resumed=isinstance(loading.request, ResumeRequest | ReloadRequest),
             )

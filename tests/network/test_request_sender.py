@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from msgspec.structs import replace
+
 from swarmd.core.messages import Code, RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import PARTIAL
+from swarmd.network.request_sender import REPEAT_PERIOD
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Robots
 
@@ -16,8 +19,13 @@ def test_a_request_reaches_its_targets_alone(settings: NetworkSettings, robots: 
         outcome = operator.request(RunRequest, targets, pattern="attraction")
     assert outcome.line == "2 targeted, 2 applied"
     [request] = swarm["a"].requests
+    assert isinstance(request, RunRequest)
     assert request == RunRequest(
-        id=request.id, operator="anna@laptop", targets=targets, pattern="attraction"
+        id=request.id,
+        operator="anna@laptop",
+        targets=targets,
+        pattern="attraction",
+        age=request.age,
     )
     assert swarm["b"].requests == [request]
     assert swarm["c"].requests == []
@@ -63,4 +71,8 @@ def test_a_request_is_repeated_to_robots_without_a_reply(
         outcome = operator.request(RunRequest, targets, pattern="x", timeout=20.0)
     assert outcome.line == "2 targeted, 2 applied"
     [request] = swarm["a"].requests
-    assert deaf["deaf"].requests == [request] * 3
+    repeats = deaf["deaf"].requests
+    assert [replace(one, age=request.age) for one in repeats] == [request] * 3
+    ages = [one.age for one in repeats]
+    assert ages == sorted(ages)
+    assert ages[-1] >= 2 * REPEAT_PERIOD

@@ -85,3 +85,13 @@ def test_a_link_that_is_cut_is_shown_in_its_direction_alone(swarm: FieldSwarm) -
     assert hears["level"] == "warning"
     swarm.field.heal()
     check_all_alive(swarm)
+
+
+def test_wait_sees_robots_that_a_slow_link_shows_late(swarm: FieldSwarm) -> None:
+    """A look over this link takes longer than 2 s."""
+    radio = (*ROBOTS, FAR)
+    prepare(swarm, "idle")
+    swarm.field.set_between(radio, radio, delay=1.1)
+    answer = swarm.ctl(FAR, "wait", "--for", "state=idle", "--for", "count=6", "--timeout", "60s")
+    assert answer.code == 0, answer
+    swarm.field.clear()

@@ -432,6 +432,14 @@ def test_a_run_starts_at_its_time() -> None:
     assert told(harness).own.age == pytest.approx(2.05, abs=1e-6)  # type: ignore[union-attr]
 
 
+@pytest.mark.parametrize("verb", ["run", "goal"])
+def test_the_age_of_a_goal_counts_the_time_of_its_request(verb: str) -> None:
+    harness = ready()
+    content = {"pattern": "forward"} if verb == "run" else {}
+    assert harness.applied(verb, goal=goal(), age=3.5, **content)
+    assert told(harness).own.age == pytest.approx(3.5, abs=0.2)  # type: ignore[union-attr]
+
+
 def test_a_stop_before_the_time_of_a_run_refuses_it() -> None:
     harness = ready()
     request = harness.request("run", pattern="forward", at={"tb3-01": harness.now + 2.0})
