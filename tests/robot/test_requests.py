@@ -137,7 +137,9 @@ def test_a_stop_after_a_reset_and_a_join_stops() -> None:
     harness.find(msgspec.structs.replace(JOINED, generation=7), 0.5)
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
-    assert late_stop(harness, 0.6).code is Code.APPLIED
+    before_the_reset = late_stop(harness, 5.0)
+    assert before_the_reset.refusal is Refusal.OVERTAKEN, "it drives"
+    assert late_stop(harness, 0.6, id="s1").code is Code.APPLIED
     assert (harness.status.state, harness.twist.is_zero) == (State.STOPPED, True)
 
 
