@@ -163,7 +163,7 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     be greater than the goal that the robot holds, or the same. `at`: when each robot is to start,
     in s on its own clock (CLOCK_BOOTTIME); the pattern is loaded before, and robots without an
     entry start when it is loaded. More than MAX_LATE after that time the robot refuses. `age`:
-    seconds since the operator issued the request, with the longest round trip of its look added.
+    seconds since the operator issued the request, with half of the longest round trip added.
     """
 
     pattern: Name
@@ -277,12 +277,14 @@ class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
     """Emergency stop. `scope` swarm: other robots take the latch over.
 
     `is_relayed`: another robot handed it on. Such a copy does not latch again what was reset.
+    `age`: seconds since the operator issued it. The goal of a later run stays.
     """
 
     targets: Epochs | None = None
     scope: Literal["swarm", "robots"] = "swarm"
     reason: ReasonText = ""
     is_relayed: bool = False
+    age: Seconds = 0.0
 
 
 Request = (

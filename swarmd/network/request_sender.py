@@ -79,7 +79,7 @@ class RequestSender:
             if is_due or linked:
                 repeat_at = now + REPEAT_PERIOD if is_due else repeat_at
                 asking = set(robots) - unlinked if is_due else linked
-                payload = encode(_aged(request, now - started + view.round_trip))
+                payload = encode(_aged(request, now - started + 0.5 * view.round_trip))
                 for robot in (ANY,) if len(asking) == len(asked) else sorted(asking):
                     self._sessions.get(robot, CONTROL, request.verb, payload, left, _collect(acks))
             if unlinked and discovery is not None:

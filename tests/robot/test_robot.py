@@ -9,7 +9,7 @@ import pytest
 from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.host_messages import HostDied, KillHost, Load, Loaded, Step, Stepped
-from swarmd.core.messages import Code, Reason, State, Status
+from swarmd.core.messages import Code, Reason, Refusal, State, Status
 from swarmd.core.values import ZERO, Neighbor, Scalar
 from swarmd.pattern_host.wire import MAX_FRAME, encode_command
 from tests.support.robot_harness import RobotHarness
@@ -51,7 +51,8 @@ def test_repeated_stop_is_one_change() -> None:
     assert (again.code, again.epoch) == (Code.APPLIED, first.epoch)
     harness.ask("run", pattern="forward")
     harness.advance(0.2)
-    last = harness.answer(stop)
+    assert harness.answer(stop).refusal is Refusal.OVERTAKEN  # a copy from before the run
+    last = harness.answer(harness.request("stop"))
     assert last.epoch != first.epoch
     assert harness.twist.is_zero
     assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)

@@ -71,8 +71,12 @@ def test_a_goal_with_on_join_run_is_joined_until_an_emergency_stop(swarm: Swarm)
     assert swarm.ctl("estop").code == 0
     swarm.start("r3", swarm.body("r3"))
     swarm.await_state("r3", State.ESTOPPED)
-    await_goal(swarm, "r3", GoalState.OFFERED)
+    await_goal(swarm, "r3", GoalState.STANDING)
     assert swarm.ctl("reset", "--all", "--yes").code == 0
     for robot in ("r1", "r2", "r3"):
         swarm.await_state(robot, State.IDLE)
-    assert goals_of(swarm.status("r3")).state is GoalState.OFFERED
+    swarm.start("r4", swarm.body("r4"))
+    await_goal(swarm, "r4", GoalState.STANDING)
+    for robot in ("r1", "r2", "r3", "r4"):
+        status = swarm.status(robot)
+        assert (status.state, goals_of(status).state) == (State.IDLE, GoalState.STANDING)
