@@ -6,8 +6,11 @@ from typing import Any
 
 import pytest
 
+from swarmd.core.clock import boottime
 from swarmd.core.goal import Goal, GoalState, GoalStatus
 from swarmd.core.messages import Code, Refusal, ResumeRequest, RunRequest, State, Status
+from swarmd.network.stop_relay import LAST_INTERVAL
+from tests.support.processes import wait_until
 from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
@@ -80,3 +83,21 @@ def test_a_goal_with_on_join_run_is_joined_until_an_emergency_stop(swarm: Swarm)
     for robot in ("r1", "r2", "r3", "r4"):
         status = swarm.status(robot)
         assert (status.state, goals_of(status).state) == (State.IDLE, GoalState.STANDING)
+
+
+def test_a_daemon_that_restarts_does_not_end_the_run_that_followed_a_stop(swarm: Swarm) -> None:
+    """Robots hand the stop on for a minute; the one that restarts knows the age of no goal."""
+    bodies = {robot: swarm.body(robot) for robot in ("r1", "r2", "r3")}
+    daemons = {robot: swarm.start(robot, body) for robot, body in bodies.items()}
+    swarm.run_drive("--all")
+    assert swarm.ctl("stop", "--all").code == 0
+    swarm.run_drive("r1", "r2", "r3")
+    daemons["r3"].kill()
+    swarm.start("r3", bodies["r3"])
+    began = boottime()
+    wait_until(lambda: boottime() - began > 1.5 * LAST_INTERVAL, "each robot would have repeated")
+    for robot in ("r1", "r2"):
+        status = swarm.status(robot)
+        assert status.state is State.RUNNING
+        assert goals_of(status).state is GoalState.RUNNING
+    assert swarm.status("r3").state is not State.RUNNING
