@@ -23,7 +23,7 @@ from typing import Any
 
 from tests.histories.invariants import HEAL_TIME, BrokenRuleError, Invariants
 from tests.histories.operators import Command, VirtualOperator
-from tests.histories.swarm import DELAY, Disk, VirtualDaemon, VirtualSwarm
+from tests.histories.swarm import DELAY, JOIN_TICK, Disk, VirtualDaemon, VirtualSwarm
 
 OPERATORS = ("anna", "bob")
 STEPS = 12
@@ -154,10 +154,10 @@ class History:
         self.judge.forget(robot)
         daemon.start(Disk() if disk == "empty" else daemon.older_disk(age))
 
-    def boot(self, robot: str) -> None:
-        """A new robot starts."""
+    def boot(self, robot: str, tick: float = JOIN_TICK) -> None:
+        """A new robot starts; `tick`: s between two turns of its loop while it starts."""
         if robot not in self.swarm.robots:
-            self.swarm.boot(robot)
+            self.swarm.boot(robot, tick)
 
     # The network
 

@@ -3,7 +3,7 @@
 1. *No robot moves after a counted stop.* A robot that answers a stop or an emergency stop with
    `applied` stands at that moment and loads nothing. It moves again only by a request that an
    operator sent after the robot had obeyed that stop, or by a goal with `on_join: run` that was set
-   later than the stop.
+   later than the stop. A robot refuses no stop that was issued later than its run began.
 2. *An answer of success is true.* `applied` to a run or resume: the pattern runs. To a reset: the
    robot is not estopped, and the named latches are gone. To a goal: the robot holds it or a greater
    one. To labels: it has them.
@@ -15,10 +15,13 @@
 4. *Ten seconds after all is healed the robots agree.* All hold the same goal and the same
    swarm-wide latches. A robot is estopped exactly if it holds a latch. A robot runs its own goal,
    or was asked for a run without one after it came.
-5. *No run ends without a cause*: its end has a reason, and a line among the robot's events.
+5. *No run ends without a cause*: its end has a reason, and a line among the robot's events. A
+   stop, and a goal to stand that it has made, end no run that began later than it was issued.
 6. *No latch is lost.* A latch goes with a reset that names it, or with the disk. *None comes
    back*: what was reset is held again only by the operator's own copy of the emergency stop, or by
    an older disk.
+7. *What is over is not handed on*: a robot relays no stop beyond its minute, no emergency stop that
+   it has reset, and no stop of all that is older than the goal that it holds.
 
 A robot that starts with an empty or an older disk has forgotten what it obeyed: it counts as a new
 robot for rules 1 and 3, and is bound by what its peers tell before it is ready.
@@ -43,11 +46,14 @@ from swarmd.core.messages import (
     State,
     StopRequest,
 )
+from swarmd.network.datagram import Datagram, Stop
 from swarmd.network.goal_sync import FoundGoal
+from swarmd.network.stop_relay import LIFETIME
 from tests.histories.operators import Done
 from tests.histories.swarm import Cause, VirtualDaemon, VirtualSwarm
 
-AGE_SHIFT = 0.5  # s by which the age of a goal may be wrong
+AGE_SHIFT = 0.5  # s by which the age of a goal or a stop may be wrong
+LATE = 5.0  # s by which a relay may last longer
 HEAL_TIME = 10.0  # s
 
 
@@ -106,9 +112,10 @@ class Invariants:
 
     def on_reply(self, daemon: VirtualDaemon, request: Request, reply: Reply) -> None:
         """Rules 1 and 2."""
-        if reply.code is not Code.APPLIED:
-            return
         robot, known, now = daemon.robot, self._of(daemon), self._swarm.now
+        if reply.code is not Code.APPLIED:
+            self._check_refused(daemon, request)
+            return
         if isinstance(request, StopRequest | EstopRequest):
             if robot.is_running or daemon.is_active:
                 what = "runs" if robot.is_running else "loads a pattern"
@@ -116,7 +123,14 @@ class Invariants:
                     1, f"{daemon.name} answers `{request.verb}` {request.id} with `applied`"
                     f" ({reply.text}) and {what}"
                 )
-            issued = self._issued.get(request.id, now)
+            issued = self._issued[request.id]
+            cause = daemon.cause
+            is_ended = known.was_running and cause is not None and isinstance(request, StopRequest)
+            if is_ended and cause is not None and cause.at - issued > AGE_SHIFT:
+                raise BrokenRuleError(
+                    5, f"the run of {daemon.name} is ended by a stop that was issued"
+                    f" {cause.at - issued:.1f} s before it"
+                )
             known.stopped = max(known.stopped, issued)
             known.obeyed = now
             if request.targets is None:
@@ -134,6 +148,22 @@ class Invariants:
                 raise BrokenRuleError(2, f"{daemon.name} answers `goal` and does not hold it")
         elif isinstance(request, LabelRequest) and robot.labels != (request.labels or ()):
             raise BrokenRuleError(2, f"{daemon.name} answers `label` and has other labels")
+
+    def on_send(self, daemon: VirtualDaemon, body: Datagram) -> None:
+        """Rule 7."""
+        if not isinstance(body, Stop):
+            return
+        robot, name, issued = daemon.robot, daemon.name, self._issued[body.id]
+        if self._swarm.now - issued > LIFETIME + LATE:
+            raise BrokenRuleError(7, f"{name} hands on a {body.verb} of {body.age / 1e3:.0f} s")
+        if body.verb == "estop" and body.id in robot.cleared and body.id not in robot.latches:
+            raise BrokenRuleError(7, f"{name} hands on the estop {body.id}, which was reset")
+        held = robot.goal
+        if body.verb == "stop" and body.targets is None and held is not None:
+            if self._issued[held.goal.id] > issued + AGE_SHIFT and held.issued is not None:
+                raise BrokenRuleError(
+                    7, f"{name} hands on a stop of all, which is older than {held.goal.text}"
+                )
 
     def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
         """Rule 3: what the robot that hands a goal on has obeyed."""
@@ -155,6 +185,7 @@ class Invariants:
                 raise BrokenRuleError(
                     1, f"{name} runs by `{cause.request.verb}` of before the stop that it obeyed"
                 )
+            known.stopped = known.reset = -1.0  # an operator wants it to run again
             return
         goal = daemon.robot.goals.own
         assert goal is not None, "a robot joins by a goal"
@@ -166,20 +197,40 @@ class Invariants:
                 3, f"{name} joins {goal.text}, {age:.1f} s old, valid for {goal.valid} s"
             )
         for what, at in (("stop", known.stopped), ("reset", known.reset)):
-            if issued < at:
+            if issued < at - AGE_SHIFT:
                 raise BrokenRuleError(
                     3, f"{name} joins {goal.text}, which is {at - issued:.1f} s older than the"
                     f" {what} that it obeyed"
                 )
         given, stopped_all = self._given
-        if given == goal.id and issued < stopped_all:
+        if given == goal.id and issued < stopped_all - AGE_SHIFT:
             raise BrokenRuleError(
                 3, f"{name} joins {goal.text}, which is {stopped_all - issued:.1f} s older than"
                 " the stop of all that its giver obeyed"
             )
 
+    def _check_refused(self, daemon: VirtualDaemon, request: Request) -> None:
+        cause = daemon.cause
+        if not isinstance(request, StopRequest) or not daemon.robot.is_running or cause is None:
+            return
+        issued = self._issued[request.id]
+        if cause.at < issued:
+            raise BrokenRuleError(
+                1, f"{daemon.name} refuses the stop {request.id}, which is {issued - cause.at:.1f} s"
+                " later than its run, and goes on"
+            )
+
     def _check_end(self, daemon: VirtualDaemon) -> None:
-        robot = daemon.robot
+        robot, cause = daemon.robot, daemon.cause
+        own = robot.goals.own
+        is_by_goal = robot.status(self._swarm.now).reason is Reason.SUPERSEDED
+        if is_by_goal and own is not None and own.pattern is None and cause is not None:
+            late = cause.at - self._issued[own.id]
+            if late > AGE_SHIFT:
+                raise BrokenRuleError(
+                    5, f"{daemon.name} is superseded by {own.text}, whose stop was issued"
+                    f" {late:.1f} s before its run"
+                )
         status = robot.status(self._swarm.now)
         if status.reason is None:
             raise BrokenRuleError(5, f"the run of {daemon.name} ends without a reason")

@@ -84,6 +84,9 @@ class Judge(Protocol):
     def on_reply(self, daemon: VirtualDaemon, request: Request, reply: Reply) -> None:
         """A robot answers a request or a stop."""
 
+    def on_send(self, daemon: VirtualDaemon, body: Datagram) -> None:
+        """A robot sends a datagram."""
+
     def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
         """A robot is about to be handed the goal of a peer."""
 
@@ -145,9 +148,10 @@ class VirtualSwarm:
         if isinstance(node, VirtualDaemon):
             self.robots[node.name] = node
 
-    def boot(self, name: str) -> VirtualDaemon:
+    def boot(self, name: str, join_tick: float = JOIN_TICK) -> VirtualDaemon:
         """A robot that starts for the first time."""
         daemon = VirtualDaemon(self, name)
+        daemon.join_tick = join_tick
         self.add(daemon)
         daemon.start()
         return daemon
@@ -239,6 +243,7 @@ class VirtualDaemon(Node):
         self.is_up = self.is_frozen = self.is_settled = False
         self.lives = 0
         self.wall = swarm.random.choice((0.0, -1.7e9, 3600.0))  # s beside the true time
+        self.join_tick = JOIN_TICK  # s; a busy computer has a longer one
         self.twist = ZERO
         self.cause: Cause | None = None  # of the pattern that runs
         self.event: object = None  # the request or the goal that is handed to the robot now
@@ -442,6 +447,8 @@ class VirtualDaemon(Node):
             self._carry_out(robot.on_duplicate(effects.duplicate, now))
 
     def _send(self, body: Datagram, to: Address | None) -> None:
+        if self.swarm.judge is not None:
+            self.swarm.judge.on_send(self, body)
         self.swarm.send(self, body, to)
 
     def _summary(self) -> Summary:
@@ -463,7 +470,7 @@ class VirtualDaemon(Node):
     def _next_tick(self) -> float:
         now = self.swarm.now
         if not self.is_settled:
-            return now + JOIN_TICK
+            return now + self.join_tick
         wanted = min(max(self.peer.wake_at(), now + TICK), now + LONGEST_TICK)
         wake_at = self.robot.wake_at(now)
         return wanted if wake_at is None else min(wanted, max(wake_at, now + 1e-3))
