@@ -89,7 +89,8 @@ class GoalRecord(Struct, frozen=True, kw_only=True):
     """What a robot keeps on disk: its goals, why the run of its own ended, and its labels.
 
     `ended` empty: it ran, or was offered. `may_join`: no stop or reset came since. `before`: the
-    goal that the held one replaced. `labels` None: those of the swarm file.
+    goal that the held one replaced. `stood`: when it was stopped, emergency-stopped or reset
+    last, in s on the clock `clock`. `labels` None: those of the swarm file.
     """
 
     held: Goal | None = None
@@ -97,6 +98,8 @@ class GoalRecord(Struct, frozen=True, kw_only=True):
     before: Goal | None = None
     ended: Line = ""
     may_join: bool = True
+    stood: Seconds | None = None
+    clock: Word = ""
     labels: Annotated[tuple[Word, ...], Meta(max_length=MAX_LABELS)] | None = None
 
 

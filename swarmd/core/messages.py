@@ -271,12 +271,14 @@ class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
     """Emergency stop. `scope` swarm: other robots take the latch over.
 
     `is_relayed`: another robot handed it on. Such a copy does not latch again what was reset.
+    `age`: seconds since the operator issued it. The goal of a later run stays.
     """
 
     targets: Epochs | None = None
     scope: Literal["swarm", "robots"] = "swarm"
     reason: ReasonText = ""
     is_relayed: bool = False
+    age: Seconds = 0.0
 
 
 Request = (

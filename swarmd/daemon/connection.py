@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError
 from swarmd.network.bus import ZenohBus
-from swarmd.network.datagram import Address
+from swarmd.network.datagram import Address, OnDatagram
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.interface_watch import InterfaceChange, InterfaceWatch
 from swarmd.network.link_gate import LinkFlood, LinkGate, open_files
@@ -37,9 +37,6 @@ CLOSE_TIMEOUT = 1.0  # s
 REOPEN_PERIOD = 1.0
 ANSWER_TIME = 0.1
 """How long an answer has, in s, to be sent before the session closes; the asker repeats."""
-
-OnDatagram = Callable[[bytes, Address, bool], None]
-"""Takes a datagram, its source, and whether it came to the group."""
 
 
 class NetworkConnection:

@@ -369,7 +369,15 @@ class Daemon:
     def _summary(self) -> Summary:
         robot = self._robot
         revision, behaviours = robot.epoch.revision, self._behaviour_state.digest
-        return Summary(robot.state, revision, robot.latches, robot.goal, behaviours=behaviours)
+        return Summary(
+            robot.state,
+            revision,
+            robot.latches,
+            robot.goal,
+            behaviours=behaviours,
+            relays_from=robot.relays_from,
+            cleared=robot.cleared,
+        )
 
     # Pushed behaviours
 
@@ -448,6 +456,8 @@ class Daemon:
         self._output.command(actions, boottime())
         if actions.is_quiet:
             return
+        if actions.ended:
+            log.info("the run ended: %s", actions.ended)
         if actions.goals is not None:
             self._goals.store(actions.goals)
         is_stored = actions.latches is None or self._latches.write(actions.latches)

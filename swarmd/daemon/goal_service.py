@@ -8,7 +8,7 @@ from pathlib import Path
 
 from msgspec.structs import replace
 
-from swarmd.core.clock import boottime
+from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.files import write_whole
@@ -62,6 +62,8 @@ class GoalService:
     def read(self) -> GoalRecord:
         """The goals of an earlier instance, without those that do not count."""
         record = self._file.read()
+        if record.stood is not None and record.clock != clock_id():
+            record = replace(record, stood=boottime())  # before the machine was restarted
         foreign = self.foreign(record)
         if not foreign:
             return record
@@ -86,7 +88,7 @@ class GoalService:
 
     def store(self, record: GoalRecord) -> None:
         """Write the record soon; a later one replaces it."""
-        self._writer.store(record)
+        self._writer.store(replace(record, clock=clock_id()))
 
     async def close(self) -> None:
         """Write what is not written yet."""

@@ -338,7 +338,7 @@ class Network:
     def _carrier(self) -> UdpCarrier | RoutedCarrier | None:
         return self._connection.carrier
 
-    def _on_datagram(self, payload: bytes, source: Address, by_group: bool) -> None:
+    def _on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
         peer = self._peer
         if peer is None:
             return
@@ -362,6 +362,7 @@ class Network:
             self._handlers.summary(),
             is_any=is_for_any_swarm(payload),
             author=author,
+            waited=waited,
         )
         for stop, sender in effects.stops:
             # A copy counts as relayed by a robot: it renews no latch that was reset.

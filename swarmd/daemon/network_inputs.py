@@ -69,7 +69,7 @@ class NetworkInputs:
     def on_goal(self, found: FoundGoal) -> None:
         """The greatest goal of a peer."""
         goal, before = found.goal, self._robot.goal
-        self._carry_out(self._robot.on_goal(goal, found.age, boottime()))
+        self._carry_out(self._robot.on_goal(goal, found.age, boottime(), may_join=found.may_join))
         held = self._robot.goal
         if held is not None and held.goal == goal and (before is None or before.goal != goal):
             on_join = f"on_join {goal.on_join}" if goal.pattern else ""

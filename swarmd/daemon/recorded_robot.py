@@ -113,10 +113,10 @@ class RecordedRobot(Robot):
         self._recorder.text("/latches", latches, now)
         return self._decided("latches", now, super().on_latches(latches, now))
 
-    def on_goal(self, goal: Goal, age: float | None, now: float) -> Actions:
+    def on_goal(self, goal: Goal, age: float | None, now: float, *, may_join: bool) -> Actions:
         """A peer holds a goal."""
-        self._recorder.text("/goal", (goal, age), now)
-        return self._decided("goal", now, super().on_goal(goal, age, now))
+        self._recorder.text("/goal", (goal, age, may_join), now)
+        return self._decided("goal", now, super().on_goal(goal, age, now, may_join=may_join))
 
     def forget_goals(self, digests: tuple[str, ...], now: float) -> Actions:
         """Goals whose issuers are not operators any more."""

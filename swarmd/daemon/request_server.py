@@ -150,6 +150,7 @@ class RequestServer:
                 scope=stop.scope,
                 reason=stop.reason,
                 is_relayed=stop.hops > 0,
+                age=stop.age / 1000.0,
             )
         self._pending[stop.id] = _Pending(request, answer, lambda: source, is_relayed=stop.hops > 0)
         self._on_request(request)

@@ -87,6 +87,6 @@ def recording_head(
         revision=robot.epoch.revision,
         generation=robot.generation,
         latches=robot.latches,
-        cleared=robot.cleared,
+        cleared=tuple(robot.cleared),
         goals=robot.goals,
     )

@@ -93,8 +93,8 @@ KIND_OFFSET = 4
 URGENT = (Kind.STOP, Kind.ACK, Kind.LATCHES)
 """Kinds that are sent by all ways at once, and that no flood of other kinds may shut out."""
 
-OnDatagram = Callable[[bytes, Address, bool], object]
-"""Takes what a carrier received: bytes, source, and whether they were sent to all."""
+OnDatagram = Callable[[bytes, Address, float], object]
+"""Takes what a carrier received: bytes, source, and the seconds for which they waited here."""
 
 
 class _Datagram(Struct, frozen=True, kw_only=True, array_like=True):
@@ -223,7 +223,8 @@ class Stop(_Datagram, frozen=True, kw_only=True):
     `targets` None: every robot. `scope` swarm: the latch spreads to robots that join. `age`: ms
     since the operator issued it, summed hop by hop without clocks and without the time on the way.
     `hops`: how often it was relayed. `origin` and `counter`: of the operator's installation and its
-    stop (`stop_freshness.py`); only in a secured swarm.
+    stop (`stop_freshness.py`); only in a secured swarm. `repeated`: the age at which its operator
+    sent the copy from which this one comes.
     """
 
     id: Name
@@ -236,6 +237,7 @@ class Stop(_Datagram, frozen=True, kw_only=True):
     hops: Hops = 0
     origin: Annotated[bytes, Meta(max_length=4)] = b""
     counter: Number = 0
+    repeated: Milliseconds = 0
 
 
 class Ack(_Datagram, frozen=True, kw_only=True):

@@ -3,7 +3,7 @@
 A robot whose beacon shows another goal, of at least the own generation, is asked for it. Each
 question has a random number that the answer repeats: an answer to no question is dropped, so that a
 recorded one brings no goal and no age. The time from question to answer is added to the age. A
-robot that does not know the age of a goal that it might run asks robots that hold the same goal.
+robot that does not know the age of its goal asks robots that hold the same goal.
 """
 
 from __future__ import annotations
@@ -41,10 +41,14 @@ CHECK_RATE, CHECK_BURST = 4.0, 8.0
 
 
 class FoundGoal(NamedTuple):
-    """A goal of a peer, and its age in s; None: the peer does not know it."""
+    """A goal of a peer, and its age in s; None: the peer does not know it.
+
+    `may_join`: what the other peers hold is known, too, so that the robot may join its run.
+    """
 
     goal: Goal
     age: float | None
+    may_join: bool = False
 
 
 class _Question(NamedTuple):
@@ -117,6 +121,12 @@ class GoalSync:
             del self._known[report.instance]
         return FoundGoal(goal, None if report.age is None else report.age / 1000.0 + trip)
 
+    def lacks(self, instance: bytes, digest: bytes, own: bytes) -> bool:
+        """True if a robot shows a goal that may be greater than the own one, and is not known."""
+        if len(digest) != DIGEST_BYTES or digest == own or self._known.get(instance) == digest:
+            return False
+        return generation_of(digest) >= generation_of(own)
+
     def retry(self, instance: bytes) -> None:
         """The answer of a robot could not be used: ask it again."""
         self._known.pop(instance, None)
@@ -188,8 +198,7 @@ class GoalCheck:
 
 
 def _lacks_age(own: HeldGoal) -> bool:
-    goal = own.goal
-    return own.issued is None and goal.on_join == "run" and goal.pattern is not None
+    return own.issued is None and own.goal.pattern is not None
 
 
 def _bound(table: dict[Any, Any]) -> None:

@@ -14,7 +14,7 @@ Times are in s on the caller's monotonic clock.
 from __future__ import annotations
 
 import ipaddress
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 from msgspec.structs import replace
@@ -251,6 +251,13 @@ class Membership:
         """True if this instance is shown as alive."""
         record = self._records.get(robot)
         return record is not None and record.shown == (instance, Presence.ALIVE)
+
+    def goals(self) -> Iterator[tuple[bytes, bytes]]:
+        """The instance of each robot that is alive, and the digest of the goal that it shows."""
+        for record in self._records.values():
+            if record.shown is not None and record.shown[1] is Presence.ALIVE:
+                instance = record.shown[0]
+                yield instance, record.instances[instance].beacon.goal
 
     def latches_of(self, robot: str, instance: bytes) -> bytes | None:
         """The digest of latches in the newest beacon of an instance that is alive."""

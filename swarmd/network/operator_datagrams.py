@@ -112,7 +112,7 @@ class OperatorDatagrams:
             addresses = discovery.to_solicit()
         self.send(Solicit(echo=self._echo, wants_members=wants_members), addresses)
 
-    def _on_datagram(self, payload: bytes, source: Address, by_group: bool) -> None:
+    def _on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
         """A datagram came, on the carrier's thread."""
         try:
             body = unpack(self._tag, payload)

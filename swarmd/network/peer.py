@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import math
 import random
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 
 from msgspec.structs import replace
 
@@ -65,6 +66,9 @@ CLAIM_ANSWER_RATE = 40.0
 MAX_HOSTS = 128
 SYNC_TIMEOUT = 1.0  # a robot that joins waits so long for the latches of the others
 MEMBERS_PERIOD = 0.25  # between looks for members that are silent
+# A robot joins a run so long after it has heard the last new peer, in s: the others show their
+# goals within a period of beacons, and a goal without a pattern may be among them.
+JOIN_SETTLE = 1.5 * BEACON_PERIOD
 MAX_DUPLICATES = 64  # other instances with the own id
 
 CheckGoal = Callable[[Goal, float], bool | None]
@@ -72,13 +76,19 @@ CheckGoal = Callable[[Goal, float], bool | None]
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a robot's beacon shows of it; `behaviours`: the digest of its table."""
+    """What a robot's beacon shows of it; `behaviours`: the digest of its table.
+
+    `relays_from`: stops of this robot that were issued before this time are not handed on, in s;
+    `cleared`: nor emergency stops with these ids, which were reset.
+    """
 
     state: State
     revision: int
     latches: Mapping[str, Latch]
     goal: HeldGoal | None = None
     behaviours: bytes = b""
+    relays_from: float = -math.inf
+    cleared: Collection[str] = ()
 
 
 @dataclass(slots=True)
@@ -177,6 +187,8 @@ class Peer:
         self._answers = TokenBucket(ANSWER_RATE, ANSWER_RATE)
         self._members_at = now
         self._answers_by_host: dict[str, TokenBucket] = {}
+        self._news_at = now  # when a peer was heard for the first time, or again
+        self._is_join_due = False  # a goal was found, and those of other peers may be greater
         self._claim_answers = TokenBucket(CLAIM_ANSWER_RATE, CLAIM_ANSWER_RATE)
         self._scout_answers = TokenBucket(SCOUT_ANSWER_RATE, SCOUT_ANSWER_RATE)
         self._solicits_at = [now, now + 0.3]
@@ -218,9 +230,15 @@ class Peer:
         *,
         is_any: bool = False,
         author: Author | None = None,
+        waited: float = 0.0,
     ) -> Effects:
-        """A datagram arrived; `is_any`: it is for any swarm. `author`: in a secured swarm."""
+        """A datagram arrived; `is_any`: it is for any swarm. `author`: in a secured swarm.
+
+        `waited`: for so many seconds, as while the process was frozen.
+        """
         effects = Effects()
+        if isinstance(body, Stop) and waited > 0.0:
+            body = replace(body, age=body.age + round(1000.0 * waited))
         if self._admission is not None and not is_any:
             found = self._admit(body, author, now)
             if isinstance(found, Flaw):
@@ -335,7 +353,9 @@ class Peer:
         self._note_latches(now, summary)
         self._send_beacon_if_due(now, summary, effects)  # first: others compare its digest
         self._send_latches_if_due(now, summary, effects)
-        effects.sends.extend((stop, None) for stop in self._relay.advance(now))
+        stops = self._relay.advance(now, partial(self._is_overtaken, summary))
+        effects.sends.extend((stop, None) for stop in stops)
+        self._join_if_settled(now, summary, effects)
         effects.sends.extend(
             (Solicit(echo=echo, wants_goal=True), address)
             for echo, address in self._goal_sync.repeats(summary.goal, now)
@@ -377,6 +397,7 @@ class Peer:
         self.links.on_beacon(beacon.robot, beacon.instance, beacon.number, now)
         if self.membership.on_beacon(beacon, source, now):
             effects.changed.append(beacon.robot)
+            self._news_at = now
         own = digest_of(summary.latches)
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
         if is_owner and beacon.behaviours:
@@ -399,10 +420,34 @@ class Peer:
         counts = self._check_goal(found.goal, now)
         if counts:
             effects.goals.append(found)
+            self._is_join_due = True
         elif counts is None:
             self._goal_sync.retry(report.instance)
         else:
             effects.invalid_goals += 1
+
+    def _join_if_settled(self, now: float, summary: Summary, effects: Effects) -> None:
+        """Let the robot join the run of its goal once the goals and latches of all are known."""
+        held = summary.goal
+        if not self._is_join_due or held is None or self._claim is not None:
+            return
+        if now - self._news_at < JOIN_SETTLE or not self.is_in_sync(now):
+            return
+        if any(self._goal_sync.lacks(*shown, held.digest) for shown in self.membership.goals()):
+            return
+        self._is_join_due = False
+        effects.goals.append(FoundGoal(held.goal, held.age(now), may_join=True))
+
+    def _is_overtaken(self, summary: Summary, stop: Stop, issued: float) -> bool:
+        """True if this robot would refuse the stop, or a newer goal makes all robots run."""
+        if stop.verb == "estop":
+            return stop.id in summary.cleared and stop.id not in summary.latches
+        held = summary.goal
+        is_run_of_all = held is not None and held.goal.pattern and not held.goal.targets
+        if held is not None and is_run_of_all and held.issued is not None and issued < held.issued:
+            return True
+        is_own = stop.targets is None or self.robot in stop.targets
+        return is_own and issued < summary.relays_from
 
     def _on_own_id(
         self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: Effects

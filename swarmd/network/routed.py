@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import zenoh
 
+from swarmd.core.clock import boottime
 from swarmd.core.keys import ANY, build, is_id, parse
 from swarmd.network.datagram import (
     KIND_OFFSET,
@@ -42,7 +43,7 @@ class RoutedCarrier:
         self._session = session
         self._swarm = swarm
         self._own = own
-        self._on_datagram: OnDatagram = lambda payload, source, by_group: None
+        self._on_datagram: OnDatagram = lambda payload, source, waited: None
         self._subscribers: tuple[Any, ...] = ()
         self._close_queue: Callable[[], None] = lambda: None
         self.recipients = Recipients(1.0, with_group=True)
@@ -59,16 +60,20 @@ class RoutedCarrier:
             self._put(payload, ONE, address[0])
 
     def attach(self, loop: AbstractEventLoop, on_datagram: OnDatagram) -> None:
-        """Call `on_datagram(payload, source, by_group)` on a running loop until `close`."""
+        """Call `on_datagram(payload, source, waited)` on a running loop until `close`."""
         from swarmd.network.inbound_queue import DropCounter, InboundQueue
 
         drops = DropCounter()
+
+        def take(payload: bytes, source: Address, arrived: float) -> None:
+            on_datagram(payload, source, boottime() - arrived)
+
         plain = InboundQueue(loop, drops, "datagram")
         urgent = InboundQueue(loop, drops, "datagram", is_urgent=True)
 
-        def queue(payload: bytes, source: Address, by_group: bool) -> None:
+        def queue(payload: bytes, source: Address, waited: float) -> None:
             chosen = urgent if payload[KIND_OFFSET] in URGENT else plain
-            if not chosen.offer(on_datagram, payload, source, by_group):
+            if not chosen.offer(take, payload, source, boottime() - waited):
                 self.dropped["full"] += 1
 
         def close() -> None:
@@ -79,7 +84,10 @@ class RoutedCarrier:
         self.start_thread(queue)
 
     def start_thread(self, on_datagram: OnDatagram) -> None:
-        """Call `on_datagram(payload, source, by_group)` on Zenoh's thread until `close`."""
+        """Call `on_datagram(payload, source, 0.0)` on Zenoh's thread until `close`.
+
+        How long a datagram waited before it came to this thread is not known.
+        """
         self._on_datagram = on_datagram
         self._subscribers = tuple(
             self._session.declare_subscriber(
@@ -123,4 +131,4 @@ class RoutedCarrier:
             self.dropped["oversized"] += 1
         else:
             with contextlib.suppress(RuntimeError):  # the loop has ended
-                self._on_datagram(sample.payload.to_bytes(), (key.robot, 0), key.plane == ALL)
+                self._on_datagram(sample.payload.to_bytes(), (key.robot, 0), 0.0)

@@ -3,8 +3,10 @@
 A stop that reaches one robot reaches all that this robot hears: it repeats the stop as the Trickle
 algorithm does (RFC 6206): at intervals that double, at a random moment of each,
 and not if REDUNDANCY others have sent it in that interval. So a hundred robots that all heard the
-operator send little, and a robot that only one of them reaches gets it. It goes on for LIFETIME
-after the last copy from the operator's side, or until all named targets have acked.
+operator send little, and a robot that only one of them reaches gets it. It goes on until LIFETIME
+after the operator sent its last copy, or until all named targets have acked. Each copy has the age
+at which the operator sent it, so that no copy that travels in a circle prolongs that. A robot hands
+on no stop that it would refuse itself.
 
 Acks travel back the same way: a robot hands those that it gets to whoever sent it the stop, with
 its own name as `via`.
@@ -13,6 +15,7 @@ its own name as `via`.
 from __future__ import annotations
 
 import random
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 from msgspec.structs import replace
@@ -42,14 +45,15 @@ ACK_PERIOD = 0.08  # between acks to one source, in s: an operator repeats at 10
 class _Relayed:
     """A stop under way.
 
-    `issued`: on the own clock. `fed`: when the last copy came from the operator's side. `heard`:
-    when the first copy came. `sources`: the senders, and when the last ack went to each.
+    `issued`: on the own clock. `repeated`: the greatest age at which the operator sent a copy, in
+    s. `heard`: when the first copy came. `sources`: the senders, and when the last ack went to
+    each.
     """
 
     stop: Stop
     issued: float
     first_issued: float
-    fed: float
+    repeated: float
     heard: float
     interval: float
     interval_ends: float
@@ -86,14 +90,14 @@ class StopRelay:
             while len(self._stops) >= MAX_STOPS:
                 del self._stops[next(iter(self._stops))]
             relayed = _Relayed(
-                stop, issued, issued, now, now, FIRST_INTERVAL, now + FIRST_INTERVAL, 0.0
+                stop, issued, issued, 0.0, now, FIRST_INTERVAL, now + FIRST_INTERVAL, 0.0
             )
             relayed.due = now + self._random.uniform(0.1, 1.0) * FIRST_INTERVAL
             self._stops[key] = relayed
         # Ages grow along different ways; a forged one must not make the stop look older than a run.
         relayed.issued = max(min(relayed.issued, issued), relayed.first_issued - MAX_AGE_SHIFT)
+        relayed.repeated = max(relayed.repeated, min(stop.repeated, stop.age) / 1000.0)
         if stop.hops <= relayed.stop.hops:
-            relayed.fed = now
             origin = {"origin": stop.origin, "counter": stop.counter}
             relayed.stop = replace(relayed.stop, hops=stop.hops, **origin)
         if stop.hops == 0:
@@ -153,19 +157,23 @@ class StopRelay:
                     sends.append((handed, address))
         return sends
 
-    def advance(self, now: float) -> list[Stop]:
-        """The stops to send to all now."""
+    def advance(
+        self, now: float, is_over: Callable[[Stop, float], bool] = lambda stop, issued: False
+    ) -> list[Stop]:
+        """The stops to send to all now; none that `is_over`, which takes the time of its issue."""
         due: list[Stop] = []
         for key, relayed in list(self._stops.items()):
-            if now - relayed.fed > LIFETIME:
+            if now - relayed.issued - relayed.repeated > LIFETIME:
                 del self._stops[key]
                 continue
             if now >= relayed.due and relayed.due >= 0.0:
                 relayed.due = -1.0
-                if relayed.copies < REDUNDANCY and self._is_needed(relayed, now):
-                    age = round((now - relayed.issued) * 1000)
+                is_needed = relayed.copies < REDUNDANCY and self._is_needed(relayed, now)
+                if is_needed and not is_over(relayed.stop, relayed.issued):
+                    age, repeated = now - relayed.issued, relayed.repeated
                     hops = min(relayed.stop.hops + 1, MAX_HOPS)
-                    due.append(replace(relayed.stop, age=age, hops=hops))
+                    ages = {"age": round(age * 1000), "repeated": round(repeated * 1000)}
+                    due.append(replace(relayed.stop, hops=hops, **ages))
             if now >= relayed.interval_ends:
                 relayed.interval = min(2.0 * relayed.interval, LAST_INTERVAL)
                 relayed.due = now + self._random.uniform(0.1, 1.0) * relayed.interval

@@ -58,7 +58,8 @@ class PendingStop:
 
         Nothing while no target is known. `names` None: for all targets, else for these alone.
         """
-        stop = replace(self._stop, age=round((now - self._started) * 1000))
+        age = round((now - self._started) * 1000)
+        stop = replace(self._stop, age=age, repeated=age)
         lacking = set(self.lacking(now))
         if names is not None:
             lacking &= set(names)

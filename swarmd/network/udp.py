@@ -9,6 +9,10 @@ What is sent to all goes
   everything while nobody has been heard by multicast for a lease (access points may drop it);
 - by unicast to seeds and to peers that are not heard by the group (`Recipients`).
 
+A datagram waits in its socket while the process is frozen or busy. The kernel's time of its arrival
+(SO_TIMESTAMPNS) tells for how long. That time is of the wall clock; the time since the sockets were
+empty bounds what a step of that clock can add.
+
 A copy that arrives by another way than its twin is dropped. Sockets are bound to the interface and
 not to an address, so that they outlive a change of addresses. Profile dev is on loopback, without
 broadcast and IPv6.
@@ -26,6 +30,7 @@ import select
 import socket
 import struct
 import threading
+import time
 from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable
@@ -71,9 +76,19 @@ _TAG = slice(5, 5 + TAG_BYTES)
 # linux/in.h, linux/in6.h and asm-generic/socket.h; Python names none of them.
 _IP_UNICAST_IF, _IP_MULTICAST_ALL = 50, 49
 _IPV6_UNICAST_IF, _IPV6_MULTICAST_ALL = 76, 29
-_SO_ATTACH_FILTER, _SO_RCVBUFFORCE = 26, 33
+_SO_ATTACH_FILTER, _SO_RCVBUFFORCE, _SO_TIMESTAMPNS = 26, 33, 35
+_TIMESPEC = struct.Struct("@ll")
+_ROOM = socket.CMSG_SPACE(_TIMESPEC.size)
+SHORT_WAIT = 0.2  # s since the sockets were empty below which the wait of a datagram counts as none
 
-Received = tuple[bytes, Address, bool]
+
+class Received(NamedTuple):
+    """A datagram, its source, whether it was sent to all, and for how many seconds it waited."""
+
+    payload: bytes
+    source: Address
+    by_group: bool
+    waited: float
 
 
 class _Way(Enum):
@@ -132,6 +147,7 @@ class UdpCarrier:
         self._unconfirmed: dict[Address, _Way] = {}
         self._detach: Callable[[], None] = lambda: None
         self._is_full = False
+        self._emptied_at = clock()
         self._limits = FloodLimits()
         self._rules = self._limits.rules(0.0)
         self._turns = 0
@@ -233,7 +249,7 @@ class UdpCarrier:
     # Receiving
 
     def receive(self) -> list[Received]:
-        """What has arrived: payload, source, and whether it came by the group. At most BATCH."""
+        """What has arrived, at most BATCH."""
         found: list[Received] = []
         with self._lock:
             now = self._clock()
@@ -249,14 +265,21 @@ class UdpCarrier:
                 self._rules = rules
                 for sock, _ in self._listeners:
                     self._attach_filter(sock)
+            if not self._is_full:
+                self._emptied_at = now
         return found
 
     def _take_from(self, listener: _Listener, room: int, now: float, found: list[Received]) -> int:
         """Append what a listener has; returns what it cost, at most `room` and one more."""
-        cost = 0
+        cost, waited = 0, 0.0
+        longest = now - self._emptied_at
         while cost < room:
             try:
-                payload, name = listener.socket.recvfrom(MAX_DATAGRAM + 1)
+                if longest <= SHORT_WAIT:
+                    payload, name = listener.socket.recvfrom(MAX_DATAGRAM + 1)
+                else:
+                    payload, ancillary, _, name = listener.socket.recvmsg(MAX_DATAGRAM + 1, _ROOM)
+                    waited = min(max(_waited(ancillary), 0.0), longest)
             except BlockingIOError:
                 return cost
             except OSError:  # what the network said of an earlier datagram
@@ -265,7 +288,8 @@ class UdpCarrier:
             source = self._admit(payload, name, listener.way, now)
             cost += _DROP_COST if source is None else _COST
             if source is not None:
-                found.append((payload, source, listener.way is not _Way.UNICAST))
+                by_group = listener.way is not _Way.UNICAST
+                found.append(Received(payload, source, by_group, waited))
         self._is_full = True
         return cost
 
@@ -328,7 +352,7 @@ class UdpCarrier:
         return False
 
     def attach(self, loop: AbstractEventLoop, on_datagram: OnDatagram) -> None:
-        """Call `on_datagram(payload, source, by_group)` on a running loop until `close`."""
+        """Call `on_datagram(payload, source, waited)` on a running loop until `close`."""
         files = self.filenos
         timer: list[object] = []
 
@@ -346,7 +370,7 @@ class UdpCarrier:
                 ignore()
                 timer[:] = [loop.call_later(PAUSE, listen)]
             for one in received:
-                on_datagram(*one)
+                on_datagram(one.payload, one.source, one.waited)
 
         def detach() -> None:
             ignore()
@@ -357,7 +381,7 @@ class UdpCarrier:
         listen()
 
     def start_thread(self, on_datagram: OnDatagram) -> None:
-        """Call `on_datagram(payload, source, by_group)` on a thread until `close`."""
+        """Call `on_datagram(payload, source, waited)` on a thread until `close`."""
         wake_read, wake_write = os.pipe()
         ended = threading.Event()
         poll = select.poll()
@@ -370,7 +394,7 @@ class UdpCarrier:
                 if ended.is_set():
                     break
                 for one in self.receive():
-                    on_datagram(*one)
+                    on_datagram(one.payload, one.source, one.waited)
                 if self._is_full:
                     ended.wait(PAUSE)
 
@@ -448,6 +472,7 @@ class UdpCarrier:
             scope = self._index if host.startswith("ff") else 0
             sock.bind((host, port) if family == socket.AF_INET else (host, port, 0, scope))
             self._enlarge(sock)
+            sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
             if way in (_Way.MULTICAST, _Way.COPY):
                 self._join(one, socket.IP_ADD_MEMBERSHIP, socket.IPV6_JOIN_GROUP)
         except OSError:
@@ -548,6 +573,15 @@ class _Seeds:
                     found.append(_address(name))
         self._found.append(found)
         self._is_under_way = False
+
+
+def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
+    """Seconds since a datagram arrived, by the wall clock; 0 without the kernel's time."""
+    for level, kind, content in ancillary:
+        if (level, kind, len(content)) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS, _TIMESPEC.size):
+            seconds, nanoseconds = _TIMESPEC.unpack(content)
+            return time.time() - seconds - 1e-9 * float(nanoseconds)
+    return 0.0
 
 
 def _address(name: tuple[object, ...]) -> Address:

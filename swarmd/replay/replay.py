@@ -229,8 +229,8 @@ class Replay:
         elif topic == "/latches":
             self._carry_out(robot.on_latches(decode(text, type=dict[str, Latch]), now))
         elif topic == "/goal":
-            goal, age = decode(text, type=tuple[Goal, float | None])
-            self._carry_out(robot.on_goal(goal, age, now))
+            goal, age, may_join = decode(text, type=tuple[Goal, float | None, bool])
+            self._carry_out(robot.on_goal(goal, age, now, may_join=may_join))
         elif topic == "/forget_goals":
             self._carry_out(robot.forget_goals(decode(text, type=tuple[str, ...]), now))
         elif topic == "/run_lease":

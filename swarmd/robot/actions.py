@@ -38,7 +38,8 @@ class Actions(Struct, frozen=True, eq=False):
     base is connected. `is_stopped`: the state is stopped, estopped or faulted. `replies` may answer
     earlier requests: a run is answered when its pattern has been loaded. A `trial` has a process of
     its own and leaves the running pattern alone. `is_quiet`: there is nothing but the command, and
-    `wake_at` is as before. `failed_code`: provisional code has failed.
+    `wake_at` is as before. `failed_code`: provisional code has failed. `ended`: state and reason
+    after the end of a run; empty if none ended.
     """
 
     twist: Twist
@@ -55,6 +56,7 @@ class Actions(Struct, frozen=True, eq=False):
     status: Status | None = None
     replies: tuple[Reply, ...] = ()
     failed_code: FailedCode | None = None
+    ended: str = ""
 
 
 class Effects(Struct, eq=False):
@@ -75,6 +77,7 @@ class Effects(Struct, eq=False):
     replies: tuple[Reply, ...] = ()
     host: HostCommand | None = None
     failed_code: FailedCode | None = None
+    ended: str = ""
 
     def command_host(self, command: KillHost | Load | SetParams | Step) -> None:
         """Choose the one command of this event for the pattern host.

@@ -10,6 +10,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.goal import Goal, GoalState
 from swarmd.core.messages import (
     Epoch,
+    EstopRequest,
     GoalRequest,
     LabelRequest,
     Reason,
@@ -24,6 +25,7 @@ from swarmd.kit.conditions import parse_conditions
 from swarmd.robot.actions import Effects
 from swarmd.robot.goals import Found
 from swarmd.robot.lifecycle import Lifecycle
+from swarmd.robot.pattern_run import Wish
 from swarmd.robot.state_machine import Trigger
 
 
@@ -36,8 +38,11 @@ class GoalHandler:
         # The goal that was found last, the epoch before that, and the revision that it led to.
         self._found: tuple[Goal, Epoch, int] | None = None
 
-    def on_goal(self, goal: Goal, age: float | None, effects: Effects) -> None:
-        """A peer holds this goal, set `age` s ago (None: not known)."""
+    def on_goal(self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool) -> None:
+        """A peer holds this goal, set `age` s ago (None: not known).
+
+        `may_join`: what the other peers hold is known, too, so that the robot may join a run.
+        """
         goals, now = self._goals, effects.now
         found = goals.judge(goal)
         if found is Found.OWN:
@@ -48,8 +53,8 @@ class GoalHandler:
             goals.adopt(goal, age, now, may_join=False)
         elif found is Found.AGED or goals.is_held(goal):
             goals.learn_age(age, now)
-            if self._lifecycle.state_machine.state is State.IDLE:
-                self._join_if_wanted(effects)
+        if may_join:
+            self._join_if_wanted(effects)
 
     def is_of_found_goal(self, request: Request, quoted: Epoch | None) -> bool:
         """True for a run or a goal that came from a peer sooner than by this request.
@@ -68,8 +73,8 @@ class GoalHandler:
             self._goals.offer_again(run.generation)
             self._join_if_wanted(effects)
 
-    def on_stop(self, request: StopRequest, effects: Effects) -> None:
-        """A stop was carried out: one of all robots makes a goal without a pattern."""
+    def on_stop(self, request: StopRequest | EstopRequest, effects: Effects) -> None:
+        """A stop or estop was carried out: one of all robots makes a goal without a pattern."""
         if request.targets is None:
             self._goals.stand(request.id, request.operator, request.age, effects.now)
 
@@ -90,7 +95,8 @@ class GoalHandler:
             lifecycle.refuse(effects, request, Refusal.INVALID_CONDITION, fault)
         else:
             lifecycle.raise_revision(f"{request.operator} (resume {own.goal.pattern})")
-            self._start(own.goal, effects, own.goal.seconds, request)
+            wish = Wish(effects.now, request.operator)
+            self._start(own.goal, effects, wish, own.goal.seconds, request)
 
     def set_goal(self, request: GoalRequest, effects: Effects) -> None:
         """Take a goal over without a run."""
@@ -134,23 +140,34 @@ class GoalHandler:
             lifecycle.end(Trigger.STOP, Reason.SUPERSEDED, f"by {goal.text}", effects)
             goals.superseded = goal.text
         goals.adopt(goal, age, now, may_join=may_join and is_free)
-        self._join_if_wanted(effects)
 
     def _join_if_wanted(self, effects: Effects) -> None:
         """Run the own goal, which was found, if it wants that and is young enough."""
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
-        own, trial = goals.own, lifecycle.trial
+        own, trial, found = goals.own, lifecycle.trial, self._found
         if own is None or not goals.joins(now) or lifecycle.pattern_run.loading or trial:
             return
         if lifecycle.duplicate is not None or lifecycle.revoked or fault_of(own.goal.conditions):
             return
+        if lifecycle.state_machine.state in (State.ESTOPPED, State.FAULTED):
+            return
+        is_found = found is not None and found[0] == own.goal
+        is_unchanged = found is not None and found[2] == lifecycle.revision
         seconds, age = own.goal.seconds, own.age(now) or 0.0
         lifecycle.raise_revision(own.goal.text)
         lifecycle.log(f"joins {own.goal.text}, set {age:.1f} s ago", now)
-        self._start(own.goal, effects, None if seconds is None else seconds - age, None)
+        if found is not None and is_found and is_unchanged:
+            self._found = found[0], found[1], lifecycle.revision
+        left = None if seconds is None else seconds - age
+        self._start(own.goal, effects, Wish(now - age, own.goal.text), left, None)
 
     def _start(
-        self, goal: Goal, effects: Effects, seconds: float | None, request: ResumeRequest | None
+        self,
+        goal: Goal,
+        effects: Effects,
+        wish: Wish,
+        seconds: float | None,
+        request: ResumeRequest | None,
     ) -> None:
         assert goal.pattern is not None
         self._goals.on_loading()
@@ -158,6 +175,7 @@ class GoalHandler:
             goal.pattern,
             goal.params,
             effects,
+            wish=wish,
             seconds=seconds,
             until=goal.conditions,
             request=request,

@@ -9,12 +9,19 @@ A goal that is found, and was not asked for by a request to this robot, does not
 offered. The exception is a goal with `on_join: run` of a known age below its `valid`, while the
 robot may join: it was idle when the goal came, or ran for a lesser goal, and nothing ended a run
 since. If it lacks the pattern of the goal, it joins once more when the pattern is pushed to it.
+No goal that was set before the last stop, emergency stop or reset of the robot is joined.
+
+A stop or emergency stop of all robots makes a goal without a pattern that follows the held one,
+unless the held one is newer. While that is not known, since the age of the held goal is not, the
+stop is remembered until a peer tells the age or a greater goal.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from enum import Enum
+from typing import NamedTuple
 
 from swarmd.core.goal import (
     MAX_UNSIGNED,
@@ -42,10 +49,22 @@ class Found(Enum):
     OWN = "own"  # the greatest one for this robot
 
 
-class Goals:
-    """The goals of `robot`; `labels` are those of the swarm file, `record` that of its disk."""
+class _Undecided(NamedTuple):
+    """A stop of all robots that may be older than the held goal, issued at a time in s."""
 
-    def __init__(self, robot: str, labels: tuple[str, ...], record: GoalRecord | None) -> None:
+    operator: str
+    issued: float
+
+
+class Goals:
+    """The goals of `robot`; `labels` are those of the swarm file, `record` that of its disk.
+
+    `now`: when the robot starts.
+    """
+
+    def __init__(
+        self, robot: str, labels: tuple[str, ...], record: GoalRecord | None, now: float
+    ) -> None:
         record = record or GoalRecord()
         self._robot = robot
         self._file_labels = labels
@@ -60,6 +79,11 @@ class Goals:
         self._lease_until: float | None = None
         self._lease_count = -1
         self._stops: dict[str, None] = {}
+        self._undecided: dict[str, _Undecided] = {}
+        self._held_since = now  # the held goal is not newer than this
+        # When the robot was stopped, emergency-stopped or reset last, on the own clock.
+        self._stood = -math.inf if record.stood is None else record.stood
+        self._was_held = True  # the own goal is that of the record, which knows if it may be joined
         self._stopped = b""  # the held goal after which a stop of all came, and made no goal
         self._is_changed = False
         # The load that failed since the robot has no such pattern, and whether it was repeated.
@@ -105,6 +129,7 @@ class Goals:
             before=self.before,
             ended=self._reason if self.state is GoalState.ENDED else "",
             may_join=self._may_join or self.state in (GoalState.LOADING, GoalState.RUNNING),
+            stood=None if self._stood == -math.inf else self._stood,
             labels=self._set_labels,
         )
 
@@ -153,13 +178,14 @@ class Goals:
         if self.held is None or new.order > self.held.order:
             if self.held is not None and self.held.goal.id != goal.id:
                 self.before = self.held.goal
-            self.held = new
+            self.held, self._held_since = new, now
         if is_own and (self.own is None or new.order > self.own.order):
             self.own = new
             self._lease_count, self._lease_until = -1, None
-            self._has_retried = False
+            self._has_retried = self._was_held = False
             self._offer("", may_join=may_join)
         self._is_changed = True
+        self._decide_stops(now)
 
     def learn_age(self, age: float | None, now: float) -> None:
         """A peer reports the age of the held goal: the greatest age counts."""
@@ -170,6 +196,7 @@ class Goals:
         self.held = held._replace(issued=issued)
         if self.own is not None and self.own.content == held.content:
             self.own = self.own._replace(issued=issued)
+        self._decide_stops(now)
 
     def refusal_of(self, request: RunRequest) -> tuple[Refusal, str] | None:
         """Why a run is refused because of its goal."""
@@ -190,29 +217,42 @@ class Goals:
         return Refusal.OVERTAKEN, f"{self.held.goal.text} came first"
 
     def stand(self, stop: str, operator: str, age: float, now: float) -> bool:
-        """A stop of all robots makes a goal without a pattern; False if it makes no goal.
+        """A stop of all robots makes a goal without a pattern; False if it makes no goal now.
 
         `stop`: its id, `age` in s since it was issued. All robots that hold the same goal make the
         same one. A repeat makes no goal, nor does a stop that is older than the held goal.
         """
-        held = self.held
         if stop in self._stops:
             return False
         self._stops[stop] = None
         while len(self._stops) > MAX_STOPS:
             del self._stops[next(iter(self._stops))]
-        generation = 1
+        return self._stand_since(stop, _Undecided(operator, now - age), now)
+
+    def _decide_stops(self, now: float) -> None:
+        undecided, self._undecided = self._undecided, {}
+        for stop, one in undecided.items():
+            self._stand_since(stop, one, now)
+
+    def _stand_since(self, stop: str, one: _Undecided, now: float) -> bool:
+        """Make the goal of a stop, if the stop is known to be newer than the held goal."""
+        held, generation = self.held, 1
         if held is not None:
-            is_newer = held.issued is not None and held.issued > now - age
+            is_newer = held.issued is not None and held.issued > one.issued
             if is_newer or held.goal.id == stop:
+                return False
+            if held.issued is None and self._held_since > one.issued:
+                self._undecided[stop] = one
+                while len(self._undecided) > MAX_STOPS:
+                    del self._undecided[next(iter(self._undecided))]
                 return False
             if held.goal.generation >= MAX_UNSIGNED:  # no goal without a signature can follow it
                 self._stopped = held.content
                 self.held = held._replace(issued=None)  # without an age no robot joins its run
                 return False
             generation = held.goal.generation + 1
-        goal = Goal(generation=generation, issuer=operator[:MAX_ISSUER], id=stop)
-        self.adopt(goal, age, now, may_join=False)
+        goal = Goal(generation=generation, issuer=one.operator[:MAX_ISSUER], id=stop)
+        self.adopt(goal, now - one.issued, now, may_join=False)
         return True
 
     # The robot's runs
@@ -225,11 +265,14 @@ class Goals:
         goal, age = own.goal, own.age(now)
         if goal.on_join != "run" or goal.valid is None or age is None or age >= goal.valid:
             return False
+        if not self._was_held and now - age <= self._stood:
+            return False
         return goal.seconds is None or age < goal.seconds
 
     def on_loading(self) -> None:
         """The run of the own goal is being loaded."""
         self.state, self._reason, self._may_join = GoalState.LOADING, "", False
+        self._undecided.clear()
 
     def await_code(self, generation: int) -> None:
         """The load `generation` of the own goal has failed: the robot has no such pattern yet."""
@@ -263,6 +306,7 @@ class Goals:
         `is_resumed`: the request did not set the goal, and does not renew its lease.
         """
         self._may_join, self._awaits_code = False, None
+        self._undecided.clear()  # the run was asked for later
         if goal is None:
             if self.own is not None:
                 self._end(f"runs {what}, without a goal")
@@ -282,6 +326,10 @@ class Goals:
         if count > self._lease_count:
             self._lease_count = count
             self._lease_until = now + own.goal.lease
+
+    def bar(self, now: float) -> None:
+        """The robot was stopped or reset: it joins no goal that was set before."""
+        self._stood, self._was_held, self._is_changed = now, False, True
 
     def on_end(self, why: str) -> None:
         """A run ended, or an event came after which no found goal may start one."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 import msgspec
 from msgspec import Struct
@@ -64,6 +64,11 @@ class Latches:
         if OVERFLOW in self._held:  # the others may be folded into it
             wanted = [latch_id for latch_id in wanted if latch_id in self._held]
         return tuple(latch_id for latch_id in wanted if self.add(latch_id, latches[latch_id]))
+
+    @property
+    def cleared(self) -> Collection[str]:
+        """The ids of latches that were reset."""
+        return self._cleared.keys()
 
     def is_cleared(self, latch_id: str) -> bool:
         """True if a latch with this id was reset and is not held again."""

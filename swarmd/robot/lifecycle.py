@@ -60,6 +60,7 @@ from swarmd.robot.pattern_run import (
     Loading,
     PatternRun,
     Trial,
+    Wish,
 )
 from swarmd.robot.settings import RobotIdentity
 from swarmd.robot.state_machine import StateMachine, Trigger
@@ -68,6 +69,7 @@ MAX_HOLD_TIME = 2.0  # s after which a hold ends the run
 MAX_TEXT = 300  # characters
 # The next run, if it was requested already, goes on loading; a load has a timeout of its own.
 _ENDS_RUN_ALONE = frozenset({Trigger.FINISH, Trigger.HOLD_LASTED})
+_BARS_GOALS = frozenset({Reason.OPERATOR, Reason.ESTOP, Reason.RESET})
 _ENDS_TRIAL = frozenset({Trigger.STOP, Trigger.ESTOP, Trigger.STALL, Trigger.NETWORK})
 
 
@@ -86,7 +88,7 @@ class Lifecycle:
         self.state_machine = StateMachine(now)
         self.pattern_run = PatternRun()
         self.latches = Latches(latches)
-        self.goals = Goals(identity.robot, identity.settings.labels, goals)
+        self.goals = Goals(identity.robot, identity.settings.labels, goals, now)
         self.outbox = Outbox()
         self.revision = 0
         self.changed_by = "no one yet"
@@ -208,7 +210,7 @@ class Lifecycle:
             self.goals.on_running(
                 loading.goal,
                 loading.pattern,
-                now - loading.since,
+                now - loading.wish.at,
                 now,
                 is_resumed=isinstance(loading.request, ResumeRequest | ReloadRequest),
             )
@@ -334,10 +336,21 @@ class Lifecycle:
             self._reply(effects, loading.request, Code.FAILED, Refusal.PATTERN_FAILED, detail)
         self.end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, detail, effects)
 
-    def end(self, trigger: Trigger, reason: Reason, detail: str, effects: Effects) -> None:
-        """End the run, if any, and fire a trigger; no pattern is stepped after it."""
-        loading = self.pattern_run.loading
-        if trigger in _ENDS_RUN_ALONE and loading is not None and loading.request is not None:
+    def end(
+        self,
+        trigger: Trigger,
+        reason: Reason,
+        detail: str,
+        effects: Effects,
+        *,
+        keeps_load: bool = False,
+    ) -> None:
+        """End the run, if any, and fire a trigger; no pattern is stepped after it.
+
+        `keeps_load`: a run that was requested goes on loading.
+        """
+        loading, keeps_load = self.pattern_run.loading, keeps_load or trigger in _ENDS_RUN_ALONE
+        if keeps_load and loading is not None and loading.request is not None:
             self.pattern_run.end_running()
         else:
             if loading is not None:
@@ -354,13 +367,17 @@ class Lifecycle:
             text = f"{reason} before the pattern answered"
             self.refuse(effects, request, Refusal.OVERTAKEN, text)
         self.hold_since = None
-        before = self.state_machine.state
+        before, was_running = self.state_machine.state, self.is_running
         self.state_machine.apply(trigger, reason, detail[:MAX_TEXT], effects.now)
         text = f"{self.state_machine.state} ({reason}) {detail}".rstrip()
         if reason is not Reason.LEAVING:  # a robot that restarts offers its goal again
             self.goals.on_end(text[:MAX_TEXT])
+        if reason in _BARS_GOALS:
+            self.goals.bar(effects.now)
         if self.state_machine.state is not before:
             self.log(text, effects.now)
+        if was_running:
+            effects.ended = text[:MAX_TEXT]
 
     def end_trial(self, refusal: Refusal, text: str, effects: Effects) -> None:
         """End the trial under way, if any, without success; the running pattern goes on."""
@@ -378,6 +395,7 @@ class Lifecycle:
         params: Mapping[str, Scalar | None],
         effects: Effects,
         *,
+        wish: Wish,
         seconds: float | None = None,
         until: tuple[str, ...] = (),
         request: RunRequest | ReloadRequest | ResumeRequest | None = None,
@@ -394,7 +412,7 @@ class Lifecycle:
         run.generation += 1
         now = effects.now
         run.loading = Loading(
-            run.generation, pattern, params, seconds, now, request, until, goal, start_at
+            run.generation, pattern, params, seconds, now, request, wish, until, goal, start_at
         )
         run.restart_at = None
         load = self.load_of(run.generation, pattern, params)

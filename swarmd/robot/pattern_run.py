@@ -36,6 +36,18 @@ class RequestedCommand(Struct, frozen=True):
     scan_seq: int
 
 
+class Wish(Struct, frozen=True):
+    """When a run was asked for, in s on the own clock, and by whom.
+
+    For a run of a goal that was found: when the goal was set. A reload with a new run counts from
+    its request. A restart after a fault keeps the wish of the run. A stop that was issued before
+    does not end the run.
+    """
+
+    at: float
+    by: str
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Loading:
     """A pattern that is being loaded; the running one stays, without steps, until then.
@@ -51,6 +63,7 @@ class Loading:
     seconds: float | None
     since: float
     request: RunRequest | ReloadRequest | ResumeRequest | None
+    wish: Wish
     until: tuple[str, ...] = ()
     goal: Goal | None = None
     start_at: float | None = None
@@ -87,6 +100,7 @@ class Running:
     channels: frozenset[str]
     values: Mapping[str, tuple[Scalar | None, str]]
     requested: RequestedCommand
+    wish: Wish
     until: tuple[str, ...] = ()
     permit: Permit = NO_PERMIT
     period: float = field(init=False)
@@ -124,6 +138,12 @@ class PatternRun:
         self.restarts = 0
         self._faults: deque[float] = deque()
 
+    @property
+    def wish(self) -> Wish | None:
+        """The newest wish behind what runs or is being loaded; None if the robot stands."""
+        present = self.loading or self.running
+        return None if present is None else present.wish
+
     def ready(self, event: Loaded, now: float) -> Loading:
         """Make the loaded pattern the running one, without a requested command yet."""
         loading, self.loading = self.loading, None
@@ -142,6 +162,7 @@ class PatternRun:
             event.channels,
             event.params,
             RequestedCommand(None, now, -1),
+            loading.wish,
             loading.until,
         )
         self.awaiting_since = None

@@ -3,6 +3,16 @@
 No late request starts motion: run, reset, reload and param quote the epoch that the operator saw,
 and the robot refuses any other. It obeys stop and estop in every state, whatever they quote.
 
+A stop that arrives late is compared with the `Wish` of what runs or is being loaded:
+
+=====================================  ==========================================================
+the robot stands                       stands; what was asked since this stop, or a later one or
+                                       a reset, goes on
+the stop is as new as the wish         the run and the load end
+the stop is older                      refused (`overtaken`): the run and the load go on
+newer than the run, older than a load  refused; the run ends, the load goes on
+=====================================  ==========================================================
+
 Reload replaces a pattern's code. The new code is first tried in a process of its own, for this
 robot and with the parameters in force. Until the trial ends nothing else changes; a stop, or a
 trial that fails, leaves everything as it is.
@@ -44,10 +54,11 @@ from swarmd.core.messages import (
 from swarmd.robot.actions import Effects
 from swarmd.robot.goal_handler import GoalHandler, fault_of
 from swarmd.robot.lifecycle import Lifecycle
-from swarmd.robot.pattern_run import Trial
+from swarmd.robot.pattern_run import Trial, Wish
 from swarmd.robot.state_machine import Trigger
 
 TRIAL_TIMEOUT = 10.0
+MAX_STOPS = 64  # ids of stops that are remembered
 
 
 class RequestHandler:
@@ -65,10 +76,18 @@ class RequestHandler:
         self._lifecycle = lifecycle
         self._stop_text = stop_text
         self._trials = 0
-        self._last_stop = ("", -1)  # its id, and the revision that it led to
-        self._stopped = -math.inf  # when the latest stop that was carried out was issued
-        self._last_run = -math.inf, ""  # when a run was begun, and by whom
-        self._last_reset = -math.inf
+        self._obeyed: dict[str, float] = {}  # ids of stops, and when each was carried out first
+        # A robot that stands has stood since stops that were issued before this time.
+        self._stood = self._last_reset = -math.inf
+
+    @property
+    def relays_from(self) -> float:
+        """Stops of this robot that were issued before this time are not handed on.
+
+        The time of the newest wish behind the present run, or of the last reset.
+        """
+        wish = self._lifecycle.pattern_run.wish
+        return max(-math.inf if wish is None else wish.at, self._last_reset)
 
     def answer(self, request: Request, effects: Effects) -> None:
         """Carry the request out or refuse it; no reply if it targets only other robots."""
@@ -103,36 +122,29 @@ class RequestHandler:
         return is_same or self._goals.is_of_found_goal(request, quoted)
 
     def _stop(self, request: StopRequest, effects: Effects) -> None:
-        lifecycle = self._lifecycle
-        began, operator = self._last_run
-        if request.age > 0.0 and effects.now - request.age < began:
-            text = f"run again since, by {operator}"
+        lifecycle, now, run = self._lifecycle, effects.now, self._lifecycle.pattern_run
+        # A copy of a stop that was carried out is at least as old as the time since then.
+        issued = min(now - request.age, self._obeyed.get(request.id, math.inf))
+        detail = f"by {request.operator}"
+        if run.wish is not None and issued < run.wish.at:
+            if run.running is not None and issued >= run.running.wish.at:  # only the load is newer
+                lifecycle.raise_revision(f"{request.operator} (stop)")
+                lifecycle.end(Trigger.STOP, Reason.OPERATOR, detail, effects, keeps_load=True)
+            text = f"run again since, by {run.wish.by}"
             lifecycle.refuse(effects, request, Refusal.OVERTAKEN, text)
             return
-        if request.age > 0.0 and effects.now - request.age < self._last_reset:
-            # Another robot handed it on late: this one was stopped, reset, and has stood since.
-            lifecycle.applied(effects, request, self._stop_text(effects.now))
-            return
-        if request.age > 0.0 and self._is_stopped_since(request, effects.now):
-            # Robots hand a stop on for a minute: what was asked since, such as a trial, goes on.
-            self._goals.on_stop(request, effects)
-            lifecycle.applied(effects, request, self._stop_text(effects.now))
-            return
-        self._stopped = max(self._stopped, effects.now - request.age)
-        # An operator repeats a stop until it is acked; the repeats count as one change.
-        if self._last_stop != (request.id, lifecycle.revision):
+        is_known = request.id in self._obeyed or issued <= self._stood
+        self._stood = max(self._stood, issued)
+        self._obeyed.setdefault(request.id, now)
+        while len(self._obeyed) > MAX_STOPS:
+            del self._obeyed[next(iter(self._obeyed))]
+        # Robots hand a stop on for a minute, and operators repeat it: what was asked of a robot
+        # that has stood since, such as a trial or a reset, goes on.
+        if run.wish is not None or not is_known:
             lifecycle.raise_revision(f"{request.operator} (stop)")
-            self._last_stop = (request.id, lifecycle.revision)
-        lifecycle.end(Trigger.STOP, Reason.OPERATOR, f"by {request.operator}", effects)
+            lifecycle.end(Trigger.STOP, Reason.OPERATOR, detail, effects)
         self._goals.on_stop(request, effects)
-        lifecycle.applied(effects, request, self._stop_text(effects.now))
-
-    def _is_stopped_since(self, request: StopRequest, now: float) -> bool:
-        """True if this stop or a later stop stopped the robot, and it stands."""
-        is_known = request.id == self._last_stop[0] or now - request.age <= self._stopped
-        lifecycle = self._lifecycle
-        is_stopped = lifecycle.state_machine.state in (State.STOPPED, State.ESTOPPED)
-        return is_known and is_stopped and lifecycle.pattern_run.loading is None
+        lifecycle.applied(effects, request, self._stop_text(now))
 
     def _estop(self, request: EstopRequest, effects: Effects) -> None:
         latch_id = request.id if is_id(request.id) else "unnamed"
@@ -142,6 +154,8 @@ class RequestHandler:
             return
         latch = Latch(issuer=request.operator, scope=request.scope, reason=request.reason)
         self._lifecycle.latch(latch_id, latch, effects)
+        self._stood = effects.now
+        self._goals.on_stop(request, effects)
         self._lifecycle.applied(effects, request, self._stop_text(effects.now))
 
     def _run(self, request: RunRequest | ResumeRequest, effects: Effects) -> None:
@@ -154,17 +168,16 @@ class RequestHandler:
         elif text := under_way(lifecycle):
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
         elif isinstance(request, ResumeRequest):
-            self._last_run = effects.now, request.operator
             self._goals.resume(request, effects)
         elif why := self._refusal_of(request, effects.now):
             lifecycle.refuse(effects, request, *why)
         else:
             lifecycle.raise_revision(f"{request.operator} (run {request.pattern})")
-            self._last_run = effects.now, request.operator
             lifecycle.start_run(
                 request.pattern,
                 request.params,
                 effects,
+                wish=Wish(effects.now, request.operator),
                 seconds=request.seconds,
                 until=request.until,
                 request=request,
@@ -201,13 +214,14 @@ class RequestHandler:
                 lifecycle.raise_revision(f"{request.operator} (reset)")
             lifecycle.refuse(effects, request, Refusal.ESTOPPED, text)
         elif state in (State.RUNNING, State.IDLE):
+            lifecycle.goals.bar(effects.now)
             lifecycle.applied(effects, request, f"{state}: nothing to reset")
         else:
             lifecycle.raise_revision(f"{request.operator} (reset)")
             detail = request.reason or f"by {request.operator}"
             lifecycle.end(Trigger.RESET, Reason.RESET, detail, effects)
             lifecycle.applied(effects, request, "idle")
-            self._last_reset = effects.now
+            self._stood = self._last_reset = effects.now
 
     def _set_params(self, request: ParamRequest, effects: Effects) -> None:
         lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
@@ -250,7 +264,7 @@ class RequestHandler:
         running, request = run.running, trial.request
         is_same = running is not None and running.pattern == request.pattern
         if is_same and not request.keeps_running:
-            self._replace(request, effects)
+            self._replace(trial, effects)
         elif running is not None:
             run.is_outdated = True
             effects.trial = CancelTrial()
@@ -269,10 +283,10 @@ class RequestHandler:
             text = f"{trial.request.pattern}: loading took more than {TRIAL_TIMEOUT:.0f} s"
             self._lifecycle.end_trial(Refusal.PATTERN_FAILED, text, effects)
 
-    def _replace(self, request: ReloadRequest, effects: Effects) -> None:
+    def _replace(self, trial: Trial, effects: Effects) -> None:
         """Stop the running pattern and its host; run the new code in a fresh host if asked to."""
         lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
-        running, goals = run.running, lifecycle.goals
+        request, running, goals = trial.request, run.running, lifecycle.goals
         assert running is not None
         goal = goals.own.goal if goals.own and goals.state is GoalState.RUNNING else None
         left = None if running.finish_at is None else max(running.finish_at - effects.now, 1e-3)
@@ -285,6 +299,7 @@ class RequestHandler:
                 request.pattern,
                 running.params,
                 effects,
+                wish=Wish(trial.since, request.operator),
                 seconds=left,
                 until=running.until,
                 request=request,

@@ -7,7 +7,7 @@ Two shells drive it: the daemon and the lockstep simulator. Every method is O(1)
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 
 from msgspec.structs import astuple
 
@@ -133,14 +133,19 @@ class Robot:
         return self._lifecycle.latches.held
 
     @property
-    def cleared(self) -> tuple[str, ...]:
+    def cleared(self) -> Collection[str]:
         """The ids of emergency stops that were reset: their late copies do not latch again."""
-        return self._lifecycle.latches.record().cleared
+        return self._lifecycle.latches.cleared
 
     @property
     def goal(self) -> HeldGoal | None:
         """The greatest goal that the robot has seen."""
         return self._lifecycle.goals.held
+
+    @property
+    def relays_from(self) -> float:
+        """Stops of this robot that were issued before this time are not handed on."""
+        return self._requests.relays_from
 
     @property
     def goals(self) -> GoalRecord:
@@ -278,10 +283,13 @@ class Robot:
         self._lifecycle.adopt_latches(latches, effects)
         return self._settle(effects)
 
-    def on_goal(self, goal: Goal, age: float | None, now: float) -> Actions:
-        """A peer holds this goal, set `age` s ago (None: the peer does not know)."""
+    def on_goal(self, goal: Goal, age: float | None, now: float, *, may_join: bool) -> Actions:
+        """A peer holds this goal, set `age` s ago (None: the peer does not know).
+
+        `may_join`: what the other peers hold is known, too, so that the robot may join a run.
+        """
         effects = self._begin(now)
-        self._goals.on_goal(goal, age, effects)
+        self._goals.on_goal(goal, age, effects, may_join=may_join)
         return self._settle(effects)
 
     def forget_goals(self, digests: tuple[str, ...], now: float) -> Actions:
@@ -434,6 +442,7 @@ class Robot:
             status=status,
             replies=effects.replies,
             failed_code=effects.failed_code,
+            ended=effects.ended,
         )
         return actions
 
@@ -483,8 +492,9 @@ class Robot:
         if run.restart_at is None or effects.now < run.restart_at:
             return
         if running is not None and effects.host is None:
-            params, until = running.params, running.until
-            self._lifecycle.start_run(running.pattern, params, effects, until=until)
+            self._lifecycle.start_run(
+                running.pattern, running.params, effects, wish=running.wish, until=running.until
+            )
 
     def _step(self, effects: Effects) -> None:
         run, now = self._run, effects.now

@@ -85,9 +85,10 @@ def test_ages_are_handed_on_along_a_line() -> None:
         assert 0.0 <= age - (network.now - began + 7.0) < 1.0
 
 
-def test_a_restarted_robot_learns_the_age_of_its_goal() -> None:
+@pytest.mark.parametrize("fields", [{"on_join": "run", "valid": 60.0}, {}])
+def test_a_restarted_robot_learns_the_age_of_its_goal(fields: dict[str, Any]) -> None:
     network = VirtualNetwork(3)
-    wanted = goal(on_join="run", valid=60.0)
+    wanted = goal(**fields)
     for robot in network.robots.values():
         robot.find(wanted, 5.0, network.now)
     network.robots["r2"].goals.held = HeldGoal.of(wanted, None)

@@ -66,7 +66,7 @@ class Hole:
         self._carrier.start_thread(self._on_datagram)
         self._sequence = 0
 
-    def _on_datagram(self, payload: bytes, source: tuple[str, int], by_group: bool) -> None:
+    def _on_datagram(self, payload: bytes, source: tuple[str, int], waited: float) -> None:
         body = unpack(self._tag, payload)
         if not isinstance(body, Solicit):
             return

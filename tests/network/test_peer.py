@@ -8,6 +8,7 @@ from typing import Literal
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core.goal import Goal
 from swarmd.core.messages import Latch, Presence, State
 from swarmd.core.values import Pose, SharedPose
 from swarmd.network.datagram import (
@@ -251,6 +252,128 @@ def test_a_stop_is_passed_on_for_a_minute_and_no_longer() -> None:
     network.reaches = lambda sender, receiver: True
     network.run(30.0)
     assert not network.robots["r2"].stops
+
+
+def relayed(network: VirtualNetwork, name: str, seconds: float) -> int:
+    """How many stops a robot hands on in this time."""
+    network.is_tapped = True
+    network.tapped.clear()
+    network.run(seconds)
+    network.is_tapped = False
+    return sum(sender == name and isinstance(body, Stop) for sender, body, _, _ in network.tapped)
+
+
+@pytest.mark.parametrize("why", ["none", "run", "goal", "older goal", "goal of others"])
+@pytest.mark.parametrize("targets", [None, ("r1",), ("r9",)])
+def test_a_stop_is_not_handed_on_after_a_newer_run_or_goal(
+    why: str, targets: tuple[str] | None
+) -> None:
+    network = VirtualNetwork(1)
+    robot = network.robots["r1"]
+    goal = Goal(generation=1, issuer="bob", id="g", pattern="drive")
+    if why == "older goal":
+        robot.find(goal, 5.0, network.now)
+    network.stop("stop", 0.2, targets)
+    network.run(0.5)
+    if why == "run":
+        robot.relays_from = network.now
+    elif why == "goal":
+        robot.find(goal, 0.0, network.now)
+    elif why == "goal of others":
+        robot.find(replace(goal, targets=("r2",)), 0.0, network.now)
+    is_over = why == "goal" or (why == "run" and targets != ("r9",))
+    is_silent = targets == ("r1",)  # no other robot is to stop
+    assert (relayed(network, "r1", 10.0) == 0) is (is_over or is_silent)
+
+
+@pytest.mark.parametrize("is_held", [False, True])
+def test_an_estop_is_not_handed_on_after_its_reset(is_held: bool) -> None:
+    network = VirtualNetwork(1)
+    network.stop("estop", 0.2)
+    robot = network.robots["r1"]
+    robot.cleared = ("estop-id",)
+    if not is_held:  # else it was issued again after the reset
+        robot.latches.clear()
+    assert (relayed(network, "r1", 10.0) == 0) is not is_held
+
+
+def test_a_stop_that_waited_in_a_socket_is_as_old_as_its_wait() -> None:
+    network = VirtualNetwork(1)
+    robot = network.robots["r1"]
+    stop = Stop(id="s", verb="stop", operator="anna", age=500, repeated=500)
+    effects = robot.peer.on_datagram(stop, OPERATOR, network.now, robot.summary, waited=20.0)
+    assert [one.age for one, _ in effects.stops] == [20500]
+    network.is_tapped = True
+    network.run(2.0)
+    ages = [body.age for _, body, _, _ in network.tapped if isinstance(body, Stop)]
+    assert ages
+    assert min(ages) >= 20500
+    assert all(body.repeated == 500 for _, body, _, _ in network.tapped if isinstance(body, Stop))
+
+
+# Goals that a robot may join
+
+
+JOINED = Goal(generation=4, issuer="bob", id="g4", pattern="drive", on_join="run", valid=600.0)
+STAND = Goal(generation=5, issuer="bob", id="s")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_robot_that_starts_joins_no_goal_that_others_know_has_ended(seed: int) -> None:
+    network = VirtualNetwork(4, seed=seed)
+    network.reaches = lambda sender, receiver: "late" in (sender, receiver)
+    for name, robot in network.robots.items():
+        robot.find(JOINED, 5.0, network.now)
+        if name != "r1":
+            robot.find(STAND, 1.0, network.now)
+    late = network.add("late")
+    late.find(JOINED, None, network.now)  # it ran it in its earlier life
+    network.run(6.0)
+    assert late.goals.held is not None
+    assert late.goals.held.goal == STAND
+    assert JOINED not in late.joinable
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.2])
+def test_a_robot_that_starts_may_join_the_goal_of_all(loss: float) -> None:
+    network = VirtualNetwork(4)
+    network.run(3.0)
+    for robot in network.robots.values():
+        robot.find(JOINED, 5.0, network.now)
+    network.loss = loss
+    late = network.add("late")
+    network.until(lambda: JOINED in late.joinable, 10.0)
+    assert late.goals.held is not None
+    assert late.goals.held.issued is not None
+
+
+def test_a_robot_that_hears_of_a_greater_goal_joins_none_before_it_knows_that() -> None:
+    network = VirtualNetwork(3)
+    network.run(3.0)
+    one, other, idle = network.robots.values()
+    network.reaches = lambda sender, receiver: not (sender == "r3" and receiver == "r2")
+    one.find(JOINED, 5.0, network.now)
+    other.find(STAND, 1.0, network.now)
+    network.reaches = lambda sender, receiver: (
+        {sender, receiver} != {"r1", "r2"}
+        and (
+            (sender, receiver) != ("r3", "r2")  # r2 is heard, and does not hear the question
+        )
+    )
+    network.run(10.0)
+    assert idle.goals.held is not None
+    assert idle.goals.held.goal == JOINED
+    assert idle.joinable == []
+    network.reaches = lambda sender, receiver: True
+    network.until(lambda: STAND in idle.joinable, 5.0)
+
+
+def test_a_greater_goal_among_robots_that_know_each_other_is_joined_at_once() -> None:
+    network = VirtualNetwork(4)
+    network.run(3.0)
+    network.robots["r1"].find(JOINED, 0.0, network.now)
+    others = [network.robots[name] for name in ("r2", "r3", "r4")]
+    assert network.until(lambda: all(JOINED in one.joinable for one in others), 5.0) < 1.5
 
 
 # Messages

@@ -6,7 +6,14 @@ import pytest
 
 from swarmd.core.messages import Code
 from swarmd.network.datagram import Ack, Stop
-from swarmd.network.stop_relay import ACK_PERIOD, ACKS_AT_ONCE, MAX_ACKS, StopRelay
+from swarmd.network.stop_relay import (
+    ACK_PERIOD,
+    ACKS_AT_ONCE,
+    LAST_INTERVAL,
+    LIFETIME,
+    MAX_ACKS,
+    StopRelay,
+)
 
 OPERATOR, PEER, STRANGER = ("10.0.0.9", 1), ("10.0.0.2", 7440), ("10.0.0.66", 1)
 
@@ -55,3 +62,37 @@ def test_a_stranger_does_not_keep_a_robot_from_handing_a_stop_on(attack: str) ->
     sent = copies(relay, 2.0)
     assert len(sent) >= 2
     assert max(one.age for one in sent) <= 4500
+
+
+@pytest.mark.parametrize("hears_operator", [0.0, 100.0])
+def test_relays_end_a_minute_after_the_operator_sent_its_last_copy(hears_operator: float) -> None:
+    """Three robots that hear one another feed each other; the operator repeats for a while."""
+    relays = [StopRelay(f"r{number}", seed=number) for number in range(3)]
+    last_sent = 0.0
+    for tick in range(round((hears_operator + 5.0 * LIFETIME) / 0.05)):
+        now = tick * 0.05
+        if now <= hears_operator and tick % 20 == 0:
+            age = round(1000.0 * now)
+            relays[0].on_stop(stop(targets=None, age=age, repeated=age), OPERATOR, now)
+        for index, relay in enumerate(relays):
+            for sent in relay.advance(now):
+                last_sent = now
+                for other in {0, 1, 2} - {index}:
+                    relays[other].on_stop(sent, (f"10.0.0.{index}", 7440), now + 0.01)
+    assert hears_operator + LIFETIME - 2.0 * LAST_INTERVAL <= last_sent
+    assert last_sent <= hears_operator + LIFETIME + 1.0
+
+
+def test_a_stop_that_the_robot_would_refuse_is_not_handed_on() -> None:
+    relay = StopRelay("r1", seed=1)
+    relay.on_stop(stop(age=2000), OPERATOR, 10.0)
+    asked: list[tuple[str, float]] = []
+
+    def is_over(one: Stop, issued: float) -> bool:
+        asked.append((one.id, issued))
+        return True
+
+    assert [
+        sent for tick in range(100) for sent in relay.advance(10.0 + tick * 0.05, is_over)
+    ] == []
+    assert set(asked) == {("s", 8.0)}

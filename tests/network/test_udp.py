@@ -20,7 +20,7 @@ from swarmd.core.errors import NetworkError
 from swarmd.network.datagram import ANY_SWARM, Address, Beacon, Solicit, Stop, pack, tag_of
 from swarmd.network.flood_limits import FloodRules
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.udp import Received, UdpCarrier
+from swarmd.network.udp import UdpCarrier
 from tests.network.conftest import Until
 
 TAG = tag_of("dev", f"test-{secrets.token_hex(6)}")
@@ -62,12 +62,12 @@ def peers(settings: NetworkSettings, left: contextlib.ExitStack) -> Peers:
     return Peers(settings, left)
 
 
-def arrived(carrier: UdpCarrier, count: int = 1) -> list[Received]:
+def arrived(carrier: UdpCarrier, count: int = 1) -> list[tuple[bytes, Address, bool]]:
     """What arrives until these many have, or nothing does for 10 s."""
-    found: list[Received] = []
+    found: list[tuple[bytes, Address, bool]] = []
     deadline = time.monotonic() + 10.0
     while len(found) < count and time.monotonic() < deadline:
-        found += carrier.receive()
+        found += [one[:3] for one in carrier.receive()]
         time.sleep(0.001)
     return found
 
@@ -156,14 +156,27 @@ def test_only_robots_of_the_swarm_get_copies(peers: Peers) -> None:
 def test_a_seed_may_be_a_name(peers: Peers) -> None:
     a = peers.open(multicast=False)
     b = peers.open(multicast=False, seeds=(f"tcp/localhost:{a.port}",))
-    found: list[Received] = []
+    found: list[tuple[bytes, Address, bool]] = []
     deadline = time.monotonic() + 20.0
     while not found and time.monotonic() < deadline:
         b._refresh_at = -1e9  # a look at the name's address is due
         b.send(beacon())
-        found += a.receive()
+        found += [one[:3] for one in a.receive()]
         time.sleep(0.01)
     assert found[0] == (beacon(), of(b), False)
+
+
+def test_a_datagram_tells_for_how_long_it_waited_here(peers: Peers) -> None:
+    a, b = peers.open(), peers.open()
+    b.receive()
+    a.send_to(stop("waits"), of(b))
+    began = time.monotonic()
+    time.sleep(0.4)  # the process of b does not read
+    found = b.receive()
+    assert [one.payload for one in found] == [stop("waits")]
+    assert 0.3 < found[0].waited <= time.monotonic() - began + 0.1
+    a.send_to(stop("waits not"), of(b))
+    assert b.receive()[0].waited < 0.3
 
 
 def test_a_copy_by_another_way_is_dropped_and_a_repeat_by_the_same_is_not(peers: Peers) -> None:
@@ -223,7 +236,7 @@ def test_the_loop_is_told_of_each_datagram_until_the_carrier_is_closed(
     peers: Peers, until: Until
 ) -> None:
     a, b = peers.open(), peers.open()
-    found: list[Received] = []
+    found: list[tuple[bytes, Address, bool]] = []
 
     async def main() -> None:
         b.attach(asyncio.get_running_loop(), lambda *one: found.append(one))
@@ -240,7 +253,7 @@ def test_the_loop_is_told_of_each_datagram_until_the_carrier_is_closed(
 
 def test_a_thread_tells_of_each_datagram_until_the_carrier_is_closed(peers: Peers) -> None:
     a, b = peers.open(), peers.open()
-    found: list[Received] = []
+    found: list[tuple[bytes, Address, bool]] = []
     b.start_thread(lambda *one: found.append(one))
     for number in range(300):
         a.send(beacon(number))

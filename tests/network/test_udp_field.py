@@ -19,7 +19,7 @@ import pytest
 from swarmd.network.datagram import Address, Beacon, Solicit, Stop, pack, tag_of
 from swarmd.network.interface_watch import read_state
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.udp import BEACONS_A_BROADCAST, GROUP4, Received, UdpCarrier, _Way
+from swarmd.network.udp import BEACONS_A_BROADCAST, GROUP4, UdpCarrier, _Way
 from tests.support.field import CLONE_NEWNET
 
 pytestmark = pytest.mark.integration
@@ -66,13 +66,13 @@ class Host:
     def send_to(self, payload: bytes, address: Address) -> None:
         self.do(lambda: self.carrier.send_to(payload, address))
 
-    def hear(self, *wanted: bytes) -> list[Received]:
+    def hear(self, *wanted: bytes) -> list[tuple[bytes, Address, bool]]:
         """What arrives until all that is wanted has; AssertionError after 10 s."""
-        found: list[Received] = []
+        found: list[tuple[bytes, Address, bool]] = []
         deadline = time.monotonic() + 10.0
         while not set(wanted) <= {payload for payload, _, _ in found}:
             assert time.monotonic() < deadline, found
-            found += self.do(self.carrier.receive)
+            found += [one[:3] for one in self.do(self.carrier.receive)]
         return found
 
     def close(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import heapq
 import itertools
+import math
 import random
 from collections import Counter
 from collections.abc import Callable, Collection, Mapping
@@ -42,7 +43,10 @@ class Robot:
     changes: list[str] = field(default_factory=list)
     clocks: list[ClockSample] = field(default_factory=list)
     places: list[PeerPlace] = field(default_factory=list)
-    goals: Goals = field(default_factory=lambda: Goals("robot", (), None))
+    goals: Goals = field(default_factory=lambda: Goals("robot", (), None, 0.0))
+    relays_from: float = -math.inf
+    cleared: tuple[str, ...] = ()
+    joinable: list[Goal] = field(default_factory=list)
     is_recording: bool = False
     is_up: bool = True
     invalid_goals: int = 0
@@ -53,7 +57,14 @@ class Robot:
 
     @property
     def summary(self) -> Summary:
-        return Summary(self.state, self.revision, self.latches, self.goals.held)
+        return Summary(
+            self.state,
+            self.revision,
+            self.latches,
+            self.goals.held,
+            relays_from=self.relays_from,
+            cleared=self.cleared,
+        )
 
     def find(self, goal: Goal, age: float | None, now: float) -> None:
         """Adopt a goal if it is greater."""
@@ -175,6 +186,7 @@ class VirtualNetwork:
                 targets=targets,
                 scope="swarm" if targets is None else "robots",
                 age=age,
+                repeated=age,
             )
             self.send(stop)
             self.run(0.1)
@@ -272,6 +284,8 @@ class VirtualNetwork:
         robot.invalid_goals += effects.invalid_goals
         for found in effects.goals:
             robot.find(found.goal, found.age, self.now)
+            if found.may_join:
+                robot.joinable.append(found.goal)
 
     def _send(
         self,

@@ -95,7 +95,7 @@ def head_at(robot: RobotHarness) -> RecordingHead:
         revision=robot.epoch.revision,
         generation=robot.robot.generation,
         latches=robot.robot.latches,
-        cleared=robot.robot.cleared,
+        cleared=tuple(robot.robot.cleared),
     )
 
 

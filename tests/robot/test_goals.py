@@ -5,9 +5,19 @@ from __future__ import annotations
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from swarmd.core.goal import MAX_UNSIGNED, Goal, GoalRecord, GoalState, GoalStatus, digest_of
-from swarmd.core.messages import Code, Latch, Reason, Refusal, Reply, State, StopRequest
+from swarmd.core.messages import (
+    Code,
+    EstopRequest,
+    Latch,
+    Reason,
+    Refusal,
+    Reply,
+    State,
+    StopRequest,
+)
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import LatchRecord
 from tests.support.robot_harness import RobotHarness
@@ -281,6 +291,132 @@ def test_a_stop_of_all_makes_the_same_standing_goal_in_all_robots() -> None:
     assert told(harnesses[0]).held.goal.generation == 8  # type: ignore[union-attr]
 
 
+@pytest.mark.parametrize("is_relayed", [False, True])
+def test_an_estop_of_all_makes_a_standing_goal_as_a_stop_does(is_relayed: bool) -> None:
+    harness = ready()
+    run(harness, goal(6, **JOINED))
+    harness.advance(5.0)
+    estop = EstopRequest(id="e1", operator="alice", is_relayed=is_relayed, age=2.0)
+    for _ in range(2):
+        harness.carry_out(harness.robot.on_request(estop, harness.now))
+        harness.advance(0.1)
+    harness.applied("reset", ids=("e1",))
+    assert told(harness).state is GoalState.STANDING
+    assert told(harness).held.goal == goal(7, "alice", id="e1", pattern=None)  # type: ignore[union-attr]
+    assert harness.refused("resume").refusal is Refusal.NO_GOAL
+    harness.carry_out(harness.robot.on_request(replace(estop, is_relayed=True), harness.now))
+    assert told(harness).held.goal.generation == 7  # type: ignore[union-attr]
+
+
+def test_an_estop_of_named_robots_makes_no_goal() -> None:
+    harness = ready()
+    run(harness, goal(6))
+    harness.applied("estop", scope="robots")
+    assert told(harness).held.goal.generation == 6  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize("is_restarted", [False, True])
+@pytest.mark.parametrize(("age", "joins"), [(6.0, False), (3.0, True)])
+def test_no_goal_that_is_older_than_the_last_reset_is_joined(
+    age: float, joins: bool, is_restarted: bool
+) -> None:
+    harness = ready()
+    harness.applied("estop", id="e1", scope="robots")
+    harness.advance(1.0)
+    harness.applied("reset", ids=("e1",))
+    if is_restarted:
+        began, harness = harness.now, RobotHarness(patterns=PATTERNS, goals=harness.record)
+        harness.advance(began - harness.now)
+    harness.advance(5.0)
+    harness.find(goal(6, **JOINED), age)
+    harness.advance(0.5)
+    assert (harness.status.state is State.RUNNING) is joins
+    assert told(harness).state is (GoalState.RUNNING if joins else GoalState.OFFERED)
+
+
+def test_a_goal_is_joined_only_when_what_the_others_hold_is_known() -> None:
+    harness = ready()
+    run(harness, goal(5))
+    seen = harness.epoch
+    wanted = goal(6, **JOINED)
+    harness.find(wanted, 1.0, may_join=False)
+    harness.advance(1.0)
+    assert standing_state(harness) == (State.STOPPED, Reason.SUPERSEDED)
+    assert told(harness).state is GoalState.OFFERED
+    harness.find(wanted, 2.0)
+    harness.advance(0.5)
+    assert told(harness).state is GoalState.RUNNING
+    assert run(harness, wanted, epoch=seen).code is Code.APPLIED
+
+
+def test_a_goal_that_waits_is_not_joined_after_a_stop_or_a_greater_goal() -> None:
+    stopped, overtaken = ready(), ready()
+    for harness in (stopped, overtaken):
+        harness.find(goal(6, **JOINED), 1.0, may_join=False)
+    stopped.applied("stop")
+    overtaken.find(goal(7, "alice", pattern=None), 1.0, may_join=False)
+    for harness in (stopped, overtaken):
+        harness.find(goal(6, **JOINED), 1.5)
+        harness.advance(0.5)
+        assert harness.status.state is not State.RUNNING
+
+
+def stop_of_all(harness: RobotHarness, age: float) -> None:
+    """A stop of all robots, issued `age` s ago, is handed on to the robot."""
+    harness.send(StopRequest(id="s1", operator="alice", age=age))
+
+
+def generation_of(harness: RobotHarness) -> int:
+    held = harness.robot.goal
+    assert held is not None
+    return held.goal.generation
+
+
+@pytest.mark.parametrize(("age", "generation"), [(10.0, 7), (60.0, 8)])
+def test_a_stop_makes_no_goal_until_the_age_of_the_held_goal_is_known(
+    age: float, generation: int
+) -> None:
+    harness = ready(GoalRecord(held=goal(7), own=goal(7)))
+    stop_of_all(harness, 30.0)
+    assert generation_of(harness) == 7
+    harness.advance(1.0)
+    harness.find(goal(7), None)
+    assert generation_of(harness) == 7
+    harness.find(goal(7), age)
+    assert generation_of(harness) == generation
+
+
+@pytest.mark.parametrize(
+    ("found", "age", "generation"),
+    [({"generation": 8}, 10.0, 8), ({"generation": 8}, 60.0, 9), ({"pattern": None}, 30.0, 8)],
+)
+def test_a_stop_of_unknown_order_is_compared_with_the_greater_goal_that_comes(
+    found: dict[str, Any], age: float, generation: int
+) -> None:
+    harness = ready(GoalRecord(held=goal(7), own=goal(7)))
+    stop_of_all(harness, 30.0)
+    harness.find(
+        goal(**{"generation": 8, "id": "s1", **found} if "pattern" in found else found), age
+    )
+    assert generation_of(harness) == generation
+
+
+def test_a_stop_that_is_newer_than_the_start_of_the_robot_makes_a_goal_at_once() -> None:
+    harness = ready(GoalRecord(held=goal(7), own=goal(7)))
+    harness.advance(20.0)
+    stop_of_all(harness, 5.0)
+    assert generation_of(harness) == 8
+
+
+def test_a_run_that_began_since_ends_the_doubt_about_a_stop() -> None:
+    harness = ready(GoalRecord(held=goal(7), own=goal(7)))
+    stop_of_all(harness, 30.0)
+    harness.applied("resume")
+    harness.find(goal(7), 60.0)
+    assert generation_of(harness) == 7
+    assert harness.status.state is State.RUNNING
+
+
 def test_a_stop_that_is_older_than_the_held_goal_makes_none() -> None:
     harness = ready()
     harness.find(goal(7), 2.0)
@@ -387,7 +523,7 @@ def test_a_restarted_robot_offers_its_goal_and_tells_why_it_had_ended() -> None:
 
 
 def test_ages_are_handed_on_and_the_greatest_counts() -> None:
-    goals = Goals("r1", (), None)
+    goals = Goals("r1", (), None, 100.0)
     goals.adopt(goal(), 5.0, 100.0, may_join=False)
     goals.learn_age(3.0, 100.0)
     assert goals.held is not None

@@ -8,11 +8,18 @@ from typing import Any
 import pytest
 
 from swarmd.core.host_messages import Loaded
-from swarmd.robot.pattern_run import LOAD_TIMEOUT, MIN_EXPIRY, STEP_TIMEOUT, Loading, PatternRun
+from swarmd.robot.pattern_run import (
+    LOAD_TIMEOUT,
+    MIN_EXPIRY,
+    STEP_TIMEOUT,
+    Loading,
+    PatternRun,
+    Wish,
+)
 
 
 def loading(seconds: float | None = None, since: float = 10.0) -> Loading:
-    return Loading(1, "drive", {}, seconds, since, request=None)
+    return Loading(1, "drive", {}, seconds, since, None, Wish(since, "alice"))
 
 
 def running(seconds: float | None = None) -> PatternRun:

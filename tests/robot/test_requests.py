@@ -2,11 +2,24 @@
 
 from __future__ import annotations
 
+from typing import Any
+
+import msgspec
 import pytest
 
 from swarmd.api import Outputs, Twist
-from swarmd.core.host_messages import KillHost, Loaded, Stepped
-from swarmd.core.messages import Code, Epoch, Latch, Reason, Refusal, State, StopRequest
+from swarmd.core.goal import Goal
+from swarmd.core.host_messages import KillHost, Loaded, PatternFailed, Stepped
+from swarmd.core.messages import (
+    Code,
+    Epoch,
+    Latch,
+    Reason,
+    Refusal,
+    Reply,
+    State,
+    StopRequest,
+)
 from swarmd.robot.latches import MAX_HELD
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, Forward, standing_state, started
@@ -78,6 +91,125 @@ def test_a_stop_that_another_robot_hands_on_late_changes_no_robot_that_is_estopp
     assert late is not None
     assert (late.code, harness.status.state) == (Code.APPLIED, State.ESTOPPED)
     assert harness.status.epoch == epoch  # a reset that was asked for at this epoch counts
+
+
+def late_stop(harness: RobotHarness, age: float, **fields: Any) -> Reply:
+    """The answer to a stop of all robots that a peer hands on."""
+    return harness.answer(StopRequest(operator="bob", age=age, **{"id": "s0", **fields}))
+
+
+JOINED = Goal(generation=1, issuer="bob", id="g1", pattern="forward", on_join="run", valid=600.0)
+
+
+@pytest.mark.parametrize("verb", ["run", "resume", "reload"])
+def test_a_stop_that_is_older_than_the_wish_to_run_ends_no_run(verb: str) -> None:
+    harness = started() if verb == "reload" else RobotHarness(patterns=PATTERNS)
+    if verb == "resume":
+        harness.find(JOINED, 100.0, may_join=False)
+    harness.advance(5.0)
+    fields = {"run": {"pattern": "forward"}, "reload": {"pattern": "forward", "is_rerun": True}}
+    harness.ask(verb, **fields.get(verb, {}))
+    harness.advance(2.0)
+    assert late_stop(harness, 3.0).refusal is Refusal.OVERTAKEN
+    assert harness.status.state is State.RUNNING
+    assert late_stop(harness, 1.5).code is Code.APPLIED
+    assert harness.status.state is State.STOPPED
+
+
+@pytest.mark.parametrize(("age", "ends"), [(12.0, False), (9.0, True)])
+def test_a_stop_ends_a_joined_run_if_it_is_newer_than_the_goal(age: float, ends: bool) -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(1.0)
+    harness.find(JOINED, 10.0)
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+    assert (late_stop(harness, age).code is Code.APPLIED) is ends
+    assert (harness.status.state is State.STOPPED) is ends
+
+
+def test_a_stop_after_a_reset_and_a_join_stops() -> None:
+    """Estopped, split, a run with on_join on the other side, reset here, healed."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.ask("estop", id="e1")
+    harness.advance(5.0)
+    harness.ask("reset", ids=("e1",))
+    harness.advance(1.0)
+    harness.find(msgspec.structs.replace(JOINED, generation=7), 0.5)
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+    assert late_stop(harness, 0.6).code is Code.APPLIED
+    assert (harness.status.state, harness.twist.is_zero) == (State.STOPPED, True)
+
+
+@pytest.mark.parametrize(
+    ("verb", "fields"),
+    [
+        ("run", {"pattern": "unheard_of"}),
+        ("run", {"pattern": "forward", "params": {"speed": "fast"}}),
+        ("run", {"pattern": "broken"}),
+        ("resume", {}),
+    ],
+)
+def test_a_refused_run_does_not_overtake_a_stop(verb: str, fields: dict[str, Any]) -> None:
+    harness = RobotHarness(patterns={**PATTERNS, "broken": Broken})
+    harness.advance(1.0)
+    harness.applied("run", pattern="forward")
+    harness.advance(5.0)
+    refused = harness.ask(verb, **fields)
+    harness.advance(0.5)
+    assert refused is not None
+    assert refused.code is not Code.APPLIED
+    assert late_stop(harness, 3.0).code is Code.APPLIED
+    assert harness.status.state is State.STOPPED
+
+
+def test_a_restart_after_a_fault_keeps_the_wish_of_the_run() -> None:
+    harness = started()
+    harness.advance(5.0)
+    generation = harness.status.generation
+    assert generation is not None
+    harness.host_says(PatternFailed(generation, "on purpose"))
+    harness.advance(1.0)
+    assert harness.status.state is State.RUNNING
+    assert late_stop(harness, 4.0).code is Code.APPLIED
+    assert harness.status.state is State.STOPPED
+
+
+def test_a_stop_between_a_run_and_a_load_ends_the_run_alone() -> None:
+    harness = started()
+    harness.advance(5.0)
+    harness.is_hung = True
+    request = harness.request("run", pattern="forward")
+    harness.send(request)
+    harness.advance(0.1)
+    assert late_stop(harness, 2.0).refusal is Refusal.OVERTAKEN
+    assert (harness.status.state, harness.twist.is_zero) == (State.STOPPED, True)
+    harness.is_hung = False
+    event = harness._runner.send(harness.sent[-1])
+    assert event is not None
+    harness.host_says(event)
+    assert harness.reply_to(request).code is Code.APPLIED
+    assert harness.status.state is State.RUNNING
+
+
+def test_a_copy_of_a_stop_that_was_carried_out_ends_no_later_run_whatever_its_age() -> None:
+    harness = started()
+    harness.advance(1.0)
+    late_stop(harness, 0.0)
+    harness.advance(1.0)
+    harness.applied("run", pattern="forward")
+    harness.advance(1.0)
+    assert late_stop(harness, 0.0).refusal is Refusal.OVERTAKEN
+    assert late_stop(harness, 0.0, id="s1").code is Code.APPLIED
+
+
+def test_each_end_of_a_run_is_told_with_its_cause() -> None:
+    harness = started()
+    harness.advance(1.0)
+    harness.ask("stop", id="s1")
+    assert harness.ended == ["stopped (operator) by alice"]
+    harness.ask("stop", id="s1")
+    assert len(harness.ended) == 1
 
 
 def test_thawed_daemon_stops_before_it_reads_requests() -> None:

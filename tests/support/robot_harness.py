@@ -77,6 +77,7 @@ class RobotHarness:
         self.sent: list[HostCommand] = []
         self.messages: list[tuple[str, object]] = []
         self.failed_code: list[FailedCode] = []
+        self.ended: list[str] = []
         self.scans: ScanSource = lambda seq, now: empty_scan(self.platform, seq, now)
         self.odometry: Twist | None = ZERO
         self.is_hung = False
@@ -191,9 +192,9 @@ class RobotHarness:
         """True once the reply to an earlier request has come."""
         return any(reply.id == request.id for reply in self.replies)
 
-    def find(self, goal: Goal, age: float | None = 0.0) -> None:
-        """A peer holds this goal, set `age` s ago."""
-        self.carry_out(self.robot.on_goal(goal, age, self.now))
+    def find(self, goal: Goal, age: float | None = 0.0, *, may_join: bool = True) -> None:
+        """A peer holds this goal, set `age` s ago; `may_join`: what others hold is known, too."""
+        self.carry_out(self.robot.on_goal(goal, age, self.now, may_join=may_join))
 
     def install(self, name: str, pattern: type[Pattern[Any]]) -> None:
         """Let pattern hosts find one more pattern."""
@@ -215,6 +216,8 @@ class RobotHarness:
             self.written.append(actions.latches)
         if actions.goals is not None:
             self.record = actions.goals
+        if actions.ended:
+            self.ended.append(actions.ended)
         events: list[HostEvent | None] = []
         for command in (actions.trial, actions.host):
             if command is not None:

@@ -106,7 +106,7 @@ class Viewer:
         for session, _ in self._sessions.values():
             self._entities.append(session.declare_subscriber(key, handler))
 
-    def _on_datagram(self, payload: bytes, source: Address, by_group: bool) -> None:
+    def _on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
         try:
             body = unpack(self._tag, payload)
         except CodecError:
