@@ -72,7 +72,6 @@ SCAN_PERIOD = 0.5
 BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `network/udp.py`
 PATTERNS = frozenset({"drive", "circle"})  # what each robot has; others are pushed
 SPEEDS = {"drive": 0.1, "circle": 0.05}
-MENDED: Any = hasattr(Robot, "relays_from")
 NO_DATA = np.full(8, np.inf)
 
 
@@ -400,8 +399,8 @@ class VirtualDaemon(Node):
         if life != self.lives:
             return
         now = self.swarm.now
-        waited = {"waited": now - arrived} if MENDED else {}
-        effects = self.peer.on_datagram(body, source, now, self._summary(), **waited)
+        waited = now - arrived
+        effects = self.peer.on_datagram(body, source, now, self._summary(), waited=waited)
         for stop, sender in effects.stops:
             shown = struct_replace(stop, hops=max(stop.hops, 1)) if effects.is_repeated else stop
             self.server.stop(shown, str(sender), partial(self._ack, stop, sender))
@@ -441,8 +440,7 @@ class VirtualDaemon(Node):
             if self.swarm.judge is not None and source is not None:  # else it is held already
                 self.swarm.judge.on_found(self, found, self.swarm.name_of(source))
             self.event = found
-            may_join = {"may_join": found.may_join} if MENDED else {}
-            self._carry_out(robot.on_goal(found.goal, found.age, now, **may_join))
+            self._carry_out(robot.on_goal(found.goal, found.age, now, may_join=found.may_join))
             self.event = None
         for lease in effects.leases:
             robot.on_run_lease(lease.id, lease.count, now)
@@ -456,8 +454,14 @@ class VirtualDaemon(Node):
 
     def _summary(self) -> Summary:
         robot = self.robot
-        more = {"relays_from": robot.relays_from, "cleared": robot.cleared} if MENDED else {}
-        return Summary(robot.state, robot.epoch.revision, robot.latches, robot.goal, **more)
+        return Summary(
+            robot.state,
+            robot.epoch.revision,
+            robot.latches,
+            robot.goal,
+            relays_from=robot.relays_from,
+            cleared=robot.cleared,
+        )
 
     # Ticks and actions
 
