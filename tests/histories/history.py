@@ -53,10 +53,13 @@ def step(gap: float, name: str, **args: Any) -> HistoryStep:
 
 
 class History:
-    """A swarm of robots `r1` to `r<count>` and two operators, to which steps happen."""
+    """A swarm of robots `r1` to `r<count>` and two operators, to which steps happen.
+
+    It is secured with each second seed.
+    """
 
     def __init__(self, count: int, seed: int = 1) -> None:
-        self.swarm = VirtualSwarm(seed)
+        self.swarm = VirtualSwarm(seed, is_secured=seed % 2 == 0)
         self.judge = Invariants(self.swarm)
         self.swarm.judge = self.judge
         self.operators = {
@@ -181,10 +184,10 @@ class History:
         self.swarm.loss, self.swarm.delay = loss, delay
 
     def wall(self, robot: str, shift: float) -> None:
-        """The wall clock of a robot jumps."""
-        daemon = self.swarm.robots.get(robot)
-        if daemon is not None:
-            daemon.wall += shift
+        """The wall clock of a robot or an operator jumps."""
+        node = self.swarm.nodes.get(robot)
+        if isinstance(node, VirtualDaemon | VirtualOperator):
+            node.wall += shift
 
 
 def replay(count: int, steps: Sequence[HistoryStep], seed: int = 1) -> History:
@@ -309,7 +312,7 @@ def _disturb(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
 
 
 def _wall(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
-    return step(0.0, "wall", robot=chance.choice(robots), shift=chance.choice((-1e6, 1e6)))
+    return step(0.0, "wall", robot=chance.choice((*robots, *OPERATORS)), shift=chance.choice((-1e6, 1e6)))
 
 
 _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], HistoryStep], float], ...] = (

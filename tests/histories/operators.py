@@ -36,7 +36,9 @@ from swarmd.network.outcome import Acks, Outcome, joined
 from swarmd.network.repeat_timer import SOLICIT_PACE, RepeatTimer
 from swarmd.network.request_sender import REPEAT_PERIOD, request_timeout
 from swarmd.network.stop_request import PendingStop
+from swarmd.network.signature import Author
 from swarmd.network.stop_sender import STOP_PACE
+from swarmd.security.roster import Role
 from swarmd.texts.goal import content_of, present_goals, set_apart
 from tests.histories.swarm import Node, VirtualSwarm
 
@@ -68,6 +70,8 @@ class VirtualOperator(Node):
         self.under_way = 0
         self._random = random.Random(name)
         self._echo = 0
+        self.wall = 0.0  # s beside the true time
+        self._origin, self._counter = self._random.randbytes(4), 0
         self._discoveries: list[Discovery] = []
         self._pending: list[PendingStop] = []
         swarm.add(self)
@@ -88,8 +92,12 @@ class VirtualOperator(Node):
 
         go_on()
 
-    def receive(self, body: Datagram, source: Address) -> None:
-        now = self.swarm.now
+    @property
+    def author(self) -> Author:
+        return Author(Role.OPERATOR, self.name)
+
+    def receive(self, body: Datagram, sender: Node) -> None:
+        now, source = self.swarm.now, sender.address
         if isinstance(body, Ack):
             for pending in self._pending:
                 pending.on_ack(body, now)
@@ -145,9 +153,14 @@ class VirtualOperator(Node):
             operator=self.name,
             scope="robots" if targets else "swarm",
         )
+        renew = None
+        if self.swarm.is_secured:
+            origin, counter = self._next_origin()
+            stop = replace(stop, origin=origin, counter=counter)
+            renew = partial(self._next_origin, is_new=True)
         select: Callable[[Collection[str]], Collection[str]] = set(targets).intersection
         pending = PendingStop(
-            stop, discovery, now, select=select if targets else None, names=targets
+            stop, discovery, now, select=select if targets else None, names=targets, renew=renew
         )
         self._discoveries.append(discovery)
         self._pending.append(pending)
@@ -303,6 +316,14 @@ class VirtualOperator(Node):
             return replace(next_goal(asker, view, **fields), id=self._new_id())
         except ConfigError:
             return None
+
+    def _next_origin(self, *, is_new: bool = False) -> tuple[bytes, int]:
+        """As `StopOrigin`, whose file outlives jumps of the wall clock."""
+        least = round(1000.0 * (self.swarm.wall + self.wall + self.swarm.now))
+        if is_new:
+            self._origin, self._counter = self._random.randbytes(4), 0
+        self._counter = max(self._counter + 1, least)
+        return self._origin, self._counter
 
     def _send(self, body: Datagram, to: Address | None) -> None:
         self.swarm.send(self, body, to)

@@ -16,7 +16,7 @@ import itertools
 import math
 import random
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from typing import Any, Protocol
 
@@ -55,13 +55,17 @@ from swarmd.core.values import ZERO, Odometry, Outputs, Platform, Pose, Scan, Tw
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.request_server import RequestServer
 from swarmd.network.bus import Query
+from swarmd.network.admission import Admission
 from swarmd.network.datagram import Ack, Address, Datagram, Stop
 from swarmd.network.goal_sync import FoundGoal
 from swarmd.network.peer import Effects, Peer, Summary
+from swarmd.network.signature import Author
+from swarmd.network.stop_freshness import REPLAYED
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
+from swarmd.security.roster import Role
 from swarmd.settings.settings import load_platform
 
 LEASE, SETTLE = 3.0, 1.0  # of profile field
@@ -72,6 +76,7 @@ SCAN_PERIOD = 0.5
 BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `network/udp.py`
 PATTERNS = frozenset({"drive", "circle"})  # what each robot has; others are pushed
 SPEEDS = {"drive": 0.1, "circle": 0.05}
+ROSTER = ("r1", "r2", "r3", "r4", "r5", "r6", "r7")
 NO_DATA = np.full(8, np.inf)
 
 
@@ -98,6 +103,7 @@ class Disk:
     latches: LatchRecord = LatchRecord()
     goals: GoalRecord = GoalRecord()
     patterns: frozenset[str] = frozenset()
+    counters: Mapping[bytes, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,12 +129,13 @@ class VirtualQuery:
 class VirtualSwarm:
     """Robots and operators on one network, which `cuts`, `loss` and `delay` disturb.
 
-    `cuts`: pairs of names, (sender, receiver), that nothing passes. `log` has a line for each event
-    of a robot that its daemon records.
+    `cuts`: pairs of names, (sender, receiver), that nothing passes. In a swarm that `is_secured`
+    robots know the authors of datagrams, as if these were signed, and admit what counts.
     """
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, *, is_secured: bool = False) -> None:
         self.now = 1000.0
+        self.is_secured = is_secured
         self.random = random.Random(seed)
         self.cuts: set[tuple[str, str]] = set()
         self.loss, self.delay = 0.0, DELAY
@@ -201,7 +208,7 @@ class VirtualSwarm:
             if self.loss and self.random.random() < self.loss:
                 continue
             when = self.now + self.delay * (1.0 + 0.2 * self.random.random())
-            self.at(when, partial(one.receive, body, sender.address))
+            self.at(when, partial(one.receive, body, sender))
 
     def name_of(self, address: Address) -> str:
         """The robot or operator at an address."""
@@ -226,7 +233,12 @@ class Node:
     address: Address
     is_listening = True
 
-    def receive(self, body: Datagram, source: Address) -> None:
+    @property
+    def author(self) -> Author:
+        """What its signature proves."""
+        raise NotImplementedError
+
+    def receive(self, body: Datagram, sender: Node) -> None:
         """A datagram arrives."""
         raise NotImplementedError
 
@@ -292,6 +304,7 @@ class VirtualDaemon(Node):
             latches=self.disk.latches,
             goals=self.disk.goals,
         )
+        self.admission = self._admission()
         self.peer = Peer(
             robot=self.name,
             instance=instance,
@@ -301,8 +314,9 @@ class VirtualDaemon(Node):
             settle=SETTLE,
             wire=1,
             version="1.0",
-            roster=(),
+            roster=ROSTER if swarm.is_secured else (),
             now=now,
+            admission=self.admission,
         )
         audit = Audit(
             lambda line: self.robot.log(line, self.swarm.now),
@@ -319,6 +333,12 @@ class VirtualDaemon(Node):
         )
         self._observe()
         self._tick_at(now)
+
+    def _admission(self) -> Admission | None:
+        if not self.swarm.is_secured:
+            return None
+        echoes = partial(self.swarm.random.getrandbits, 53)
+        return Admission(self.name, ROSTER, LEASE, echoes, self.disk.counters)
 
     def kill(self) -> None:
         """The daemon ends at once: what is not on the disk is lost."""
@@ -372,9 +392,13 @@ class VirtualDaemon(Node):
             return
         call()
 
-    def receive(self, body: Datagram, source: Address) -> None:
+    @property
+    def author(self) -> Author:
+        return Author(Role.ROBOT)
+
+    def receive(self, body: Datagram, sender: Node) -> None:
         """A datagram arrives at its socket."""
-        self.take(partial(self._on_datagram, body, source, self.swarm.now, self.lives))
+        self.take(partial(self._on_datagram, body, sender, self.swarm.now, self.lives))
 
     def on_request(self, verb: str, payload: bytes, asker: str, answer: Callable[[bytes], None]) -> None:
         """A request comes by a link."""
@@ -395,15 +419,28 @@ class VirtualDaemon(Node):
         members = tuple(self.peer.membership.members(now).values())
         return PeerView(robot=self.name, status=self.robot.status(now), members=members)
 
-    def _on_datagram(self, body: Datagram, source: Address, arrived: float, life: int) -> None:
+    def _on_datagram(self, body: Datagram, node: Node, arrived: float, life: int) -> None:
         if life != self.lives:
             return
-        now = self.swarm.now
+        now, source = self.swarm.now, node.address
+        author = node.author if self.swarm.is_secured else None
         waited = now - arrived
-        effects = self.peer.on_datagram(body, source, now, self._summary(), waited=waited)
+        effects = self.peer.on_datagram(
+            body, source, now, self._summary(), author=author, waited=waited
+        )
         for stop, sender in effects.stops:
             shown = struct_replace(stop, hops=max(stop.hops, 1)) if effects.is_repeated else stop
             self.server.stop(shown, str(sender), partial(self._ack, stop, sender))
+        for stop, sender in effects.replayed:
+            ack = Ack(
+                id=stop.id,
+                robot=self.name,
+                instance=self.instance,
+                revision=0,
+                code=Code.REFUSED,
+                refusal=REPLAYED,
+            )
+            self._send(ack, sender)
         self._apply(effects, source)
         self._tick_soon()
 
@@ -493,6 +530,8 @@ class VirtualDaemon(Node):
             self._measure()
         self._carry_out(self.robot.tick(now))
         self._apply(self.peer.advance(now, self._summary()))
+        if self.admission is not None and self.admission.stops.counters != self.disk.counters:
+            self._store(replace(self.disk, counters=dict(self.admission.stops.counters)))
         if not self.is_settled and self.peer.owns_id and self.peer.is_in_sync(now):
             self.is_settled = True
             self._carry_out(self.robot.on_driver(True, "connected", now))
