@@ -88,7 +88,7 @@ class FieldSwarm:
         self.field = field
         self.robots = tuple(robots)
         self.daemons: dict[str, DaemonProcess] = {}
-        self._folder = folder
+        self.folder = folder
         self._options = options or {}
         self._lives = 0
         self._left = contextlib.ExitStack()
@@ -125,7 +125,7 @@ class FieldSwarm:
         """A daemon that is starting; its lives share the state folder of this name."""
         self._lives += 1
         daemon = DaemonProcess(
-            self._folder / f"life{self._lives}",
+            self.folder / f"life{self._lives}",
             swarm=self.name,
             robot=robot,
             endpoint=self._endpoints[robot],
@@ -133,7 +133,7 @@ class FieldSwarm:
                 "profile": "field",
                 "interface": "eth0",
                 **self._credentials(robot),
-                "state_dir": str(self._folder / state),
+                "state_dir": str(self.folder / state),
                 **self._options,  # type: ignore[dict-item]
             },
             prefix=self.field.prefix(robot),
@@ -196,7 +196,7 @@ class FieldSwarm:
     def begin(
         self, host: str, *words: str, user: str = "anna", is_insecure: bool = False
     ) -> Running:
-        home = self._folder / host
+        home = self.folder / host
         home.mkdir(exist_ok=True)
         environ = {"SWARM_CONFIG": str(self._config), "LOGNAME": user, "HOME": str(home)}
         given = ["--insecure"]

@@ -1,0 +1,414 @@
+"""Histories of a virtual swarm: drawn by a seed, replayed, and shrunk if they break a rule.
+
+A history is a list of steps. A step waits `gap` s, then something is typed by an operator, or
+happens to a robot or to the network. After the last step all is healed and started, and ten seconds
+after the last command has ended rule 4 is checked::
+
+    replay(4, [
+        step(0.0, "run", by="anna", on_join="run", valid=60.0),
+        step(2.0, "split", groups=(("r1", "r2", "anna"), ("r3", "r4", "bob"))),
+        step(0.5, "estop", by="bob"),
+    ])
+
+A step that makes no sense where it stands, such as the thaw of a robot that is not frozen, does
+nothing, so that each part of a history is a history.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from tests.histories.invariants import HEAL_TIME, BrokenRuleError, Invariants
+from tests.histories.operators import Command, VirtualOperator
+from tests.histories.swarm import DELAY, JOIN_TICK, Disk, VirtualDaemon, VirtualSwarm
+
+OPERATORS = ("anna", "bob")
+STEPS = 12
+LONGEST_COMMAND = 90.0  # s
+BOOT_TIME = 2.0  # s until all robots are ready
+
+
+@dataclass(frozen=True)
+class HistoryStep:
+    """A step of a history; `args` are those of the method of `History` with this name."""
+
+    gap: float
+    name: str
+    args: dict[str, Any]
+
+    def __str__(self) -> str:
+        args = "".join(f", {key}={value!r}" for key, value in self.args.items())
+        return f"step({self.gap!r}, {self.name!r}{args})"
+
+
+Steps = tuple[HistoryStep, ...]
+
+
+def step(gap: float, name: str, **args: Any) -> HistoryStep:
+    """A step of a history."""
+    return HistoryStep(gap, name, args)
+
+
+class History:
+    """A swarm of robots `r1` to `r<count>` and two operators, to which steps happen.
+
+    It is secured with each second seed.
+    """
+
+    def __init__(self, count: int, seed: int = 1) -> None:
+        self.swarm = VirtualSwarm(seed, is_secured=seed % 2 == 0)
+        self.judge = Invariants(self.swarm)
+        self.swarm.judge = self.judge
+        self.operators = {
+            name: VirtualOperator(self.swarm, name, number)
+            for number, name in enumerate(OPERATORS, 1)
+        }
+        for number in range(count):
+            self.swarm.boot(f"r{number + 1}")
+        self.swarm.advance(BOOT_TIME)
+
+    def carry_out(self, one: HistoryStep) -> None:
+        """Wait, then let the step happen."""
+        self.swarm.advance(one.gap)
+        getattr(self, one.name)(**one.args)
+
+    def end(self) -> None:
+        """Heal all and start all, wait, and check rule 4."""
+        self.heal()
+        for robot in self.swarm.robots.values():
+            robot.thaw() if robot.is_frozen else None
+            robot.start() if not robot.is_up else None
+        self.await_commands()
+        self.swarm.advance(HEAL_TIME)
+        self.judge.check_healed()
+
+    def await_commands(self) -> None:
+        """Wait until no command is under way."""
+        some = self.operators.values()
+        self.swarm.until(lambda: not any(one.under_way for one in some), LONGEST_COMMAND)
+
+    # Commands
+
+    def run(self, by: str, pattern: str = "drive", **options: Any) -> None:
+        self._begin(by, "run", lambda one: one.run(pattern, **options))
+
+    def stop(self, by: str, targets: tuple[str, ...] = ()) -> None:
+        self._begin(by, "stop", lambda one: one.stop("stop", targets))
+
+    def estop(self, by: str, targets: tuple[str, ...] = ()) -> None:
+        self._begin(by, "estop", lambda one: one.stop("estop", targets))
+
+    def reset(self, by: str, targets: tuple[str, ...] = ()) -> None:
+        self._begin(by, "reset", lambda one: one.reset(targets))
+
+    def goal(self, by: str, pattern: str | None = None, targets: tuple[str, ...] = ()) -> None:
+        self._begin(by, "goal", lambda one: one.set_goal(pattern, targets))
+
+    def undo(self, by: str) -> None:
+        self._begin(by, "undo", lambda one: one.undo())
+
+    def resume(self, by: str, targets: tuple[str, ...] = ()) -> None:
+        self._begin(by, "resume", lambda one: one.resume(targets))
+
+    def label(self, by: str, targets: tuple[str, ...], labels: tuple[str, ...]) -> None:
+        self._begin(by, "label", lambda one: one.label(targets, labels))
+
+    def push(self, by: str, pattern: str = "pushed", targets: tuple[str, ...] = ()) -> None:
+        self._begin(by, "push", lambda one: one.push(pattern, targets))
+
+    def _begin(self, by: str, verb: str, make: Callable[[VirtualOperator], Command]) -> None:
+        self.operators[by].begin(verb, make(self.operators[by]))
+
+    # Robots
+
+    def kill(self, robot: str) -> None:
+        daemon = self.swarm.robots.get(robot)
+        if daemon is not None and daemon.is_up:
+            daemon.kill()
+
+    def leave(self, robot: str) -> None:
+        daemon = self.swarm.robots.get(robot)
+        if daemon is not None and daemon.is_up and not daemon.is_frozen:
+            daemon.leave()
+
+    def freeze(self, robot: str) -> None:
+        daemon = self.swarm.robots.get(robot)
+        if daemon is not None and daemon.is_up and not daemon.is_frozen:
+            daemon.freeze()
+
+    def thaw(self, robot: str) -> None:
+        daemon = self.swarm.robots.get(robot)
+        if daemon is not None and daemon.is_frozen:
+            daemon.thaw()
+
+    def start(self, robot: str, disk: str = "kept", age: float = 10.0) -> None:
+        """A daemon starts, after a kill if it is up; `disk`: kept, empty, or `age` s old."""
+        daemon = self.swarm.robots.get(robot)
+        if daemon is None:
+            return
+        if daemon.is_up:
+            daemon.kill()
+        if disk == "kept":
+            daemon.start()
+            return
+        self.judge.forget(robot)
+        daemon.start(Disk() if disk == "empty" else daemon.older_disk(age))
+
+    def boot(self, robot: str, tick: float = JOIN_TICK) -> None:
+        """A new robot starts; `tick`: s between two turns of its loop while it starts."""
+        if robot not in self.swarm.robots:
+            self.swarm.boot(robot, tick)
+
+    # The network
+
+    def split(self, groups: tuple[tuple[str, ...], ...]) -> None:
+        """Groups of robots and operators that do not reach each other; others reach all."""
+        self.swarm.cuts.clear()
+        for number, group in enumerate(groups):
+            for other in groups[number + 1 :]:
+                self.swarm.cut(group, other)
+
+    def cut(self, senders: tuple[str, ...], receivers: tuple[str, ...]) -> None:
+        """Nothing passes in this direction."""
+        self.swarm.cut(senders, receivers, both=False)
+
+    def heal(self) -> None:
+        self.swarm.cuts.clear()
+        self.swarm.loss, self.swarm.delay = 0.0, DELAY
+
+    def disturb(self, loss: float = 0.0, delay: float = DELAY) -> None:
+        """`loss`: the share of datagrams that is lost; `delay` in s, of datagrams and links."""
+        self.swarm.loss, self.swarm.delay = loss, delay
+
+    def wall(self, robot: str, shift: float) -> None:
+        """The wall clock of a robot or an operator jumps."""
+        node = self.swarm.nodes.get(robot)
+        if isinstance(node, VirtualDaemon | VirtualOperator):
+            node.wall += shift
+
+
+def replay(count: int, steps: Sequence[HistoryStep], seed: int = 1) -> History:
+    """Let a history happen. BrokenRuleError if it breaks a rule."""
+    history = History(count, seed)
+    for one in steps:
+        history.carry_out(one)
+    history.end()
+    return history
+
+
+# Histories by chance
+
+
+def draw(seed: int, steps: int = STEPS) -> tuple[int, Steps]:
+    """The count of robots and the steps of the history with this seed."""
+    chance = random.Random(seed)
+    count = chance.randint(3, 5)
+    robots = tuple(f"r{number + 1}" for number in range(count))
+    kinds, weights = zip(*_KINDS, strict=True)
+    drawn = [_first(chance)]
+    for make in chance.choices(kinds, weights, k=steps):
+        gap = round(chance.choice((0.05, 0.3, 1.0, 2.0, 4.0)) * chance.uniform(0.5, 1.5), 2)
+        drawn.append(replace(make(chance, robots), gap=gap))
+    return count, tuple(drawn)
+
+
+def _first(chance: random.Random) -> HistoryStep:
+    on_join = {"on_join": "run", "valid": 60.0} if chance.random() < 0.6 else {}
+    return step(0.0, "run", by="anna", **on_join)
+
+
+def _by(chance: random.Random) -> str:
+    return chance.choice(OPERATORS)
+
+
+def _some(chance: random.Random, robots: tuple[str, ...]) -> tuple[str, ...]:
+    """All robots (empty), or some by name."""
+    if chance.random() < 0.6:
+        return ()
+    return tuple(sorted(chance.sample(robots, chance.randint(1, len(robots) - 1))))
+
+
+def _run(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    options: dict[str, Any] = {"pattern": chance.choice(("drive", "drive", "circle"))}
+    draw = chance.random()
+    if draw < 0.45:
+        options |= {"on_join": "run", "valid": chance.choice((5.0, 60.0))}
+    elif draw < 0.55:
+        options |= {"lease": 2.0, "here": chance.choice((1.0, 8.0))}
+    elif draw < 0.65:
+        options |= {"ahead": 2.0}
+    elif draw < 0.72:
+        options |= {"has_goal": False}
+    elif draw < 0.80:
+        options |= {"pattern": chance.choice(("missing", "pushed"))}
+    elif draw < 0.85:
+        options |= {"params": {"wrong": 1}}
+    elif draw < 0.95:
+        options |= {"seconds": chance.choice((3.0, 20.0))}
+    targets = _some(chance, robots)
+    return step(0.0, "run", by=_by(chance), **({"targets": targets} if targets else {}), **options)
+
+
+def _command(name: str) -> Callable[[random.Random, tuple[str, ...]], HistoryStep]:
+    def make(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+        targets = _some(chance, robots)
+        return step(0.0, name, by=_by(chance), **({"targets": targets} if targets else {}))
+
+    return make
+
+
+def _goal(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    return step(0.0, "goal", by=_by(chance), pattern=chance.choice((None, "drive")))
+
+
+def _undo(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    return step(0.0, "undo", by=_by(chance))
+
+
+def _label(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    return step(0.0, "label", by=_by(chance), targets=(chance.choice(robots),), labels=("red",))
+
+
+def _push(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    return step(0.0, "push", by=_by(chance))
+
+
+def _robot(name: str) -> Callable[[random.Random, tuple[str, ...]], HistoryStep]:
+    return lambda chance, robots: step(0.0, name, robot=chance.choice(robots))
+
+
+def _start(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    disk = chance.choice(("kept", "kept", "kept", "empty", "old"))
+    return step(0.0, "start", robot=chance.choice(robots), disk=disk)
+
+
+def _boot(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    return step(0.0, "boot", robot=f"r{len(robots) + chance.randint(1, 2)}")
+
+
+def _split(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    names = [*robots, *OPERATORS]
+    chance.shuffle(names)
+    parts = chance.choice((2, 2, 3))
+    groups = tuple(tuple(sorted(names[number::parts])) for number in range(parts))
+    return step(0.0, "split", groups=groups)
+
+
+def _cut(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    one, other = chance.sample([*robots, *OPERATORS], 2)
+    return step(0.0, "cut", senders=(one,), receivers=(other,))
+
+
+def _heal(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    return step(0.0, "heal")
+
+
+def _disturb(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    loss, delay = chance.choice((0.0, 0.1, 0.4)), chance.choice((0.005, 0.1, 0.5))
+    return step(0.0, "disturb", loss=loss, delay=delay)
+
+
+def _wall(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
+    return step(0.0, "wall", robot=chance.choice((*robots, *OPERATORS)), shift=chance.choice((-1e6, 1e6)))
+
+
+_KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], HistoryStep], float], ...] = (
+    (_run, 5.0),
+    (_command("stop"), 3.0),
+    (_command("estop"), 2.5),
+    (_command("reset"), 3.0),
+    (_command("resume"), 1.0),
+    (_goal, 0.5),
+    (_undo, 0.7),
+    (_label, 0.3),
+    (_push, 0.4),
+    (_robot("kill"), 0.7),
+    (_robot("leave"), 0.4),
+    (_robot("freeze"), 1.5),
+    (_robot("thaw"), 1.5),
+    (_start, 2.5),
+    (_boot, 0.8),
+    (_split, 2.0),
+    (_cut, 0.8),
+    (_heal, 2.5),
+    (_disturb, 0.8),
+    (_wall, 0.2),
+)
+
+
+# Failures
+
+
+def fault_of(count: int, steps: Sequence[HistoryStep], seed: int = 1) -> BrokenRuleError | None:
+    """The rule that a history breaks; None if all hold."""
+    try:
+        replay(count, steps, seed)
+    except BrokenRuleError as error:
+        return error
+    return None
+
+
+def script(count: int, steps: Sequence[HistoryStep], seed: int = 1) -> str:
+    """What repeats a history in Python."""
+    lines = "".join(f"        {one},\n" for one in steps)
+    return f"replay(\n    {count},\n    [\n{lines}    ],\n    seed={seed},\n)"
+
+
+def shrink(
+    count: int, steps: Sequence[HistoryStep], rule: int, seed: int = 1, tries: int = 400
+) -> tuple[int, Steps]:
+    """A shorter history that breaks the same rule: fewer steps, robots and seconds.
+
+    Delta debugging (Zeller and Hildebrandt, IEEE TSE 28, 2002) over the steps, then one by one.
+    """
+    left = tries
+
+    def breaks(robots: int, some: Sequence[HistoryStep]) -> bool:
+        nonlocal left
+        left -= 1
+        found = fault_of(robots, some, seed) if left >= 0 else None
+        return found is not None and found.rule == rule
+
+    best = tuple(steps)
+    size = max(len(best) // 2, 1)
+    while True:
+        shorter = next(
+            (
+                rest
+                for at in range(0, len(best), size)
+                if breaks(count, rest := _without(best, at, size))
+            ),
+            None,
+        )
+        if shorter is not None:
+            best = shorter
+        elif size == 1:
+            break
+        else:
+            size = max(size // 2, 1)
+    while count > 2 and breaks(count - 1, best):
+        count -= 1
+    for at, one in enumerate(best):
+        for gap in (0.05, 0.5, 1.0, 2.0):
+            if gap < one.gap and breaks(count, (*best[:at], replace(one, gap=gap), *best[at + 1 :])):
+                best = (*best[:at], replace(one, gap=gap), *best[at + 1 :])
+                break
+        for name in [*one.args]:
+            args = {key: value for key, value in best[at].args.items() if key != name}
+            if name in ("by", "robot", "groups", "senders", "receivers", "shift", "valid"):
+                continue
+            if breaks(count, (*best[:at], replace(best[at], args=args), *best[at + 1 :])):
+                best = (*best[:at], replace(best[at], args=args), *best[at + 1 :])
+    return count, best
+
+
+def _without(steps: Steps, at: int, size: int) -> Steps:
+    """The steps but those from `at` on; their gaps go to the step after them."""
+    gone, rest = steps[at : at + size], steps[at + size :]
+    if rest:
+        gap = round(sum(one.gap for one in gone) + rest[0].gap, 2)
+        rest = (replace(rest[0], gap=gap), *rest[1:])
+    return (*steps[:at], *rest)

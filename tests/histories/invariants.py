@@ -1,0 +1,320 @@
+"""What holds at each step of every history of a swarm.
+
+1. *No robot moves after a counted stop.* A robot that answers a stop or an emergency stop with
+   `applied` stands at that moment and loads nothing. It moves again only by a request that an
+   operator sent after the robot had obeyed that stop, or by a goal with `on_join: run` that was set
+   later than the stop. A robot refuses no stop that was issued later than its run began.
+2. *An answer of success is true.* `applied` to a run or resume: the pattern runs. To a reset: the
+   robot is not estopped, and the named latches are gone. To a goal: the robot holds it or a greater
+   one. To labels: it has them.
+3. *No robot moves by a goal that is too old.* A robot that joins does so within the goal's `valid`
+   and `seconds`, counted from the moment at which the operator set it (AGE_SHIFT beside it), and
+   the goal is later than each stop, emergency stop and reset that the robot has obeyed, in this
+   life and in the earlier ones whose disk it has kept; and than each stop of all robots that was
+   obeyed by the robot from which it learned of the goal. A run with a lease ends with its lease.
+4. *Ten seconds after all is healed the robots agree.* All hold the same goal and the same
+   swarm-wide latches. A robot is estopped exactly if it holds a latch. A robot runs its own goal,
+   or was asked for a run without one after it came.
+5. *No run ends without a cause*: its end has a reason, and a line among the robot's events. A
+   stop ends no run that began later than it was issued, and makes no goal to stand that follows a
+   goal which was set later. (Of two goals, the greater one ends the run of the other.)
+6. *No latch is lost.* A latch goes with a reset that names it, or with the disk. *None comes
+   back*: what was reset is held again only by the operator's own copy of the emergency stop, or by
+   an older disk.
+7. *What is over is not handed on*: a robot relays no stop beyond its minute, no emergency stop that
+   it has reset, and no stop of all that is older than the run of all whose goal it holds.
+
+A robot that starts with an empty or an older disk has forgotten what it obeyed: it counts as a new
+robot for rules 1 and 3, and is bound by what its peers tell before it is ready.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from swarmd.core.goal import Goal, GoalState
+from swarmd.core.messages import (
+    Code,
+    EstopRequest,
+    GoalRequest,
+    LabelRequest,
+    Reason,
+    Request,
+    ResetRequest,
+    Reply,
+    ResumeRequest,
+    RunRequest,
+    State,
+    StopRequest,
+)
+from swarmd.network.datagram import Datagram, Stop
+from swarmd.network.goal_sync import FoundGoal
+from swarmd.network.stop_relay import LIFETIME
+from tests.histories.operators import Done
+from tests.histories.swarm import Cause, VirtualDaemon, VirtualSwarm
+
+AGE_SHIFT = 0.5  # s by which the age of a goal or a stop may be wrong
+LATE = 25.0  # s for which an operator repeats a stop
+HEAL_TIME = 10.0  # s
+
+
+class BrokenRuleError(AssertionError):
+    """A rule does not hold; `rule`: its number."""
+
+    def __init__(self, rule: int, text: str) -> None:
+        super().__init__(f"rule {rule}: {text}")
+        self.rule = rule
+
+
+@dataclass(slots=True)
+class _Memory:
+    """What a robot has obeyed, on the disk that it has now. Times are true ones, in s."""
+
+    stopped: float = -1.0  # when the latest stop that it obeyed was issued
+    obeyed: float = -1.0  # when it obeyed a stop last
+    stopped_all: float = -1.0  # as `stopped`, of the stops of all robots
+    reset: float = -1.0  # when it was reset last
+    held: frozenset[str] = frozenset()
+    cleared: set[str] = field(default_factory=set)
+    state: State = State.IDLE
+    was_running: bool = False
+    runs: Cause | None = None
+    goal: Goal | None = None
+    lives: int = 1
+
+
+class Invariants:
+    """The judge of one history."""
+
+    def __init__(self, swarm: VirtualSwarm) -> None:
+        self._swarm = swarm
+        self._robots: dict[str, _Memory] = {}
+        self._issued = swarm.issued
+
+    def forget(self, robot: str) -> None:
+        """A robot has lost its disk."""
+        self._robots.pop(robot, None)
+
+    # Steps
+
+    def on_event(self, daemon: VirtualDaemon) -> None:
+        """Rules 1, 3, 5 and 6."""
+        known = self._of(daemon)
+        robot = daemon.robot
+        held = frozenset(robot.latches)
+        if held != known.held:
+            self._check_latches(daemon, known, held)
+        goal = None if robot.goal is None else robot.goal.goal
+        if goal is not None and goal is not known.goal:
+            self._check_goal(daemon, known.goal, goal)
+            known.goal = goal
+        is_running = robot.is_running
+        if is_running and (not known.was_running or daemon.cause is not known.runs):
+            self._check_begin(daemon, known)
+            known.runs = daemon.cause
+        elif known.was_running and not is_running:
+            self._check_end(daemon)
+        known.was_running, known.state = is_running, robot.state
+
+    def on_reply(self, daemon: VirtualDaemon, request: Request, reply: Reply) -> None:
+        """Rules 1 and 2."""
+        robot, known, now = daemon.robot, self._of(daemon), self._swarm.now
+        if reply.code is not Code.APPLIED:
+            self._check_refused(daemon, request)
+            return
+        if isinstance(request, StopRequest | EstopRequest):
+            if robot.is_running or daemon.is_active:
+                what = "runs" if robot.is_running else "loads a pattern"
+                raise BrokenRuleError(
+                    1, f"{daemon.name} answers `{request.verb}` {request.id} with `applied`"
+                    f" ({reply.text}) and {what}"
+                )
+            issued = self._issued[request.id]
+            cause = daemon.cause
+            is_ended = known.was_running and isinstance(request, StopRequest)
+            is_ended &= not self._is_logged(daemon, Reason.LOOP_STALLED)
+            if is_ended and cause is not None and cause.at - issued > AGE_SHIFT:
+                raise BrokenRuleError(
+                    5, f"the run of {daemon.name} is ended by a stop that was issued"
+                    f" {cause.at - issued:.1f} s before it"
+                )
+            known.stopped = max(known.stopped, issued)
+            known.obeyed = now
+            if request.targets is None:
+                known.stopped_all = max(known.stopped_all, issued)
+        elif isinstance(request, RunRequest | ResumeRequest) and not robot.is_running:
+            raise BrokenRuleError(2, f"{daemon.name} answers `{request.verb}` and does not run")
+        elif isinstance(request, ResetRequest):
+            if known.state not in (State.IDLE, State.RUNNING):
+                known.reset = now
+            if robot.state in (State.ESTOPPED, State.FAULTED) or robot.latches:
+                raise BrokenRuleError(2, f"{daemon.name} answers `reset` and is {robot.state}")
+        elif isinstance(request, GoalRequest):
+            held = robot.goal
+            if held is None or held.goal.order < request.goal.order:
+                raise BrokenRuleError(2, f"{daemon.name} answers `goal` and does not hold it")
+        elif isinstance(request, LabelRequest) and robot.labels != (request.labels or ()):
+            raise BrokenRuleError(2, f"{daemon.name} answers `label` and has other labels")
+
+    def on_send(self, daemon: VirtualDaemon, body: Datagram) -> None:
+        """Rule 7."""
+        if not isinstance(body, Stop):
+            return
+        robot, name, issued = daemon.robot, daemon.name, self._issued[body.id]
+        if self._swarm.now - issued > LIFETIME + LATE:
+            raise BrokenRuleError(7, f"{name} hands on a {body.verb} of {body.age / 1e3:.0f} s")
+        if body.verb == "estop" and body.id in robot.cleared and body.id not in robot.latches:
+            raise BrokenRuleError(7, f"{name} hands on the estop {body.id}, which was reset")
+        held = robot.goal
+        is_run_of_all = held is not None and held.goal.pattern and not held.goal.targets
+        if body.verb == "stop" and body.targets is None and held is not None and is_run_of_all:
+            if self._issued[held.goal.id] > issued + AGE_SHIFT and held.issued is not None:
+                raise BrokenRuleError(
+                    7, f"{name} hands on a stop of all, which is older than {held.goal.text}"
+                )
+
+    def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
+        """Rule 3: what the robot that hands a goal on has obeyed."""
+        giver = self._robots.get(source)
+        self._given = found.goal.id, -1.0 if giver is None else giver.stopped_all
+
+    _given: tuple[str, float] = ("", -1.0)
+
+    # Rules
+
+    def _check_begin(self, daemon: VirtualDaemon, known: _Memory) -> None:
+        cause, now, name = daemon.cause, self._swarm.now, daemon.name
+        assert cause is not None
+        if known.held:
+            raise BrokenRuleError(1, f"{name} runs with the latches {sorted(known.held)}")
+        if cause.request is not None:
+            asked = self._issued.get(cause.request.id)
+            if cause.at < known.obeyed or (asked is not None and asked < known.stopped):
+                raise BrokenRuleError(
+                    1, f"{name} runs by `{cause.request.verb}` of before the stop that it obeyed"
+                )
+            known.stopped = known.reset = -1.0  # an operator wants it to run again
+            return
+        goal = daemon.robot.goals.own
+        assert goal is not None, "a robot joins by a goal"
+        issued = self._issued[goal.id]
+        age = cause.at - issued
+        limit = min(goal.valid or 0.0, goal.seconds or 1e9)
+        if goal.on_join != "run" or age > limit + AGE_SHIFT:
+            raise BrokenRuleError(
+                3, f"{name} joins {goal.text}, {age:.1f} s old, valid for {goal.valid} s"
+            )
+        for what, at in (("stop", known.stopped), ("reset", known.reset)):
+            if issued < at - AGE_SHIFT:
+                raise BrokenRuleError(
+                    3, f"{name} joins {goal.text}, which is {at - issued:.1f} s older than the"
+                    f" {what} that it obeyed"
+                )
+        given, stopped_all = self._given
+        if given == goal.id and issued < stopped_all - AGE_SHIFT:
+            raise BrokenRuleError(
+                3, f"{name} joins {goal.text}, which is {stopped_all - issued:.1f} s older than"
+                " the stop of all that its giver obeyed"
+            )
+
+    def _check_refused(self, daemon: VirtualDaemon, request: Request) -> None:
+        cause = daemon.cause
+        if not isinstance(request, StopRequest) or not daemon.robot.is_running or cause is None:
+            return
+        issued = self._issued[request.id]
+        if cause.at < issued:
+            raise BrokenRuleError(
+                1, f"{daemon.name} refuses the stop {request.id}, which is {issued - cause.at:.1f} s"
+                " later than its run, and goes on"
+            )
+
+    def _check_end(self, daemon: VirtualDaemon) -> None:
+        reason = daemon.robot.status(self._swarm.now).reason
+        if reason is None:
+            raise BrokenRuleError(5, f"the run of {daemon.name} ends without a reason")
+        if not self._is_logged(daemon, *Reason):
+            raise BrokenRuleError(5, f"no line tells why {daemon.name} ends: {reason}")
+
+    def _is_logged(self, daemon: VirtualDaemon, *reasons: Reason) -> bool:
+        """True if the robot has recorded an event with one of these reasons just now."""
+        status = daemon.robot.status(self._swarm.now)
+        new = [one.text for one in status.events if one.at >= status.uptime - 1e-6]
+        return any(f"({reason})" in text for text in new for reason in reasons)
+
+    def _check_goal(self, daemon: VirtualDaemon, before: Goal | None, goal: Goal) -> None:
+        """A goal that a stop makes follows the goal that was held; that must be older."""
+        found = daemon.event
+        is_found = isinstance(found, FoundGoal) and found.goal.id == goal.id
+        if before is None or goal.pattern is not None or is_found:
+            return
+        late = self._issued[before.id] - self._issued[goal.id]
+        if late > AGE_SHIFT and not isinstance(found, GoalRequest):
+            raise BrokenRuleError(
+                5, f"{daemon.name} makes {goal.text} of a stop that was issued {late:.1f} s"
+                f" before {before.text}"
+            )
+
+    def _check_latches(
+        self, daemon: VirtualDaemon, known: _Memory, held: frozenset[str]
+    ) -> None:
+        lost, new = known.held - held, held - known.held
+        cleared = set(daemon.robot.cleared)
+        if not lost <= cleared:
+            raise BrokenRuleError(6, f"{daemon.name} lost the latches {sorted(lost - cleared)}")
+        request = daemon.event
+        is_direct = isinstance(request, EstopRequest) and not request.is_relayed
+        back = new & known.cleared
+        if back and not is_direct:
+            raise BrokenRuleError(6, f"{daemon.name} holds {sorted(back)} again, which were reset")
+        for id in new:
+            issued = self._issued.get(id, self._swarm.now)
+            known.stopped = max(known.stopped, issued)
+            if daemon.robot.latches[id].scope == "swarm":
+                known.stopped_all = max(known.stopped_all, issued)
+        known.held, known.cleared = held, cleared
+
+    def check_healed(self) -> None:
+        """Rule 4, ten seconds after all is healed."""
+        alive = [one for one in self._swarm.robots.values() if one.is_up]
+        goals = {one.name: one.robot.goal for one in alive}
+        contents = {name: None if held is None else held.content for name, held in goals.items()}
+        if len(set(contents.values())) > 1:
+            texts = {n: "none" if g is None else g.goal.text for n, g in goals.items()}
+            raise BrokenRuleError(4, f"the robots hold different goals: {texts}")
+        for one in alive:
+            self._check_state(one)
+        self._check_spread(alive)
+
+    def _check_state(self, one: VirtualDaemon) -> None:
+        robot, name = one.robot, one.name
+        if (robot.state is State.ESTOPPED) != bool(robot.latches):
+            raise BrokenRuleError(4, f"{name} is {robot.state} with {len(robot.latches)} latches")
+        if not one.is_settled:
+            raise BrokenRuleError(4, f"{name} is not ready")
+        if not robot.is_running:
+            return
+        status = robot.status(self._swarm.now).goal
+        cause, own = one.cause, None if status is None else status.own
+        if own is None or cause is None or status is None or not cause.goal_id:
+            return
+        if cause.goal_id != own.goal.id or status.state is not GoalState.RUNNING:
+            raise BrokenRuleError(4, f"{name} runs {cause.goal_id}, and its goal is {own.goal.text}")
+
+    def _check_spread(self, alive: list[VirtualDaemon]) -> None:
+        for one in alive:
+            for id, latch in one.robot.latches.items():
+                if latch.scope != "swarm":
+                    continue
+                for other in alive:
+                    if id not in other.robot.latches and id not in other.robot.cleared:
+                        raise BrokenRuleError(6, f"{other.name} lacks the latch {id} of {one.name}")
+
+    def _of(self, daemon: VirtualDaemon) -> _Memory:
+        known = self._robots.get(daemon.name)
+        if known is None:
+            known = self._robots[daemon.name] = _Memory(held=frozenset(daemon.robot.latches))
+            known.cleared = set(daemon.robot.cleared)
+        if known.lives != daemon.lives:
+            known.lives = daemon.lives
+            known.was_running, known.runs = False, None
+        return known

@@ -1,0 +1,367 @@
+"""Operators of a virtual swarm: the commands of `swarmctl` with its pure code, in virtual time.
+
+A command is a generator that looks at what has come each POLL s, as the loops of `MemberSearch`,
+`RequestSender` and `StopSender` do. Its `Outcome` is what `swarmctl` would print.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Callable, Collection, Generator, Iterable, Mapping
+from dataclasses import dataclass
+from functools import partial
+from types import SimpleNamespace
+from typing import Any, Literal
+
+from msgspec.structs import replace
+
+from swarmd.core.codec import MAX_CONTROL, Decoder, encode
+from swarmd.core.errors import ConfigError
+from swarmd.core.goal import Goal
+from swarmd.core.messages import (
+    AnyRequest,
+    Epoch,
+    GoalRequest,
+    LabelRequest,
+    Reply,
+    ResetRequest,
+    ResumeRequest,
+    RunRequest,
+)
+from swarmd.network.datagram import Ack, Address, Beacon, Datagram, MemberList, RunLease, Solicit, Stop
+from swarmd.network.discovery import Discovery
+from swarmd.network.members_view import MembersView
+from swarmd.network.next_goal import next_goal
+from swarmd.network.outcome import Acks, Outcome, joined
+from swarmd.network.repeat_timer import SOLICIT_PACE, RepeatTimer
+from swarmd.network.request_sender import REPEAT_PERIOD, request_timeout
+from swarmd.network.stop_request import PendingStop
+from swarmd.network.signature import Author
+from swarmd.network.stop_sender import STOP_PACE
+from swarmd.security.roster import Role
+from swarmd.texts.goal import content_of, present_goals, set_apart
+from tests.histories.swarm import Node, VirtualSwarm
+
+POLL = 0.1  # s
+LEASE_PARTS = 3.0
+_reply = Decoder(Reply, MAX_CONTROL)
+Command = Generator[None, None, Outcome | None]
+
+
+@dataclass(eq=False)
+class Done:
+    """A command that has ended: when it was typed, and its outcome."""
+
+    operator: str
+    verb: str
+    began: float
+    ended: float
+    outcome: Outcome | None
+
+
+class VirtualOperator(Node):
+    """An operator with a laptop; each command is a process of its own."""
+
+    def __init__(self, swarm: VirtualSwarm, name: str, number: int) -> None:
+        self.name = name
+        self.address: Address = (f"10.0.1.{number}", 5000)
+        self.swarm = swarm
+        self.done: list[Done] = []
+        self.under_way = 0
+        self._random = random.Random(name)
+        self._echo = 0
+        self.wall = 0.0  # s beside the true time
+        self._origin, self._counter = self._random.randbytes(4), 0
+        self._discoveries: list[Discovery] = []
+        self._pending: list[PendingStop] = []
+        swarm.add(self)
+
+    def begin(self, verb: str, command: Command) -> None:
+        """Type a command."""
+        began = self.swarm.now
+        self.under_way += 1
+
+        def go_on() -> None:
+            try:
+                next(command)
+            except StopIteration as end:
+                self.under_way -= 1
+                self.done.append(Done(self.name, verb, began, self.swarm.now, end.value))
+            else:
+                self.swarm.at(self.swarm.now + POLL, go_on)
+
+        go_on()
+
+    @property
+    def author(self) -> Author:
+        return Author(Role.OPERATOR, self.name)
+
+    def receive(self, body: Datagram, sender: Node) -> None:
+        now, source = self.swarm.now, sender.address
+        if isinstance(body, Ack):
+            for pending in self._pending:
+                pending.on_ack(body, now)
+        elif isinstance(body, Beacon):
+            for discovery in self._discoveries:
+                discovery.on_beacon(body, source, now)
+        elif isinstance(body, MemberList):
+            for discovery in self._discoveries:
+                discovery.on_member_list(body, now)
+
+    # Commands
+
+    def run(
+        self,
+        pattern: str,
+        targets: tuple[str, ...] = (),
+        *,
+        has_goal: bool = True,
+        ahead: float | None = None,
+        here: float = 0.0,
+        params: Mapping[str, Any] | None = None,
+        **fields: Any,
+    ) -> Command:
+        """`ahead`: seconds until all start. `here`: s for which a run lease is renewed."""
+        view = yield from self._look(needs_status=False)
+        names = _chosen(view, targets)
+        params = params or {}
+        goal = self._next_goal(
+            view, pattern=pattern, params=params, targets=targets, **fields
+        )
+        if not names or goal is None:
+            return None
+        at = {} if ahead is None else dict.fromkeys(names, self.swarm.now + ahead)
+        run = {"goal": goal, "at": at, **_run_fields(goal)}
+        if not has_goal:
+            run["goal"] = None
+        outcome = yield from self._request(
+            RunRequest, view, names, least=5.0 + (ahead or 0.0), **run
+        )
+        if goal.lease is not None:
+            self._keep(goal, names, 1, self.swarm.now + here)
+        return outcome
+
+    def stop(
+        self, verb: Literal["stop", "estop"], targets: tuple[str, ...] = ()
+    ) -> Command:
+        """All robots, without targets."""
+        now = self.swarm.now
+        discovery = Discovery(now)
+        stop = Stop(
+            id=self._new_id(),
+            verb=verb,
+            operator=self.name,
+            scope="robots" if targets else "swarm",
+        )
+        renew = None
+        if self.swarm.is_secured:
+            origin, counter = self._next_origin()
+            stop = replace(stop, origin=origin, counter=counter)
+            renew = partial(self._next_origin, is_new=True)
+        select: Callable[[Collection[str]], Collection[str]] = set(targets).intersection
+        pending = PendingStop(
+            stop, discovery, now, select=select if targets else None, names=targets, renew=renew
+        )
+        self._discoveries.append(discovery)
+        self._pending.append(pending)
+        solicit, repeat = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, STOP_PACE)
+        while not pending.is_over(now) and not pending.is_done(now):
+            if repeat.is_due(now):
+                for one, addresses in pending.datagrams(now):
+                    self._send(one, None)
+                    for address in addresses:
+                        self._send(one, address)
+            self._solicit(discovery, solicit)
+            yield
+            now = self.swarm.now
+        self._discoveries.remove(discovery)
+        self._pending.remove(pending)
+        return pending.outcome(now)
+
+    def reset(self, targets: tuple[str, ...] = ()) -> Command:
+        view = yield from self._look()
+        names = _chosen(view, targets)
+        ids = tuple(sorted(view.latches(names)))
+        return (yield from self._request(ResetRequest, view, names, ids=ids))
+
+    def set_goal(self, pattern: str | None, targets: tuple[str, ...] = ()) -> Command:
+        """A goal without a run: robots stand, or are offered it."""
+        view = yield from self._look()
+        names = _chosen(view, targets)
+        goal = self._next_goal(view, pattern=pattern, targets=targets)
+        if goal is None:
+            return None
+        return (yield from self._request(GoalRequest, view, names, goal=goal))
+
+    def undo(self) -> Command:
+        view = yield from self._look()
+        present, before = present_goals(view)
+        if present is None or before is None or before.lease is not None:
+            return None
+        goal = self._next_goal(view, **content_of(before))
+        if goal is None:
+            return None
+        run, stand = set_apart(view, present, before)
+        outcomes = []
+        if stand:
+            outcome = yield from self.stop("stop", tuple(stand))
+            assert outcome is not None
+            outcomes.append(outcome)
+        if run and goal.pattern is None:
+            outcomes.append((yield from self._request(GoalRequest, view, run, goal=goal)))
+        elif run:
+            fields = {"goal": goal, **_run_fields(goal)}
+            outcomes.append((yield from self._request(RunRequest, view, run, **fields)))
+        return joined(outcomes)
+
+    def resume(self, targets: tuple[str, ...] = ()) -> Command:
+        view = yield from self._look()
+        outcomes = []
+        by_digest: dict[str, list[str]] = {}
+        for name in _chosen(view, targets):
+            status = view.members[name].status
+            own = status.goal.own if status is not None and status.goal is not None else None
+            by_digest.setdefault("" if own is None else own.digest, []).append(name)
+        for digest, names in by_digest.items():
+            outcomes.append((yield from self._request(ResumeRequest, view, names, digest=digest)))
+        return joined(outcomes)
+
+    def label(self, targets: tuple[str, ...], labels: tuple[str, ...]) -> Command:
+        view = yield from self._look()
+        names = _chosen(view, targets)
+        return (yield from self._request(LabelRequest, view, names, labels=labels))
+
+    def push(self, pattern: str, targets: tuple[str, ...] = ()) -> Command:
+        """Reduced: the pieces arrive at once, and no reply is waited for."""
+        view = yield from self._look(needs_status=False)
+        for name in _chosen(view, targets):
+            request = self._new_id()
+            call = partial(_push, pattern=pattern, request=request, operator=self.name)
+            self.swarm.ask(self.name, name, call)
+        return None
+
+    # Parts
+
+    def _look(
+        self, *, needs_status: bool = True
+    ) -> Generator[None, None, MembersView]:
+        swarm = self.swarm
+        now = swarm.now
+        discovery = Discovery(now, needs_status=needs_status)
+        self._discoveries.append(discovery)
+        solicit, poll = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now + POLL, ((1e9, 0.5),))
+        while not discovery.is_complete(now) and not discovery.is_over(now):
+            self._solicit(discovery, solicit)
+            if needs_status and poll.is_due(now):
+                for robot in swarm.robots:
+                    swarm.ask(self.name, robot, partial(_view, asker=self.name, found=discovery))
+            yield
+            now = swarm.now
+        self._discoveries.remove(discovery)
+        return discovery.result(now)
+
+    def _request(
+        self,
+        kind: type[AnyRequest],
+        view: MembersView,
+        names: Iterable[str],
+        *,
+        least: float = 5.0,
+        **fields: Any,
+    ) -> Generator[None, None, Outcome]:
+        swarm, targets = self.swarm, view.epochs(names)
+        asked: dict[str, Epoch | None] = {
+            name: epoch for name, epoch in targets.items() if view.is_in_reach(name)
+        }
+        request: Any = kind(id=self._new_id(), operator=self.name, targets=asked, **fields)
+        payload, acks = encode(request), Acks(request.id)
+        began, timeout = swarm.now, request_timeout(view, least)
+        repeat = RepeatTimer(began, ((1e9, REPEAT_PERIOD),))
+        while (robots := acks.missing(asked)) and swarm.now - began < timeout:
+            if repeat.is_due(swarm.now):
+                for robot in robots:
+                    if robot in swarm.robots:
+                        answer = partial(_take_reply, robot, acks)
+                        call = partial(
+                            _hand, verb=request.verb, payload=payload, asker=self.name, take=answer
+                        )
+                        swarm.ask(self.name, robot, call)
+            yield
+        return acks.outcome(targets, seconds=swarm.now - began, reached=len(asked))
+
+    def _solicit(self, discovery: Discovery, timer: RepeatTimer) -> None:
+        now = self.swarm.now
+        if not timer.is_due(now):
+            return
+        self._echo += 1
+        discovery.on_solicit(self._echo, now)
+        wants_members = discovery.wants_members(now)
+        for address in (None, *discovery.to_solicit()):
+            self._send(Solicit(echo=self._echo, wants_members=wants_members), address)
+
+    def _keep(self, goal: Goal, names: tuple[str, ...], count: int, until: float) -> None:
+        """Renew a run lease."""
+        assert goal.lease is not None
+        if self.swarm.now > until:
+            return
+        lease = RunLease(id=goal.id, operator=self.name, count=count)
+        for name in names:
+            self._send(lease, self.swarm.nodes[name].address)
+        again = partial(self._keep, goal, names, count + 1, until)
+        self.swarm.at(self.swarm.now + goal.lease / LEASE_PARTS, again)
+
+    def _next_goal(self, view: MembersView, **fields: Any) -> Goal | None:
+        asker: Any = SimpleNamespace(name=self.name, identity=None)
+        try:
+            return replace(next_goal(asker, view, **fields), id=self._new_id())
+        except ConfigError:
+            return None
+
+    def _next_origin(self, *, is_new: bool = False) -> tuple[bytes, int]:
+        """As `StopOrigin`, whose file outlives jumps of the wall clock."""
+        least = round(1000.0 * (self.swarm.wall + self.wall + self.swarm.now))
+        if is_new:
+            self._origin, self._counter = self._random.randbytes(4), 0
+        self._counter = max(self._counter + 1, least)
+        return self._origin, self._counter
+
+    def _send(self, body: Datagram, to: Address | None) -> None:
+        self.swarm.send(self, body, to)
+
+    def _new_id(self) -> str:
+        id = self._random.getrandbits(48).to_bytes(6, "big").hex()
+        self.swarm.issued[id] = self.swarm.now
+        return id
+
+
+def _chosen(view: MembersView, targets: tuple[str, ...]) -> tuple[str, ...]:
+    expected = view.expected & view.members.keys()
+    return tuple(name for name in sorted(expected) if not targets or name in targets)
+
+
+def _run_fields(goal: Goal) -> dict[str, Any]:
+    return {
+        "pattern": goal.pattern,
+        "params": goal.params,
+        "seconds": goal.seconds,
+        "until": goal.conditions,
+    }
+
+
+def _view(daemon: Any, *, asker: str, found: Discovery) -> None:
+    view = daemon.view()
+    if view is not None:
+        swarm = daemon.swarm
+        swarm.answer(daemon.name, asker, lambda: found.on_view(view, swarm.now))
+
+
+def _hand(daemon: Any, *, verb: str, payload: bytes, asker: str, take: Any) -> None:
+    daemon.on_request(verb, payload, asker, take)
+
+
+def _take_reply(robot: str, acks: Acks, payload: bytes) -> None:
+    acks.on_reply(robot, _reply(payload))
+
+
+def _push(daemon: Any, *, pattern: str, request: str, operator: str) -> None:
+    daemon.push(pattern, request, operator)

@@ -1,0 +1,662 @@
+"""The real `Robot`, `Peer` and `RequestServer` of several daemons in virtual time; no sockets.
+
+`VirtualDaemon` is wired as `daemon/daemon.py`, `daemon/network.py` and `daemon/network_inputs.py`
+are: the order of calls, the files of latches and goals, the claim of the id and the latches of the
+peers before requests are served. The driver, the pattern host and the links of operators are
+reduced to what they deliver, and when. Datagrams are not packed: their codec has tests of its own.
+
+An event is due at its time; a daemon ticks when its robot or peer is due, and at least each
+`LONGEST_TICK`. A run of the same events with the same seed is the same run.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import math
+import random
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
+from typing import Any, Protocol
+
+import numpy as np
+from msgspec.structs import replace as struct_replace
+
+from swarmd.core.codec import encode
+from swarmd.core.goal import GoalRecord
+from swarmd.core.host_messages import (
+    HostCommand,
+    HostEvent,
+    KillHost,
+    Load,
+    Loaded,
+    LoadRefused,
+    ParamsSet,
+    SetParams,
+    StartTrial,
+    Step,
+    Stepped,
+    TrialDone,
+)
+from swarmd.core.messages import (
+    Code,
+    ForgetRequest,
+    PeerView,
+    PushRequest,
+    RecordRequest,
+    Refusal,
+    ReloadRequest,
+    Reply,
+    Request,
+    RosterRequest,
+)
+from swarmd.core.values import ZERO, Odometry, Outputs, Platform, Pose, Scan, Twist
+from swarmd.daemon.audit import Audit
+from swarmd.daemon.request_server import RequestServer
+from swarmd.network.bus import Query
+from swarmd.network.admission import Admission
+from swarmd.network.datagram import Ack, Address, Datagram, Stop
+from swarmd.network.goal_sync import FoundGoal
+from swarmd.network.peer import Effects, Peer, Summary
+from swarmd.network.signature import Author
+from swarmd.network.stop_freshness import REPLAYED
+from swarmd.robot.actions import Actions
+from swarmd.robot.latches import LatchRecord
+from swarmd.robot.robot import Robot
+from swarmd.robot.settings import RobotSettings
+from swarmd.security.roster import Role
+from swarmd.settings.settings import load_platform
+
+LEASE, SETTLE = 3.0, 1.0  # of profile field
+DELAY = 0.005  # s
+JOIN_TICK, TICK, LONGEST_TICK = 0.05, 0.05, 0.25  # s
+LOAD_TIME, TRIAL_TIME, DISK_TIME = 0.05, 0.3, 0.02  # s
+SCAN_PERIOD = 0.5
+BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `network/udp.py`
+PATTERNS = frozenset({"drive", "circle"})  # what each robot has; others are pushed
+SPEEDS = {"drive": 0.1, "circle": 0.05}
+ROSTER = ("r1", "r2", "r3", "r4", "r5", "r6", "r7")
+NO_DATA = np.full(8, np.inf)
+
+
+class Judge(Protocol):
+    """Looks at each step of a history."""
+
+    def on_event(self, daemon: VirtualDaemon) -> None:
+        """The robot of a daemon has carried out an event."""
+
+    def on_reply(self, daemon: VirtualDaemon, request: Request, reply: Reply) -> None:
+        """A robot answers a request or a stop."""
+
+    def on_send(self, daemon: VirtualDaemon, body: Datagram) -> None:
+        """A robot sends a datagram."""
+
+    def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
+        """A robot is about to be handed the goal of a peer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disk:
+    """The state folder of a robot."""
+
+    latches: LatchRecord = LatchRecord()
+    goals: GoalRecord = GoalRecord()
+    patterns: frozenset[str] = frozenset()
+    counters: Mapping[bytes, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class Cause:
+    """Why a pattern is loaded: the request that asked for it, else a goal that was found."""
+
+    at: float
+    request: Request | None = None
+    goal_id: str = ""
+
+
+class VirtualQuery:
+    """A request of an operator as a daemon's bus hands it over."""
+
+    def __init__(self, payload: bytes, asker: str, answer: Callable[[bytes], None]) -> None:
+        self.payload, self.asker, self.source = payload, asker, asker
+        self.reply = answer
+
+    def drop(self) -> None:
+        """No answer."""
+
+
+class VirtualSwarm:
+    """Robots and operators on one network, which `cuts`, `loss` and `delay` disturb.
+
+    `cuts`: pairs of names, (sender, receiver), that nothing passes. In a swarm that `is_secured`
+    robots know the authors of datagrams, as if these were signed, and admit what counts.
+    """
+
+    def __init__(self, seed: int, *, is_secured: bool = False) -> None:
+        self.now = 1000.0
+        self.is_secured = is_secured
+        self.random = random.Random(seed)
+        self.cuts: set[tuple[str, str]] = set()
+        self.loss, self.delay = 0.0, DELAY
+        self.wall = 1.8e9  # s; the wall clocks differ by robot and may jump
+        self.judge: Judge | None = None
+        self.issued: dict[str, float] = {}  # when stops, goals and requests were made, by id
+        self.robots: dict[str, VirtualDaemon] = {}
+        self.nodes: dict[str, Node] = {}
+        self._by_address: dict[Address, Node] = {}
+        self._events: list[tuple[float, int, Callable[[], object]]] = []
+        self._order = itertools.count()
+
+    def add(self, node: Node) -> None:
+        """A robot or an operator comes; its address is that of its name for good."""
+        self.nodes[node.name] = node
+        self._by_address[node.address] = node
+        if isinstance(node, VirtualDaemon):
+            self.robots[node.name] = node
+
+    def boot(self, name: str, join_tick: float = JOIN_TICK) -> VirtualDaemon:
+        """A robot that starts for the first time."""
+        daemon = VirtualDaemon(self, name)
+        daemon.join_tick = join_tick
+        self.add(daemon)
+        daemon.start()
+        return daemon
+
+    def at(self, when: float, call: Callable[[], object]) -> None:
+        """Call this at a time."""
+        heapq.heappush(self._events, (when, next(self._order), call))
+
+    def advance(self, seconds: float) -> None:
+        """Let time pass."""
+        end = self.now + seconds
+        events = self._events
+        while events and events[0][0] <= end:
+            when, _, call = heapq.heappop(events)
+            self.now = max(when, self.now)
+            call()
+        self.now = end
+
+    def until(self, holds: Callable[[], bool], cap: float = 30.0) -> None:
+        """Let time pass until it holds, or for `cap` s."""
+        end = self.now + cap
+        while not holds() and self.now < end:
+            self.advance(0.1)
+
+    def reaches(self, sender: str, receiver: str) -> bool:
+        """True if nothing is cut between them, in this direction."""
+        return (sender, receiver) not in self.cuts
+
+    def cut(self, senders: Iterable[str], receivers: Iterable[str], *, both: bool = True) -> None:
+        """Nothing passes between them any more; `both`: in both directions."""
+        others = tuple(receivers)
+        for one in senders:
+            for other in others:
+                self.cuts.add((one, other))
+                if both:
+                    self.cuts.add((other, one))
+
+    def send(self, sender: Node, body: Datagram, to: Address | None) -> None:
+        """A datagram goes to all, or to one address."""
+        if to is None:
+            receivers = [one for one in self.nodes.values() if one is not sender]
+        else:
+            receivers = [self._by_address[to]] if to in self._by_address else []
+        for one in receivers:
+            if not one.is_listening or not self.reaches(sender.name, one.name):
+                continue
+            if self.loss and self.random.random() < self.loss:
+                continue
+            when = self.now + self.delay * (1.0 + 0.2 * self.random.random())
+            self.at(when, partial(one.receive, body, sender))
+
+    def name_of(self, address: Address) -> str:
+        """The robot or operator at an address."""
+        return self._by_address[address].name
+
+    def ask(self, asker: str, robot: str, call: Callable[[VirtualDaemon], object]) -> None:
+        """What an operator asks a robot by a link: both directions must pass."""
+        daemon = self.robots[robot]
+        if daemon.is_up and self.reaches(asker, robot) and self.reaches(robot, asker):
+            self.at(self.now + 2.0 * self.delay, partial(daemon.take, partial(call, daemon)))
+
+    def answer(self, robot: str, asker: str, call: Callable[[], object]) -> None:
+        """The answer of a robot comes back by a link."""
+        if self.reaches(asker, robot) and self.reaches(robot, asker):
+            self.at(self.now + 2.0 * self.delay, call)
+
+
+class Node:
+    """What has a name and an address in the network."""
+
+    name: str
+    address: Address
+    is_listening = True
+
+    @property
+    def author(self) -> Author:
+        """What its signature proves."""
+        raise NotImplementedError
+
+    def receive(self, body: Datagram, sender: Node) -> None:
+        """A datagram arrives."""
+        raise NotImplementedError
+
+
+class VirtualDaemon(Node):
+    """One robot with its state folder, through all lives of its daemon."""
+
+    def __init__(self, swarm: VirtualSwarm, name: str) -> None:
+        self.name = name
+        self.address = (f"10.0.0.{1 + len(swarm.robots)}", 7440)
+        self.swarm = swarm
+        self.disk = Disk()
+        self.older: list[tuple[float, Disk]] = [(swarm.now, self.disk)]
+        self.is_up = self.is_frozen = self.is_settled = False
+        self.lives = 0
+        self.wall = swarm.random.choice((0.0, -1.7e9, 3600.0))  # s beside the true time
+        self.join_tick = JOIN_TICK  # s; a busy computer has a longer one
+        self.twist = ZERO
+        self.cause: Cause | None = None  # of the pattern that runs
+        self.event: object = None  # the request or the goal that is handed to the robot now
+        self.log: list[str] = []
+        self._waiting: list[Callable[[], object]] = []
+        self._due = math.inf
+
+    # Life
+
+    @property
+    def is_listening(self) -> bool:  # type: ignore[override]
+        """True while its sockets are open."""
+        return self.is_up
+
+    @property
+    def is_moving(self) -> bool:
+        """True while it is commanded to move."""
+        return self.is_up and self.twist != ZERO
+
+    @property
+    def is_active(self) -> bool:
+        """True while a pattern runs or is being loaded."""
+        return self.is_up and self.robot.running_generation is not None
+
+    def start(self, disk: Disk | None = None) -> None:
+        """The daemon starts; `disk`: another state folder than that of its last life."""
+        assert not self.is_up
+        swarm, now = self.swarm, self.swarm.now
+        if disk is not None:
+            self._store(disk)
+        self.lives += 1
+        instance = swarm.random.getrandbits(48).to_bytes(6, "big")
+        self.instance = instance
+        self.is_up, self.is_frozen, self.is_settled = True, False, False
+        self.twist, self.cause, self._causes = ZERO, None, dict[int, Cause]()
+        self._scan_seq, self._scan_at, self._waiting = 0, -math.inf, []
+        self._loads = itertools.count()
+        self._load = 0  # the load under way, which a kill of the host ends
+        self.robot = Robot(
+            self.name,
+            platform(),
+            RobotSettings(driver="virtual", layers=lambda pattern: (), profile="field"),
+            seed=1,
+            instance=instance.hex(),
+            now=now,
+            latches=self.disk.latches,
+            goals=self.disk.goals,
+        )
+        self.admission = self._admission()
+        self.peer = Peer(
+            robot=self.name,
+            instance=instance,
+            swarm="lab",
+            profile="field",
+            lease=LEASE,
+            settle=SETTLE,
+            wire=1,
+            version="1.0",
+            roster=ROSTER if swarm.is_secured else (),
+            now=now,
+            admission=self.admission,
+        )
+        audit = Audit(
+            lambda line: self.robot.log(line, self.swarm.now),
+            wall=lambda: self.swarm.wall + self.wall,
+        )
+        self.server = RequestServer(
+            self.name,
+            self._on_request,
+            audit,
+            forget=lambda name: False,
+            record=self._refuse,
+            roster=lambda request, reply: None,
+            push=lambda request: None,
+        )
+        self._observe()
+        self._tick_at(now)
+
+    def _admission(self) -> Admission | None:
+        if not self.swarm.is_secured:
+            return None
+        echoes = partial(self.swarm.random.getrandbits, 53)
+        return Admission(self.name, ROSTER, LEASE, echoes, self.disk.counters)
+
+    def kill(self) -> None:
+        """The daemon ends at once: what is not on the disk is lost."""
+        self.is_up = self.is_frozen = False
+        self.twist = ZERO
+
+    def leave(self) -> None:
+        """The daemon ends in order."""
+        self._carry_out(self.robot.on_leave(self.swarm.now))
+        if self.peer.owns_id:
+            self._send(self.peer.leave_beacon(self._summary()), None)
+        self.kill()
+
+    def freeze(self) -> None:
+        """The daemon stalls; what is sent to it waits in its sockets, and its base stands."""
+        self.is_frozen = True
+        self.twist = ZERO
+
+    def thaw(self) -> None:
+        """The daemon continues: what waited comes at once, a batch in each turn of its loop."""
+        self.is_frozen = False
+        self._take_waiting()
+
+    def _take_waiting(self) -> None:
+        batch, self._waiting = self._waiting[:BATCH], self._waiting[BATCH:]
+        for call in batch:
+            self.take(call)
+        if self.is_up and not self.is_frozen:
+            self._tick()
+        if self._waiting:
+            self.swarm.at(self.swarm.now + PAUSE, self._take_waiting)
+
+    def older_disk(self, age: float) -> Disk:
+        """The state folder as it was `age` s ago."""
+        wanted = self.swarm.now - age
+        return next((disk for at, disk in reversed(self.older) if at <= wanted), self.older[0][1])
+
+    def _store(self, disk: Disk) -> None:
+        self.disk = disk
+        self.older.append((self.swarm.now, disk))
+
+    # What comes
+
+    def take(self, call: Callable[[], object]) -> None:
+        """Something arrives for the daemon's loop, which may be stalled."""
+        if not self.is_up:
+            return
+        if self.is_frozen:
+            if len(self._waiting) < MAX_WAITING:
+                self._waiting.append(call)
+            return
+        call()
+
+    @property
+    def author(self) -> Author:
+        return Author(Role.ROBOT)
+
+    def receive(self, body: Datagram, sender: Node) -> None:
+        """A datagram arrives at its socket."""
+        self.take(partial(self._on_datagram, body, sender, self.swarm.now, self.lives))
+
+    def on_request(self, verb: str, payload: bytes, asker: str, answer: Callable[[bytes], None]) -> None:
+        """A request comes by a link."""
+        if not self.is_settled:
+            return
+
+        def reply(content: bytes) -> None:
+            self.swarm.answer(self.name, asker, partial(answer, content))
+
+        query: Any = VirtualQuery(payload, asker, reply)
+        self.server.handle(verb, query)
+
+    def view(self) -> PeerView | None:
+        """The answer to a question of an operator for the members."""
+        if not self.is_settled:
+            return None
+        now = self.swarm.now
+        members = tuple(self.peer.membership.members(now).values())
+        return PeerView(robot=self.name, status=self.robot.status(now), members=members)
+
+    def _on_datagram(self, body: Datagram, node: Node, arrived: float, life: int) -> None:
+        if life != self.lives:
+            return
+        now, source = self.swarm.now, node.address
+        author = node.author if self.swarm.is_secured else None
+        waited = now - arrived
+        effects = self.peer.on_datagram(
+            body, source, now, self._summary(), author=author, waited=waited
+        )
+        for stop, sender in effects.stops:
+            shown = struct_replace(stop, hops=max(stop.hops, 1)) if effects.is_repeated else stop
+            self.server.stop(shown, str(sender), partial(self._ack, stop, sender))
+        for stop, sender in effects.replayed:
+            ack = Ack(
+                id=stop.id,
+                robot=self.name,
+                instance=self.instance,
+                revision=0,
+                code=Code.REFUSED,
+                refusal=REPLAYED,
+            )
+            self._send(ack, sender)
+        self._apply(effects, source)
+        self._tick_soon()
+
+    def _on_request(self, request: Request) -> None:
+        self.event = request
+        self._carry_out(self.robot.on_request(request, self.swarm.now))
+        self.event = None
+
+    def _refuse(self, request: RecordRequest) -> Reply:
+        return Reply(id=request.id, robot=self.name, code=Code.REFUSED)
+
+    def _ack(self, stop: Stop, source: Address, reply: Reply) -> None:
+        if not self.peer.owns_id or not self.peer.wants_ack(stop, source, self.swarm.now):
+            return
+        ack = Ack(
+            id=reply.id,
+            robot=self.name,
+            instance=self.instance,
+            revision=0 if reply.epoch is None else reply.epoch.revision,
+            code=reply.code,
+            refusal=reply.refusal,
+            text=reply.text[:300],
+        )
+        self._send(ack, source)
+
+    def _apply(self, effects: Effects, source: Address | None = None) -> None:
+        """As `Network._carry_out`."""
+        for body, address in effects.sends:
+            self._send(body, address)
+        now, robot = self.swarm.now, self.robot
+        if effects.latches:
+            self._carry_out(robot.on_latches(effects.latches, now))
+        for found in effects.goals:
+            if self.swarm.judge is not None and source is not None:  # else it is held already
+                self.swarm.judge.on_found(self, found, self.swarm.name_of(source))
+            self.event = found
+            self._carry_out(robot.on_goal(found.goal, found.age, now, may_join=found.may_join))
+            self.event = None
+        for lease in effects.leases:
+            robot.on_run_lease(lease.id, lease.count, now)
+        if effects.duplicate:
+            self._carry_out(robot.on_duplicate(effects.duplicate, now))
+
+    def _send(self, body: Datagram, to: Address | None) -> None:
+        if self.swarm.judge is not None:
+            self.swarm.judge.on_send(self, body)
+        self.swarm.send(self, body, to)
+
+    def _summary(self) -> Summary:
+        robot = self.robot
+        return Summary(
+            robot.state,
+            robot.epoch.revision,
+            robot.latches,
+            robot.goal,
+            relays_from=robot.relays_from,
+            cleared=robot.cleared,
+        )
+
+    # Ticks and actions
+
+    def _tick_at(self, when: float) -> None:
+        self._due = when
+        self.swarm.at(when, partial(self._on_tick, when, self.lives))
+
+    def _tick_soon(self) -> None:
+        """Tick sooner than planned if the robot or the peer is due sooner."""
+        due = self._next_tick()
+        if due < self._due - 1e-6:
+            self._tick_at(due)
+
+    def _next_tick(self) -> float:
+        now = self.swarm.now
+        if not self.is_settled:
+            return now + self.join_tick
+        wanted = min(max(self.peer.wake_at(), now + TICK), now + LONGEST_TICK)
+        wake_at = self.robot.wake_at(now)
+        return wanted if wake_at is None else min(wanted, max(wake_at, now + 1e-3))
+
+    def _on_tick(self, planned: float, life: int) -> None:
+        if planned == self._due and life == self.lives and self.is_up and not self.is_frozen:
+            self._tick()
+
+    def _tick(self) -> None:
+        now = self.swarm.now
+        if self.is_active and now - self._scan_at >= SCAN_PERIOD:
+            self._measure()
+        self._carry_out(self.robot.tick(now))
+        self._apply(self.peer.advance(now, self._summary()))
+        if self.admission is not None and self.admission.stops.counters != self.disk.counters:
+            self._store(replace(self.disk, counters=dict(self.admission.stops.counters)))
+        if not self.is_settled and self.peer.owns_id and self.peer.is_in_sync(now):
+            self.is_settled = True
+            self._carry_out(self.robot.on_driver(True, "connected", now))
+        self._tick_at(self._next_tick())
+
+    def _measure(self) -> None:
+        now, spec = self.swarm.now, platform().scan
+        self._scan_at, self._scan_seq = now, self._scan_seq + 1
+        self.robot.on_odometry(Odometry(now, Pose(), ZERO), now)
+        scan = Scan(self._scan_seq, now, NO_DATA, spec.bearings, spec.range_min, spec.range_max)
+        self._carry_out(self.robot.on_scan(scan, now))
+
+    def _carry_out(self, actions: Actions) -> None:
+        """As `Daemon._carry_out`."""
+        self.twist = actions.twist
+        if actions.is_quiet:
+            return
+        if actions.goals is not None:
+            goals, life = actions.goals, self.lives
+            self.swarm.at(self.swarm.now + DISK_TIME, lambda: self._write_goals(goals, life))
+        if actions.latches is not None:
+            self._store(replace(self.disk, latches=actions.latches))
+        for command in (actions.trial, actions.host):
+            if command is not None:
+                self._command(command)
+        for reply in actions.replies:
+            if self.swarm.judge is not None:
+                pending = self.server._pending.get(reply.id)
+                if pending is not None and not isinstance(
+                    pending.request, ForgetRequest | RecordRequest | RosterRequest | PushRequest
+                ):
+                    self.swarm.judge.on_reply(self, pending.request, reply)
+            self.server.reply(reply)
+        self._observe()
+
+    def _write_goals(self, goals: GoalRecord, life: int) -> None:
+        if self.is_up and life == self.lives:
+            self._store(replace(self.disk, goals=goals))
+
+    def _observe(self) -> None:
+        """Find the cause of the pattern that runs, and let the judge look."""
+        generation = self.robot.running_generation
+        if self.robot.is_running and generation in self._causes:
+            self.cause = self._causes[generation]
+        if self.swarm.judge is not None:
+            self.swarm.judge.on_event(self)
+
+    # The pattern host
+
+    def _command(self, command: HostCommand) -> None:
+        now = self.swarm.now
+        if isinstance(command, Step):
+            speed = SPEEDS.get(self._pattern, 0.1)
+            stepped = Stepped(command.generation, Outputs(twist=Twist(speed)), self._scan_seq)
+            self._carry_out(self.robot.on_host(stepped, now))
+        elif isinstance(command, KillHost):
+            self._load = next(self._loads)
+        elif isinstance(command, SetParams):
+            self._host_says(ParamsSet(command.generation, command.request, "", {"a": (1.0, "b")}), 0.0)
+        elif isinstance(command, Load):
+            self._load = next(self._loads)
+            self._causes[command.generation] = self._cause_of(command)
+            self._pattern = command.pattern
+            self._host_says(self._loaded(command), LOAD_TIME, self._load)
+        elif isinstance(command, StartTrial):
+            self._host_says(TrialDone(command.load.generation, ""), TRIAL_TIME)
+
+    def _cause_of(self, load: Load) -> Cause:
+        request = self.event
+        goal = self.robot.goals.own
+        if request is None and self.robot.is_running and self.cause is not None:
+            return self.cause  # a pattern that failed is restarted
+        if isinstance(request, FoundGoal) or request is None:
+            return Cause(self.swarm.now, None, "" if goal is None else goal.id)
+        found = getattr(request, "goal", None)
+        if isinstance(request, ReloadRequest) and request.keeps_running:
+            return Cause(self.swarm.now, None, "" if goal is None else goal.id)
+        assert not isinstance(request, TrialDone)
+        return Cause(self.swarm.now, request, "" if found is None else found.id)  # type: ignore[arg-type]
+
+    def _loaded(self, load: Load) -> HostEvent:
+        if load.pattern not in PATTERNS | self.disk.patterns:
+            return LoadRefused(load.generation, "no such pattern", Refusal.UNKNOWN_PATTERN)
+        params = dict(load.layers).get("request", {})
+        if "wrong" in params:
+            return LoadRefused(load.generation, "wrong", Refusal.INVALID_PARAMETER, "wrong")
+        return Loaded(load.generation, 1.0, frozenset(), {})
+
+    def _host_says(self, event: HostEvent, delay: float, load: int | None = None) -> None:
+        life = self.lives
+
+        def say() -> None:
+            if life == self.lives and load in (None, self._load):
+                self._carry_out(self.robot.on_host(event, self.swarm.now))
+
+        self.swarm.at(self.swarm.now + delay, lambda: self.take(say))
+
+    def push(self, pattern: str, request_id: str, operator: str) -> None:
+        """Code of a pattern arrives and is stored; the robot tries it, as `BehaviourControl` asks."""
+        if not self.is_settled:
+            return
+        self._store(replace(self.disk, patterns=self.disk.patterns | {pattern}))
+        request = ReloadRequest(
+            id=request_id,
+            operator=operator,
+            targets={self.name: self.robot.epoch},
+            pattern=pattern,
+            keeps_running=True,
+        )
+        self._on_request(request)
+
+
+@cache
+def platform() -> Platform:
+    """A platform whose scans cost little: eight rays, twice a second, and no barrier."""
+    base = load_platform("waffle_pi")
+    bearings = np.linspace(-math.pi, math.pi, 8, endpoint=False)
+    scan = replace(
+        base.scan,
+        bearings=bearings,
+        rate=1.0 / SCAN_PERIOD,
+        is_noisy=False,
+        sweep=None,
+        zero="no_return",
+        near="reported",
+        max_gap=math.pi,
+    )
+    return replace(base, scan=scan, protection={**base.protection, "mode": "off"})

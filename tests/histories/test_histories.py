@@ -1,0 +1,72 @@
+"""Random histories of a swarm; see `invariants.py` for what must hold.
+
+A history that fails is shrunk and printed as the `replay` that repeats it.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.histories.history import draw, fault_of, replay, script, shrink, step
+
+BLOCK = 50
+IN_SUITE, IN_EVIDENCE = range(0, 1000, BLOCK), range(1000, 11000, BLOCK)
+
+
+def check(seed: int) -> None:
+    """Replay the history with this seed; if it fails, fail with its shortest form."""
+    count, steps = draw(seed)
+    fault = fault_of(count, steps, seed)
+    if fault is not None:
+        count, steps = shrink(count, steps, fault.rule, seed)
+        pytest.fail(f"seed {seed}: {fault}\n{script(count, steps, seed)}", pytrace=False)
+
+
+@pytest.mark.parametrize("first", IN_SUITE)
+def test_a_thousand_histories(first: int) -> None:
+    for seed in range(first, first + BLOCK):
+        check(seed)
+
+
+@pytest.mark.evidence
+@pytest.mark.parametrize("first", IN_EVIDENCE)
+def test_ten_thousand_histories(first: int) -> None:
+    for seed in range(first, first + BLOCK):
+        check(seed)
+
+
+def test_a_history_repeats() -> None:
+    """The same seed gives the same events, so that what is printed repeats a failure."""
+    lines = []
+    for _ in range(2):
+        history = replay(*draw(11), seed=11)
+        robots = history.swarm.robots.values()
+        lines.append([one.robot.status(history.swarm.now).events for one in robots])
+    assert lines[0] == lines[1]
+
+
+def test_a_failing_history_is_shrunk(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A robot that forgets its latches when it restarts: three steps are enough to show it."""
+    from tests.histories.swarm import VirtualDaemon
+
+    start = VirtualDaemon.start
+
+    def forgetful(daemon: VirtualDaemon, disk: object = None) -> None:
+        start(daemon, type(daemon.disk)(goals=daemon.disk.goals))
+
+    monkeypatch.setattr(VirtualDaemon, "start", forgetful)
+    history = (
+        step(0.0, "run", by="anna"),
+        step(1.0, "estop", by="anna", targets=("r1",)),
+        step(1.0, "boot", robot="r4"),
+        step(0.5, "wall", robot="r2", shift=5.0),
+        step(1.0, "start", robot="r1"),
+        step(1.0, "run", by="bob"),
+    )
+    fault = fault_of(3, history)
+    assert fault is not None and fault.rule == 6
+    count, steps = shrink(3, history, 6)
+    assert [one.name for one in steps] == ["estop", "start"]
+    printed = script(count, steps)
+    names = {"step": step, "replay": lambda count, steps, seed: fault_of(count, steps, seed)}
+    assert eval(printed, names).rule == 6
