@@ -149,6 +149,8 @@ MAX_SHARED_COORDINATE = 1e6
 """Metres from the origin of a shared frame."""
 MAX_SHARED_ERROR = 10.0
 """Metres; a pose that is worse tells nothing."""
+MAX_TOLD_DISTANCE = 10_000.0
+"""Metres to a peer, beyond the radio of any swarm: a place that is farther away is an error."""
 
 
 class PeerPlace(Struct, frozen=True, array_like=True):

@@ -17,7 +17,17 @@ from msgspec import Meta, Struct
 from swarmd.core.bounds import Count, Metres, Name, Seconds, Speed, Word
 from swarmd.core.codec import MAX_MESSAGE, MAX_SENSOR_PAYLOAD, Decoder, encode
 from swarmd.core.errors import CodecError
-from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, ScanSpec, SharedPose, Twist
+from swarmd.core.values import (
+    MAX_TOLD_DISTANCE,
+    Array,
+    Neighbor,
+    Odometry,
+    Pose,
+    Scan,
+    ScanSpec,
+    SharedPose,
+    Twist,
+)
 from swarmd.driver_api.driver import Sink
 
 Angle = Annotated[float, Meta(ge=-100.0, le=100.0)]
@@ -25,6 +35,8 @@ Stamp = Annotated[float, Meta(ge=-1e10, le=1e10)]
 """Seconds on the sensor's clock: a real one counts from 1970."""
 Coordinate = Annotated[float, Meta(ge=-1e9, le=1e9)]
 """Metres in the odometry frame, which may be that of a map."""
+Distance = Annotated[float, Meta(ge=0.0, le=MAX_TOLD_DISTANCE)]
+"""Metres to another robot."""
 Step = Annotated[float, Meta(ge=-10.0, le=10.0)]
 """Seconds from one ray to the next."""
 Channel = Annotated[str, Meta(min_length=3, max_length=127)]
@@ -64,7 +76,7 @@ class NeighborWire(Struct, frozen=True, array_like=True):
     """One robot within radio range; None: not sensed."""
 
     id: Name
-    distance: Metres | None = None
+    distance: Distance | None = None
     bearing: Angle | None = None
     heading: Angle | None = None
 

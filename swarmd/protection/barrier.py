@@ -154,15 +154,15 @@ class Barrier:
         self._limits, self._spec = platform.limits, platform.scan
         self._outline = Footprint(platform.footprint)
         self._offset = platform.scan.offset
-        self._surface_speed = settings.surface_speed or settings.others_speed
         self._envelopes: dict[tuple[Point, float], tuple[Array, Array]] = {}
         self._feasible: _Feasible | None = None
         self._decided: tuple[_Feasible, Twist, ModeDecision] | None = None
         self._dead_reckoning = DeadReckoning(settings.braking_linear, settings.braking_angular)
-        own = max(self._limits.linear, self._limits.lateral)
+        self._binding_range = BindingRange(platform, settings, TICK)
+        self._surface_speed = self._binding_range.surface
         self._memory: BlindZoneMemory | None = None
         if self._spec.near == "lost" and self._spec.range_min > 0.0:
-            speed = settings.others_speed + own
+            speed = settings.others_speed + self._binding_range.own
             self._memory = blind_zone_memory(self._spec.range_min, speed, 1.0 / self._spec.rate)
         self._radius = float(np.hypot(*platform.footprint.T).max())
         self._stop_check = StopCheck(
@@ -177,12 +177,8 @@ class Barrier:
         self._obstacles, self._taken_at, self._taken = _NO_OBSTACLES, Pose(), -math.inf
         self._lag, self._clock_resets = 0.0, 0
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
-        self._binding_range = BindingRange(platform, settings, TICK)
-        self._stale = platform.scan.stale_after + platform.scan.latency + REACTION_TIME
-        within = self._binding_range.for_fresh_scan(self._surface_speed)
-        within += settings.others_speed * self._stale
-        given_within = settings.envelope_within
-        self._within = within if given_within is None else given_within
+        self._stale, given_within = self._binding_range.stale, settings.envelope_within
+        self._within = self._binding_range.for_envelope() if given_within is None else given_within
 
     def clearance(self, speed: float) -> Clearance:
         """The clearance needed to drive at `speed`: ahead, and to each side."""

@@ -11,8 +11,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
+import msgspec
+
+from swarmd.core.clock import TICK
 from swarmd.core.messages import Body, PeerFinding
 from swarmd.core.values import Platform
+from swarmd.protection.constraints import BindingRange
+from swarmd.protection.settings import BarrierSettings
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,12 +38,16 @@ ACCEPTS_NONE = Accepts()
 
 def body_of(platform: Platform) -> Body:
     """What a robot of this platform tells of its body."""
-    barrier = _barrier(platform)
-    speed = None if barrier is None else barrier["surface_speed"] or barrier["others_speed"]
+    barrier, speed = barrier_settings(platform), fastest_corner(platform)
+    if barrier is not None:
+        reach, within = BindingRange(platform, barrier, TICK), barrier.envelope_within
+        # Another robot that comes nearer than it may bind this one meets it at any speed.
+        if within is None or within >= reach.for_envelope():
+            speed = reach.surface
     heights = platform.heights
     return Body(
         platform=platform.name[:63],
-        surface_speed=speed or fastest_corner(platform),
+        surface_speed=speed,
         radius=radius_of(platform),
         scan_plane=None if heights is None else heights.scan_plane,
         lowest=None if heights is None else heights.lowest,
@@ -71,14 +80,15 @@ def sees(own: Body, peer: Body) -> bool | None:
 
 def assumed_speed(platform: Platform) -> float | None:
     """The speed of others in m/s that protection computes with; None: its mode assumes none."""
-    barrier = _barrier(platform)
-    return None if barrier is None else barrier["others_speed"]
+    barrier = barrier_settings(platform)
+    return None if barrier is None else barrier.others_speed
 
 
-def _barrier(platform: Platform) -> Mapping[str, float] | None:
+def barrier_settings(platform: Platform) -> BarrierSettings | None:
     """The settings of the barrier; None in another mode."""
     is_barrier = platform.protection.get("mode", "barrier") == "barrier"
-    return platform.protection.get("barrier") if is_barrier else None
+    given = platform.protection.get("barrier") if is_barrier else None
+    return None if given is None else msgspec.convert(given, BarrierSettings)
 
 
 def findings(

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Array, Limits, Platform, Pose, TouchZone, Twist
+from swarmd.protection.dead_reckoning import REACTION_TIME
 from swarmd.protection.footprint import Footprint, Separations
 from swarmd.protection.projection import Point
 from swarmd.protection.settings import BarrierSettings
@@ -167,23 +168,28 @@ def reciprocal_caps(room: Array, braking: Array, unseen: Array | float, tick: fl
 class BindingRange:
     """Gaps in m beyond which no obstacle constrains the robot; farther returns are ignored.
 
-    `fastest` m/s is the highest speed of the robot's surface, `fresh` m the gap for it at age 0.
+    `own` m/s is the highest speed of the base in any direction, `fastest` m/s that of the robot's
+    surface, `fresh` m the gap for it at age 0. `surface` m/s is the highest speed of the surface
+    near obstacles. A command takes effect at most `stale` s after the middle of its scan.
     """
 
     def __init__(self, platform: Platform, settings: BarrierSettings, tick: float) -> None:
         """The next decision comes after `tick` s."""
         self._limits, self._settings, self._tick = platform.limits, settings, tick
+        self._scan, self._footprint = platform.scan, platform.footprint
         self._outer = float(np.hypot(*platform.footprint.T).max())
-        own = max(self._limits.linear, self._limits.lateral)
+        self.own = math.hypot(self._limits.linear, self._limits.lateral)
+        self.surface = settings.surface_speed or settings.others_speed
         # Far from obstacles the envelope does not apply, so the own limit may be the higher one.
-        self.fastest = max(settings.surface_speed or settings.others_speed, own)
+        self.fastest = max(self.surface, self.own)
         self.fresh = self.for_fresh_scan(self.fastest)
+        self.stale = platform.scan.stale_after + platform.scan.latency + REACTION_TIME
 
     def for_fresh_scan(self, speed: float) -> float:
         """The gap for a scan of age 0 and a surface of the robot that moves at `speed` m/s."""
         settings, tick = self._settings, self._tick
         spin = min(self._limits.angular, speed / self._outer)
-        linear = min(speed, max(self._limits.linear, self._limits.lateral))
+        linear = min(speed, self.own)
         braking = max(linear / settings.braking_linear, spin / settings.braking_angular)
         gap = speed * (tick + 0.5 * braking) + settings.others_speed * (tick + braking)
         return gap + settings.margin + settings.unseen_extent
@@ -200,6 +206,20 @@ class BindingRange:
             return gap
         half = speed * (2.0 * self._tick + age + 0.5 * speed / settings.braking_linear)
         return max(gap, settings.keep_out + 2.0 * half + speed * age)
+
+    def for_envelope(self) -> float:
+        """The gap within which the surface must not exceed `surface`, for a scan of any age."""
+        return self.for_fresh_scan(self.surface) + self._settings.others_speed * self.stale
+
+    def for_sensor(self) -> float:
+        """The m from the sensor at which it must see an obstacle: one that is not seen is ignored.
+
+        A ray may be half a sweep older than the middle of its scan.
+        """
+        scan = self._scan
+        sweep = 1.0 / scan.rate if scan.sweep is None else scan.sweep.duration
+        outermost = float(np.hypot(*(self._footprint - scan.offset).T).max())
+        return outermost + self.for_scan_age(self.stale + 0.5 * sweep)
 
 
 def envelope(corners: Array, along: Point, limits: Point, speed: float) -> tuple[Point, ...]:

@@ -49,7 +49,8 @@ class BarrierSettings(Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     # homes in on the corner can be met. Only for `passive`.
     side_reserve: Reserve | None = None
     # m from the outline within which `surface_speed` applies; None: as far as a constraint can
-    # bind. Higher: slows down earlier. Lower: others meet a faster surface than they assume.
+    # bind. Higher: slows down earlier. Lower: robots that assume less than the speed of its fastest
+    # corner are held when they hear of it.
     envelope_within: Length | None = None
     # passive: others may approach at `others_speed`. reciprocal: each of two uses half of the gap;
     # gets more done, but leaves millimetres and fails unless all robots use it.

@@ -4,19 +4,37 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 from msgspec import structs
 
 from swarmd.core.arrival_delay import ArrivalDelay
+from swarmd.core.clock import TICK
 from swarmd.core.messages import Body, PeerFinding
-from swarmd.core.values import Neighbor, PeerPlace, Platform, SharedPose, Twist
-from swarmd.protection.compatibility import Accepts, assumed_speed, body_of, findings, sees
+from swarmd.core.values import (
+    MAX_TOLD_DISTANCE,
+    Neighbor,
+    PeerPlace,
+    Platform,
+    SharedPose,
+    Twist,
+)
+from swarmd.protection.compatibility import (
+    Accepts,
+    assumed_speed,
+    barrier_settings,
+    body_of,
+    findings,
+    radius_of,
+    sees,
+)
+from swarmd.protection.constraints import BindingRange
+from swarmd.protection.dead_reckoning import REACTION_TIME
 from swarmd.protection.decision import ToldObstacle
 
 TOLD_TIMEOUT = 1.0  # s after which a place that a neighbour was told at says nothing any more
-TOLD_WITHIN = 3.0  # m; a neighbour farther away constrains no command before it is told again
 BLIND_RING = 0.1  # m around the outline: a robot does not fit into less
 # Errors of range and bearing: three standard deviations of the boards that the simulator models.
 DISTANCE_ERROR, DISTANCE_SHARE, ANGLE_ERROR = 0.06, 0.06, math.radians(6.0)
@@ -26,7 +44,10 @@ FASTEST_POSE = 0.1  # s that the fastest own pose takes at most to arrive: no cl
 
 
 class _Figure(NamedTuple):
-    """A disc in m in the base frame at the time `at` in s; `until` s it tells where the peer is."""
+    """A disc in m in the base frame at the time `at` in s; `until` s it tells where the peer is.
+
+    Of two figures from one source, that with the later `until` is the newer.
+    """
 
     x: float
     y: float
@@ -68,7 +89,10 @@ class Peers:
         # A peer that the lidar sees may still vanish in its blind zone.
         self._blind_within = _blind_within(platform)
         self._seen: frozenset[str] = frozenset()  # peers that are seen beyond the blind zone
-        self._figures: dict[str, _Figure] = {}
+        self._told_within = _told_within(platform)
+        # By source, then by peer. A false place of one source must not hide the other's obstacle.
+        self._sensed: dict[str, _Figure] = {}  # by range and bearing
+        self._located: dict[str, _Figure] = {}  # in the shared frame
         self._unseen: tuple[str, ...] = ()  # not accepted: each must be told
         self._holds_always = False
         self._due = math.inf  # until when all of `_unseen` are told
@@ -98,7 +122,9 @@ class Peers:
             self._radii = known
         others = (body for body in bodies.values() if body is not None)
         self._is_missed = any(sees(body, self.own) is not True for body in others)
-        self._figures = {r: f for r, f in self._figures.items() if r in self._radii}
+        for figures in (self._sensed, self._located):
+            for robot in figures.keys() - self._radii.keys():
+                del figures[robot]
         self._unseen = tuple(f.robot for f in found if f.kind == "unseen" and f.holds)
         self._holds_always = any(f.kind == "faster" and f.holds for f in found)
         self._find_due()
@@ -112,19 +138,22 @@ class Peers:
             radius, distance = self._radii.get(neighbor.id), neighbor.distance
             if radius is None or distance is None or neighbor.bearing is None:
                 continue
-            if not all(map(math.isfinite, (distance, neighbor.bearing, neighbor.age))):
+            if not all(map(math.isfinite, (neighbor.bearing, neighbor.age))):
                 continue
-            distance, at = max(distance, 0.0), now - max(neighbor.age, 0.0)
+            if not 0.0 <= distance <= MAX_TOLD_DISTANCE:
+                continue
+            at = now - max(neighbor.age, 0.0)
             error = math.hypot(DISTANCE_ERROR + DISTANCE_SHARE * distance, ANGLE_ERROR * distance)
-            self._figures[neighbor.id] = _Figure(
+            figure = _Figure(
                 distance * math.cos(neighbor.bearing),
                 distance * math.sin(neighbor.bearing),
                 radius + error,
                 at,
                 at + TOLD_TIMEOUT,
             )
+            _keep_newer(self._sensed, neighbor.id, figure)
         self._find_due()
-        return bool(self._figures)
+        return bool(self._sensed)
 
     def on_pose(self, pose: SharedPose, twist: Twist | None, now: float) -> None:
         """Take in the own pose; `twist` is the measured one. One that is not valid is ignored."""
@@ -147,7 +176,7 @@ class Peers:
         return (self._own_pose.shared, age) if age <= POSE_TIMEOUT else None
 
     def on_place(self, place: PeerPlace, now: float) -> bool:
-        """Take in where a peer is by its own word; True if it is now told by that.
+        """Take in where a peer is by its own word; True if that tells where it is.
 
         Needs an own pose in the same frame. The peer's motion until the time of that pose, the
         errors of both and that of the time of the own pose enlarge the circle.
@@ -161,30 +190,36 @@ class Peers:
             return False
         pose = own.shared.pose
         dx, dy = place.x - pose.x, place.y - pose.y
+        if math.hypot(dx, dy) > MAX_TOLD_DISTANCE:
+            return False
         cos, sin = math.cos(pose.yaw), math.sin(pose.yaw)
         error = own.shared.error + own.shift + place.error
         error += (own.shared.yaw_error + own.turn) * math.hypot(dx, dy)
         error += body.surface_speed * max(own.at - at, 0.0)
-        self._figures[place.robot] = _Figure(
+        figure = _Figure(
             cos * dx + sin * dy,
             cos * dy - sin * dx,
             radius + error,
             own.at,
             min(own.at, at) + TOLD_TIMEOUT,
         )
+        _keep_newer(self._located, place.robot, figure)
         self._find_due()
         return True
 
     def told(self, now: float) -> tuple[ToldObstacle, ...]:
-        """The near peers that are told and not seen for certain: not there, or in a blind zone."""
-        if not self._figures:
+        """The near peers that are told and not seen for certain: not there, or in a blind zone.
+
+        A peer with a place from each source is told twice.
+        """
+        if not (self._sensed or self._located):
             return ()
         return tuple(
             ToldObstacle(one.x, one.y, one.radius, max(now - one.at, 0.0))
-            for robot, one in self._figures.items()
+            for robot, one in chain(self._sensed.items(), self._located.items())
             if now <= one.until
             and math.hypot(one.x, one.y) - one.radius
-            <= (self._blind_within if robot in self._seen else TOLD_WITHIN)
+            <= (self._blind_within if robot in self._seen else self._told_within)
         )
 
     def holds(self, now: float) -> bool:
@@ -199,8 +234,8 @@ class Peers:
         self._due = min(map(self._told_until, self._unseen), default=math.inf)
 
     def _told_until(self, robot: str) -> float:
-        figure = self._figures.get(robot)
-        return -math.inf if figure is None else figure.until
+        found = (figures.get(robot) for figures in (self._sensed, self._located))
+        return max((figure.until for figure in found if figure is not None), default=-math.inf)
 
     def findings(self, now: float) -> tuple[PeerFinding, ...]:
         """The findings at `now`: one that is told does not hold the robot."""
@@ -212,6 +247,25 @@ class Peers:
             else f
             for f in self._findings
         )
+
+
+def _keep_newer(figures: dict[str, _Figure], robot: str, figure: _Figure) -> None:
+    """Replace the figure of a peer unless it is the newer one."""
+    known = figures.get(robot)
+    if known is None or figure.until >= known.until:
+        figures[robot] = figure
+
+
+def _told_within(platform: Platform) -> float:
+    """m from the axle to the rim of a disc beyond which it constrains no command while it counts.
+
+    -inf in a mode that regards no told obstacle.
+    """
+    barrier = barrier_settings(platform)
+    if barrier is None:
+        return -math.inf
+    reach = BindingRange(platform, barrier, TICK)
+    return radius_of(platform) + reach.for_age(TOLD_TIMEOUT + REACTION_TIME)
 
 
 def _blind_within(platform: Platform) -> float:

@@ -203,8 +203,6 @@ class Robot:
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
         """The present neighbours: from the driver if it provides them, else all members."""
         self._sensors.on_neighbors(neighbors, now)
-        if self._sensors.peers.hold_due_at() < self._quiet_until:  # one is told with an older place
-            self._quiet_until = -math.inf
 
     def on_peers(self, bodies: Mapping[str, Body | None], now: float) -> None:
         """What the other robots tell of their bodies: all that were heard and are not forgotten."""

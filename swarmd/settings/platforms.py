@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, cast
 
@@ -12,6 +13,7 @@ from msgspec import Meta, Struct, to_builtins
 
 import swarmd.config
 from swarmd.core.angles import wrap
+from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import (
     Array,
@@ -23,6 +25,8 @@ from swarmd.core.values import (
     Value,
     input_fault,
 )
+from swarmd.protection.compatibility import barrier_settings
+from swarmd.protection.constraints import BindingRange
 from swarmd.protection.footprint import Footprint
 from swarmd.protection.settings import (
     BarrierSettings,
@@ -248,6 +252,8 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
         if lacks:
             text = f"is barrier, which needs {lacks}, or take another mode"
             yield fault_at(("protection", "mode"), text)
+            return
+    yield from _check_sight(_platform("", file))
 
 
 def _check_ranges(file: PlatformFile) -> Iterator[Fault]:
@@ -273,6 +279,39 @@ def _check_ranges(file: PlatformFile) -> Iterator[Fault]:
             f" measures; expected protection.stop_zone.stop of at least {wanted:g}, or another mode"
         )
         yield fault_at(("protection", "mode"), text)
+
+
+def _check_sight(platform: Platform) -> Iterator[Fault]:
+    """The sensor must see early and far enough to stop; only mode `barrier` says how far."""
+    scan, limits, barrier = platform.scan, platform.limits, barrier_settings(platform)
+    if scan.stale_after < 1.5 / scan.rate:
+        text = (
+            f"is {scan.rate:g}; expected at least {1.5 / scan.stale_after:g}: a scan older than"
+            f" {scan.stale_after:g} s holds the robot"
+        )
+        yield fault_at(("scan", "rate"), text)
+    if barrier is None:
+        return
+
+    def needed(linear: float) -> float:
+        slower = replace(platform, limits=replace(limits, linear=linear))
+        return BindingRange(slower, barrier, TICK).for_sensor()
+
+    far = needed(limits.linear)
+    if far <= scan.range_max:
+        return
+    text = (
+        f"is {scan.range_max:g}; expected at least {math.ceil(100.0 * far) / 100.0:g}, within which"
+        f" the robot stops from limits.linear {limits.linear:g} with braking_linear"
+        f" {barrier.braking_linear:g} and others_speed {barrier.others_speed:g} of"
+        f" protection.barrier, by scans that are {scan.stale_after:g} s old beyond scan.latency"
+        f" {scan.latency:g} (scan.rate {scan.rate:g})"
+    )
+    slower = (0.01 * count for count in range(math.ceil(100.0 * limits.linear) - 1, 0, -1))
+    fits = next((linear for linear in slower if needed(linear) <= scan.range_max), None)
+    if fits is not None:
+        text += f"; or limits.linear of at most {fits:.2f}"
+    yield fault_at(("scan", "range_max"), text)
 
 
 def _shape_fault(points: list[Point]) -> str:

@@ -16,8 +16,11 @@ import pytest
 
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.swarmctl import VERBS, cli
+from swarmd.core.clock import TICK
 from swarmd.plugins import DRIVERS
-from swarmd.settings.platforms import platform_names
+from swarmd.protection.compatibility import barrier_settings
+from swarmd.protection.constraints import BindingRange
+from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.experiments.requirements import RUNS, parse_requirement
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names
@@ -170,6 +173,16 @@ def test_files_of_a_page_are_ready_to_use(page: Path, tmp_path: Path) -> None:
             assert load_scenario(tmp_path / name).robots
         else:
             compile(text, name, "exec")
+
+
+@pytest.mark.parametrize("name", platform_names())
+def test_the_page_on_safety_lists_how_far_each_platform_must_see(name: str) -> None:
+    platform = load_platform(name)
+    barrier, needed = barrier_settings(platform), "-"
+    if barrier is not None:
+        needed = f"{BindingRange(platform, barrier, TICK).for_sensor():.2f} m"
+    row = f"| `{name}` | {needed} | {platform.scan.range_max:.2f} m |"
+    assert row in (ROOT / "docs/safety.md").read_text()
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

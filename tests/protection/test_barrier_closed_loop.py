@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 from numpy.random import Generator
 
+from swarmd.core.clock import TICK
 from swarmd.core.messages import Reason
-from swarmd.core.values import Odometry, Platform, Pose, Scan, TouchZone, Twist
+from swarmd.core.values import Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
+from swarmd.protection.compatibility import barrier_settings
+from swarmd.protection.constraints import BindingRange
 from swarmd.protection.decision import NO_PERMIT, Permit
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import (
@@ -53,6 +56,46 @@ def test_stops_at_a_wall_with_the_margin_left(
     run = FilterSim(standing(platform), [wall]).run(Twist(way * platform.limits.linear), 8.0)
     assert run.min_gap == pytest.approx(MARGIN + 0.0005, abs=ROUNDING)
     assert abs(run.twists[-1].linear) < 0.001
+
+
+def short_sighted(linear: float, others_speed: float, braking: float) -> tuple[Platform, float]:
+    """A Burger with these m/s and m/s2, and how far its sensor must see."""
+    settings = {"others_speed": others_speed, "braking_linear": braking}
+    platform = under_barrier(replace(BURGER, limits=Limits(linear, 2.84)), **settings)
+    barrier = barrier_settings(platform)
+    assert barrier is not None
+    return platform, BindingRange(platform, barrier, TICK).for_sensor()
+
+
+def hardest_touch(platform: Platform, range_max: float) -> float:
+    """The own speed in m/s at the touch of walls that come into sight as scans begin to be lost."""
+    platform = replace(platform, scan=replace(platform.scan, range_max=range_max))
+    speed, others = platform.limits.linear, platform.protection["barrier"]["others_speed"]
+    touches = [0.0]
+    for coming in (0.0, others):
+        for later in np.arange(0.0, 0.2, 0.05):
+            front = range_max + 3.0 * (speed + coming)  # in sight after 3 s
+            wall = box(0.2, 40.0, Pose(front + 0.1), velocity=(-coming, 0.0))
+            sim = FilterSim(platform, [wall])
+
+            def requested(at: float, sim: FilterSim = sim, end: float = 3.0 + later) -> Twist:
+                sim.has_lidar = at < end
+                return Twist(speed)
+
+            touch = sim.run(requested, 14.0).touch
+            touches.append(0.0 if touch is None else touch.speed)
+    return max(touches)
+
+
+@pytest.mark.parametrize(
+    ("linear", "others_speed", "braking"), [(2.0, 1.2, 1.0), (2.0, 0.3, 0.7), (1.0, 0.3, 0.5)]
+)
+def test_a_sensor_that_sees_as_far_as_needed_sees_far_enough(
+    linear: float, others_speed: float, braking: float
+) -> None:
+    platform, needed = short_sighted(linear, others_speed, braking)
+    assert hardest_touch(platform, needed) <= NO_FAULT
+    assert hardest_touch(platform, 0.6 * needed) > 0.4  # so the distance is not by far too long
 
 
 @pytest.mark.parametrize("late", [0.2, 0.4])

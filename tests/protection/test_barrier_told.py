@@ -4,20 +4,43 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, TouchZone, Twist
+from swarmd.core.messages import Body
+from swarmd.core.values import (
+    ZERO,
+    Neighbor,
+    Odometry,
+    PeerPlace,
+    Platform,
+    Pose,
+    Scan,
+    SharedPose,
+    TouchZone,
+    Twist,
+)
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import DecisionContext, ToldObstacle
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
-from tests.support.filter_sim import decided, outline_point, under_barrier
+from tests.support.filter_sim import (
+    DT,
+    FilterRun,
+    FilterSim,
+    Shape,
+    decided,
+    outline_point,
+    round_corners,
+    under_barrier,
+)
 
 TICK = 0.05
+NO_FAULT = 0.02  # m/s: a slower contact is not a fault of the robot
 PLATFORMS = [under_barrier(load_platform(name)) for name in ("burger", "waffle_pi", "jackal")]
 BURGER, WAFFLE, JACKAL = PLATFORMS
 PLATFORM = st.sampled_from(PLATFORMS)
@@ -36,6 +59,11 @@ def seeing(platform: Platform, returns: Sequence[tuple[int, float]]) -> Scan:
     for ray, share in returns:
         ranges[ray] = platform.scan.range_min + 2.0 * share
     return scan_from(platform, ranges, platform.scan.bearings)
+
+
+def touched_at(run: FilterRun) -> float:
+    """The speed in m/s of the robot's own surface at the touch; 0 without one."""
+    return 0.0 if run.touch is None else run.touch.speed
 
 
 def request_of(platform: Platform, v: float, w: float) -> Twist:
@@ -160,3 +188,71 @@ def test_decision_names_the_rim_of_the_disc() -> None:
     assert decision.is_active
     assert decision.rows[0].bearing == pytest.approx(math.pi / 2.0)
     assert decision.rows[0].gap == pytest.approx(0.40 - 0.15 - 0.089, abs=1e-3)
+
+
+class ToldSim(FilterSim):
+    """A robot that knows the one shape, a peer that its scan plane misses, only by what is told.
+
+    Every 0.1 s: with `is_sensed` its range and bearing, and a place in a shared frame, `place_age`
+    s after it was measured: with `is_located` the true one, else `place`, where None tells nothing.
+    """
+
+    is_sensed = True
+    is_located = False
+    place: tuple[float, float] | None = None
+    place_age = 0.1
+
+    def _sense(self) -> None:
+        super()._sense()
+        peer, now, sensors = self.shapes[0], self.time, self.sensors
+        if self._step == 0:
+            radius = float(np.hypot(*peer.corners.T).max())
+            low = Body(platform="low", surface_speed=0.1, radius=radius, lowest=0.0, highest=0.02)
+            sensors.on_peers({"b": low})
+        if self._step % round(0.1 / DT):
+            return
+        at = peer.at(now)
+        dx, dy = at.x - self.pose.x, at.y - self.pose.y
+        if self.is_sensed:
+            bearing = math.atan2(dy, dx) - self.pose.yaw
+            sensors.on_neighbors((Neighbor("b", 0.0, math.hypot(dx, dy), bearing),), now)
+        place = (at.x, at.y) if self.is_located else self.place
+        if place is not None:
+            sensors.on_pose(SharedPose(now, self.pose, 0.0, 0.0, "map"), now)
+            sensors.on_place(PeerPlace("b", "map", *place, 0.0, self.place_age), now)
+
+
+def unseen(radius: float, x: float, **motion: object) -> Shape:
+    """A round peer at `x` m ahead that no scan plane meets; `motion` as in Shape."""
+    nowhere = 1e3 + round_corners(radius)
+    return Shape(round_corners(radius), Pose(x), seen=nowhere, **motion)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("platform", [BURGER, JACKAL], ids=lambda platform: platform.name)
+@pytest.mark.parametrize("place_age", [0.1, 0.4])
+@pytest.mark.parametrize("place", [(0.0, 5.0), (2.0, 0.0), (-50.0, 0.0)])
+def test_place_in_a_shared_frame_hides_no_peer_that_is_sensed(
+    platform: Platform, place: tuple[float, float], place_age: float
+) -> None:
+    """The two call their frames `map`, and they are not the same."""
+    sim = ToldSim(platform, [unseen(0.14, 1.6)])
+    sim.place, sim.place_age = place, place_age
+    assert touched_at(sim.run(Twist(platform.limits.linear), 12.0)) <= NO_FAULT
+
+
+@pytest.mark.parametrize("speed", [-1.2, 0.0])
+@pytest.mark.parametrize("linear", [0.5, 2.0])
+@pytest.mark.parametrize("source", ["sensed", "located"])
+def test_peer_is_regarded_from_where_the_robot_must_brake(
+    source: str, linear: float, speed: float
+) -> None:
+    """It is at rest, or comes as fast as assumed; the scan sees nothing of it."""
+    fast = under_barrier(
+        replace(BURGER, limits=replace(BURGER.limits, linear=linear)), others_speed=1.2
+    )
+    for begin in (12.0, 12.03, 12.07):
+        sim = ToldSim(fast, [unseen(0.14, begin, velocity=(speed, 0.0))])
+        sim.is_sensed, sim.is_located = source == "sensed", source == "located"
+        run = sim.run(Twist(linear), 12.0)
+        assert max(twist.linear for twist in run.twists) == pytest.approx(linear)
+        assert touched_at(run) <= NO_FAULT

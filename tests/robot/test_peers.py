@@ -3,12 +3,21 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import pytest
 from msgspec import structs
 
 from swarmd.core.messages import Body, Reason, State
-from swarmd.core.values import Neighbor
+from swarmd.core.values import (
+    MAX_TOLD_DISTANCE,
+    Limits,
+    Neighbor,
+    PeerPlace,
+    Pose,
+    SharedPose,
+    Twist,
+)
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, body_of
 from swarmd.robot.event_limit import BURST, PERIOD
 from swarmd.robot.lifecycle import MAX_HOLD_TIME
@@ -17,10 +26,10 @@ from swarmd.robot.peers import (
     DISTANCE_ERROR,
     DISTANCE_SHARE,
     TOLD_TIMEOUT,
-    TOLD_WITHIN,
     Peers,
 )
 from swarmd.settings.platforms import load_platform
+from tests.support.filter_sim import under_barrier
 from tests.support.platforms import with_mode
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS
@@ -86,10 +95,98 @@ def test_places_that_are_not_finite_tell_nothing() -> None:
 
 def test_what_is_seen_or_far_is_not_told() -> None:
     robot = peers("jackal", {"b": BURGER, "j": JACKAL})
-    seen, far = Neighbor("j", 0.0, 2.0, 0.0), Neighbor("b", 0.0, 2.0 * TOLD_WITHIN, 0.0)
+    seen, far = Neighbor("j", 0.0, 2.0, 0.0), Neighbor("b", 0.0, 10.0, 0.0)
     robot.on_neighbors((seen, far), 0.0)
     assert robot.told(0.0) == ()
     assert not robot.holds(0.0)  # its place is known all the same
+
+
+@pytest.mark.parametrize("source", ["sensed", "located"])
+def test_a_peer_farther_away_than_any_is_not_told(source: str) -> None:
+    robot = peers("jackal", {"b": BURGER})
+    for number in range(9):
+        robot.on_pose(SharedPose(0.1 * number, Pose(), 0.0, 0.0, "map"), None, 0.1 * number)
+
+    def tell(distance: float) -> None:
+        if source == "sensed":
+            robot.on_neighbors((Neighbor("b", 0.0, distance, 0.0),), 1.0)
+        else:
+            robot.on_place(PeerPlace("b", "map", distance, 0.0, 0.0, 0.1), 1.0)
+
+    for distance in (1e9, 1.001 * MAX_TOLD_DISTANCE, -1.001 * MAX_TOLD_DISTANCE):
+        tell(distance)
+        assert robot.holds(1.0)
+        assert robot.told(1.0) == ()
+    tell(0.999 * MAX_TOLD_DISTANCE)
+    assert not robot.holds(1.0)
+
+
+def located(robot: Peers, now: float, *, x: float, age: float) -> bool:
+    """Tell the place of peer b ahead in a shared frame; the own pose is at its origin."""
+    for number in range(9):
+        at = now - 0.02 * (8 - number)
+        robot.on_pose(SharedPose(at, Pose(), 0.0, 0.0, "map"), Twist(), at)
+    return robot.on_place(PeerPlace("b", "map", x, 0.0, 0.0, age), now)
+
+
+@pytest.mark.parametrize("is_sensed_first", [True, False])
+@pytest.mark.parametrize("age", [0.0, 0.4])
+def test_a_place_of_one_source_replaces_none_of_the_other(
+    age: float, is_sensed_first: bool
+) -> None:
+    robot = peers("jackal", {"b": BURGER})
+    if is_sensed_first:
+        robot.on_neighbors((Neighbor("b", 0.0, 1.0, 0.0),), 10.0)
+    assert located(robot, 10.0, x=-1.0, age=age)
+    if not is_sensed_first:
+        robot.on_neighbors((Neighbor("b", age, 1.0, 0.0),), 10.0)
+    assert sorted(told.x for told in robot.told(10.0)) == [-1.0, 1.0]
+
+
+def test_the_newer_place_of_one_source_counts() -> None:
+    robot = peers("jackal", {"b": BURGER})
+    for age, distance in ((0.1, 1.0), (0.5, 2.0)):
+        robot.on_neighbors((Neighbor("b", age, distance, 0.0),), 10.0)
+        located(robot, 10.0, x=-distance, age=age)
+    assert sorted(told.x for told in robot.told(10.0)) == [-1.0, 1.0]
+    assert robot.hold_due_at() == 9.9 + TOLD_TIMEOUT
+    robot.on_neighbors((Neighbor("b", 0.0, 1.2, 0.0),), 10.1)
+    located(robot, 10.1, x=-1.2, age=0.0)
+    assert sorted(told.x for told in robot.told(10.1)) == [-1.2, 1.2]
+
+
+def test_a_place_of_either_source_ends_the_hold() -> None:
+    robot = peers("jackal", {"b": BURGER})
+    robot.on_neighbors((Neighbor("b", 0.6, 1.0, 0.0),), 10.0)
+    located(robot, 10.0, x=1.0, age=0.1)
+    assert robot.hold_due_at() == pytest.approx(9.9 + TOLD_TIMEOUT)
+    assert [found.holds for found in robot.findings(10.5)] == [False]
+    assert len(robot.told(10.5)) == 1
+
+
+def test_the_distance_of_told_places_follows_from_the_speeds() -> None:
+    """As far as the barrier can need it, and no farther than that by more than the robot."""
+    slow = under_barrier(load_platform("jackal"), others_speed=0.2)
+    fast = replace(slow, limits=Limits(2.0, 2.0))
+    crowd = under_barrier(fast, others_speed=1.2)
+    seen = []
+    for platform in (slow, fast, crowd):
+        robot = Peers(platform, ACCEPTS_NONE)
+        robot.on_peers({"b": BURGER})
+        within = 0.0
+        for step in range(1, 400):
+            robot.on_neighbors((Neighbor("b", 0.0, 0.05 * step, 0.0),), float(step))
+            within = 0.05 * step if robot.told(float(step)) else within
+        seen.append(within)
+    assert seen == sorted(seen)
+    assert seen[0] < 3.0 < seen[1] < seen[2] - 2.0
+
+
+def test_no_place_is_told_in_a_mode_that_uses_none() -> None:
+    robot = Peers(with_mode(load_platform("jackal"), "stop_zone"), ACCEPTS_NONE)
+    robot.on_peers({"b": BURGER})
+    robot.on_neighbors((Neighbor("b", 0.0, 0.5, 0.0),), 0.0)
+    assert robot.told(0.0) == ()
 
 
 def test_a_peer_that_the_lidar_sees_is_told_within_its_blind_zone() -> None:
@@ -190,7 +287,7 @@ PHASES = (0.05, 0.1, 0.15, 0.2)  # of ticks, steps and scans at which something 
 
 
 @pytest.mark.parametrize("phase", PHASES)
-def test_a_robot_whose_peer_is_told_with_an_older_place_stops_in_that_tick(phase: float) -> None:
+def test_a_robot_whose_peer_is_told_with_an_older_place_goes_on(phase: float) -> None:
     robot = running_jackal()
     robot.robot.on_peers({"b": BURGER}, robot.now)
     robot.robot.on_neighbors((Neighbor("b", 0.0, 2.5, math.pi),), robot.now)
@@ -199,8 +296,7 @@ def test_a_robot_whose_peer_is_told_with_an_older_place_stops_in_that_tick(phase
     robot.robot.on_neighbors((Neighbor("b", 5.0, 2.5, math.pi),), robot.now)
     robot.scans = lambda seq, now: None  # a scan looks at holds, too
     robot.advance(0.05)
-    assert robot.status.reason is Reason.INCOMPATIBLE_PEER
-    assert robot.twist.is_zero
+    assert not robot.twist.is_zero
 
 
 @pytest.mark.parametrize("phase", PHASES)

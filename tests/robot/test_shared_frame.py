@@ -58,11 +58,11 @@ def test_a_peer_is_an_obstacle_in_the_base_frame_at_the_time_of_the_own_pose() -
 def test_the_circle_grows_by_the_motion_of_the_peer_until_the_time_of_the_own_pose() -> None:
     robot = located(peers(), shared(), 10.0)
     sizes = []
-    for age in (0.0, 0.04, HALF, 0.45):
+    for age in (0.45, HALF, 0.04, 0.0):
         robot.on_place(place(2.0, 2.0, age=age), 10.0)
         sizes.append(robot.told(10.0)[0].radius)
-    assert sizes[1:3] == pytest.approx([sizes[0]] * 2, abs=1e-4)
-    assert sizes[3] - sizes[0] == pytest.approx(BURGER.surface_speed * 0.4, abs=1e-4)
+    assert sizes[1:3] == pytest.approx([sizes[3]] * 2, abs=1e-4)
+    assert sizes[0] - sizes[3] == pytest.approx(BURGER.surface_speed * 0.4, abs=1e-4)
 
 
 def test_the_unknown_part_of_the_own_delay_counts_with_the_own_motion() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from importlib.metadata import entry_points
 from pathlib import Path
 from typing import Any
@@ -202,6 +203,69 @@ def test_the_barrier_is_refused_without_odometry(folder: Path) -> None:
     data["provides"] = ["scan"]
     with pytest.raises(ConfigError, match="odometry"):
         load_platform(write(folder, data))
+
+
+SHORT_SIGHTED: list[dict[str, Any]] = [
+    {"scan": {"range_max": 1.0}},
+    {"limits": {"linear": 2.0}},
+    {"limits": {"linear": 0.22, "lateral": 2.0}},
+    {"scan": {"range_max": 1.2, "latency": 0.5}},
+    {"scan": {"range_max": 1.2, "rate": 2.0}},
+    {"scan": {"range_max": 1.2, "sweep": {"duration": 1.0}}},
+    {"protection": {"barrier": {"others_speed": 2.0}}},
+    {"protection": {"barrier": {"braking_linear": 0.03}}},
+]
+
+
+@pytest.mark.parametrize("changes", SHORT_SIGHTED)
+def test_a_sensor_that_sees_less_far_than_the_robot_needs_is_refused(
+    folder: Path, changes: dict[str, Any]
+) -> None:
+    given = changes.get("scan", {}).get("range_max", 3.5)
+    needed = with_sight(folder, changes)
+    assert needed > given
+    scan = {**changes.get("scan", {}), "range_max": needed}
+    load_platform(write(folder, {"extends": "burger", **changes, "scan": scan}))
+    scan["range_max"] = needed - 0.02
+    assert with_sight(folder, {**changes, "scan": scan}) == pytest.approx(needed)
+    protection = {**changes.get("protection", {}), "mode": "stop_zone"}  # promises less
+    load_platform(write(folder, {"extends": "burger", **changes, "protection": protection}))
+
+
+def with_sight(folder: Path, changes: dict[str, Any]) -> float:
+    """How far the refused Burger with these changes needs to see, by its one line."""
+    with pytest.raises(ConfigError) as caught:
+        load_platform(write(folder, {"extends": "burger", **changes}))
+    text = str(caught.value)
+    given = changes.get("scan", {}).get("range_max", 3.5)
+    source = "x.yaml" if "range_max" in changes.get("scan", {}) else "burger.yaml"
+    assert re.match(rf"\S*{source}: scan\.range_max is {given:g};", text)
+    assert "\n" not in text
+    return float(re.search(r"at least ([\d.]+)", text)[1])  # type: ignore[index]
+
+
+def test_the_speed_that_a_short_sight_allows_is_named(folder: Path) -> None:
+    def burger(linear: float) -> str:
+        return write(folder, {"extends": "burger", "limits": {"linear": linear}})
+
+    with pytest.raises(ConfigError) as caught:
+        load_platform(burger(2.0))
+    (found,) = re.findall(r"limits\.linear of at most ([\d.]+)", str(caught.value))
+    assert 0.22 < float(found) < 2.0
+    load_platform(burger(float(found)))
+    with pytest.raises(ConfigError):
+        load_platform(burger(float(found) + 0.02))
+
+
+@pytest.mark.parametrize("mode", ["barrier", "stop_zone"])
+def test_a_scan_rate_at_which_each_scan_is_stale_is_refused(folder: Path, mode: str) -> None:
+    def burger(rate: float) -> str:
+        changes = {"scan": {"rate": rate}, "protection": {"mode": mode}}
+        return write(folder, {"extends": "burger", **changes})
+
+    load_platform(burger(1.5))
+    with pytest.raises(ConfigError, match=r"scan\.rate is 1.4; expected at least 1.5"):
+        load_platform(burger(1.4))
 
 
 def test_refuses_near_lost_with_zeros_that_mean_too_close(folder: Path) -> None:
