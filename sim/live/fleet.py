@@ -29,6 +29,7 @@ from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Platform
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.live_scenario import SCENARIO_FILE, LiveScenario
+from swarmd.sim.world.radio import RadioSettings
 
 WORLD = "world"
 WHOLE_BODIES = "every lidar sees whole bodies here (lidar_visibility: body)"
@@ -64,6 +65,13 @@ class FleetSpec:
     scenario: LiveScenario | None = None
     absent: frozenset[str] = frozenset()
     endpoint: str = "tcp/127.0.0.1:0"
+
+    @property
+    def all_hear_all(self) -> bool:
+        """True if the radio reaches each robot from everywhere."""
+        radio = RadioSettings() if self.scenario is None else self.scenario.scenario.radio
+        is_far = self.radio_range is None and radio.neighborhood == "all"
+        return is_far and not radio.line_of_sight
 
     def platforms(self) -> Mapping[str, Platform]:
         """The platform of each robot."""

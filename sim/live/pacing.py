@@ -52,11 +52,12 @@ class StepPacer:
 class Staggered:
     """n periodic jobs spread evenly over their period, which avoids bursts."""
 
-    def __init__(self, rates: Array, now: float) -> None:
-        """`rates` (n,) in Hz."""
+    def __init__(self, rates: Array, now: float, order: Indices | None = None) -> None:
+        """`rates` (n,) in Hz; `order` (n,): which job is due first, second ...; None: in theirs."""
         self._period = 1.0 / np.asarray(rates, dtype=np.float64)
         n = len(self._period)
-        self._next = now + self._period * (1.0 + np.arange(n) / max(n, 1)) / 2.0
+        places = np.arange(n) if order is None else np.argsort(order)
+        self._next = now + self._period * (1.0 + places / max(n, 1)) / 2.0
 
     def due(self, now: float) -> Indices:
         """The indices of jobs due by `now`, each once; missed periods are skipped."""

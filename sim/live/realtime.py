@@ -25,6 +25,7 @@ from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.odometer import ODOMETRY_RATE
 from swarmd.sim.world.radio import Radio, neighbors_rate
 from swarmd.sim.world.scalar_fields import READINGS_RATE
+from swarmd.sim.world.seeding import generator
 from swarmd.sim.world.world import World
 
 COMMAND_TIMEOUT = 0.5
@@ -48,6 +49,7 @@ class RealTimeWorld:
         emulated: EmulatorTransport | None = None,
         command_timeouts: Sequence[float] | None = None,
         has_shared_frame: bool = False,
+        seed: int = 0,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """`clock` is the clock with which `link` and `emulated` stamp arrivals.
@@ -56,7 +58,8 @@ class RealTimeWorld:
         With `has_shared_frame` each robot is given its pose in the world. With `emulated` the
         robots have its sensors and commands instead of those of the link.
         `command_timeouts`: for each robot the seconds without a command after which its base stops,
-        inf for never, by default `COMMAND_TIMEOUT`.
+        inf for never, by default `COMMAND_TIMEOUT`. `seed`: of the order in which the robots'
+        sensors measure, which favours no row.
         """
         self._world, self._link, self._recorder, self._clock = world, link, recorder, clock
         self._radio, self._emulated = radio, emulated
@@ -69,11 +72,13 @@ class RealTimeWorld:
         self._sent_seq = np.full(n, -1)
         self._too_old = np.array([p.scan.stale_after * p.scan.rate for p in world.platforms])
         self._unreadable = 0
-        self._scans_due = Staggered(np.array([p.scan.rate for p in world.platforms]), start)
-        self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start)
-        heard = 0 if radio is None else n
+        order = np.argsort([generator(seed, "phase", robot).random() for robot in world.ids])
+        scan_rates = np.array([p.scan.rate for p in world.platforms])
+        self._scans_due = Staggered(scan_rates, start, order)
+        self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start, order)
         rate = 1.0 if radio is None else neighbors_rate(radio.settings)
-        self._neighbors_due = Staggered(np.full(heard, rate), start)
+        self._neighbors_due = Staggered(np.full(n, rate), start, order)
+        self._there = np.zeros(n, dtype=np.bool_)  # whose daemons commanded them lately
         self._readings_due = Staggered(np.full(n if world.fields else 0, READINGS_RATE), start)
         self._poses_due = Staggered(np.full(n if has_shared_frame else 0, POSE_RATE), start)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
@@ -144,15 +149,21 @@ class RealTimeWorld:
             self._link.publish_state(self._state())
 
     def _publish_radio(self, radio: Radio) -> None:
-        """Carry messages, and tell robots their neighbors: robots whose daemons command them."""
+        """Carry messages, and tell robots their neighbors: robots whose daemons command them.
+
+        When a daemon comes or goes all robots are told at once, so that robots that start together
+        hear one another from then on.
+        """
         world, ids = self._world, self._world.ids
         messages, due = self._link.take_messages(), self._neighbors_due.due(world.time)
+        there = self._is_fresh(self._clock())
+        if not np.array_equal(there, self._there):
+            self._there, due = there, np.arange(len(ids))
         if messages or len(due):
             poses, boxes = world.poses(), transform(world.box_shapes, world.box_poses())
             for wire in messages:
                 row = self._rows[wire.robot]
                 radio.carry(radio.send(row, wire.channel, wire.payload, world.time, poses, boxes))
-            there = self._is_fresh(self._clock())
             for row in due.tolist():
                 neighbors = radio.neighbors(row, poses, boxes)
                 present = tuple(one for one in neighbors if there[self._rows[one.id]])

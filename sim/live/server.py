@@ -133,6 +133,7 @@ def _serve(options: argparse.Namespace, is_over: Callable[[], bool]) -> None:
             emulated=emulated,
             command_timeouts=timeouts,
             has_shared_frame=options.shared_frame,
+            seed=options.seed,
         )
         live.run(is_over)
 

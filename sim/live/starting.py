@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
@@ -12,6 +13,7 @@ from swarmd.core.messages import Code, Presence, RunRequest, State, Status
 from swarmd.network.members_view import MembersView
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
+from swarmd.robot.status import MAX_NEIGHBORS
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 
@@ -36,7 +38,7 @@ class Started:
 
 
 def await_robots(operator: Operator, fleet: Fleet) -> MembersView:
-    """The swarm once each robot has answered and reaches its base, or when the time is up.
+    """The swarm once the robots reach their bases and know each other, or when the time is up.
 
     SwarmError if a process ends meanwhile, NetworkError if no robot is up in time.
     """
@@ -48,11 +50,27 @@ def await_robots(operator: Operator, fleet: Fleet) -> MembersView:
         view = operator.members()
         up = {name for name, status in statuses_of(view).items() if status.health.driver_up}
         is_over = time.monotonic() > deadline
-        if up.issuperset(robots) or (up and is_over):
+        is_up = up.issuperset(robots) and know_each_other(view, robots, fleet.spec.all_hear_all)
+        if is_up or (up and is_over):
             return view
         if is_over:
             raise NetworkError(f"no robot is up after {timeout:.0f} s (logs: {fleet.spec.folder})")
         time.sleep(UP_PERIOD)
+
+
+def know_each_other(view: MembersView, robots: Sequence[str], all_hear_all: bool) -> bool:
+    """True if each of `robots`, which have answered, is a neighbor of its own neighbors.
+
+    With `all_hear_all` all must be neighbors. Before that a robot would not hear another one that
+    starts with it. Statuses list so many neighbors only; of a larger swarm it is True.
+    """
+    if len(robots) > MAX_NEIGHBORS:
+        return True
+    heard = {robot: status.neighbors for robot, status in statuses_of(view).items()}
+    return all(
+        (b in heard[a]) == (a in heard[b]) and (b in heard[a] or not all_hear_all)
+        for a, b in combinations(robots, 2)
+    )
 
 
 def statuses_of(view: MembersView) -> dict[str, Status]:

@@ -5,13 +5,16 @@ Nothing sleeps or reads a clock, and every random number comes from the seed.
 
 Several processes may share the robots of one run (`processes.py`). What concerns all robots happens
 in each of them: the world, the radio, the timeline. What robots put out for others, and the
-commands, wait for `exchange`, which puts them in the order of a single process.
+commands, wait for `exchange`; no order in which robots or processes put it out matters.
+
+Rows follow the names of the robots, so the order of a file changes no bit. What happens to several
+robots at one instant happens to all of them before any of them acts on it.
 """
 
 from __future__ import annotations
 
 import gc
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import compress
 from operator import itemgetter
@@ -47,13 +50,6 @@ from swarmd.sim.world.seeding import generator
 
 BASE_TIMEOUT = 0.5
 """Seconds without a daemon after which a base stops."""
-
-
-Turn = tuple[int, int]
-"""A place in the order of a step: phase, and place within it.
-
-Phases: 0 the scenario's events, 1 latches of others, 2 scans, 3 ticks, 4 deadlines.
-"""
 
 
 def simulate_run(
@@ -121,37 +117,41 @@ class Lockstep:
         self._peer_latches: dict[int, dict[str, Latch]] = {}
         self._boots = [0] * n
         self._steps = 0
-        self.turn: Turn = (0, 0)
-        self._flights: list[tuple[Turn, list[Flight]]] = []
-        self._published: list[tuple[Turn, int, dict[str, Latch]]] = []
+        self._flights: list[Flight] = []
+        self._published: list[tuple[int, dict[str, Latch]]] = []
         self._latched: set[int] = set()
         self.shells: list[RobotShell | None] = [None] * n
         self.has_daemon = [False] * n
         self._absent_count = n
         self._own = np.arange(n)[self._process.rows]
-        for row, robot in enumerate(ids):
-            if robot not in scenario.absent:
-                self.start(row)
+        self.start([row for row, robot in enumerate(ids) if robot not in scenario.absent])
         self._timeline = Timeline(scenario.events, self)
         self._recorder = LockstepRecorder(self.world)
 
     # For the timeline of a scenario
 
-    def start(self, row: int) -> None:
-        """Start a daemon on robot `row`, with the latches that its predecessor stored."""
+    def start(self, rows: Sequence[int]) -> None:
+        """Start daemons on robots `rows`, with the latches that their predecessors stored.
+
+        From now on they and the robots that are there already are neighbors of one another.
+        """
         now = self.world.time
-        self._silent_at.pop(row, None)
-        self.has_daemon[row] = True
-        self._absent_count -= 1
-        shell = self.shells[row] = self._shell(row, now) if self._process.owns(row) else None
+        for row in rows:
+            self._silent_at.pop(row, None)
+            self.has_daemon[row] = True
+            self.shells[row] = self._shell(row, now) if self._process.owns(row) else None
+        self._absent_count -= len(rows)
+        for shell in self._present(rows):
+            if shell.robot.latches:
+                self.publish_status(shell.row, shell.robot.status(now))
         self.exchange()
-        if shell is not None:
-            for latches in list(self._peer_latches.values()):  # before any request
+        for shell in self._present(rows):  # before any request
+            for latches in list(self._peer_latches.values()):
                 shell.apply(shell.robot.on_latches(latches, now), now)
         self.exchange()
         if self._is_mixed:
-            self._update_peers(self.world.ids[row])
-        self._update_neighbors(row)
+            self._update_peers(rows)
+        self._update_neighbors(range(len(self.shells)))
 
     def _shell(self, row: int, now: float) -> RobotShell:
         robot_id = self.world.ids[row]
@@ -200,21 +200,13 @@ class Lockstep:
             return
         out = self._commands[process.rows], self._flights, self._published
         self._flights, self._published = [], []
-        sent: list[tuple[Turn, list[Flight]]] = []
-        published: list[tuple[Turn, int, dict[str, Latch]]] = []
+        published: list[tuple[int, dict[str, Latch]]] = []
         for index, (commands, some_sent, some_published) in enumerate(process.exchange(out)):
             if index != process.index:
                 self._commands[index :: process.count] = commands
-            sent += some_sent
+            self._radio.carry(some_sent, process.own)
             published += some_published
-        for _, flights in sorted(sent, key=itemgetter(0)):
-            self._radio.carry(
-                [
-                    (at, process.own(rows), row, name, value)
-                    for at, rows, row, name, value in flights
-                ]
-            )
-        for _, row, latches in sorted(published, key=itemgetter(0)):
+        for row, latches in sorted(published, key=itemgetter(0)):
             self._peer_latches.pop(row, None)
             if latches:
                 self._peer_latches[row] = latches
@@ -232,13 +224,12 @@ class Lockstep:
             plain = decode_value(encode_value(value))
         except CodecError:
             return
-        flights = self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
-        self._flights.append((self.turn, flights))
+        self._flights += self._radio.send(row, name, plain, now, self.world.poses(), self._boxes())
 
     def publish_status(self, row: int, status: Status) -> None:
         """Keep the latches of a status, on which peers act now and when they join."""
         if status.latches or row in self._latched:
-            self._published.append((self.turn, row, dict(status.latches)))
+            self._published.append((row, dict(status.latches)))
             (self._latched.add if status.latches else self._latched.discard)(row)
 
     def set_alarm(self, row: int, at: float | None) -> None:
@@ -284,28 +275,29 @@ class Lockstep:
             if shell is not None:
                 shell.robot.on_message(self.world.ids[sender], name, value, now)
         received, self._new_latches = self._new_latches, []
-        n = len(self.shells)
-        for place, (row, latches) in enumerate(received):
-            for shell in self._present(range(n)):
+        for row, latches in received:
+            for shell in self._present(range(len(self.shells))):
                 if shell.row != row:
-                    self.turn = (1, place * n + shell.row)
                     shell.apply(shell.robot.on_latches(latches, now), now)
-        for row in self._neighbors_due.due(now):
-            self._update_neighbors(row)
+        self._update_neighbors(self._neighbors_due.due(now))
 
-    def _update_neighbors(self, row: int) -> None:
-        shell = self.shells[row]
-        if shell is None:
+    def _update_neighbors(self, rows: Sequence[int]) -> None:
+        shells = self._present(rows)
+        if not shells:
             return
-        neighbors = self._radio.neighbors(row, self.world.poses(), self._boxes())
+        world, there = self.world, set[str]()
+        poses, boxes = world.poses(), self._boxes()
         if self._absent_count:
-            there = set(compress(self.world.ids, self.has_daemon))
-            neighbors = tuple(neighbor for neighbor in neighbors if neighbor.id in there)
-        shell.robot.on_neighbors(neighbors, self.world.time)
+            there.update(compress(world.ids, self.has_daemon))
+        for shell in shells:
+            neighbors = self._radio.neighbors(shell.row, poses, boxes)
+            if self._absent_count:
+                neighbors = tuple(neighbor for neighbor in neighbors if neighbor.id in there)
+            shell.robot.on_neighbors(neighbors, world.time)
 
-    def _update_peers(self, new: str) -> None:
-        """Tell all robots of the body of a new one, as its beacon does."""
-        self._heard[new] = self._bodies[new]
+    def _update_peers(self, new: Iterable[int]) -> None:
+        """Tell all robots of the bodies of new ones, as their beacons do."""
+        self._heard |= {self.world.ids[row]: self._bodies[self.world.ids[row]] for row in new}
         for shell in self._present(range(len(self.shells))):
             others = {i: body for i, body in self._heard.items() if i != shell.robot.id}
             shell.robot.on_peers(others, self.world.time)
@@ -318,7 +310,6 @@ class Lockstep:
         for row, scan in world.arrived_scans():
             shell = self.shells[row]
             if shell is not None:
-                self.turn = (2, row)
                 shell.scan(scan, now)
         for shell in self._present(self._readings_due.due(now)):
             shell.robot.on_readings(world.readings(shell.row))
@@ -333,10 +324,8 @@ class Lockstep:
                 if shell is not None:
                     shell.robot.on_odometry(odometry, now)
         for shell in self._present(self._ticks.due(now)):
-            self.turn = (3, shell.row)
             shell.tick(now)
         for shell in self._present(self._alarms.due(self._steps)):
-            self.turn = (4, shell.row)
             shell.tick(now)
         for row in [row for row, at in self._silent_at.items() if now >= at]:
             self._commands[row] = 0.0

@@ -37,9 +37,12 @@ class Timeline:
 
     def apply(self, now: float) -> None:
         """Carry out the events due by `now` s. Raises SwarmError if a robot refuses one."""
+        first = self._next
         while self._next < len(self._events) and self._events[self._next].at <= now + _ROUNDING:
             self._next += 1
             self._carry_out(self._events[self._next - 1], now)
+        if self._next > first:
+            self._swarm.exchange()
 
     def _carry_out(self, event: ScheduledEvent, now: float) -> None:
         swarm = self._swarm
@@ -47,19 +50,19 @@ class Timeline:
             swarm.world.place(event.box, event.pose)
         elif event.box:
             swarm.world.remove(event.box)
-        for place, row in enumerate(self._rows[robot] for robot in event.robots):
+        rows = [self._rows[robot] for robot in event.robots]
+        if event.action == "join":
+            swarm.start([row for row in rows if not swarm.has_daemon[row]])
+            return
+        for row in rows:
             shell = swarm.shells[row]
-            swarm.turn = (0, place)
-            if not swarm.has_daemon[row]:
-                if event.action == "join":
-                    swarm.start(row)
-            elif event.action in ("leave", "kill", "remove"):
-                swarm.end(row, in_order=event.action == "leave")
-            elif event.action != "join" and shell is not None:
+            if event.action in ("leave", "kill", "remove"):
+                if swarm.has_daemon[row]:
+                    swarm.end(row, in_order=event.action == "leave")
+            elif shell is not None:
                 self._send_request(event, shell, now)
             if event.action == "remove":
                 swarm.world.take_out(row)
-        swarm.exchange()
 
     def _send_request(self, event: ScheduledEvent, shell: RobotShell, now: float) -> None:
         reply = shell.request(self._request(event, shell, now), now)

@@ -24,7 +24,10 @@ ALL = "all"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Groups:
-    """All robots in order. `platform_files`: the complete content of each platform, by name."""
+    """All robots in the order of their names: the order of the file has no effect on a result.
+
+    `platform_files`: the complete content of each platform, by name.
+    """
 
     robots: Mapping[str, Platform]
     groups: Mapping[str, tuple[str, ...]]
@@ -71,7 +74,7 @@ def groups_of(layers: Layered, file: ScenarioFile, fields: Sequence[Field]) -> G
         sensing[name] = with_readings(placed, fields)
     robots = {
         robot: sensing[platform_name(file.groups[group].platform)]
-        for robot, group in group_of.items()
+        for robot, group in sorted(group_of.items())
     }
     return Groups(robots, groups, group_of, {name: data for name, (_, data) in platforms.items()})
 

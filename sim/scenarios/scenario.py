@@ -47,14 +47,14 @@ class ScheduledEvent:
 class Scenario:
     """A run except its seed.
 
-    `robots`: platform by id, in the order of a trace's rows. `starts(seed)` gives start poses
-    (n, 3) x, y in m and yaw in rad; ConfigError without room. `groups`: ids by group name.
-    `absent`: ids without a daemon until a join event; their bases stand at their start
-    poses. `layers(robot, pattern)` are the configured parameters, below those of a run;
-    `touch[robot]` are the touch zones of patterns. `accepts`: the peers that robots accept.
-    `notes`: a line for each pair of platforms that fits only by what the scenario says. `events` in
-    order of time. `effective` is the complete configuration in plain values after all overrides:
-    `scenario_of(effective)` gives the same scenario.
+    `robots`: platform by id, in the order of ids, which is that of a trace's rows; the order of a
+    file has no effect. `starts(seed)` gives start poses (n, 3) x, y in m and yaw in rad;
+    ConfigError without room. `groups`: ids by group name. `absent`: ids without a daemon until a
+    join event; their bases stand at their start poses. `layers(robot, pattern)` are the configured
+    parameters, below those of a run; `touch[robot]` are the touch zones of patterns. `accepts`: the
+    peers that robots accept. `notes`: a line for each pair of platforms that fits only by what the
+    scenario says. `events` in order of time. `effective` is the complete configuration in plain
+    values after all overrides: `scenario_of(effective)` gives the same scenario.
     """
 
     name: str

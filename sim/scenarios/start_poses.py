@@ -54,11 +54,15 @@ class StartPoses:
     parts: Sequence[StartGroup]
 
     def __call__(self, seed: int) -> Array:
-        """Poses (n, 3) x, y in m and yaw in rad; seeded layouts are placed last."""
+        """Poses (n, 3) x, y in m and yaw in rad; seeded layouts are placed last, in random order.
+
+        Their groups and robots may stand in the file in any order.
+        """
         placement = self.check()
-        for part in self.parts:
-            if layout_of(part.start) in _SEEDED:
-                _place(placement, part, seed)
+        seeded = [part for part in self.parts if layout_of(part.start) in _SEEDED]
+        seeded.sort(key=lambda part: part.key)
+        for index in generator(seed, "starts", "").permutation(len(seeded)).tolist():
+            _place(placement, seeded[index], seed)
         return placement.poses
 
     def check(self) -> Placement:
@@ -137,7 +141,8 @@ def _misfit(layout: str, start: StartSection, n: int) -> str:
 
 
 def _place(placement: Placement, part: StartGroup, seed: int) -> None:
-    start, rows, layout = part.start, part.rows, layout_of(part.start)
+    start, layout = part.start, layout_of(part.start)
+    rows = sorted(part.rows) if layout in _SEEDED else part.rows
     center = start.center or (0.0, 0.0)
     heading = None if start.heading_deg is None else math.radians(start.heading_deg)
     rng = generator(seed, "starts", part.key)

@@ -9,15 +9,15 @@ Item = TypeVar("Item")
 
 
 class DelayQueue(Generic[Item]):
-    """Items with a release time; items of one time keep their order."""
+    """Items with a release time; items of one time and rank keep their order."""
 
     def __init__(self) -> None:
-        self._heap: list[tuple[float, int, Item]] = []
+        self._heap: list[tuple[float, float, int, Item]] = []
         self._count = 0
 
-    def put(self, at: float, item: Item) -> None:
-        """Hold the item until `at` s."""
-        heapq.heappush(self._heap, (at, self._count, item))
+    def put(self, at: float, item: Item, rank: float = 0.0) -> None:
+        """Hold the item until `at` s; of one time, items of lower rank are released first."""
+        heapq.heappush(self._heap, (at, rank, self._count, item))
         self._count += 1
 
     def due(self, now: float) -> list[Item]:
@@ -25,5 +25,5 @@ class DelayQueue(Generic[Item]):
         items = []
         # Times are sums of steps: a rounding error must not delay an item by a step.
         while self._heap and self._heap[0][0] <= now + 1e-9:
-            items.append(heapq.heappop(self._heap)[2])
+            items.append(heapq.heappop(self._heap)[3])
         return items

@@ -142,8 +142,9 @@ def scatter(
 ) -> None:
     """Place the robots (rows) at random within `size` m around `center`, `clearance` m apart.
 
-    Without `size` in the whole arena, without `heading` (rad) at random headings. ConfigError if
-    there is no room.
+    One after the other, in a random order: a later one has less room, which must not depend on its
+    row. Without `size` in the whole arena, without `heading` (rad) at random headings. ConfigError
+    if there is no room.
     """
     whole = (placement.arena.length, placement.arena.width)
     half = np.array([*(size or whole), 2.0 * math.pi]) / 2.0
@@ -153,7 +154,8 @@ def scatter(
         while True:
             yield _headed(middle + rng.uniform(-half, half), heading)
 
-    _place_each(placement, robots, candidates(), clearance, f"{clearance:g} m around each")
+    what = f"{clearance:g} m around each"
+    _place_each(placement, rng.permutation(robots).tolist(), candidates(), clearance, what)
 
 
 def chain(
@@ -168,9 +170,10 @@ def chain(
 ) -> None:
     """Place the robots (rows) so that each is `near` to `far` m from the nearest placed before.
 
-    The first is at `center`. ConfigError if there is no room.
+    They are placed in a random order, the first at `center`. ConfigError if there is no room.
     """
     placed: list[Array] = []
+    robots = rng.permutation(robots).tolist()
 
     def candidates() -> Iterator[Array]:
         yield _headed(np.array([*center, rng.uniform(-math.pi, math.pi)]), heading)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
 from typing import Annotated, Literal
 
@@ -21,8 +21,9 @@ from swarmd.sim.world.seeding import generator
 
 Seconds = Annotated[float, Meta(ge=0.0, le=60.0)]
 Arrival = tuple[int, int, str, Value]
-Flight = tuple[float, list[int], int, str, Value]
-"""A message on its way: when it arrives, then its hearers, sender, name and value."""
+Flight = tuple[float, float, list[int], int, str, Value]
+"""A message on its way: when it arrives and its rank among those that arrive with it, then its
+hearers, sender, name and value."""
 
 NEIGHBORS_RATE = 2.0
 """Hz at which a robot learns its neighbors without range and bearing."""
@@ -132,6 +133,8 @@ class Radio:
         self.settings, self._ids = settings, tuple(ids)
         self._reach = math.inf if settings.range is None else settings.range
         self._sight = LineOfSight(arena) if settings.line_of_sight else None
+        self._rank_rngs = [generator(seed, "rank", robot) for robot in ids]
+        self._ranks = [(-math.inf, 0.0)] * len(self._ids)  # s of the last sending, and its rank
         self._loss_rngs = [generator(seed, "radio", robot) for robot in ids]
         self._bearing_rngs = [generator(seed, "bearings", robot) for robot in ids]
         self._plain = [Neighbor(robot, 0.0) for robot in ids]
@@ -185,28 +188,34 @@ class Radio:
     ) -> list[Flight]:
         """The flights of `value` on channel `name`, sent at `now` s from robot `row`.
 
-        They go to its present hearers once `carry` has them.
+        They go to its present hearers once `carry` has them. Those that arrive at one instant come
+        in a random order of their senders, as on the air.
         """
         settings, rng = self.settings, self._loss_rngs[row]
         hearers = self.hearers(row, poses, movable_boxes)
         if settings.loss > 0.0:
             hearers = hearers[rng.random(len(hearers)) >= settings.loss]
         rows, due = hearers.tolist(), now + settings.delay
+        if self._ranks[row][0] != now:
+            self._ranks[row] = now, float(self._rank_rngs[row].random())
+        rank = self._ranks[row][1]
         groups = [(due, rows)] if rows else []
         if settings.jitter > 0.0:
             spread = rng.uniform(-settings.jitter, settings.jitter, len(rows)).tolist()
             groups = [(due + off, [hearer]) for off, hearer in zip(spread, rows, strict=True)]
-        return [(at, group, row, name, value) for at, group in groups]
+        return [(at, rank, group, row, name, value) for at, group in groups]
 
-    def carry(self, flights: Sequence[Flight]) -> None:
-        """Take flights on their way, in order of sending."""
-        for at, hearers, row, name, value in flights:
-            self._in_flight.put(at, (hearers, row, name, value))
+    def carry(
+        self, flights: Iterable[Flight], own: Callable[[list[int]], list[int]] = lambda rows: rows
+    ) -> None:
+        """Take flights on their way, those of a sender in order; `own` selects the hearers."""
+        for at, rank, hearers, row, name, value in flights:
+            self._in_flight.put(at, (own(hearers), row, name, value), rank)
 
     def arrived(self, now: float) -> list[Arrival]:
         """Take the messages that arrived by `now` s: (hearer, sender, name, value).
 
-        In order of arrival, then of sending, then of the hearer's row.
+        In order of arrival, then of the senders' ranks, then of sending, then of the hearer's row.
         """
         return [
             (hearer, sender, name, value)

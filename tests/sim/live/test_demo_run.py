@@ -16,7 +16,7 @@ from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
 from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.link import WorldView
-from swarmd.sim.live.starting import Started, start_pattern
+from swarmd.sim.live.starting import Started, know_each_other, start_pattern
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from tests.support.statuses import make_member
@@ -65,6 +65,23 @@ class FakeOperator:
     def _member(self, robot: str) -> SeenMember:
         state = State.RUNNING if robot in self.running else State.IDLE
         return make_member(robot, state=state)
+
+
+@pytest.mark.parametrize(
+    ("near", "all_hear_all", "known"),
+    [
+        ({"a": ("b", "c"), "b": ("a", "c"), "c": ("a", "b")}, True, True),
+        ({"a": ("b",), "b": ("a", "c"), "c": ("a", "b")}, False, False),
+        ({"a": ("b",), "b": ("a", "c"), "c": ("b",)}, False, True),
+        ({"a": ("b",), "b": ("a", "c"), "c": ("b",)}, True, False),
+        ({"a": (), "b": ("c",), "c": ("b", "other")}, False, True),
+    ],
+)
+def test_robots_know_each_other_if_hearing_is_mutual(
+    near: Mapping[str, tuple[str, ...]], all_hear_all: bool, known: bool
+) -> None:
+    view = MembersView({robot: make_member(robot, neighbors=near[robot]) for robot in ROBOTS})
+    assert know_each_other(view, ROBOTS, all_hear_all) is known
 
 
 def start(operator: FakeOperator) -> Started:

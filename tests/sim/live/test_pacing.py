@@ -64,3 +64,9 @@ def test_a_missed_turn_is_left_out_not_repeated() -> None:
     jobs.due(1.0)
     assert len(jobs.due(1.01)) == 0
     assert len(jobs.due(1.101)) == 1
+
+
+def test_jobs_are_due_in_the_given_order() -> None:
+    jobs = Staggered(np.full(3, 1.0), 0.0, np.array([2, 0, 1]))
+    seen = [row for step in range(100) for row in jobs.due(0.01 * step).tolist()]
+    assert seen == [2, 0, 1]

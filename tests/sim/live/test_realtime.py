@@ -294,6 +294,22 @@ def test_a_robot_receives_its_neighbors(make: Make, reach: float, heard: list[st
     assert all(neighbor.distance is None for neighbor in neighbors)
 
 
+def test_robots_whose_daemons_come_are_neighbors_of_each_other_from_then_on(
+    make: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    radio = RadioSettings(neighborhood="range", range=2.5)
+    live = make(radio=radio, command_timeouts=FOR_EVER)
+    live.pass_time(0.5)
+    told: dict[str, list[str]] = {}
+    monkeypatch.setattr(
+        live.link, "neighbors", lambda robot, near: told.update({robot: [one.id for one in near]})
+    )
+    live.command("a", encode_command(Twist(), 1, 1))
+    live.command("b", encode_command(Twist(), 1, 1))
+    live.pass_time(0.01)
+    assert told == {"a": ["b"], "b": ["a"]}
+
+
 def test_a_robot_without_a_daemon_is_no_neighbor(make: Make) -> None:
     live = make(radio=RadioSettings(range_and_bearing=True))
     assert decode_neighbors(received(live, "neighbors")) == ()

@@ -37,7 +37,7 @@ _BASE: Mapping[str, Any] = {
             "start": {"layout": "row", "spacing": 1.0},
         },
         "blue": {
-            "robots": ["b-one", "b-two"],
+            "robots": ["s-one", "s-two"],
             "start": {"layout": "row", "spacing": 1.0, "center": [1, 0]},
         },
     },

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 Path = tuple[str | int, ...]
 
-_WORDS = st.sampled_from(["red", "all", "crate", "drive", "burger", "row", "random", "b-one"])
+_WORDS = st.sampled_from(["red", "all", "crate", "drive", "burger", "row", "random", "s-one"])
 _KEYS = st.sampled_from(["at", "run", "targets", "layout", "near", "kind", "preset", "extends"])
 _PLAIN = st.none() | st.booleans() | st.integers(-3, 20) | st.integers() | st.floats() | _WORDS
 _ANYTHING = st.recursive(

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 def test_robots_are_named_by_group_prefix_or_list(load: Load) -> None:
     scenario = load({"groups.red.prefix": "tb3"})
-    assert scenario.groups == {"red": ("tb3-01", "tb3-02"), "blue": ("b-one", "b-two")}
-    assert tuple(scenario.robots) == ("tb3-01", "tb3-02", "b-one", "b-two")
+    assert scenario.groups == {"red": ("tb3-01", "tb3-02"), "blue": ("s-one", "s-two")}
+    assert tuple(scenario.robots) == ("s-one", "s-two", "tb3-01", "tb3-02")
 
 
 def test_a_hundred_robots_still_sort_by_name(load: Load) -> None:
@@ -40,7 +40,7 @@ def test_a_platform_gets_the_sensors_of_the_scenario(load: Load) -> None:
 def test_values_of_a_platform_can_be_changed_for_one_scenario(load: Load) -> None:
     scenario = load({"platforms": {"burger": {"protection": {"preset": "repo"}}}})
     assert scenario.robots["red-01"].protection["threshold"] == 0.22
-    assert scenario.robots["b-one"].protection["threshold"] == 0.5
+    assert scenario.robots["s-one"].protection["threshold"] == 0.5
 
 
 def test_a_group_grants_its_robots_where_a_pattern_may_touch(load: Load) -> None:
@@ -48,7 +48,7 @@ def test_a_group_grants_its_robots_where_a_pattern_may_touch(load: Load) -> None
     scenario = load({"groups.red.touch": granted})
     zone = TouchZone(math.radians(90.0), math.radians(9.0), 0.1)
     assert scenario.touch["red-02"] == {"attraction": zone}
-    assert scenario.touch["b-one"] == {}
+    assert scenario.touch["s-one"] == {}
     assert scenario_of(scenario.effective).touch == scenario.touch
 
 

@@ -87,5 +87,5 @@ def test_layers_are_the_platforms_the_scenarios_and_the_groups(load: Load) -> No
         ("scenario", {"spacing": 0.8}),
         ("group red", {"law": "paper"}),
     )
-    assert layers("b-one", "attraction") == (("scenario", {"spacing": 0.8}),)
+    assert layers("s-one", "attraction") == (("scenario", {"spacing": 0.8}),)
     assert layers("red-01", "drive") == ()

@@ -107,7 +107,7 @@ def test_extends_another_by_name_or_file(load: Load, tmp_path: Path) -> None:
     (tmp_path / "sub" / "child.yaml").write_text(child)
     scenario = load_scenario(tmp_path / "sub" / "child.yaml")
     assert (scenario.name, scenario.duration) == ("child", 20.0)
-    assert scenario.groups == {"red": ("red-01",), "blue": ("b-one", "b-two")}
+    assert scenario.groups == {"red": ("red-01",), "blue": ("s-one", "s-two")}
     (tmp_path / "mine.yaml").write_text("extends: paper_exp1_burger\nduration: 5")
     assert load_scenario("mine.yaml").duration == 5.0
 

@@ -61,7 +61,7 @@ def test_a_group_may_have_absent_members(load: Load) -> None:
         ([{"at": 20, "kill": "red"}, {"at": 25, "stop": "red"}], "[1].stop: red-01"),
         ([{"at": 20, "leave": "red-01"}, {"at": 25, "kill": "red"}], "[1].kill: red-01"),
         ([{"at": 5, "join": "red"}, {"at": 25, "join": "red-02"}], "[1].join: red-02"),
-        ([{"at": 5, "param": {"speed": 0.1}}], "[0].param: b-one"),
+        ([{"at": 5, "param": {"speed": 0.1}}], "[0].param: s-one"),
         (
             [{"at": 5, "stop": "red"}, {"at": 6, "param": {"speed": 0.1}, "targets": "red"}],
             "[1].param: red-01",
@@ -71,7 +71,7 @@ def test_a_group_may_have_absent_members(load: Load) -> None:
                 {"at": 5, "run": "drive", "targets": "blue", "for": 3},
                 {"at": 8, "param": {"speed": 0.1}, "targets": "blue"},
             ],
-            "[1].param: b-one",
+            "[1].param: s-one",
         ),
         ([{"at": 5, "estop": "red-02"}, {"at": 9, "run": "drive"}], "[1].run: red-02"),
         ([{"at": 5, "remove": "spare"}], "[0].remove: spare"),
@@ -104,13 +104,13 @@ def test_an_estopped_robot_runs_again_after_a_reset(load: Load) -> None:
 @pytest.mark.parametrize(
     ("event", "robots"),
     [
-        ({"stop": "all"}, ("red-01", "red-02", "b-one", "b-two")),
-        ({"stop": "blue"}, ("b-one", "b-two")),
+        ({"stop": "all"}, ("red-01", "red-02", "s-one", "s-two")),
+        ({"stop": "blue"}, ("s-one", "s-two")),
         ({"stop": "red-02"}, ("red-02",)),
-        ({"stop": ["b-one", "red"]}, ("red-01", "red-02", "b-one")),
-        ({"run": "drive"}, ("red-01", "red-02", "b-one", "b-two")),
-        ({"run": "drive", "targets": ["blue", "b-one"]}, ("b-one", "b-two")),
-        ({"param": {"speed": 0.1}, "targets": "b-one"}, ("b-one",)),
+        ({"stop": ["s-one", "red"]}, ("red-01", "red-02", "s-one")),
+        ({"run": "drive"}, ("red-01", "red-02", "s-one", "s-two")),
+        ({"run": "drive", "targets": ["blue", "s-one"]}, ("s-one", "s-two")),
+        ({"param": {"speed": 0.1}, "targets": "s-one"}, ("s-one",)),
     ],
 )
 def test_targets_are_robots_groups_or_all(load: Load, event: Any, robots: tuple[str, ...]) -> None:
@@ -137,7 +137,7 @@ def test_places_a_box_at_x_y_and_degrees(load: Load) -> None:
         ({}, ""),
         ({"stop": "red", "kill": "red"}, ".*stop and kill"),
         ({"stop": "rde"}, ".stop: .*'red'"),
-        ({"kill": "b-on"}, ".kill: .*'b-one'"),
+        ({"kill": "b-on"}, ".kill: .*'s-one'"),
         ({"run": "drive", "targets": ["red", "al"]}, ".targets: .*'al'"),
         ({"stop": []}, ".stop"),
         ({"stop": 5}, ".stop"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from copy import deepcopy
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.stats import chisquare
 
 from swarmd.core.errors import ConfigError
 from swarmd.sim.world.geometry import gaps, transform
@@ -95,11 +97,43 @@ def test_random_robots_stand_apart_within_their_region(
 def test_each_robot_of_a_chain_has_a_neighbor_between_near_and_far(load: Load, seed: int) -> None:
     chain = {"layout": "chain", "near": 0.62, "far": 0.8, "center": [-1.5, 0], "heading_deg": 30}
     poses = load({"groups.red.count": 6, RED: chain}).starts(seed)[:6]
-    np.testing.assert_allclose(poses[0, :2], [-1.5, 0])
     np.testing.assert_allclose(poses[:, 2], math.radians(30))
-    for row in range(1, 6):
-        nearest = np.hypot(*(poses[:row, :2] - poses[row, :2]).T).min()
-        assert 0.62 <= nearest <= 0.8
+    apart = np.hypot(*np.moveaxis(poses[:, None, :2] - poses[None, :, :2], -1, 0))
+    assert apart[~np.eye(6, dtype=bool)].min() >= 0.62
+    reached = np.hypot(*(poses[:, :2] - [-1.5, 0]).T) < 1e-9
+    assert reached.sum() == 1
+    for _ in range(5):
+        reached |= (apart[reached] <= 0.8).any(axis=0)
+    assert reached.all()
+
+
+@pytest.mark.parametrize(
+    "start", [{"layout": "random", "clearance": 0.3}, {"layout": "chain", "near": 0.4, "far": 0.8}]
+)
+def test_no_robot_has_a_better_place_by_its_name(load: Load, start: dict[str, Any]) -> None:
+    """Each of six is nearest to the middle of them equally often."""
+    starts = load({"groups.red.count": 6, RED: {**start, "size": None}}).starts
+    places = [starts(seed)[:6, :2] for seed in range(300)]
+    middle = [int(np.hypot(*(p - p.mean(axis=0)).T).argmin()) for p in places]
+    assert chisquare(np.bincount(middle, minlength=6)).pvalue > 1e-4
+
+
+def test_the_order_of_groups_and_robots_in_a_file_moves_no_random_start(load: Load) -> None:
+    own: dict[str, Any] = {"platform": "burger", "start": {"layout": "random"}}
+    shared: dict[str, Any] = {"platform": "waffle_pi"}
+    groups: list[tuple[str, dict[str, Any], list[str]]] = [
+        ("red", own, ["r-1", "r-2"]),
+        ("blue", own, ["s-1", "s-2"]),
+        ("some", {**shared, "platform": "burger"}, ["t-1", "t-2"]),
+        ("rest", shared, ["u-1"]),
+    ]
+    turned = [(name, group, robots[::-1]) for name, group, robots in reversed(groups)]
+    both = []
+    for some in (groups, turned):
+        named = {name: {**deepcopy(group), "robots": robots} for name, group, robots in some}
+        changes = {"groups": named, "events": [], "start": {"layout": "random"}}
+        both.append(load(changes).starts(5))
+    np.testing.assert_array_equal(*both)
 
 
 @pytest.mark.parametrize(
@@ -110,7 +144,7 @@ def test_each_robot_of_a_chain_has_a_neighbor_between_near_and_far(load: Load, s
         ({RED: {"poses": [[3, 2, 0], [0, 0, 0]]}}, "red-01 .*box"),
         ({RED: {"poses": [[3, -2, 0], [0, 0, 0]]}}, "red-01 .*pole"),
         ({RED: {"poses": [[-2.5, -2, 0], [0, 0, 0]]}}, "red-01 .*segment"),
-        ({BLUE: {"layout": "row"}}, f"{BLUE}: b-one .*red-01"),
+        ({BLUE: {"layout": "row"}}, f"{BLUE}: s-one .*red-01"),
         ({RED: {"poses": [[0, 0, 0]]}}, RED),
         ({RED: {"layout": "list"}}, RED),
         ({RED: {"layout": "chain"}}, f"{RED} .*near and far"),

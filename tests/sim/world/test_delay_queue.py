@@ -19,3 +19,10 @@ def test_a_rounding_error_of_summed_steps_delays_nothing() -> None:
     held: DelayQueue[int] = DelayQueue()
     held.put(0.3, 1)
     assert held.due(0.1 + 0.1 + 0.1 - 1e-15) == [1]
+
+
+def test_items_of_one_time_come_by_rank() -> None:
+    held: DelayQueue[str] = DelayQueue()
+    for rank, item in ((0.7, "c"), (0.1, "a"), (0.7, "d"), (0.5, "b")):
+        held.put(1.0, item, rank)
+    assert held.due(1.0) == ["a", "b", "c", "d"]
