@@ -1,8 +1,8 @@
 """Inspects plugin code for tools: `describe`, `check` and `mission`, in a process that may be lost.
 
 Tools never import plugin code: `swarmd.cli.plugin_check` starts this program and reads JSON lines.
-This process reads the files that it is to inspect and what Python imports, and writes none
-(`swarmd.pattern_host.sandbox`). `{"begin": item}` comes before each item and `{"result": item, ...}` after it, at last
+It confines itself (`swarmd.pattern_host.sandbox`), and reads the folder of what it inspects.
+`{"begin": item}` comes before each item and `{"result": item, ...}` after it, at last
 `{"end": true}`; `{"error": text}` if nothing can be inspected. So the tool knows which item ended
 this process, or keeps it. On SIGUSR1 and on a crash the lines of Python's stack follow.
 """
