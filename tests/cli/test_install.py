@@ -7,6 +7,7 @@ import shutil
 import signal
 import stat
 import tempfile
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -77,7 +78,9 @@ def facts(folder: Path) -> dict[str, tuple[object, ...]]:
 def account(act: Callable[[], None]) -> Iterator[None]:
     """A process of the account that repeats `act` during the block."""
     ready, told = os.pipe()
-    child = os.fork()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which the child needs not
+        child = os.fork()
     if child == 0:
         try:
             os.setgroups([])
