@@ -12,7 +12,6 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
-import platform
 import struct
 import sys
 from collections.abc import Iterable, Iterator
@@ -172,7 +171,7 @@ def _with_links(path: Path) -> Iterator[Path]:
     """A path, and if it is a folder the links in it: a rule holds for the place that they name."""
     yield path
     with suppress(OSError):
-        yield from (entry for entry in path.iterdir() if entry.is_symlink())
+        yield from (Path(entry) for entry in os.scandir(path) if entry.is_symlink())
 
 
 def _without(path: Path, secret: frozenset[Path]) -> Iterator[tuple[Path, int]]:
@@ -232,7 +231,7 @@ def _allow(libc: ctypes.CDLL, ruleset: int, path: Path, rights: int) -> None:
 
 def _restrict_system_calls(libc: ctypes.CDLL) -> str:
     """Why the filter is not in force; empty if it is."""
-    machine = platform.machine()
+    machine = os.uname().machine
     if machine not in _MACHINES or sys.byteorder != "little" or sys.maxsize < 1 << 32:
         return f"no filter for processors of type {machine}"
     column, architecture, seccomp = _MACHINES[machine]
