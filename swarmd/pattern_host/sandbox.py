@@ -24,7 +24,7 @@ from swarmd.core.messages import Sandbox
 FILES, NETWORK, PROCESSES = "files", "network", "processes"
 
 _SYSTEM = (
-    *("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/opt"),
+    *("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/opt", "/nix/store"),
     *("/etc/ld.so.cache", "/etc/localtime", "/etc/timezone", "/etc/passwd", "/etc/nsswitch.conf"),
     # Without the memory, environment and files of other processes: these need the right to trace.
     *("/proc", "/sys/devices/system", "/dev/urandom", "/dev/random", "/dev/zero"),
@@ -159,7 +159,8 @@ def _drop_capabilities(libc: ctypes.CDLL) -> None:
 def _python_folders() -> Iterator[Path]:
     """Folders from which this interpreter imports; editable installations among them."""
     yield from map(Path, (*_SYSTEM, sys.prefix, sys.base_prefix, sys.exec_prefix))
-    yield from (Path(entry) for entry in sys.path if entry)
+    libraries = os.environ.get("LD_LIBRARY_PATH", "").split(":")
+    yield from (Path(entry) for entry in (*sys.path, *libraries) if entry)
     for folder in swarmd.__path__:
         yield from _with_links(Path(folder))
     for name, module in list(sys.modules.items()):

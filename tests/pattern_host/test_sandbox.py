@@ -15,7 +15,18 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core.host_messages import Load, Loaded, LoadRefused, Step, Stepped
+from swarmd.cli.plugin_check import describe_patterns
+from swarmd.core.host_messages import (
+    HostCommand,
+    HostEvent,
+    Load,
+    Loaded,
+    LoadRefused,
+    StartTrial,
+    Step,
+    Stepped,
+    TrialDone,
+)
 from swarmd.core.messages import Sandbox
 from swarmd.core.values import Inputs
 from swarmd.pattern_host.runner import ProcessRunner
@@ -138,11 +149,11 @@ def place(tmp_path: Path) -> Iterator[Place]:
         os.close(end)
 
 
-def in_host(place: Place, code: str, *, is_trial: bool = False) -> tuple[object, Sandbox | None]:
+def in_host(place: Place, code: str, *, is_trial: bool = False) -> tuple[HostEvent, Sandbox | None]:
     """The last event of a host that loads and steps `code`, and the sandbox that it told."""
     (place.plugins / "hostile.py").write_text(code)
 
-    async def run() -> tuple[object, Sandbox | None]:
+    async def run() -> tuple[HostEvent, Sandbox | None]:
         woken = asyncio.Event()
         runner = ProcessRunner(
             asyncio.get_running_loop(),
@@ -151,7 +162,8 @@ def in_host(place: Place, code: str, *, is_trial: bool = False) -> tuple[object,
             secret=[place.state, place.key.parent],
         )
 
-        async def answer() -> object:
+        async def answer(command: HostCommand) -> HostEvent:
+            runner.send(command)
             async with asyncio.timeout(60.0):
                 while not (found := list(runner.events())):
                     woken.clear()
@@ -159,11 +171,10 @@ def in_host(place: Place, code: str, *, is_trial: bool = False) -> tuple[object,
             return found[0]
 
         try:
-            runner.send(Load(1, "hostile", (), "r1", load_platform("burger"), 1))
-            event = await answer()
+            load = Load(1, "hostile", (), "r1", load_platform("burger"), 1)
+            event = await answer(StartTrial(load) if is_trial else load)
             if isinstance(event, Loaded):
-                runner.send(Step(1, Inputs(now=1.0, dt=0.0)))
-                event = await answer()
+                event = await answer(Step(1, Inputs(now=1.0, dt=0.0)))
             return event, runner.sandbox
         finally:
             runner.close()
@@ -215,6 +226,24 @@ def test_code_is_confined_before_it_is_imported(place: Place) -> None:
     refused, _ = in_host(place, f"open({str(place.key)!r})")
     assert isinstance(refused, LoadRefused)
     assert "PermissionError" in refused.text
+    result, _ = in_host(place, f"open({str(place.key)!r})", is_trial=True)
+    assert isinstance(result, TrialDone)
+    assert "PermissionError" in result.text
+
+
+@pytest.mark.skipif(not has_landlock(), reason="this kernel has no Landlock")
+@pytest.mark.parametrize("name", ["state/latches", "home/.config/swarmd/identities/key.pem"])
+def test_tools_inspect_code_in_the_same_sandbox(
+    place: Place, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    home = tmp_path / "home"
+    (home / ".config/swarmd/identities").mkdir(parents=True)
+    (home / ".config/swarmd/identities/key.pem").write_text("secret")
+    monkeypatch.setenv("HOME", str(home))
+    monkeypatch.delenv("XDG_CONFIG_HOME", raising=False)
+    (home / "hostile.py").write_text(f"open({str(tmp_path / name)!r})")
+    (row,) = describe_patterns(["hostile"], home, "burger")
+    assert "PermissionError" in row["error"]
 
 
 def test_a_pattern_reads_what_lies_beside_it_and_what_python_imports(
