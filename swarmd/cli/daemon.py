@@ -18,6 +18,7 @@ from swarmd.cli.options import VerbGroup
 from swarmd.cli.swarmctl import run_cli
 from swarmd.core.errors import ConfigError, DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.core.processes import die_with_parent as tie_to
+from swarmd.core.processes import keep_from_tracing
 from swarmd.texts.assignments import Value, read_assignments
 
 # Open files: a daemon needs about 40 for itself, and one for each link of an operator.
@@ -169,6 +170,10 @@ def swarmd(
     else:
         from swarmd.daemon.daemon import serve
 
+        # By pattern hosts, which have the same user. In profile dev, on loopback, that user may
+        # look into the daemon: benchmarks and tests read its memory and open files.
+        if settings.network.profile != "dev":
+            keep_from_tracing()
         ctx.exit(asyncio.run(serve(settings)))
 
 

@@ -36,7 +36,7 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
     and starts nothing. Keys of swarmd.yaml that belong to the robot are kept, such as platform and
     driver.
     """
-    from swarmd.cli.service_files import give_to_service
+    from swarmd.cli.service_files import give_to_service, keep_for_root
     from swarmd.daemon.unit import UNIT_FILE
     from swarmd.security.bundle import read_bundle
     from swarmd.security.installation import check_replaces, installed, replaced_identity
@@ -51,6 +51,9 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
             f" take it with `swarmctl keys install {file}`"
         )
     base = _base(root)
+    is_of_service = base == (root or Path("/")) / "etc/swarmd"
+    if is_of_service:
+        keep_for_root(root or Path("/"))
     settings = checked_settings(str(file), info.swarm, opened.bundle.settings)
     config = base / DAEMON_FILE
     drafted = draft_daemon_file(config, info.name, settings, {"interface": interface})
@@ -61,7 +64,7 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
     base.mkdir(parents=True, exist_ok=True)
     with replaced_identity(folder, opened) as identity:
         drafted.write()
-    if base == (root or Path("/")) / "etc/swarmd":
+    if is_of_service:
         give_to_service(root or Path("/"))
     report_identity(identity, opened.roster)
     click.echo(f"wrote {config}")

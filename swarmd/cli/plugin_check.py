@@ -24,6 +24,7 @@ from typing import IO, Any, Literal
 from swarmd.core.errors import PluginError
 from swarmd.core.processes import how_it_ended
 from swarmd.plugins import pattern_names
+from swarmd.security.identity import SYSTEM_FOLDER, user_folder
 
 Record = dict[str, Any]
 DESCRIBE_TIMEOUT = 15.0
@@ -162,6 +163,8 @@ def _inspect(
     """
     # -P: a random.py in the current folder must not shadow a module.
     command = [sys.executable, "-P", "-m", "swarmd.pattern_host.plugin_inspector"]
+    secret = (SYSTEM_FOLDER.parent, user_folder())
+    command += [f"--secret={one}" for one in secret if one is not None]
     command += ["--parent", str(os.getpid()), *words]
     with contextlib.ExitStack() as stack:
         child = stack.enter_context(

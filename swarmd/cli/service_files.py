@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import subprocess
-from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,9 +13,10 @@ import click
 
 from swarmd.cli.arguments import Failure
 from swarmd.core.errors import ConfigError
-from swarmd.core.files import whole_file
+from swarmd.core.files import open_folder, whole_file
 from swarmd.daemon.unit import CONFIG_FILE, CONFIG_FOLDER, USER
 
+_IDENTITIES = "identities"
 RUNNING_SYSTEMD = Path("/run/systemd/system")
 """Exists while systemd runs (sd_booted)."""
 
@@ -88,23 +89,64 @@ def check_may_write(steps: Steps) -> None:
         raise ConfigError(f"{steps.within(Path('/etc'))} cannot be written; run this with sudo")
 
 
+def keep_for_root(root: Path = Path("/")) -> None:
+    """Make root the owner of the folder around the identities.
+
+    The service's account owns each identity, which its daemon renews. If the account could change
+    the folder around them as well, its links would lead root to other files. ConfigError if
+    another user owns the daemon's folder; nothing if this process is not root.
+    """
+    if os.geteuid() != 0:
+        return
+    account, folder = _account(root), root / CONFIG_FOLDER.relative_to("/")
+    try:
+        with open_folder(folder) as outer:
+            if os.fstat(outer).st_uid != 0:
+                raise ConfigError(f"{folder} is not of root; run: chown root {folder}")
+            with open_folder(_IDENTITIES, outer) as handle:
+                os.fchown(handle, 0, 0 if account is None else account[1])
+                os.fchmod(handle, 0o700 if account is None else 0o750)
+    except FileNotFoundError:
+        return
+    except NotADirectoryError as error:  # also a link
+        where = folder / _IDENTITIES
+        raise ConfigError(f"{folder} or {where} is a link; make it a folder of root") from error
+
+
 def give_to_service(root: Path = Path("/")) -> bool:
     """Let the service's account read the daemon's file and use the identities of the machine.
 
     False if there is no such account below `root`, there is nothing to give, or this process is
-    not root.
+    not root. ConfigError as `keep_for_root`. The account gets what root has written; what it owns
+    already is left as it is, since it may have put links to other files there.
     """
     account, folder = _account(root), root / CONFIG_FOLDER.relative_to("/")
     if account is None or not folder.exists() or os.geteuid() != 0:
         return False
-    user, group = account
-    config = root / CONFIG_FILE.relative_to("/")
-    if config.exists():
-        os.chown(config, 0, group)
-        config.chmod(0o640)
-    for path in _tree(folder / "identities"):
-        os.chown(path, user, group, follow_symlinks=False)
+    keep_for_root(root)
+    with open_folder(folder) as outer:
+        with suppress(OSError):  # absent, or a link, which root has made
+            file = os.open(CONFIG_FILE.name, os.O_RDONLY | os.O_NOFOLLOW, dir_fd=outer)
+            try:
+                os.fchown(file, 0, account[1])
+                os.fchmod(file, 0o640)
+            finally:
+                os.close(file)
+        with suppress(FileNotFoundError), open_folder(_IDENTITIES, outer) as identities:
+            for name in os.listdir(identities):
+                with suppress(NotADirectoryError), open_folder(name, identities) as identity:
+                    _give(identity, account)
     return True
+
+
+def _give(folder: int, account: tuple[int, int]) -> None:
+    """Give an identity of root to an account, the folder last: until then only root changes it."""
+    about = os.fstat(folder)
+    if about.st_uid != 0 or about.st_mode & 0o022:
+        return
+    for name in os.listdir(folder):
+        os.chown(name, *account, dir_fd=folder, follow_symlinks=False)
+    os.fchown(folder, *account)
 
 
 def _account(root: Path) -> tuple[int, int] | None:
@@ -115,10 +157,3 @@ def _account(root: Path) -> tuple[int, int] | None:
         if name == USER and len(fields) > 2:
             return int(fields[1]), int(fields[2])
     return None
-
-
-def _tree(folder: Path) -> Iterator[Path]:
-    """A folder and all in it; nothing if it is absent."""
-    if folder.exists():
-        yield folder
-        yield from folder.rglob("*")

@@ -40,7 +40,7 @@ _OPTIONS = (
         "--token",
         metavar="TEXT",
         help="What an operator's address must contain; `-`: a new one. Other interfaces than"
-        " loopback require it.",
+        " loopback require it. In a secured swarm a page without this option makes one.",
     ),
     click.option("--viewer-token", metavar="TEXT", help="The same for read-only pages."),
     click.option(
@@ -76,11 +76,18 @@ class WebOptions:
         return Access(self.token, self.viewer_token, self.is_read_only)
 
     def of(self, identity: Identity | None) -> WebOptions:
-        """These options for a page that looks and commands as `identity`."""
+        """These options for a page that looks and commands as `identity`.
+
+        With an identity the page has a token: every user of this computer reaches loopback.
+        """
         if identity is None:
             return self
-        tls = (identity.certificate, identity.key) if self.tls == () else self.tls
-        return replace(self, tls=tls, is_read_only=identity.role is not Role.OPERATOR)
+        return replace(
+            self,
+            token=self.token or _token("-"),
+            tls=(identity.certificate, identity.key) if self.tls == () else self.tls,
+            is_read_only=identity.role is not Role.OPERATOR,
+        )
 
     def context(self) -> ssl.SSLContext | None:
         """The certificate; ConfigError if it cannot be used."""

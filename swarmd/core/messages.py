@@ -521,12 +521,23 @@ class ProcessUsage(Struct, frozen=True, kw_only=True):
     memory: Count
 
 
+class Sandbox(Struct, frozen=True, kw_only=True):
+    """What the kernel denies a pattern host: of `files`, `network` and `processes`.
+
+    `missing`: what it does not deny, with the reason; empty if it denies all.
+    """
+
+    denied: tuple[Word, ...] = ()
+    missing: Line = ""
+
+
 class Health(Struct, frozen=True, kw_only=True):
     """Measurements of the daemon itself. Rates in Hz, times in s.
 
     `network`: the state of the interface, such as `wlan0: up, 10.0.0.5`. `usage` of the daemon,
     `pattern_usage` of its pattern host; None in the first second. `storage`: why latches would be
-    lost by a restart; empty if they would not.
+    lost by a restart; empty if they would not. `sandbox` of the pattern host: None until the first
+    one has started.
     """
 
     scan_rate: Rate = 0.0
@@ -540,6 +551,7 @@ class Health(Struct, frozen=True, kw_only=True):
     storage: Line = ""
     usage: ProcessUsage | None = None
     pattern_usage: ProcessUsage | None = None
+    sandbox: Sandbox | None = None
 
 
 class Latch(Struct, frozen=True, kw_only=True):

@@ -10,6 +10,7 @@ from typing import Annotated
 from msgspec import Meta, Struct
 
 from swarmd.core.bounds import Count, Line, Name, Seconds, Word
+from swarmd.core.messages import Sandbox
 
 AUDIT_PAGE = 100
 """Entries of an answer."""
@@ -185,7 +186,7 @@ class DoctorReply(Struct, frozen=True, kw_only=True):
 
     `identity_expires`: s since 1970 (UTC), `roster`: its generation; None without keys. `heard`:
     robots that are alive by the way in which their datagrams come. `storage`: why latches would be
-    lost by a restart.
+    lost by a restart. `sandbox`: of the pattern host.
     """
 
     robot: Name
@@ -198,3 +199,4 @@ class DoctorReply(Struct, frozen=True, kw_only=True):
     roster: Count | None = None
     heard: dict[Word, Count] = {}
     storage: Line = ""
+    sandbox: Sandbox | None = None

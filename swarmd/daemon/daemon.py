@@ -14,6 +14,7 @@ import secrets
 import signal
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from importlib.metadata import version
 from typing import Any
 
@@ -110,8 +111,11 @@ class Daemon:
         self._rosters = RosterService(settings.id, settings.identity, self._on_roster)
         self._goals = GoalService(folder, lambda: self._rosters.identity, self._warn)
         self._puller = Puller(settings.network, settings.id, settings.identity)
+        behaviours = BehaviourFiles(folder / "behaviours")
+        with suppress(OSError):  # a sandbox permits only what exists when it begins
+            behaviours.folder.mkdir(parents=True, exist_ok=True)
         self._behaviour_state = BehaviourState(
-            BehaviourFiles(folder / "behaviours"),
+            behaviours,
             settings.id,
             settings.network.swarm,
             self._operators,
@@ -121,8 +125,14 @@ class Daemon:
         self._behaviour_sync = BehaviourSync(
             self._behaviour_state, self._behaviours, self._puller, self._on_pulled_code
         )
+        identity = settings.identity
         self._runner = ProcessRunner(
-            self._loop, settings.plugin_dir, self._on_host_events, self._code_runs.overlay
+            self._loop,
+            settings.plugin_dir,
+            self._on_host_events,
+            self._code_runs.overlay,
+            code=[behaviours.folder],
+            secret=[settings.state_dir, *([] if identity is None else [identity.folder])],
         )
         self._network = Network(
             settings.network,
@@ -148,6 +158,7 @@ class Daemon:
             self._network,
             version=version("swarmd"),
             keys=lambda: self._rosters.summary,
+            sandbox=lambda: self._runner.sandbox,
         )
         self._audit = Audit(self._on_audit, self._tools.audit.add, clock=clock_id(), wall=time.time)
         self._requests = RequestServer(
@@ -489,7 +500,10 @@ class Daemon:
     def _status(self) -> Status:
         status = self._robot.status(boottime())
         health = self._health.added_to(
-            status.health, network=self._network.interface_text, storage=self._latches.fault
+            status.health,
+            network=self._network.interface_text,
+            storage=self._latches.fault,
+            sandbox=self._runner.sandbox,
         )
         return replace(
             status, health=health, recording=self._recording.summary, keys=self._rosters.summary

@@ -22,7 +22,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.log_ring import LogRing
 from swarmd.core.machine import measure_machine
-from swarmd.core.messages import KeySummary
+from swarmd.core.messages import KeySummary, Sandbox
 from swarmd.core.threads import hand_over
 from swarmd.core.tool_messages import (
     LOG_PAGE,
@@ -62,7 +62,7 @@ class FieldTools:
     """The answers of one daemon, whose life is `instance`; `version` is that of its package.
 
     `keys` are those that it has now. `audit` is its audit log. `storage`: why latches would be lost
-    by a restart, as in `Health`.
+    by a restart, as in `Health`. `sandbox`: of the pattern host.
     """
 
     def __init__(
@@ -73,9 +73,10 @@ class FieldTools:
         *,
         version: str,
         keys: Callable[[], KeySummary | None],
+        sandbox: Callable[[], Sandbox | None],
     ) -> None:
         self._settings, self._instance, self._network = settings, instance, network
-        self._version, self._keys = version, keys
+        self._version, self._keys, self._sandbox = version, keys, sandbox
         self._loop = asyncio.get_running_loop()
         self._answers = ThreadedAnswers(self._loop, network.drop)
         self._ring = LogRing()
@@ -219,4 +220,5 @@ class FieldTools:
             roster=None if keys is None else keys.generation,
             heard=heard,
             storage=self.storage,
+            sandbox=self._sandbox(),
         )

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 
 from msgspec.structs import replace
 
-from swarmd.core.messages import Health
+from swarmd.core.messages import Health, Sandbox
 from swarmd.daemon.tick_timer import TickTimer
 from swarmd.daemon.usage import UsageMeter
 
@@ -28,10 +28,13 @@ class HealthMeter:
         self._own.measure(os.getpid(), now)
         self._pattern.measure(pattern_pid, now)
 
-    def added_to(self, health: Health, *, network: str, storage: str) -> Health:
+    def added_to(
+        self, health: Health, *, network: str, storage: str, sandbox: Sandbox | None
+    ) -> Health:
         """The health of the robot with that of its daemon.
 
         `network`: the state of the interface. `storage`: why latches would be lost by a restart.
+        `sandbox`: of the pattern host.
         """
         dropped = dict(health.dropped)
         for drops in self._drops:
@@ -45,4 +48,5 @@ class HealthMeter:
             storage=storage[:1000],
             usage=self._own.usage,
             pattern_usage=self._pattern.usage,
+            sandbox=sandbox,
         )

@@ -19,6 +19,8 @@ u {USER} - "swarmd, the daemon of a robot" {STATE_FOLDER}
 m {USER} {SERIAL_GROUP}
 """
 
+_CONFINING = ("landlock_create_ruleset", "landlock_add_rule", "landlock_restrict_self", "seccomp")
+
 _UNIT = """# Written by `swarmd service install`. To change a line, run: systemctl edit swarmd
 [Unit]
 Description=swarmd, the daemon of a robot
@@ -80,7 +82,8 @@ RestrictSUIDSGID=yes
 RemoveIPC=yes
 RestrictAddressFamilies=AF_UNIX AF_INET AF_INET6 AF_NETLINK
 SystemCallArchitectures=native
-SystemCallFilter=@system-service
+# The last four confine pattern hosts.
+SystemCallFilter=@system-service {confining}
 SystemCallFilter=~@privileged
 SystemCallErrorNumber=EPERM
 # Serial devices; all of type char, since a device that is plugged in later may get a new number.
@@ -98,6 +101,7 @@ def unit_text(program: Path, config: Path = CONFIG_FILE) -> str:
         program=_quoted(program),
         config=_quoted(config),
         user=USER,
+        confining=" ".join(_CONFINING),
         config_folder=CONFIG_FOLDER,
     )
 

@@ -13,13 +13,18 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
 from typing import Protocol
+
+import msgspec
 
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import HostEvent, Loaded, LoadRefused, PatternFailed, TrialDone
+from swarmd.core.messages import Sandbox
 from swarmd.core.processes import OUT_OF_MEMORY, how_it_ended
-from swarmd.pattern_host.wire import decode_event
+from swarmd.pattern_host.wire import decode_event, decode_sandbox
 from swarmd.robot.pattern_run import LOAD_TIMEOUT
 
 MAX_FRAMES_PER_READ = 8
@@ -46,12 +51,31 @@ def why_it_ended(code: int) -> str:
     return f"its process {how_it_ended(code)}"
 
 
-class HostProcess:
-    """One child process and the daemon's end of its socket; it prints into `printed`, a file."""
+@dataclass(frozen=True, slots=True)
+class HostSettings:
+    """Of each host: `printed`, the file into which it prints, and the folders of its sandbox.
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, owner: HostOwner, printed: int) -> None:
+    `readable`: those of plugins. `secret`: those that stay unreadable even below a folder from
+    which Python imports.
+    """
+
+    printed: int
+    readable: Sequence[Path] = ()
+    secret: Sequence[Path] = ()
+
+
+class HostProcess:
+    """One child process and the daemon's end of its socket.
+
+    `sandbox`: what the kernel denies it; None until it has told, before it runs plugin code.
+    """
+
+    def __init__(
+        self, loop: asyncio.AbstractEventLoop, owner: HostOwner, settings: HostSettings
+    ) -> None:
         self._loop = loop
         self.owner = owner
+        self.sandbox: Sandbox | None = None
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self.socket = ours
         ours.setblocking(False)
@@ -59,14 +83,16 @@ class HostProcess:
         theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
         # -P: a random.py in the current folder must not shadow a module.
         command = [sys.executable, "-P", "-m", "swarmd.pattern_host.worker"]
-        command += [str(theirs.fileno()), str(os.getpid())]
+        folders = [[str(path.absolute()) for path in settings.readable]]
+        folders += [[str(path.absolute()) for path in settings.secret]]
+        command += [str(theirs.fileno()), str(os.getpid()), msgspec.json.encode(folders).decode()]
         with theirs:
             self.process = subprocess.Popen(
                 command,
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,
                 stdin=subprocess.DEVNULL,
-                stderr=printed,
+                stderr=settings.printed,
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
             )
         self._pidfd = os.pidfd_open(self.process.pid)
@@ -99,6 +125,9 @@ class HostProcess:
             if not frame:  # closed: the pidfd tells how it ended
                 self._loop.remove_reader(self.socket)
                 return
+            if self.sandbox is None:
+                self.sandbox = decode_sandbox(frame)
+                continue
             self.owner.on_frame(self, b"" if flags & socket.MSG_TRUNC else frame)
             if self.socket.fileno() < 0:  # the owner has killed this host because of the frame
                 return
@@ -147,13 +176,13 @@ class TrialProcess:
         frame: bytes,
         on_done: Callable[[TrialDone], None],
         on_reaped: Callable[[HostProcess], None],
-        printed: int,
+        settings: HostSettings,
     ) -> None:
         self.on_reaped = on_reaped
         self._generation = generation
         self._on_done = on_done
         self._is_done = False
-        self._host: HostProcess | None = HostProcess(loop, self, printed)
+        self._host: HostProcess | None = HostProcess(loop, self, settings)
         with contextlib.suppress(OSError):  # it has just ended: the pidfd is watched
             self._host.socket.send(frame)
 

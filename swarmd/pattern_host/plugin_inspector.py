@@ -1,6 +1,7 @@
 """Inspects plugin code for tools: `describe`, `check` and `mission`, in a process that may be lost.
 
 Tools never import plugin code: `swarmd.cli.plugin_check` starts this program and reads JSON lines.
+It confines itself (`swarmd.pattern_host.sandbox`), and reads the folder of what it inspects.
 `{"begin": item}` comes before each item and `{"result": item, ...}` after it, at last
 `{"end": true}`; `{"error": text}` if nothing can be inspected. So the tool knows which item ended
 this process, or keeps it. On SIGUSR1 and on a crash the lines of Python's stack follow.
@@ -47,6 +48,7 @@ from swarmd.mission.validate import (
     error_text,
 )
 from swarmd.pattern_host.loader import PatternLoader
+from swarmd.pattern_host.sandbox import confine
 from swarmd.plugins import MISSION, Origin, is_mission, pattern_names, places_of
 from swarmd.settings.layered import fault_at
 from swarmd.settings.settings import load_platform, platform_names
@@ -85,6 +87,7 @@ def main() -> None:
     parser.add_argument("--parent", type=int, required=True, help="end with this process")
     parser.add_argument("--platform", default="waffle_pi")
     parser.add_argument("--plugin-dir", type=Path, help="folder of one-file patterns")
+    parser.add_argument("--secret", type=Path, action="append", default=[], help="unreadable")
     verbs = parser.add_subparsers(dest="verb", required=True)
     verbs.add_parser("describe").add_argument("names", nargs="*", help="default: all")
     checking = verbs.add_parser("check")
@@ -95,12 +98,16 @@ def main() -> None:
     die_with_parent(args.parent)
     answer = Answer()
     try:
+        platform = load_platform(args.platform)
+        file = getattr(args, "file", None)
+        beside = None if file is None else file.resolve().parent
+        confine([one for one in (args.plugin_dir, beside) if one is not None], args.secret)
         if args.verb == "check":
             _check_plugin(args.file.resolve(), frozenset(args.done), answer)
         elif args.verb == "describe":
-            _describe_patterns(args.names, args.plugin_dir, load_platform(args.platform), answer)
+            _describe_patterns(args.names, args.plugin_dir, platform, answer)
         else:
-            _inspect_mission(args.file, load_platform(args.platform), args.plugin_dir, answer)
+            _inspect_mission(args.file, platform, args.plugin_dir, answer)
         answer.send(end=True)
     except SwarmError as error:
         answer.send(error=str(error))

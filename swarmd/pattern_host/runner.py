@@ -6,7 +6,7 @@ import asyncio
 import dataclasses
 import logging
 from collections import deque
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,7 +26,14 @@ from swarmd.core.host_messages import (
     TrialDone,
     refusal_of,
 )
-from swarmd.pattern_host.host_process import HostProcess, TrialProcess, trial_done, why_it_ended
+from swarmd.core.messages import Sandbox
+from swarmd.pattern_host.host_process import (
+    HostProcess,
+    HostSettings,
+    TrialProcess,
+    trial_done,
+    why_it_ended,
+)
 from swarmd.pattern_host.printed import PrintPipe
 from swarmd.pattern_host.wire import decode_event, encode_command
 from swarmd.plugins import Origin, check_single, installed_patterns, pattern_names, places_of
@@ -72,7 +79,8 @@ class ProcessRunner:
 
     It calls `wake` when there are events. A host that ends by itself is replaced after a delay,
     which doubles while hosts end before they have sent an event. What patterns print is logged.
-    `overlay` adds patterns to those of packages and of the folder.
+    `overlay` adds patterns to those of packages and of the folder; their code lies in `code`.
+    Plugin code can read `plugin_dir` and `code`, and nothing in `secret`.
     """
 
     def __init__(
@@ -81,6 +89,9 @@ class ProcessRunner:
         plugin_dir: Path | None,
         wake: Callable[[], None],
         overlay: Overlay = lambda found, load, is_trial: found,
+        *,
+        code: Sequence[Path] = (),
+        secret: Sequence[Path] = (),
     ) -> None:
         self._overlay = overlay
         self._loop = loop
@@ -96,12 +107,22 @@ class ProcessRunner:
         self._trial: TrialProcess | None = None
         self.dropped = 0
         self._printed = PrintPipe()
-        self._host: HostProcess | None = HostProcess(loop, self, self._printed.write)
+        readable = (*code, *([] if plugin_dir is None else [plugin_dir]))
+        self._settings = HostSettings(self._printed.write, readable, secret)
+        self._sandbox: Sandbox | None = None
+        self._host: HostProcess | None = HostProcess(loop, self, self._settings)
 
     @property
     def pid(self) -> int | None:
         """The process id of the host in use; None between two hosts."""
         return None if self._host is None else self._host.process.pid
+
+    @property
+    def sandbox(self) -> Sandbox | None:
+        """What the kernel denies the host in use, or the one before while that has not told."""
+        if self._host is not None and self._host.sandbox is not None:
+            self._sandbox = self._host.sandbox
+        return self._sandbox
 
     def send(self, command: HostCommand) -> None:
         """Send a command; never blocks. A command for which the socket has no room is dropped."""
@@ -214,7 +235,7 @@ class ProcessRunner:
                 frame,
                 self._on_trial_done,
                 self.on_reaped,
-                self._printed.write,
+                self._settings,
             )
         except (PluginError, CodecError, OSError) as error:
             self._events.append(TrialDone(number, str(error), refusal_of(error)))
@@ -252,5 +273,5 @@ class ProcessRunner:
         if self._respawn is not None:
             self._respawn.cancel()
             self._respawn = None
-        self._host = HostProcess(self._loop, self, self._printed.write)
+        self._host = HostProcess(self._loop, self, self._settings)
         return self._host

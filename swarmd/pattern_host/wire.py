@@ -14,6 +14,7 @@ import numpy as np
 
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import Loaded, SentCommand, SentEvent, Stepped
+from swarmd.core.messages import Sandbox
 from swarmd.core.values import Array, TouchZone, Twist
 
 MAX_FRAME = 200_000
@@ -51,6 +52,7 @@ _commands: msgspec.msgpack.Decoder[SentCommand] = msgspec.msgpack.Decoder(
     SentCommand, dec_hook=_decode_array
 )
 _events: msgspec.msgpack.Decoder[SentEvent] = msgspec.msgpack.Decoder(SentEvent)
+_sandboxes: msgspec.msgpack.Decoder[Sandbox] = msgspec.msgpack.Decoder(Sandbox)
 
 
 def encode_command(command: SentCommand) -> bytes:
@@ -79,6 +81,19 @@ def decode_event(frame: bytes) -> SentEvent:
     elif isinstance(event, Loaded) and event.touches is not None:
         _check_bounds(event.touches)
     return event
+
+
+def encode_sandbox(sandbox: Sandbox) -> bytes:
+    """The first frame of a host."""
+    return msgspec.msgpack.encode(sandbox)
+
+
+def decode_sandbox(frame: bytes) -> Sandbox:
+    """What the first frame of a host tells."""
+    try:
+        return _sandboxes.decode(frame)
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        return Sandbox(missing=f"the host sent an unreadable frame: {error}"[:300])
 
 
 def _encoded(encoder: msgspec.msgpack.Encoder, record: SentCommand | SentEvent) -> bytes:

@@ -2,7 +2,8 @@
 
 The daemon starts it with one end of a SOCK_SEQPACKET pair. It ends with the daemon, yields to it
 (nice 10, first for the out-of-memory killer) and may grow by 1 GB while it loads a pattern, by
-256 MB after that. It imports neither Zenoh nor asyncio.
+256 MB after that. Before it loads plugin code it confines itself (`swarmd.pattern_host.sandbox`)
+and sends what holds. It imports neither Zenoh nor asyncio.
 """
 
 from __future__ import annotations
@@ -13,8 +14,10 @@ import os
 import socket
 import sys
 import time
+from pathlib import Path
 from typing import cast
 
+import msgspec
 from msgspec.structs import replace
 
 import swarmd.api  # noqa: F401  # all patterns import it: a first run need not wait for that
@@ -23,7 +26,8 @@ from swarmd.core.host_messages import Load, Loaded, PatternFailed
 from swarmd.core.processes import OUT_OF_MEMORY, die_with_parent, limit_growth
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
-from swarmd.pattern_host.wire import decode_command, encode_event
+from swarmd.pattern_host.sandbox import confine
+from swarmd.pattern_host.wire import decode_command, encode_event, encode_sandbox
 
 MAX_GROWTH = 256 * 1024 * 1024
 MAX_LOAD_GROWTH = 1024 * 1024 * 1024
@@ -31,15 +35,21 @@ NICE = 10
 
 
 def main() -> None:
-    """Entry of `python -m swarmd.pattern_host.worker FD PARENT`: the daemon's socket and id."""
-    fd, parent = map(int, sys.argv[1:])
+    """Entry of `python -m swarmd.pattern_host.worker FD PARENT FOLDERS`.
+
+    The daemon's socket and id, and the folders that `confine` takes, readable and secret, as JSON.
+    """
+    fd, parent = map(int, sys.argv[1:3])
+    readable, secret = msgspec.json.decode(sys.argv[3], type=tuple[list[str], list[str]])
     die_with_parent(parent)
     _lower_priority()
     os.set_inheritable(fd, False)
     os.dup2(2, 1)  # what a pattern prints belongs into the daemon's log, line by line
     cast("io.TextIOWrapper", sys.stdout).reconfigure(line_buffering=True)
+    sandbox = confine(map(Path, readable), map(Path, secret))
     with socket.socket(fileno=fd) as daemon:
         try:
+            daemon.send(encode_sandbox(sandbox))
             _serve(daemon)
         except MemoryError:
             os._exit(OUT_OF_MEMORY)

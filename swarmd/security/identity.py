@@ -6,6 +6,7 @@ Files, readable by their owner alone: `identity.json`, `certificate.pem`, `key.p
 
 from __future__ import annotations
 
+import errno
 import os
 import stat
 from collections.abc import Mapping
@@ -141,13 +142,13 @@ def check_asker(identity: Identity | None) -> None:
 def load_identity(folder: Path) -> Identity:
     """The identity in a folder. ConfigError in one line if it is incomplete, damaged or public."""
     try:
-        info = msgspec.json.decode((folder / INFO).read_bytes(), type=IdentityInfo)
-        stored = msgspec.msgpack.decode((folder / ROSTER).read_bytes(), type=RosterFile)
+        info = msgspec.json.decode(_read(folder / INFO), type=IdentityInfo)
+        stored = msgspec.msgpack.decode(_read(folder / ROSTER), type=RosterFile)
         # Verified when it was written. A process that can change it can change the authority as
         # well, and the signature would take swarmctl 20 ms at each start.
         roster = stored_roster(stored.roster)
         for name in (CERTIFICATE, KEY, AUTHORITY):
-            (folder / name).read_bytes()
+            _read(folder / name)
         open_to_others = [
             folder / name
             for name in (KEY, ROSTER)
@@ -164,6 +165,19 @@ def load_identity(folder: Path) -> Identity:
     if roster.swarm != info.swarm or keys.generation != roster.generation:
         raise ConfigError(f"identity {folder}: its files do not belong together; install it again")
     return Identity(folder, info, roster, keys, stored.roster)
+
+
+def _read(path: Path) -> bytes:
+    """The content of a file. OSError if it is a device or a queue, which may never end.
+
+    Root follows a link only in a folder of its own: another account could lead it anywhere.
+    """
+    is_foreign = os.geteuid() == 0 and path.parent.stat().st_uid != 0
+    flags = os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC | (os.O_NOFOLLOW if is_foreign else 0)
+    with open(os.open(path, flags), "rb") as file:
+        if not stat.S_ISREG(os.fstat(file.fileno()).st_mode):
+            raise OSError(errno.EINVAL, "is no file", str(path))
+        return file.read()
 
 
 def as_of(identity: Identity, file: RosterFile) -> Identity:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import shutil
+import os
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.files import sync_folder
+from swarmd.core.files import remove_whole, sync_folder
 from swarmd.security.bundle import OpenedBundle
 from swarmd.security.certificate_check import check_certificate
 from swarmd.security.identity import INFO, Identity, load_identity
@@ -54,7 +54,8 @@ def installed(folder: Path) -> Identity | None:
 def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
     """Put the bundle's identity into `folder` for the block; an error in it brings back the old.
 
-    Key and certificate are checked before anything is replaced. ConfigError, OSError.
+    Key and certificate are checked before anything is replaced. A link at its place is replaced,
+    not followed. ConfigError, OSError.
     """
     draft = folder.with_name(f".{folder.name}.partial")
     backup = folder.with_name(f".{folder.name}.before")
@@ -64,23 +65,24 @@ def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
         if backup.exists() and not folder.exists():  # an earlier installation was cut off
             backup.rename(folder)
         for leftover in (draft, backup):
-            shutil.rmtree(leftover, ignore_errors=True)
+            remove_whole(leftover)
+        draft.mkdir(mode=0o700)
         opened.bundle.write_identity(draft)
         checked = load_identity(draft)
         facts = check_certificate(checked.certificate, checked.key, checked.authority)
         if (facts.name, facts.expires) != (checked.name, checked.info.expires):
             raise ConfigError(f"the certificate of the bundle is of {facts.name}; make a new one")
-        if folder.exists():
+        if os.path.lexists(folder):
             folder.rename(backup)
         is_in_place = True
         draft.rename(folder)
         sync_folder(folder.parent)
         yield load_identity(folder)
     except BaseException:
-        shutil.rmtree(draft, ignore_errors=True)
+        remove_whole(draft)
         if is_in_place:
-            shutil.rmtree(folder, ignore_errors=True)
+            remove_whole(folder)
             with suppress(FileNotFoundError):
                 backup.rename(folder)
         raise
-    shutil.rmtree(backup, ignore_errors=True)
+    remove_whole(backup)

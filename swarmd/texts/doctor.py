@@ -9,6 +9,7 @@ from typing import NamedTuple
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.tool_messages import DiskFacts, DoctorReply, MachineFacts, NetworkFacts
 from swarmd.texts.keys import end_of_certificate, life
+from swarmd.texts.values import sandbox_text
 
 GOOD_MTU = 1400 + 28
 """The largest datagram with the heads of IPv4 and UDP; a smaller MTU makes fragments."""
@@ -158,8 +159,19 @@ def of_robot(
     if reply.storage:
         remedy = "make the state folder writable, then repeat the estop; see docs/trouble.md"
         yield Finding(Level.FAULT, "latches", reply.storage, remedy)
+    yield _sandbox(reply)
     yield from of_machine(reply.machine)
     yield from of_network(reply.network, is_robot=True)
+
+
+def _sandbox(reply: DoctorReply) -> Finding:
+    if reply.sandbox is None:
+        return Finding(Level.UNKNOWN, "pattern host", "it has not started yet")
+    text = sandbox_text(reply.sandbox)
+    if not reply.sandbox.missing:
+        return Finding(Level.OK, "pattern host", text)
+    remedy = "a kernel with Landlock and seccomp; see docs/security.md"
+    return Finding(Level.WARNING, "pattern host", text, remedy)
 
 
 def _skew(skew: float, error: float) -> Finding:

@@ -14,7 +14,7 @@ from swarmd.core.messages import (
     Status,
 )
 from swarmd.texts.keys import day
-from swarmd.texts.values import NOTHING, megabytes, number, seconds
+from swarmd.texts.values import NOTHING, megabytes, number, sandbox_text, seconds
 from swarmd.texts.why import activity, obstacles
 
 
@@ -158,6 +158,7 @@ def _health(status: Status) -> list[tuple[str, str]]:
             for name, usage in (("daemon", health.usage), ("pattern host", health.pattern_usage))
             if usage is not None
         ),
+        *([] if health.sandbox is None else [("sandbox", sandbox_text(health.sandbox))]),
         ("driver", health.driver or NOTHING),
         ("network", health.network or NOTHING),
         *([("storage", health.storage)] if health.storage else []),

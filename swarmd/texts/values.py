@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from swarmd.core.messages import Sandbox
+
 NOTHING = "-"
 
 
@@ -17,6 +19,12 @@ def seconds(value: float) -> str:
     if value < 99.95:
         return f"{value:.1f} s"
     return f"{value / 60:.0f} min" if value < 5400 else f"{value / 3600:.0f} h"
+
+
+def sandbox_text(sandbox: Sandbox) -> str:
+    """What plugin code cannot reach: `files, network, processes denied`, and what it can."""
+    denied = f"{', '.join(sandbox.denied)} denied" if sandbox.denied else "not confined"
+    return f"{denied}; not denied: {sandbox.missing}" if sandbox.missing else denied
 
 
 def megabytes(value: int, digits: int = 0) -> str:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import shutil
 import signal
 import subprocess
 import sys
@@ -17,7 +19,14 @@ from swarmd.cli.daemon import swarmd as command
 from swarmd.cli.swarmctl import run_cli
 from swarmd.settings.settings import load_daemon_settings, load_platform
 from tests.support.fake_body import Body
-from tests.support.processes import CAP, DaemonProcess, run_command, unique_swarm
+from tests.support.processes import (
+    CAP,
+    DaemonProcess,
+    children,
+    run_command,
+    unique_swarm,
+    wait_until,
+)
 
 DRIVER = """
 from pathlib import Path
@@ -254,6 +263,33 @@ def test_3_if_the_id_is_held(tmp_path: Path) -> None:
         assert done.returncode == 3
         assert "'r1'" in done.stderr.splitlines()[-1]
         assert one.process.poll() is None
+
+
+@pytest.mark.integration
+@pytest.mark.skipif(
+    os.geteuid() != 0 or not all(map(shutil.which, ("setpriv", "unshare"))),
+    reason="needs root, setpriv and unshare",
+)
+@pytest.mark.parametrize(("profile", "is_open"), [("dev", True), ("field", False)])
+def test_processes_of_its_user_cannot_look_into_a_daemon_on_a_network(
+    tmp_path: Path, profile: str, is_open: bool
+) -> None:
+    without_rights = ("setpriv", "--bounding-set=-all", "--inh-caps=-all", "--no-new-privs")
+    with DaemonProcess(
+        tmp_path,
+        swarm=unique_swarm(),
+        robot="r1",
+        endpoint="tcp/127.0.0.1:9",
+        options={"profile": profile, "interface": "lo", "insecure": True},
+        prefix=("unshare", "--net", *without_rights),
+    ) as daemon:
+
+        def is_readable() -> bool:
+            command = [*without_rights, "cat", f"/proc/{daemon.process.pid}/environ"]
+            return subprocess.run(command, capture_output=True, check=False).returncode == 0
+
+        wait_until(lambda: bool(children(daemon.process.pid)), "it has a pattern host")
+        assert is_readable() is is_open
 
 
 def test_4_without_a_network(tmp_path: Path) -> None:

@@ -26,6 +26,15 @@ def test_a_page_may_do_what_its_identity_may(keys: SwarmKeys, name: str, role: s
     assert page.access.role("another") == ""
 
 
+@pytest.mark.parametrize("name", ["alice", "eve"])
+def test_in_a_secured_swarm_a_page_on_loopback_has_a_token(keys: SwarmKeys, name: str) -> None:
+    made = [WebOptions("127.0.0.1", 0).of(keys[name]) for _ in range(2)]
+    assert made[0].token != made[1].token
+    for page in made:
+        assert page.access.role("") == ""
+        assert page.access.role(page.token)
+
+
 def test_without_an_identity_a_page_is_as_its_options_say(keys: SwarmKeys) -> None:
     page = WebOptions("127.0.0.1", 0)
     assert page.of(None) == page

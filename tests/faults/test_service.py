@@ -74,3 +74,6 @@ def test_a_daemon_drives_under_the_restrictions_of_its_unit(bench: Bench, tmp_pa
     bench.start()
     bench.drive()
     assert "PermissionError" not in bench.daemon.text()
+    sandbox = bench.status().health.sandbox
+    assert sandbox is not None
+    assert sandbox.missing == ""

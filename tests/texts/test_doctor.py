@@ -7,6 +7,7 @@ from collections.abc import Iterable, Mapping
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core.messages import Sandbox
 from swarmd.core.tool_messages import (
     DiskFacts,
     DoctorReply,
@@ -49,6 +50,7 @@ REPLY = DoctorReply(
     network=NETWORK,
     identity_expires=NOW + 40 * DAY,
     heard={"any": 2, "multicast": 2},
+    sandbox=Sandbox(denied=("files", "network", "processes")),
 )
 
 
@@ -148,6 +150,9 @@ def test_what_a_robot_tells_is_judged() -> None:
     assert robot(replace(REPLY, heard={"any": 2, "unicast": 2})) == {"hears": Level.WARNING}
     assert robot(replace(REPLY, roster=3), roster=4) == {"roster": Level.WARNING}
     assert robot(replace(REPLY, storage="/s cannot be written")) == {"latches": Level.FAULT}
+    open_host = Sandbox(denied=("network",), missing="files: no Landlock")
+    assert robot(replace(REPLY, sandbox=open_host)) == {"pattern host": Level.WARNING}
+    assert robot(replace(REPLY, sandbox=None)) == {"pattern host": Level.UNKNOWN}
 
 
 def test_the_end_of_a_certificate_is_a_warning_and_then_a_fault() -> None:

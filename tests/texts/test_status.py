@@ -12,11 +12,13 @@ from swarmd.core.messages import (
     LimitingObstacle,
     Member,
     Reason,
+    Sandbox,
     ScanDelaySummary,
     State,
     Status,
 )
 from swarmd.texts.status import sections
+from swarmd.texts.values import sandbox_text
 from tests.support.statuses import ESTOPPED, make_member
 
 
@@ -116,3 +118,10 @@ def test_shows_the_share_of_the_speed_after_a_violated_assumption() -> None:
     assert member.status is not None
     rows = dict(sections(member, member.status))["Protection"]
     assert rows[0] == ("mode", "barrier, active, speed 60%")
+
+
+def test_what_a_pattern_host_is_denied_and_what_not() -> None:
+    assert sandbox_text(Sandbox(denied=("files", "network"))) == "files, network denied"
+    open_host = Sandbox(denied=("network",), missing="files: no Landlock")
+    assert "files: no Landlock" in sandbox_text(open_host)
+    assert "denied:" not in sandbox_text(Sandbox(denied=("files",)))

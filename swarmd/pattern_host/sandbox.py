@@ -1,0 +1,292 @@
+"""Takes from this process what plugin code does not need: files, the network, other processes.
+
+Landlock (kernel documentation, userspace-api/landlock) permits to read the Python installation, the
+import path and the folders that the daemon names, and to write nothing. A seccomp filter
+(seccomp(2)) denies sockets, signals to other processes, tracing, and changes of owners, modes and
+limits, which Landlock leaves open. What is denied raises PermissionError. Both hold for all later
+threads and child processes, and cannot be taken back.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import struct
+import sys
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
+from pathlib import Path
+
+import swarmd
+from swarmd.core.messages import Sandbox
+
+FILES, NETWORK, PROCESSES = "files", "network", "processes"
+
+_SYSTEM = (
+    *("/usr", "/bin", "/sbin", "/lib", "/lib32", "/lib64", "/opt", "/nix/store"),
+    *("/etc/ld.so.cache", "/etc/localtime", "/etc/timezone", "/etc/passwd", "/etc/nsswitch.conf"),
+    # Without the memory, environment and files of other processes: these need the right to trace.
+    *("/proc", "/sys/devices/system", "/dev/urandom", "/dev/random", "/dev/zero"),
+)
+
+# Landlock. Its system calls have the same number on each architecture.
+_CREATE_RULESET, _ADD_RULE, _RESTRICT_SELF = 444, 445, 446
+_GET_VERSION, _BENEATH = 1, 1
+_EXECUTE, _WRITE_FILE, _READ_FILE, _READ_DIR = 1 << 0, 1 << 1, 1 << 2, 1 << 3
+_RIGHTS = {1: 13, 2: 14, 3: 15, 4: 15}
+"""How many rights on files a version of Landlock knows; later ones 16."""
+
+# seccomp
+_MACHINES = {"x86_64": (0, 0xC000003E, 317), "aarch64": (1, 0xC00000B7, 277)}
+"""Column of the tables below, AUDIT_ARCH, and the number of seccomp(2)."""
+_DENIED = {
+    "socket": (41, 198),
+    # Of other processes of this user
+    "ptrace": (101, 117),
+    "process_vm_readv": (310, 270),
+    "process_vm_writev": (311, 271),
+    "pidfd_getfd": (438, 438),
+    "pidfd_send_signal": (424, 424),
+    "process_madvise": (440, 440),
+    "process_mrelease": (448, 448),
+    "kcmp": (312, 272),
+    "tkill": (200, 130),
+    "rt_sigqueueinfo": (129, 138),
+    "rt_tgsigqueueinfo": (297, 240),
+    "setpriority": (141, 140),
+    "ioprio_set": (251, 30),
+    "sched_setscheduler": (144, 119),
+    "sched_setparam": (142, 118),
+    "sched_setattr": (314, 274),
+    "sched_setaffinity": (203, 122),
+    "migrate_pages": (256, 238),
+    "move_pages": (279, 239),
+    "shmget": (29, 194),
+    "msgget": (68, 186),
+    "semget": (64, 190),
+    "mq_open": (240, 180),
+    "setsid": (112, 157),  # the daemon ends the host's process group
+    "setpgid": (109, 154),
+    # Metadata of files
+    "chmod": (90, None),
+    "fchmod": (91, 52),
+    "fchmodat": (268, 53),
+    "fchmodat2": (452, 452),
+    "chown": (92, None),
+    "lchown": (94, None),
+    "fchown": (93, 55),
+    "fchownat": (260, 54),
+    "truncate": (76, 45),
+    "utime": (132, None),
+    "utimes": (235, None),
+    "futimesat": (261, None),
+    "utimensat": (280, 88),
+    "setxattr": (188, 5),
+    "lsetxattr": (189, 6),
+    "fsetxattr": (190, 7),
+    "setxattrat": (463, 463),
+    "removexattr": (197, 14),
+    "lremovexattr": (198, 15),
+    "fremovexattr": (199, 16),
+    "removexattrat": (466, 466),
+    "file_setattr": (469, 469),
+    # Ways around this filter, and parts of the kernel that a pattern does not need
+    "io_uring_setup": (425, 425),
+    "io_uring_enter": (426, 426),
+    "io_uring_register": (427, 427),
+    "open_by_handle_at": (304, 265),
+    "perf_event_open": (298, 241),
+    "bpf": (321, 280),
+    "userfaultfd": (323, 282),
+    "keyctl": (250, 219),
+    "add_key": (248, 217),
+    "request_key": (249, 218),
+    "unshare": (272, 97),
+    "setns": (308, 268),
+}
+_KILL, _TGKILL, _PRLIMIT, _PRCTL = (62, 129), (234, 131), (302, 261), (157, 167)
+_SOCKETPAIR = (53, 199)
+_AF_UNIX, _SOCK_STREAM, _SOCK_SEQPACKET, _SOCK_TYPE_MASK = 1, 1, 5, 0xF
+_PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS = 1, 38
+_LOAD, _EQUAL, _AT_LEAST, _AND, _RETURN = 0x20, 0x15, 0x35, 0x54, 0x06
+_NUMBER, _ARCHITECTURE, _ARGUMENTS = 0, 4, 16  # of struct seccomp_data
+_X32 = 0x40000000
+_ALLOW, _REFUSE = 0x7FFF0000, 0x00050000 | errno.EPERM
+_SET_MODE_FILTER, _ALL_THREADS, _SPEC_ALLOW = 1, 1, 4
+_CAPABILITY_VERSION = 0x20080522
+
+_Instruction = tuple[int, int, int, int]
+
+
+def confine(readable: Iterable[Path] = (), secret: Iterable[Path] = ()) -> Sandbox:
+    """Confine this process, which has one thread; what holds from now on.
+
+    `readable`: files and folders of plugins. `secret`: folders that stay unreadable where they lie
+    below a folder of the import path, or below one of `readable`.
+    """
+    libc = ctypes.CDLL(None, use_errno=True)
+    denied: list[str] = []
+    missing: list[str] = []
+    _drop_capabilities(libc)
+    if libc.prctl(_PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
+        return Sandbox(missing=f"no_new_privs: {_error()}")
+    plugins = (path for one in readable for path in _with_links(one))
+    if fault := _restrict_files(libc, {*_python_folders(), *plugins}, frozenset(secret)):
+        missing.append(f"{FILES}: {fault}")
+    else:
+        denied.append(FILES)
+    if fault := _restrict_system_calls(libc):
+        missing.append(f"{NETWORK}, {PROCESSES}: {fault}")
+    else:
+        denied += [NETWORK, PROCESSES]
+    return Sandbox(denied=tuple(denied), missing="; ".join(missing))
+
+
+def _error() -> str:
+    return os.strerror(ctypes.get_errno())
+
+
+def _drop_capabilities(libc: ctypes.CDLL) -> None:
+    """Of a daemon that runs as root; else there are none."""
+    header = struct.pack("=Ii", _CAPABILITY_VERSION, 0)
+    libc.capset(header, bytes(24))
+
+
+# Files
+
+
+def _python_folders() -> Iterator[Path]:
+    """Folders from which this interpreter imports; editable installations among them."""
+    yield from map(Path, (*_SYSTEM, sys.prefix, sys.base_prefix, sys.exec_prefix))
+    libraries = os.environ.get("LD_LIBRARY_PATH", "").split(":")
+    yield from (Path(entry) for entry in (*sys.path, *libraries) if entry)
+    for folder in swarmd.__path__:
+        yield from _with_links(Path(folder))
+    for name, module in list(sys.modules.items()):
+        if name.startswith("__editable___"):  # of setuptools
+            yield from map(Path, getattr(module, "MAPPING", {}).values())
+
+
+def _with_links(path: Path) -> Iterator[Path]:
+    """A path, and if it is a folder the links in it: a rule holds for the place that they name."""
+    yield path
+    with suppress(OSError):
+        yield from (Path(entry) for entry in os.scandir(path) if entry.is_symlink())
+
+
+def _without(path: Path, secret: frozenset[Path]) -> Iterator[tuple[Path, int]]:
+    """`path` with its rights, or the parts of it that are not in `secret`."""
+    if path in secret:
+        return
+    if not any(one.is_relative_to(path) for one in secret):
+        yield path, _EXECUTE | _READ_FILE | _READ_DIR
+        return
+    yield path, _READ_DIR  # the import system lists it
+    with suppress(OSError):
+        for entry in path.iterdir():
+            if not entry.is_symlink():
+                yield from _without(entry, secret)
+
+
+def _restrict_files(libc: ctypes.CDLL, readable: set[Path], secret: frozenset[Path]) -> str:
+    """Why Landlock is not in force; empty if it is."""
+    version = libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _GET_VERSION)
+    if version < 1:
+        return "this kernel has no Landlock"
+    if len(os.listdir("/proc/self/task")) > 1:  # others would stay free
+        return "a library has started threads"
+    handled = (1 << _RIGHTS.get(version, 16)) - 1
+    ruleset = libc.syscall(_CREATE_RULESET, struct.pack("=Q", handled), ctypes.c_size_t(8), 0)
+    if ruleset < 0:
+        return f"Landlock: {_error()}"
+    try:
+        hidden = frozenset(one.resolve() for one in secret)
+        for path in {path.resolve() for path in readable}:
+            for part, rights in _without(path, hidden):
+                _allow(libc, ruleset, part, rights)
+        _allow(libc, ruleset, Path("/dev/null"), _READ_FILE | _WRITE_FILE)
+        if libc.syscall(_RESTRICT_SELF, ruleset, 0) != 0:
+            return f"Landlock: {_error()}"
+    finally:
+        os.close(ruleset)
+    return ""
+
+
+def _allow(libc: ctypes.CDLL, ruleset: int, path: Path, rights: int) -> None:
+    """Permit `rights` at a path and below it; an absent path is left out."""
+    try:
+        target = os.open(path, os.O_PATH | os.O_CLOEXEC)
+    except OSError:
+        return
+    try:
+        if not os.path.isdir(path):
+            rights &= ~_READ_DIR
+        libc.syscall(_ADD_RULE, ruleset, _BENEATH, struct.pack("=Qi", rights, target), 0)
+    finally:
+        os.close(target)
+
+
+# System calls
+
+
+def _restrict_system_calls(libc: ctypes.CDLL) -> str:
+    """Why the filter is not in force; empty if it is."""
+    machine = os.uname().machine
+    if machine not in _MACHINES or sys.byteorder != "little" or sys.maxsize < 1 << 32:
+        return f"no filter for processors of type {machine}"
+    column, architecture, seccomp = _MACHINES[machine]
+    program = b"".join(struct.pack("=HBBI", *one) for one in _program(column, architecture))
+    code = ctypes.create_string_buffer(program, len(program))
+    filter_ = struct.pack("@HP", len(program) // 8, ctypes.addressof(code))
+    # Without SPEC_ALLOW kernels before 5.16 slow the whole process against Spectre.
+    flags = _ALL_THREADS | _SPEC_ALLOW
+    if libc.syscall(seccomp, _SET_MODE_FILTER, flags, filter_) != 0:
+        return f"seccomp: {_error()}"
+    return ""
+
+
+def _program(column: int, architecture: int) -> Iterator[_Instruction]:
+    """The filter, in the classic BPF of seccomp(2)."""
+    yield _LOAD, 0, 0, _ARCHITECTURE
+    yield _EQUAL, 1, 0, architecture
+    yield _RETURN, 0, 0, _REFUSE
+    yield _LOAD, 0, 0, _NUMBER
+    yield _AT_LEAST, 0, 1, _X32
+    yield _RETURN, 0, 0, _REFUSE
+    for numbers in _DENIED.values():
+        if (number := numbers[column]) is not None:
+            yield _EQUAL, 0, 1, number
+            yield _RETURN, 0, 0, _REFUSE
+    own = os.getpid()
+    for numbers, allowed in ((_KILL, own), (_TGKILL, own), (_PRLIMIT, 0)):
+        yield from _if_called(numbers[column], [*_argument(0), *_allowed(allowed)], _REFUSE)
+    keeps_parent = [*_argument(0), (_EQUAL, 0, 1, _PR_SET_PDEATHSIG), (_RETURN, 0, 0, _REFUSE)]
+    yield from _if_called(_PRCTL[column], keeps_parent, _ALLOW)
+    # A pair of SOCK_DGRAM could be connected to other sockets.
+    pair = [
+        *_argument(0),
+        (_EQUAL, 1, 0, _AF_UNIX),
+        (_RETURN, 0, 0, _REFUSE),
+        *_argument(1),
+        (_AND, 0, 0, _SOCK_TYPE_MASK),
+        *_allowed(_SOCK_STREAM),
+        *_allowed(_SOCK_SEQPACKET),
+    ]
+    yield from _if_called(_SOCKETPAIR[column], pair, _REFUSE)
+    yield _RETURN, 0, 0, _ALLOW
+
+
+def _if_called(number: int, block: list[_Instruction], end: int) -> Iterator[_Instruction]:
+    yield _EQUAL, 0, len(block) + 1, number
+    yield from block
+    yield _RETURN, 0, 0, end
+
+
+def _argument(index: int) -> list[_Instruction]:
+    """Load an argument of type int."""
+    return [(_LOAD, 0, 0, _ARGUMENTS + 8 * index)]
+
+
+def _allowed(value: int) -> list[_Instruction]:
+    return [(_EQUAL, 0, 1, value), (_RETURN, 0, 0, _ALLOW)]

@@ -1,0 +1,64 @@
+"""What processes of one user can do to each other."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import warnings
+from collections.abc import Callable
+
+import pytest
+
+from swarmd.core.processes import keep_from_tracing
+
+NOBODY = 65534
+PR_SET_DUMPABLE = 4
+
+
+def as_nobody(act: Callable[[], None]) -> int:
+    """A process without rights that carries `act` out; it exits with 1 if that raises."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of threads, which the child needs not
+        child = os.fork()
+    if child:
+        return child
+    code = 1
+    try:
+        if os.geteuid() == 0:
+            os.setgroups([])
+            os.setgid(NOBODY)
+            os.setuid(NOBODY)
+        ctypes.CDLL(None).prctl(PR_SET_DUMPABLE, 1, 0, 0, 0)  # as after an exec
+        act()
+        code = 0
+    finally:
+        os._exit(code)
+
+
+@pytest.mark.parametrize("is_kept", [False, True])
+def test_another_process_of_the_user_reads_its_memory_unless_that_is_denied(is_kept: bool) -> None:
+    ready, told = os.pipe()
+
+    def wait() -> None:
+        if is_kept:
+            keep_from_tracing()
+        os.write(told, b".")
+        signal.pause()
+
+    target = as_nobody(wait)
+    try:
+        assert os.read(ready, 1) == b"."
+
+        def read() -> None:
+            for name in ("mem", "environ"):
+                with open(f"/proc/{target}/{name}", "rb"):
+                    pass
+
+        _, status = os.waitpid(as_nobody(read), 0)
+        assert os.waitstatus_to_exitcode(status) == int(is_kept)
+    finally:
+        os.kill(target, signal.SIGKILL)
+        os.waitpid(target, 0)
+        os.close(ready)
+        os.close(told)
