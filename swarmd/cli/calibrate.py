@@ -90,7 +90,7 @@ def calibrate(
         if status.state not in (State.IDLE, State.STOPPED):
             does = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
             raise Failure(f"{robot} {does}; nothing was sent; it must be idle or stopped", REFUSED)
-        side = _floor(status.platform) if floor is None else floor
+        side = _floor(status) if floor is None else floor
         _confirm(robot, status.platform, side, yes)
         report = _measure(operator, robot, {"floor": side, "repeats": repeats})
         _show(options, robot, status.platform, report, write)
@@ -113,15 +113,17 @@ def _check_file(write: Path | None) -> None:
             raise click.ClickException("nothing was sent")
 
 
-def _floor(platform: str) -> float:
+def _floor(status: Status) -> float:
+    """The side in m that the robot needs, with scans as late as it measures."""
     from swarmd.calibration.floor import needed_floor
     from swarmd.settings.platforms import load_platform, platform_names
 
+    platform, delay = status.platform, status.scan_delay
     if platform not in platform_names():
         raise click.UsageError(
             f"the platform file of {platform} is not known here; give --floor METRES, at least 2"
         )
-    return needed_floor(load_platform(platform))
+    return needed_floor(load_platform(platform), 0.0 if delay is None else delay.added)
 
 
 def _confirm(robot: str, platform: str, floor: float, yes: bool) -> None:

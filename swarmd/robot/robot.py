@@ -403,7 +403,9 @@ class Robot:
         return effects
 
     def _settle(self, effects: Effects) -> Actions:
-        now, lifecycle = effects.now, self._lifecycle
+        now, lifecycle, run = effects.now, self._lifecycle, self._run
+        permit = NO_PERMIT if run.running is None else run.running.permit
+        self._sensors.permitted_delay = permit.scan_delay
         hold = self._sensors.hold(now)
         if hold is not None or now >= self._due_at or not effects.is_routine:
             self._requests.advance(effects)
@@ -411,7 +413,7 @@ class Robot:
             self._is_status_due, self._due_at = True, -math.inf
         self._quiet_until, self._hold = -math.inf, hold
         decision = self.decision = self._decide(hold, now)
-        run, machine = self._run, self._machine
+        machine = self._machine
         if run.restart_at is not None:
             self._restart(effects)
         if effects.host is None and machine.state is State.RUNNING:

@@ -17,7 +17,9 @@ from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from swarmd.sim.live.fleet import Fleet, FleetSpec
+from swarmd.sim.live.live_scenario import LiveScenario
 from swarmd.sim.live.starting import statuses_of
+from swarmd.sim.scenarios.scenariofile import scenario_of
 from tests.support.processes import unique_swarm, wait_until
 
 pytestmark = pytest.mark.integration
@@ -39,6 +41,42 @@ def swarm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         assert fleet
         wait_until(lambda: scans(name), "the robot scans", 60.0)
         yield name
+
+
+@pytest.fixture
+def late_swarm(tmp_path: Path) -> Iterator[str]:
+    """A Jackal whose scans come 0.23 s late, in a room of 6 x 5.8 m."""
+    scenario = scenario_of(
+        {
+            "duration": 600.0,
+            "realism": {"preset": "realistic", "lidar": {"bias": 0.0, "delay": 0.23}},
+            "arena": {
+                "size": [6.0, 5.8],
+                "boxes": [{"name": "crate", "at": [2.8, 2.0], "size": [0.3, 0.3]}],
+            },
+            "groups": {"all": {"platform": "jackal", "robots": [ROBOT]}},
+            "start": {"layout": "row"},
+            "events": [],
+        }
+    )
+    name = unique_swarm()
+    spec = FleetSpec(
+        swarm=name,
+        robots={ROBOT: "jackal"},
+        folder=tmp_path,
+        arena="",
+        layout="",
+        scenario=LiveScenario(scenario),
+    )
+    with Fleet(spec) as fleet:
+        assert fleet
+        wait_until(lambda: is_late(name), "the robot measures that its scans are late", 60.0)
+        yield name
+
+
+def is_late(swarm: str) -> bool:
+    found = status(swarm)
+    return found is not None and found.scan_delay is not None and found.scan_delay.added > 0.2
 
 
 def status(swarm: str) -> Status | None:
@@ -123,3 +161,23 @@ def test_a_calibration_finds_weak_brakes_and_writes_them(swarm: str, tmp_path: P
     barrier = load_platform(str(file)).protection["barrier"]
     assert barrier["braking_linear"] < 0.7
     assert barrier["braking_angular"] < 2.8
+
+
+@pytest.mark.timeout(600)
+def test_a_calibration_of_late_scans_writes_their_latency(late_swarm: str, tmp_path: Path) -> None:
+    """They are later than the robot permits to every other pattern."""
+    found = status(late_swarm)
+    assert found is not None
+    assert found.scan_delay is not None
+    assert found.scan_delay.added > found.scan_delay.bound
+    file = tmp_path / "mine.yaml"
+    options = ("--yes", "--repeats", "1", "--write", str(file))
+    for _ in range(3):  # as above
+        file.unlink(missing_ok=True)
+        process = calibrate(late_swarm, *options)
+        _, error = process.communicate(timeout=180.0)
+        assert process.returncode == 0, error
+        latency = load_platform(str(file)).scan.latency
+        if latency == pytest.approx(0.28, rel=0.1):
+            break
+    assert latency == pytest.approx(0.28, rel=0.1)
