@@ -101,6 +101,7 @@ class Calibration(Pattern[CalibrationParams]):
         self._now = 0.0
         self._scan: Scan | None = None
         self._scan_at = -math.inf
+        self._scan_count = 0
         self._late = 0.0  # s by which scans seem to arrive later than declared
         self._drives = self._script()
         self._done: str | None = None
@@ -139,6 +140,7 @@ class Calibration(Pattern[CalibrationParams]):
             self._ages.append(inputs.now - stamp)
         if inputs.is_new_scan and inputs.scan is not None:
             self._scan, self._scan_at = inputs.scan, inputs.now
+            self._scan_count += 1
 
     def _track(self, since: float) -> Array:
         """(n, 4) odometry since that time of the robot's clock: its time on it, x, y, yaw."""
@@ -187,20 +189,20 @@ class Calibration(Pattern[CalibrationParams]):
         """Look at the floor before anything moves."""
         looks: list[Array] = []
         arrivals: list[tuple[float, float]] = []
-        begin, seen = None, None
+        begin, count = None, 0
         while len(looks) < _LOOKS:
             yield ZERO
             begin = self._now if begin is None else begin
-            if self._scan is not seen and self._scan is not None:
-                seen = self._scan
-                looks.append(points_of(seen, self._spec.offset))
-                arrivals.append((self._scan_at, seen.stamp))
+            if self._scan_count != count and self._scan is not None:
+                count = self._scan_count
+                looks.append(points_of(self._scan, self._spec.offset))
+                arrivals.append((self._scan_at, self._scan.stamp))
             if self._now - begin > _LOOK_TIME:
                 what = "odometry" if looks else "scans"
                 raise _EndError(f"too few {what} within {_LOOK_TIME:g} s")
         if not self._odometry:
             raise _EndError("no odometry")
-        self._check_size(arrivals, seen)
+        self._check_size(arrivals, self._scan)
         _, x, y, yaw = self._odometry[-1]
         self._start = Pose(x, y, yaw)
         for points in looks:
