@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
 from typing import Protocol
 
@@ -134,10 +134,10 @@ class Protection:
         """The assumptions that were found violated, each with its evidence."""
         return () if self._monitor is None else self._monitor.findings
 
-    def forget_findings(self) -> None:
-        """End all findings: the speed is whole again, until they are found anew."""
+    def forget_findings(self, findings: Collection[str]) -> None:
+        """End these findings: they slow the robot no more, until they are found anew."""
         if self._monitor is not None:
-            self._monitor.forget()
+            self._monitor.forget(findings)
 
     def _log(self, text: str) -> None:
         if text:

@@ -26,6 +26,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from collections.abc import Collection
 from operator import itemgetter
 from typing import TypeAlias
 
@@ -77,7 +78,17 @@ _STEADY = 0.03  # m by which a scan may be off an even approach: things appear, 
 _CERTAIN = 3.0  # deviations by which an approach must be too fast
 _APART, _TOGETHER = 5.0, 600.0  # s between two approaches that are a violation
 
+_BRAKED = "braked at"
+_UNITS = "m/s2", "rad/s2"
+
 _Step: TypeAlias = tuple[float, float, float]
+
+
+def axis_of(finding: str) -> str | None:
+    """`linear` or `angular` for a finding about brakes; None for one about others."""
+    if not finding.startswith(_BRAKED):
+        return None
+    return "angular" if _UNITS[1] in finding else "linear"
 
 
 class _Stop:
@@ -204,7 +215,7 @@ class _Brake:
         self.braking = min(max(measured - 2.0 * spread, MIN_SHARE * measured), before)
         unit = self._unit
         self.evidence = (
-            f"braked at {measured:.2f} +- {spread:.2f} {unit} in {stops} stops, declared"
+            f"{_BRAKED} {measured:.2f} +- {spread:.2f} {unit} in {stops} stops, declared"
             f" {self.declared:.2f}"
         )
         return True
@@ -261,28 +272,32 @@ class AssumptionMonitor:
         settings = msgspec.convert(platform.protection["barrier"], BarrierSettings)
         self._settings = settings
         self._radius = float(np.hypot(*platform.footprint.T).max())
-        self._linear = _Brake(settings.braking_linear, _MIN_DROP[0], "m/s2")
-        self._angular = _Brake(settings.braking_angular, _MIN_DROP[1], "rad/s2")
+        self._linear = _Brake(settings.braking_linear, _MIN_DROP[0], _UNITS[0])
+        self._angular = _Brake(settings.braking_angular, _MIN_DROP[1], _UNITS[1])
         self._command, self._odometry = ZERO, Odometry(-math.inf, Pose(), ZERO)
         self._moved = 0.0  # m that any corner may have moved so far
         self._ways: deque[tuple[float, float]] = deque(maxlen=64)  # stamps of odometry, and that
         # Stamps, gaps, what was moved when the scan was measured at the earliest, and until now.
         self._scans: deque[tuple[float, float, float, float]] = deque(maxlen=64)
-        self.forget()
-
-    def forget(self) -> None:
-        """End all findings: base and others count as assumed, and are watched anew."""
-        self.speed_share = 1.0
-        self._linear.forget()
-        self._angular.forget()
+        self._others, self._others_share = "", 1.0
         self._approaches: deque[tuple[float, float, float]] = deque()  # stamps, m/s and deviations
-        self._others = ""
+        self.speed_share = 1.0
 
     @property
     def findings(self) -> tuple[str, ...]:
         """The violated assumptions, each with its evidence."""
         found = self._linear.evidence, self._angular.evidence, self._others
         return tuple(text for text in found if text)
+
+    def forget(self, findings: Collection[str]) -> None:
+        """End these of the findings: what they name counts as declared, and is watched anew."""
+        for brake in (self._linear, self._angular):
+            if brake.evidence in findings:
+                brake.forget()
+        if self._others in findings:
+            self._others, self._others_share = "", 1.0
+            self._approaches.clear()
+        self._reduce()
 
     def on_command(self, command: Twist) -> str:
         """The safe command that the driver gets."""
@@ -355,7 +370,8 @@ class AssumptionMonitor:
         _, speed, spread = sorted(self._approaches, key=itemgetter(1))[-2]
         came = f"came at {speed:.2f} +- {spread:.2f} m/s or faster, declared at most {assumed:.2f}"
         self._others = f"{len(self._approaches)} things {came}"
-        return self._reduce(self._others, assumed / speed)
+        self._others_share = min(assumed / speed, self._others_share)
+        return self._reduced(self._others)
 
     def _approach(self) -> tuple[float, float]:
         """The speed in m/s of what comes near, and its deviation; (0, 0) if that is not even.
@@ -380,8 +396,12 @@ class AssumptionMonitor:
         return ways[0][1] if ways else self._moved
 
     def _braked(self, brake: _Brake) -> str:
-        return self._reduce(brake.evidence, brake.braking / brake.declared)
+        return self._reduced(brake.evidence)
 
-    def _reduce(self, text: str, share: float) -> str:
-        self.speed_share = min(max(share, MIN_SHARE), self.speed_share)
+    def _reduce(self) -> None:
+        brakes = (brake.braking / brake.declared for brake in (self._linear, self._angular))
+        self.speed_share = max(min(self._others_share, *brakes), MIN_SHARE)
+
+    def _reduced(self, text: str) -> str:
+        self._reduce()
         return f"{text}: speed reduced to {self.speed_share:.0%}"

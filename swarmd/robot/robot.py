@@ -86,7 +86,9 @@ class Robot:
         self._events = EventLimit(self._lifecycle.log)
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._goals = GoalHandler(self._lifecycle)
-        self._requests = RequestHandler(id, self._lifecycle, self._goals, self._stop_text)
+        self._requests = RequestHandler(
+            id, self._lifecycle, self._goals, self._protection, self._stop_text
+        )
         self._duty = DutyCycle()
         self._published: tuple[object, ...] = ()
         self._published_at = -math.inf
@@ -366,7 +368,8 @@ class Robot:
 
     def status(self, now: float) -> Status:
         """The status at `now`."""
-        return make_status(self._lifecycle, self._sensors, self.decision, self._duty, now)
+        findings = self._protection.findings
+        return make_status(self._lifecycle, self._sensors, self.decision, self._duty, now, findings)
 
     def motion(self, now: float) -> Motion | None:
         """How it moves, for viewers; None before the first odometry."""

@@ -116,3 +116,12 @@ def test_shows_the_share_of_the_speed_after_a_violated_assumption() -> None:
     assert member.status is not None
     rows = dict(sections(member, member.status))["Protection"]
     assert rows[0] == ("mode", "barrier, active, speed 60%")
+
+
+def test_findings_of_the_assumption_monitor_are_lines_of_protection() -> None:
+    found = ("braked at 0.60 +- 0.02 m/s2 in 3 stops, declared 1.00", "2 things came at 0.60 m/s")
+    member = make_member(findings=found)
+    assert member.status is not None
+    lines = dict(sections(member, member.status))["Protection"]
+    assert ("slowed by", found[0]) in lines
+    assert ("", found[1]) in lines
