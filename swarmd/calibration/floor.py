@@ -29,15 +29,16 @@ def top_speeds(platform: Platform) -> tuple[float, float]:
     )
 
 
-def needed_floor(platform: Platform) -> float:
+def needed_floor(platform: Platform, late: float = 0.0) -> float:
     """Side in m of the square floor, the robot in its middle, rounded up to 0.1 m.
 
     The gap that mode `barrier` needs at top speed (docs/safety.md), beyond the longest drive.
+    `late`: s by which scans arrive later than declared, which protection adds to their age.
     """
     barrier, spec = _barrier(platform), platform.scan
     speed, _ = top_speeds(platform)
     way = travel(speed)
-    age = 1.0 / spec.rate + spec.latency + _TICK
+    age = 1.0 / spec.rate + spec.latency + late + _TICK
     brake = float(barrier.get("braking_linear") or 1.0)
     others = float(barrier.get("others_speed") or 0.0)
     gap = speed * _TICK + 0.5 * speed * speed / brake

@@ -24,6 +24,7 @@ from swarmd.core.values import ZERO, Array, Inputs, Outputs, Pose, Scalar, Scan,
 from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.params import Params, Recovery, about
 from swarmd.protection.dead_reckoning import REACTION_TIME
+from swarmd.sensing.scan_delay import TOLERANCE, delay_by_stamps
 
 _SLOW = 0.35  # share of the top speed of the slower drives
 _CLEAR = 0.3  # s for which a steady drive goes on, until the cruise has nothing of its start
@@ -83,6 +84,7 @@ class Calibration(Pattern[CalibrationParams]):
     params_type = CalibrationParams
     needs = frozenset({"scan", "odometry"})
     rate = 50.0
+    scan_delay = 0.5  # the delay that it is to measure must not end it
 
     def __init__(self, params: CalibrationParams, context: Context) -> None:
         super().__init__(params, context)
@@ -99,6 +101,8 @@ class Calibration(Pattern[CalibrationParams]):
         self._now = 0.0
         self._scan: Scan | None = None
         self._scan_at = -math.inf
+        self._scan_count = 0
+        self._late = 0.0  # s by which scans seem to arrive later than declared
         self._drives = self._script()
         self._done: str | None = None
         next(self._drives)
@@ -136,6 +140,7 @@ class Calibration(Pattern[CalibrationParams]):
             self._ages.append(inputs.now - stamp)
         if inputs.is_new_scan and inputs.scan is not None:
             self._scan, self._scan_at = inputs.scan, inputs.now
+            self._scan_count += 1
 
     def _track(self, since: float) -> Array:
         """(n, 4) odometry since that time of the robot's clock: its time on it, x, y, yaw."""
@@ -173,7 +178,7 @@ class Calibration(Pattern[CalibrationParams]):
         headings: list[tuple[float, float]] = []
         for at, points in zip(arrivals, seen, strict=True):
             yield ZERO  # one a step: a step must not take long
-            guess = self._relative(self._pose_at(at - self._spec.latency))
+            guess = self._relative(self._pose_at(at - self._spec.latency - self._late))
             found = self._locate(points, guess)
             if found is not None and found.binds_yaw:
                 off = math.remainder(found.pose.yaw - guess.yaw, 2.0 * math.pi)
@@ -182,29 +187,43 @@ class Calibration(Pattern[CalibrationParams]):
 
     def _look(self) -> _Drives:
         """Look at the floor before anything moves."""
-        needed, floor = needed_floor(self.context.platform), self.params.floor
-        if floor < needed:
-            name = self.context.platform.name
-            raise _EndError(f"a floor of {floor:g} m is too small for {name}: {needed:g} m needed")
         looks: list[Array] = []
-        begin, seen = None, None
+        arrivals: list[tuple[float, float]] = []
+        begin, count = None, 0
         while len(looks) < _LOOKS:
             yield ZERO
             begin = self._now if begin is None else begin
-            if self._scan is not seen and self._scan is not None:
-                seen = self._scan
-                looks.append(points_of(seen, self._spec.offset))
+            if self._scan_count != count and self._scan is not None:
+                count = self._scan_count
+                looks.append(points_of(self._scan, self._spec.offset))
+                arrivals.append((self._scan_at, self._scan.stamp))
             if self._now - begin > _LOOK_TIME:
                 what = "odometry" if looks else "scans"
                 raise _EndError(f"too few {what} within {_LOOK_TIME:g} s")
         if not self._odometry:
             raise _EndError("no odometry")
+        self._check_size(arrivals, self._scan)
         _, x, y, yaw = self._odometry[-1]
         self._start = Pose(x, y, yaw)
         for points in looks:
             self._check_floor(points, Pose())
         whole = np.concatenate(looks)
         self._reference = Reference(looks) if len(whole) else None
+
+    def _check_size(self, arrivals: list[tuple[float, float]], scan: Scan | None) -> None:
+        """End if the floor is too small for scans that arrive as late as their stamps tell."""
+        odometry = [(stamp + self._offset, stamp) for stamp, *_ in self._odometry]
+        figure = delay_by_stamps(arrivals, odometry, scan, self._spec)
+        late = 0.0 if figure.delay is None else figure.delay - self._spec.latency
+        self._late = late if late > TOLERANCE else 0.0
+        platform, floor = self.context.platform, self.params.floor
+        needed = needed_floor(platform, self._late)
+        if floor < needed:
+            late_text = f" with scans that come {self._late:.2f} s late" if self._late else ""
+            raise _EndError(
+                f"a floor of {floor:g} m is too small for {platform.name}{late_text}:"
+                f" {needed:g} m needed"
+            )
 
     def _check_floor(self, points: Array, pose: Pose) -> None:
         """End if a return is on the floor, seen from `pose` in the frame of the start."""
@@ -299,7 +318,8 @@ class Calibration(Pattern[CalibrationParams]):
         """Command zero until the robot stands by odometry and a whole scan was taken since."""
         begin, still = self._now, self._now
         sweep = 0.0 if self._scan is None or self._scan.ages is None else self._scan.ages.max()
-        settle = max(_SETTLE, self._spec.latency + 1.5 / self._spec.rate, float(sweep))
+        latency = self._spec.latency + self._late
+        settle = max(_SETTLE, latency + 1.5 / self._spec.rate, float(sweep))
         while self._now - still < _SETTLE or self._scan_at - still < settle:
             yield ZERO
             track = self._track(self._now - 0.15)

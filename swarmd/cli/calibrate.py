@@ -19,7 +19,7 @@ from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.send import known_members
-from swarmd.core.messages import Presence, Reason, RunRequest, State, Status
+from swarmd.core.messages import Presence, Reason, ResetRequest, RunRequest, State, Status
 from swarmd.network.outcome import FAILED, REFUSED, TIMEOUT
 from swarmd.texts.values import printable
 
@@ -90,9 +90,10 @@ def calibrate(
         if status.state not in (State.IDLE, State.STOPPED):
             does = f"runs {status.pattern}" if status.pattern else f"is {status.state}"
             raise Failure(f"{robot} {does}; nothing was sent; it must be idle or stopped", REFUSED)
-        side = _floor(status.platform) if floor is None else floor
+        side = _floor(status) if floor is None else floor
         _confirm(robot, status.platform, side, yes)
-        report = _measure(operator, robot, {"floor": side, "repeats": repeats})
+        report, status = _measure(operator, robot, {"floor": side, "repeats": repeats})
+        _end_findings(operator, robot, status, report)
         _show(options, robot, status.platform, report, write)
 
 
@@ -113,15 +114,17 @@ def _check_file(write: Path | None) -> None:
             raise click.ClickException("nothing was sent")
 
 
-def _floor(platform: str) -> float:
+def _floor(status: Status) -> float:
+    """The side in m that the robot needs, with scans as late as it measures."""
     from swarmd.calibration.floor import needed_floor
     from swarmd.settings.platforms import load_platform, platform_names
 
+    platform, delay = status.platform, status.scan_delay
     if platform not in platform_names():
         raise click.UsageError(
             f"the platform file of {platform} is not known here; give --floor METRES, at least 2"
         )
-    return needed_floor(load_platform(platform))
+    return needed_floor(load_platform(platform), 0.0 if delay is None else delay.added)
 
 
 def _confirm(robot: str, platform: str, floor: float, yes: bool) -> None:
@@ -141,8 +144,13 @@ def _confirm(robot: str, platform: str, floor: float, yes: bool) -> None:
         raise click.ClickException("nothing was sent")
 
 
-def _measure(operator: Operator, robot: str, params: dict[str, float]) -> Mapping[str, object]:
-    """Run the drives; the report with the figures. Every way out leaves the robot stopped."""
+def _measure(
+    operator: Operator, robot: str, params: dict[str, float]
+) -> tuple[Mapping[str, object], Status]:
+    """Run the drives; the report with the figures, and the status after them.
+
+    Every way out leaves the robot stopped.
+    """
     for one in (signal.SIGTERM, signal.SIGHUP):  # as Ctrl-C
         signal.signal(one, signal.default_int_handler)
     epochs = operator.members(timeout=_LOOK, needs_status=False).epochs((robot,))
@@ -162,7 +170,7 @@ def _measure(operator: Operator, robot: str, params: dict[str, float]) -> Mappin
             if sys.stderr.isatty():
                 click.echo(err=True)  # ends the line of `_tell`
         must_stop = status.state is State.RUNNING and status.pattern == PATTERN
-        return _report(robot, status)
+        return _report(robot, status), status
     finally:
         if must_stop:
             _stop(operator, robot)
@@ -223,6 +231,42 @@ def _report(robot: str, status: Status) -> Mapping[str, object]:
             FAILED,
         )
     return status.report
+
+
+def _end_findings(
+    operator: Operator, robot: str, status: Status, report: Mapping[str, object]
+) -> None:
+    """End findings of the assumption monitor about brakes that the drives do not confirm.
+
+    By the test of the monitor: the braking measured, less 2 sd, is more than SOUND of the declared.
+    """
+    from swarmd.protection.assumption_monitor import SOUND, axis_of
+
+    ended = []
+    for text in status.findings:
+        axis = axis_of(text)
+        if axis is None:
+            warn(f"{robot} keeps: {text}; no calibration can tell; see `swarmctl reset --findings`")
+            continue
+        brake = Figure.parse(str(report[f"braking_{axis}"]))
+        if brake.is_measured and brake.value - 2.0 * brake.spread > SOUND * brake.assumed:
+            ended.append((text, f"{brake.value:.3g} +- {brake.spread:.2g}"))
+        else:
+            warn(f"{robot} keeps: {text}; give it the platform file that follows")
+    if not ended:
+        return
+    reason = f"calibrated: {', '.join(measured for _, measured in ended)}"
+    outcome = operator.request(
+        ResetRequest,
+        {robot: status.epoch},
+        findings=tuple(text for text, _ in ended),
+        reason=reason,
+    )
+    reply = outcome.replies.get(robot)
+    for text, measured in ended:
+        done = "ended" if outcome.applied else "not ended"
+        why = "" if outcome.applied else f" ({'no answer' if reply is None else reply.text})"
+        warn(f"{robot}: {done}{why}: {text}; now {measured}")
 
 
 def _stop(operator: Operator, robot: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable
 
 import click
 
@@ -17,6 +18,7 @@ from swarmd.cli.send import (
     time_left,
 )
 from swarmd.core.messages import ResetRequest
+from swarmd.network.members_view import MembersView
 
 
 @click.command()
@@ -49,16 +51,24 @@ def estop(options: CommonOptions, targets: Targets, reason: str, until_all: bool
 @takes_targets(is_required=True)
 @click.option("--reason", default="", help="Why it is safe again; shown by `describe`.")
 @click.option(
+    "--findings",
+    is_flag=True,
+    help="Also end what the assumption monitor found; the robots drive at full speed again.",
+)
+@click.option(
     "-y",
     "--yes",
     is_flag=True,
     help="Do not ask before more than one robot is reset; required without a terminal.",
 )
 @common_options
-def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> None:
+def reset(
+    options: CommonOptions, targets: Targets, reason: str, *, findings: bool, yes: bool
+) -> None:
     """Clear emergency stops and faults of TARGETS, which become idle; moves nothing.
 
-    Clears only the emergency stops that swarmctl sees now. A later one stays.
+    Clears only the emergency stops that swarmctl sees now. A later one stays. So it is with the
+    findings of the assumption monitor, which robots keep without --findings.
     """
     with options.operator() as operator:
         view = known_members(options, operator, is_request_next=True)
@@ -73,10 +83,22 @@ def reset(options: CommonOptions, targets: Targets, reason: str, yes: bool) -> N
             text = f" ({latch.reason})" if latch.reason else ""
             of = "all robots" if latch.scope == "swarm" else "named robots"
             warn(f"clears emergency stop {latch_id} of {latch.issuer} for {of}{text}")
+        found = _findings(view, names)
+        for robot, text in found:
+            warn(f"{robot}: {'ends' if findings else 'keeps (--findings ends it)'}: {text}")
         question = f"Reset {', '.join(names)}?"
         if len(names) > 1 and not yes and not click.confirm(question, err=True):
             raise click.ClickException("nothing was sent")
         ids = tuple(sorted(latches))
         epochs, wait = view.epochs(names), time_left(options, view)
-        outcome = operator.request(ResetRequest, epochs, timeout=wait, ids=ids, reason=reason)
+        ended = tuple(dict.fromkeys(text for _, text in found)) if findings else ()
+        outcome = operator.request(
+            ResetRequest, epochs, timeout=wait, ids=ids, findings=ended, reason=reason
+        )
         report(options, outcome)
+
+
+def _findings(view: MembersView, names: Iterable[str]) -> list[tuple[str, str]]:
+    """The findings of the assumption monitors, each with its robot."""
+    statuses = ((name, view.members[name].status) for name in names if name in view.members)
+    return [(name, text) for name, status in statuses if status for text in status.findings]

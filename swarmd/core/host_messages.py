@@ -15,6 +15,9 @@ from swarmd.core.errors import MissingSensorError, ParameterError, UnknownPatter
 from swarmd.core.messages import Refusal
 from swarmd.core.values import Inputs, Outputs, Platform, Scalar, TouchZone, Value
 
+MAX_SCAN_DELAY = 0.5
+"""Seconds beyond the platform's latency: the latest scans that a pattern may ask to drive with."""
+
 Layers = tuple[tuple[str, Mapping[str, Value]], ...]
 ParamSources = Mapping[str, tuple[Scalar | None, str]]
 """Parameters by name: the value, and the layer that it comes from."""
@@ -82,6 +85,7 @@ class Loaded(Struct, frozen=True, eq=False, array_like=True, tag="loaded"):
 
     `rate`: steps per second. `touches`: the zone in which it asks to touch obstacles. `took`:
     seconds that loading took. `note`: speeds of the request that the base cannot reach.
+    `scan_delay`: s beyond the platform's latency with which it goes on with late scans.
     """
 
     generation: int
@@ -91,6 +95,7 @@ class Loaded(Struct, frozen=True, eq=False, array_like=True, tag="loaded"):
     touches: TouchZone | None = None
     took: Annotated[float, Meta(ge=0.0, le=1e6)] = 0.0
     note: str = ""
+    scan_delay: Annotated[float, Meta(ge=0.0, le=MAX_SCAN_DELAY)] = 0.0
 
 
 class LoadRefused(Struct, frozen=True, array_like=True, tag="refused"):

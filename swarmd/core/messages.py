@@ -35,6 +35,8 @@ MAX_AHEAD = 60.0
 
 MAX_EVENTS = 10
 """Events that a robot keeps and tells."""
+MAX_FINDINGS = 1000
+"""Findings of assumption monitors in one request: three of each robot at most."""
 
 STATUS_SILENCE = 3.0
 """A status older than this, in s, is not the present one: robots send one each second."""
@@ -202,9 +204,14 @@ class LabelRequest(_EpochRequest, frozen=True, kw_only=True, tag="label"):
 
 
 class ResetRequest(_EpochRequest, frozen=True, kw_only=True, tag="reset"):
-    """Clear the latches with these `ids`, and a fault."""
+    """Clear the latches with these `ids`, and a fault.
+
+    `findings`: those of the assumption monitor to end, as the status names them. A running robot
+    refuses.
+    """
 
     ids: tuple[Name, ...] = ()
+    findings: Annotated[tuple[Line, ...], Meta(max_length=MAX_FINDINGS)] = ()
     reason: ReasonText = ""
 
 
@@ -617,7 +624,8 @@ class Status(Struct, frozen=True, kw_only=True):
     `stale_readings`: those without a fresh value. `version`:
     of the daemon's package. `kernels`: which code decides, see `describe_kernels`. `body`: what its
     beacons tell of it. `peers`: those that it may not see, or that are faster than it assumes.
-    `passage`: what protection lets it through; None if its mode has no such width. `goal`: None
+    `passage`: what protection lets it through; None if its mode has no such width. `findings`: the
+    violated assumptions for which it drives slower, each with its evidence. `goal`: None
     before the robot has seen any. `keys`: None in an insecure swarm.
     """
 
@@ -652,6 +660,7 @@ class Status(Struct, frozen=True, kw_only=True):
     body: Body | None = None
     peers: tuple[PeerFinding, ...] = ()
     passage: NarrowestPassage | None = None
+    findings: tuple[Line, ...] = ()
     neighbors: tuple[Name, ...] = ()
     recording: RecordingSummary | None = None
     goal: GoalStatus | None = None

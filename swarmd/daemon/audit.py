@@ -167,7 +167,10 @@ def _details(request: AnyRequest) -> Iterator[str]:
             yield request.name
         case ParamRequest():
             yield _assignments(request.params)
-        case EstopRequest() | ResetRequest():
+        case ResetRequest():
+            yield f"of {_short('; '.join(request.findings))}" if request.findings else ""
+            yield f"({_short(request.reason)})" if request.reason else ""
+        case EstopRequest():
             yield f"({_short(request.reason)})" if request.reason else ""
 
 

@@ -67,6 +67,9 @@ class Pattern(ABC, Generic[P]):
     - `is_symmetric`: mirrored inputs give mirrored commands; PatternContract checks it.
     - `touches`: where it must touch obstacles, to push or to dock. The robot's configuration must
       grant it. Requests of its parts do not count.
+    - `scan_delay`: s beyond `scan.latency`, at most 0.5, up to which the robot goes on with late
+      scans, where its platform allows less. Protection counts what is measured: the robot keeps
+      larger gaps. For patterns that measure the delay. Requests of its parts do not count.
     """
 
     params_type: ClassVar[type[Params]] = Params
@@ -75,6 +78,7 @@ class Pattern(ABC, Generic[P]):
     rate: ClassVar[float] = 10.0
     is_symmetric: ClassVar[bool] = False
     touches: ClassVar[TouchZone | None] = None
+    scan_delay: ClassVar[float] = 0.0
 
     def __init__(self, params: P, context: Context) -> None:
         self.params = params

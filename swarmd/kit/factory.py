@@ -9,7 +9,7 @@ from typing import Any, TypeAlias
 from numpy.random import Generator
 
 from swarmd.core.errors import MissingSensorError, PluginError
-from swarmd.core.host_messages import Layers
+from swarmd.core.host_messages import MAX_SCAN_DELAY, Layers
 from swarmd.core.keys import check_id
 from swarmd.core.values import Platform, Scalar, Value, input_fault
 from swarmd.kit.behavior import Context, Pattern
@@ -71,7 +71,16 @@ def assemble(
     _check_needs(name, pattern.needs, platform)
     _check_channels(name, pattern.channels)
     check_zone(name, pattern.touches)
+    check_scan_delay(name, pattern.scan_delay)
     return Assembled(pattern, sources)
+
+
+def check_scan_delay(pattern: str, delay: object) -> None:
+    """PluginError if a pattern asks to drive with scans that are later than any robot permits."""
+    if not isinstance(delay, float | int) or not 0.0 <= delay <= MAX_SCAN_DELAY:
+        raise PluginError(
+            f"pattern {pattern!r}: scan_delay is {delay!r}; expected 0 to {MAX_SCAN_DELAY:g} s"
+        )
 
 
 def _check_channels(name: str, channels: Mapping[str, type]) -> None:

@@ -82,7 +82,15 @@ class PatternExecutor:
         rate = float(pattern.rate)
         asked = dict(load.layers).get(REQUEST_LAYER, {})
         note = _beyond_limits(type(pattern).params_type, asked, assembled.params, load.platform)
-        return Loaded(load.generation, rate, channels, assembled.params, pattern.touches, note=note)
+        return Loaded(
+            load.generation,
+            rate,
+            channels,
+            assembled.params,
+            pattern.touches,
+            note=note,
+            scan_delay=float(pattern.scan_delay),
+        )
 
     def _on_step(self, step: Step) -> SentEvent:
         assert self._assembled is not None

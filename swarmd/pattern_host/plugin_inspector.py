@@ -34,7 +34,7 @@ from swarmd.core.values import Platform, Value
 from swarmd.kit.behavior import MovementPattern, Pattern
 from swarmd.kit.combined import CombinedPattern
 from swarmd.kit.conditions import needs_of
-from swarmd.kit.factory import Find, assemble
+from swarmd.kit.factory import Find, assemble, check_scan_delay
 from swarmd.kit.params import Params, schema
 from swarmd.kit.touch import check_zone, describe_zone
 from swarmd.kit.voting_pattern import VotingPattern
@@ -133,6 +133,7 @@ def _describe(name: str, source: str, loader: PatternLoader, platform: Platform)
         params = schema(kind.params_type)
         derived = kind.defaults(platform)
         check_zone(name, kind.touches)
+        check_scan_delay(name, kind.scan_delay)
         is_mission_here = issubclass(kind, Mission) and kind.needs <= platform.provides
         has_all_defaults = not any(spec.is_required for spec in params)
         refused = _refusal(name, loader, platform) if is_mission_here and has_all_defaults else ""

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
 from typing import Protocol
 
@@ -87,6 +87,7 @@ class Protection:
         self._geometry = ScanGeometry(platform.scan)
         # Of the modes only barrier assumes anything.
         self._monitor = AssumptionMonitor(platform) if self._arbiter.mode == "barrier" else None
+        self._latency = platform.scan.latency
         self._is_running = False
         self.events: list[str] = []
         self._scan_seq = -1
@@ -119,12 +120,24 @@ class Protection:
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)
         if self._monitor is not None and self._is_running:
-            self._log(self._monitor.on_scan(scan.stamp, self._min_gap))
+            oldest = 0.0 if scan.ages is None else float(scan.ages.max(initial=0.0))
+            delay = self._latency + context.scan_delay + oldest
+            self._log(self._monitor.on_scan(scan.stamp, self._min_gap, delay))
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Compare what mode barrier assumes of the base with its measured motion."""
         if self._monitor is not None:
             self._log(self._monitor.on_odometry(odometry))
+
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """The assumptions that were found violated, each with its evidence."""
+        return () if self._monitor is None else self._monitor.findings
+
+    def forget_findings(self, findings: Collection[str]) -> None:
+        """End these findings: they slow the robot no more, until they are found anew."""
+        if self._monitor is not None:
+            self._monitor.forget(findings)
 
     def _log(self, text: str) -> None:
         if text:
@@ -203,7 +216,7 @@ class Protection:
             share = monitor.speed_share
             if share < 1.0:  # the constraints are convex and hold for zero, so also for a share
                 safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
-            monitor.on_command(safe)
+            self._log(monitor.on_command(safe))
         self._safe, self._context = safe, None
         return Decision(
             self._arbiter.mode,

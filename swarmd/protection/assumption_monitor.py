@@ -1,118 +1,264 @@
 """Compares what mode `barrier` assumes of base and surroundings with what happens. Pure.
 
-Braking: each time the safe command falls clearly, the deceleration that odometry shows until the
-base has followed is compared with the assumed one. It is taken between readings of which the base
-already brakes, by their own stamps: neither late nor rare odometry makes brakes look weak. The
-reaction time is not told from the delay of odometry, and is not judged.
+Braking: each clear fall of the safe command begins a stop, which lasts until odometry shows that
+the base has followed it, or until the command rises. The way that odometry shows in each of its
+periods, and before the stop, is fitted by that of a base that responds late and brakes evenly.
+Delay and speed of the base are free, so that neither late nor rare odometry makes brakes look weak.
+The noise of odometry is what the fits leave over. A stop weighs as much as its readings tell.
+
+The test adds up evidence from stop to stop: CUSUM (Page, Biometrika 1954), the logarithm of the
+likelihood of brakes with the share WEAK of the declared braking over that with the share SOUND,
+never below zero. Brakes of at least SOUND raise an alarm after e^ALARM stops on average, or later
+(Lorden, Annals of Mathematical Statistics 1971). An alarm needs three stops at least: in one,
+another robot may have pushed this one.
 
 Others: the speed at which the gap to the nearest return falls, less all that the robot itself has
-moved, is compared with `others_speed`. A thing that approaches is seen so, one that passes is not.
+moved, is compared with `others_speed`: by least squares over several scans, less its deviation. A
+thing that approaches is seen so, one that passes is not.
 
-A violation makes the robot slower by `speed_share`, for good: nothing that happens later proves the
-assumption. The share is the measured braking over the assumed one: with it the speed s and braking
-b keep s / b, the time to stop, in which others approach, and shorten the way. For others it is the
-assumed speed over the measured one.
+A violation makes the robot slower by `speed_share`, until an operator ends it: nothing that happens
+later proves the assumption. The share is the measured braking, two deviations to the safe side,
+over the declared one: with it the speed s and braking b keep s / b, the time to stop, in which
+others approach, and shorten the way. For others it is the assumed speed over the measured one.
 """
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from typing import NamedTuple
+from collections.abc import Collection
+from operator import itemgetter
+from typing import TypeAlias
 
 import msgspec
 import numpy as np
 
-from swarmd.core.values import ZERO, Odometry, Platform, Pose, Twist
+from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Twist
 from swarmd.protection.settings import BarrierSettings
 
 MIN_SHARE = 0.2
 """The lowest `speed_share`."""
+SOUND, WEAK = 0.85, 0.7
+"""Shares of the declared braking that the test tells apart."""
+ALARM = 14.0
+"""Evidence of an alarm: sound brakes raise it once in a million stops, e^14, or less often."""
 
-_WEAK = 0.8  # share of the assumed braking; noise of odometry is some 6 %
-_WEAKER = 0.95  # share of what is known that is worth another event
-_JUDGED = 3  # stops of which two must be weak: in one, another may have pushed the robot
+_MOST_OF_ONE = 5.0  # evidence of one stop: three are needed at least
+_SHARES = np.array((*np.geomspace(0.15, 0.63, 11), WEAK, 0.77, SOUND, 0.92, 1.0, 1.1))
+_WEAK, _SOUND = (int(np.flatnonzero(share == _SHARES)[0]) for share in (WEAK, SOUND))
+_LONGEST_DELAY = 0.6  # s from the command to the stamp at which the base responds
+_DELAYS = np.linspace(0.0, _LONGEST_DELAY, 13)
+_NEAR_DELAYS = np.linspace(-0.04, 0.04, 9)
+_PARTS = np.array((0.25, 0.75))  # of each period, whose mean speeds are its way
+_SLIP, _SLIP_FREEDOM = 0.05, 20.0  # noise of odometry before any stop, and the readings it counts
+_MAX_FREEDOM = 400.0  # readings after which older ones fade
+_WORST = 9.0  # times its variance: what a stop that odometry does not explain adds to it at most
+_STILL = 0.2  # share of the speed before a stop of which each reading has the noise at least
+
 _MIN_DROP = 0.08, 0.4  # m/s and rad/s by which the command must fall at once
-_MIN_DROP_TIME = 0.1  # s of assumed braking that it takes at least
-_FOLLOWED = 0.15  # share of the command that the speed may be off it before
+_MIN_DROP_TIME = 0.1  # s of declared braking that it takes at least
 _MIN_DROP_SHARE = 0.5  # of the speed: noise of odometry grows with it
-_BEGUN, _ENDS = 0.85, 0.15  # shares of the drop that is left: between them the base brakes
-_MIN_READINGS = 3
-_MIN_TIME = 0.09  # s between the first and the last of them
-_RISE = 0.1  # share of the speed by which noise may raise it while the base brakes
+_FOLLOWED = 0.15  # share of the command that the speed may be off it before
+_CRUISE, _MIN_CRUISE = 6, 2  # readings before a stop that tell its speed
+_MIN_STEPS = 3  # readings of a stop
+_ENDS = 0.1  # share of the fall that is left when a stop is over
+_RISE = 0.3  # share of the speed by which noise may raise it during a stop
 _MAX_WAIT = 1.5  # s in which a stop is judged
+_MAX_PERIOD = 0.3  # s between two readings
+_RISES = 0.2  # share of the command before a stop by which it may rise again
+_MAX_COMMANDS = 40
 
 _NEAR = 1.0  # m within which an approach counts
-_STEPS = 4  # between consecutive scans
-_MIN_APPROACH = 0.35  # s
+_APPROACH, _MIN_APPROACH = 0.85, 0.35  # s of scans that tell a speed
+_MIN_SCANS = 5  # in that time
 _MAX_GAP_TIME = 0.6  # s between scans
-_FASTER, _NOISE = 1.15, 0.05  # times others_speed, plus m/s: what clearly is faster
-_STEADY = 0.6  # share of the mean speed that each step must have: things appear, and are lost
-_APART = 5.0  # s between two approaches
+_FASTER = 1.15  # times others_speed: what clearly is faster
+_RANGE_NOISE = 0.01  # m of the nearest range, at least
+_STEADY = 0.03  # m by which a scan may be off an even approach: things appear, and are lost
+_CERTAIN = 3.0  # deviations by which an approach must be too fast
+_APART, _TOGETHER = 5.0, 600.0  # s between two approaches that are a violation
+
+_BRAKED = "braked at"
+_UNITS = "m/s2", "rad/s2"
+
+_Step: TypeAlias = tuple[float, float, float]
 
 
-class _Stop(NamedTuple):
-    """A fall of the command from speed `begin` to `target`, both in direction `sign`."""
+def axis_of(finding: str) -> str | None:
+    """`linear` or `angular` for a finding about brakes; None for one about others."""
+    if not finding.startswith(_BRAKED):
+        return None
+    return "angular" if _UNITS[1] in finding else "linear"
 
-    sign: float
-    begin: float
-    target: float
-    at: float
-    readings: list[tuple[float, float]]
+
+class _Stop:
+    """A fall of the command in direction `sign`, and what odometry shows from it on.
+
+    `begin` and `least`: the speeds commanded before it and since at least, `at` its stamp. Rows of
+    `cruise` and `steps`, before and after it: begin and end by stamps, m or rad moved between.
+    """
+
+    def __init__(self, sign: float, begin: float, least: float, at: float, cruise: list[_Step]):
+        self.sign, self.begin, self.least, self.at = sign, begin, least, at
+        self.cruise, self.steps = cruise, list[_Step]()
 
 
 class _Brake:
-    """Judges the stops of one axis with an assumed braking in m/s2 or rad/s2.
+    """Judges the stops of one axis with a `declared` braking in m/s2 or rad/s2.
 
-    `min_drop` in m/s or rad/s is the least fall of the command that begins a stop. `stop` is the
-    one under way, `measured` the weakest braking that is certain, or the assumed one.
-    `is_weaker`: that has changed.
+    `min_drop` in m/s or rad/s is the least fall of the command that begins a stop. `braking`: as
+    declared, or measured and weaker. `evidence`: how it was measured; empty without a violation.
     """
 
-    def __init__(self, assumed: float, min_drop: float) -> None:
-        self._assumed = assumed
-        self.min_drop = max(min_drop, _MIN_DROP_TIME * assumed)
-        self.stop: _Stop | None = None
-        self._judged: deque[float] = deque(maxlen=_JUDGED)
-        self.measured, self.is_weaker = assumed, False
+    def __init__(self, declared: float, min_drop: float, unit: str) -> None:
+        self.declared, self._unit = declared, unit
+        self._min_drop = max(min_drop, _MIN_DROP_TIME * declared)
+        self._stop: _Stop | None = None
+        self._commands = deque([(-math.inf, 0.0)], _MAX_COMMANDS)  # stamps and speeds
+        self._cruise: deque[_Step] = deque(maxlen=_CRUISE)  # in which the base followed
+        self._variance, self._freedom = _SLIP**2, _SLIP_FREEDOM  # of a reading, as a share of it
+        self.forget()
 
-    def on_command(self, before: float, command: float, speed: float, stamp: float) -> None:
-        """The command changes; `speed` was measured last, at `stamp`."""
-        sign = 1.0 if speed >= 0.0 else -1.0
-        target, begin = max(sign * command, 0.0), sign * speed
-        stop = self.stop
-        if stop is not None and (stop.sign != sign or target > stop.target + 1e-6):
-            self._judge(stop.readings)
-            self.stop = stop = None
-        has_followed = abs(begin - sign * before) <= _FOLLOWED * abs(before)
-        min_drop = max(self.min_drop, _MIN_DROP_SHARE * begin)
-        if stop is None and has_followed and begin - target >= min_drop:
-            self.stop = _Stop(sign, begin, target, stamp, [])
+    def forget(self) -> None:
+        """Measure anew: the braking counts as declared."""
+        self.braking, self.evidence = self.declared, ""
+        self._begin()
 
-    def on_speed(self, speed: float, stamp: float) -> None:
-        """A reading arrived after a stop began."""
-        stop = self.stop
+    def interrupt(self) -> None:
+        """Drop the stop under way: the clock of odometry was set, or its pose has jumped."""
+        self._stop = None
+        self._cruise.clear()
+        self._commands = deque([(-math.inf, self._commands[-1][1])], _MAX_COMMANDS)
+
+    def _begin(self) -> None:
+        """Begin a sum of evidence."""
+        self._sum, self._stops = 0.0, 0
+        self._misfits = np.zeros(len(_SHARES))
+
+    def on_command(self, command: float, speed: float, stamp: float) -> bool:
+        """The command changes; `speed` was measured last, at `stamp`. True: a violation."""
+        before = self._commands[-1][1]
+        if command == before:
+            return False
+        self._commands.append((stamp, command))
+        stop = self._stop
+        if stop is not None:
+            level = max(stop.sign * command, 0.0)
+            stop.least = min(level, stop.least)
+            return level > stop.least + _RISES * stop.begin and self._end()
+        begin = abs(before)
+        level = max(math.copysign(1.0, before) * command, 0.0)
+        if begin - level < self._min_drop or begin - level < _MIN_DROP_SHARE * begin:
+            return False
+        if abs(speed - before) <= _FOLLOWED * begin and len(self._cruise) >= _MIN_CRUISE:
+            sign = math.copysign(1.0, before)
+            self._stop = _Stop(sign, begin, level, stamp, list(self._cruise))
+        self._cruise.clear()
+        return False
+
+    def on_step(self, begin: float, end: float, way: float) -> bool:
+        """The base moved by `way` between two stamps. True: a violation."""
+        stop, period = self._stop, end - begin
+        if stop is None:
+            wanted = self._commands[-1][1] * period
+            if wanted == 0.0 or abs(way - wanted) > _FOLLOWED * abs(wanted):
+                self._cruise.clear()
+            else:
+                self._cruise.append((begin, end, way))
+            return False
+        stop.steps.append((begin, end, way))
+        speed = stop.sign * way / period
+        if speed > (1.0 + _RISE) * stop.begin or period > _MAX_PERIOD:
+            self._stop = None  # another robot pushed it, or odometry was lost
+            return False
+        is_done = speed - stop.least <= _ENDS * (stop.begin - stop.least)
+        return (is_done or end - stop.at > _MAX_WAIT) and self._end()
+
+    def _end(self) -> bool:
+        """Judge the stop, which is over."""
+        stop, self._stop = self._stop, None
         assert stop is not None
-        speed *= stop.sign
-        left, readings = (speed - stop.target) / (stop.begin - stop.target), stop.readings
-        is_pushed = speed > (readings[-1][1] if readings else stop.begin) + _RISE * stop.begin
-        if is_pushed or stamp <= stop.at:
-            self.stop = None
-        elif left <= _ENDS or stamp - stop.at > _MAX_WAIT:
-            self.stop = None
-            self._judge(readings)
-        elif left < _BEGUN:
-            readings.append((stamp, speed))
+        self._cruise.clear()
+        if len(stop.steps) < _MIN_STEPS:
+            return False
+        misfits, freedom = _misfits(stop, list(self._commands), self.braking)
+        least = float(misfits.min())
+        own = least / freedom
+        total = self._variance * self._freedom + min(own, _WORST * self._variance) * freedom
+        self._freedom += freedom
+        self._variance = total / self._freedom
+        self._freedom = min(self._freedom, _MAX_FREEDOM)
+        misfits = (misfits - least) / max(self._variance, own)
+        gained = 0.5 * float(misfits[_SOUND] - misfits[_WEAK])
+        self._sum += min(gained, _MOST_OF_ONE)
+        if self._sum <= 0.0:
+            self._begin()
+            return False
+        self._stops += 1
+        self._misfits += misfits
+        return self._sum >= ALARM and self._conclude()
 
-    def _judge(self, readings: list[tuple[float, float]]) -> None:
-        if len(readings) < _MIN_READINGS or readings[-1][0] - readings[0][0] < _MIN_TIME:
-            return  # a good stop is often too short to judge
-        (begin, first), (end, last) = readings[0], readings[-1]
-        braking = (first - last) / (end - begin)
-        self._judged.append(braking)
-        weak = sorted(one for one in self._judged if one < _WEAK * self._assumed)
-        if len(weak) > 1 and weak[0] < _WEAKER * self.measured:
-            self.measured, self.is_weaker = max(weak[0], 1e-3), True
+    def _conclude(self) -> bool:
+        """Measure the braking by the stops that were summed up; always True."""
+        best = int(self._misfits.argmin())
+        slowness = 1.0 / _SHARES
+        i = min(max(best, 1), len(_SHARES) - 2)
+        near = slice(i - 1, i + 2)
+        a, b, _ = np.polyfit(slowness[near], self._misfits[near], 2)
+        middle = float(-0.5 * b / a) if a > 0.0 else float(slowness[best])
+        middle = min(max(middle, float(slowness[near].min())), float(slowness[near].max()))
+        deviation = 1.0 / math.sqrt(max(float(a), 1e-6))
+        before, stops = self.braking, self._stops
+        measured = before / middle
+        spread = measured * deviation / middle
+        self._begin()
+        self.braking = min(max(measured - 2.0 * spread, MIN_SHARE * measured), before)
+        unit = self._unit
+        self.evidence = (
+            f"{_BRAKED} {measured:.2f} +- {spread:.2f} {unit} in {stops} stops, declared"
+            f" {self.declared:.2f}"
+        )
+        return True
+
+
+def _misfits(
+    stop: _Stop, commands: list[tuple[float, float]], declared: float
+) -> tuple[Array, float]:
+    """What each share of the declared braking leaves unexplained, and the degrees of freedom.
+
+    (s,) sums of squares over the squared ways, for the best delay and scale of the speeds that the
+    `commands` name. The base rises with its command, and brakes evenly.
+    """
+    rows = np.array((*stop.cruise, *stop.steps))
+    periods, ways = rows[:, 1] - rows[:, 0], stop.sign * rows[:, 2]
+    first = rows[0, 0] - _LONGEST_DELAY
+    kept = [one for k, one in enumerate(commands[:-1]) if first < commands[k + 1][0] != one[0]]
+    stamps, levels = np.array((*kept, commands[-1])).T
+    levels = np.maximum(stop.sign * levels, 0.0)
+    count = len(stop.cruise)
+    seen = float(ways[:count].sum() / periods[:count].sum())
+    times = rows[:, :1] + _PARTS * periods[:, None]  # (n, parts)
+    rates = _SHARES * declared * stop.begin / seen  # in units of the command
+    weights = 1.0 / (ways**2 + (_STILL * seen * periods) ** 2)
+
+    def left(delays: Array) -> Array:
+        """(s, d) sums of squares for `delays` (s or 1, d)."""
+        since = times - delays[..., None, None]
+        speeds = np.zeros((len(rates), *since.shape[1:]))
+        for k, (stamp, level) in enumerate(zip(stamps, levels, strict=True)):
+            held = np.where(since >= stamp, level, -np.inf)
+            if k + 1 < len(stamps):
+                braked = rates[:, None, None, None] * np.maximum(since - stamps[k + 1], 0.0)
+                held = held - braked
+            np.maximum(speeds, held, out=speeds)
+        modelled = speeds.mean(axis=-1) * periods
+        both, own = modelled @ (weights * ways), modelled**2 @ weights
+        # The scale of least squares: odometry and base may be off by a few percent.
+        least: Array = float(weights @ ways**2) - both**2 / np.maximum(own, 1e-12)
+        return least
+
+    rough = _DELAYS[left(_DELAYS[None]).argmin(axis=1)]
+    return left(rough[:, None] + _NEAR_DELAYS).min(axis=1), max(len(ways) - 3.0, 1.0)
 
 
 class AssumptionMonitor:
@@ -123,83 +269,139 @@ class AssumptionMonitor:
     """
 
     def __init__(self, platform: Platform) -> None:
-        self.speed_share = 1.0
         settings = msgspec.convert(platform.protection["barrier"], BarrierSettings)
         self._settings = settings
         self._radius = float(np.hypot(*platform.footprint.T).max())
-        self._linear = _Brake(settings.braking_linear, _MIN_DROP[0])
-        self._angular = _Brake(settings.braking_angular, _MIN_DROP[1])
+        self._linear = _Brake(settings.braking_linear, _MIN_DROP[0], _UNITS[0])
+        self._angular = _Brake(settings.braking_angular, _MIN_DROP[1], _UNITS[1])
         self._command, self._odometry = ZERO, Odometry(-math.inf, Pose(), ZERO)
-        self._moved = 0.0  # m that any corner may have moved while a thing comes near
-        self._steps: deque[tuple[float, float, float]] = deque(maxlen=_STEPS + 1)
-        self._approaches: list[float] = []
-        self._approached_at = -math.inf
+        self._moved = 0.0  # m that any corner may have moved so far
+        self._ways: deque[tuple[float, float]] = deque(maxlen=64)  # stamps of odometry, and that
+        # Stamps, gaps, what was moved when the scan was measured at the earliest, and until now.
+        self._scans: deque[tuple[float, float, float, float]] = deque(maxlen=64)
+        self._others, self._others_share = "", 1.0
+        self._approaches: deque[tuple[float, float, float]] = deque()  # stamps, m/s and deviations
+        self.speed_share = 1.0
 
-    def on_command(self, command: Twist) -> None:
+    @property
+    def findings(self) -> tuple[str, ...]:
+        """The violated assumptions, each with its evidence."""
+        found = self._linear.evidence, self._angular.evidence, self._others
+        return tuple(text for text in found if text)
+
+    def forget(self, findings: Collection[str]) -> None:
+        """End these of the findings: what they name counts as declared, and is watched anew."""
+        for brake in (self._linear, self._angular):
+            if brake.evidence in findings:
+                brake.forget()
+        if self._others in findings:
+            self._others, self._others_share = "", 1.0
+            self._approaches.clear()
+        self._reduce()
+
+    def on_command(self, command: Twist) -> str:
         """The safe command that the driver gets."""
         if command is self._command:
-            return
-        before, self._command = self._command, command
+            return ""
+        self._command = command
         measured, stamp = self._odometry.twist, self._odometry.stamp
         linear, angular = self._linear, self._angular
-        # Most commands neither begin nor continue a stop, so the brakes need no look.
-        if linear.stop or abs(command.linear - measured.linear) >= linear.min_drop:
-            linear.on_command(before.linear, command.linear, measured.linear, stamp)
-        if angular.stop or abs(command.angular - measured.angular) >= angular.min_drop:
-            angular.on_command(before.angular, command.angular, measured.angular, stamp)
+        if linear.on_command(command.linear, measured.linear, stamp):
+            return self._braked(linear)
+        if angular.on_command(command.angular, measured.angular, stamp):
+            return self._braked(angular)
+        return ""
 
     def on_odometry(self, odometry: Odometry) -> str:
         """A reading arrived."""
         last, self._odometry = self._odometry, odometry
-        if odometry.stamp <= last.stamp:
+        if odometry.stamp < last.stamp or odometry.jumps_from(last):
+            self._linear.interrupt()
+            self._angular.interrupt()
+            self._ways.clear()
+            self._scans.clear()
             return ""
-        if self._steps:
-            pose, before = odometry.pose, last.pose
-            turned = abs(math.remainder(pose.yaw - before.yaw, math.tau))
-            self._moved += math.hypot(pose.x - before.x, pose.y - before.y) + self._radius * turned
+        if odometry.stamp == last.stamp or last.stamp == -math.inf:
+            return ""
+        pose, before = odometry.pose, last.pose
+        begin, end = last.stamp, odometry.stamp
+        turned = math.remainder(pose.yaw - before.yaw, math.tau)
+        dx, dy = pose.x - before.x, pose.y - before.y
+        if dx or dy or turned:
+            self._moved += math.hypot(dx, dy) + self._radius * abs(turned)
+        self._ways.append((end, self._moved))
         linear, angular = self._linear, self._angular
-        if linear.stop:
-            linear.on_speed(odometry.twist.linear, odometry.stamp)
-        if angular.stop:
-            angular.on_speed(odometry.twist.angular, odometry.stamp)
-        if linear.is_weaker:
-            linear.is_weaker = False
-            return self._braked(linear.measured, self._settings.braking_linear, "m/s2")
-        if angular.is_weaker:
-            angular.is_weaker = False
-            return self._braked(angular.measured, self._settings.braking_angular, "rad/s2")
+        middle = before.yaw + 0.5 * turned
+        way = math.cos(middle) * dx + math.sin(middle) * dy
+        if linear.on_step(begin, end, way):
+            return self._braked(linear)
+        if angular.on_step(begin, end, turned):
+            return self._braked(angular)
         return ""
 
-    def on_scan(self, stamp: float, gap: float | None) -> str:
-        """A scan arrived, with its own stamp in s and the gap to its nearest return in m."""
-        steps = self._steps
-        if gap is None or gap > _NEAR or (steps and not 0.0 < stamp - steps[-1][0] < _MAX_GAP_TIME):
-            steps.clear()
+    def on_scan(self, stamp: float, gap: float | None, delay: float = 0.0) -> str:
+        """A scan arrived, with its own stamp in s and the gap to its nearest return in m.
+
+        `delay` in s: how old its rays may be. What the robot moved meanwhile counts as its own.
+        """
+        scans = self._scans
+        if gap is None or gap > _NEAR or (scans and not 0.0 < stamp - scans[-1][0] < _MAX_GAP_TIME):
+            scans.clear()
         if gap is None or gap > _NEAR:
             return ""
-        steps.append((stamp, gap, self._moved))
-        if len(steps) <= _STEPS or stamp - steps[0][0] < _MIN_APPROACH:
+        scans.append((stamp, gap, self._moved_until(self._odometry.stamp - delay), self._moved))
+        while stamp - scans[0][0] > _APPROACH:
+            scans.popleft()
+        is_apart = not self._approaches or stamp - self._approaches[-1][0] >= _APART
+        if len(scans) < _MIN_SCANS or stamp - scans[0][0] < _MIN_APPROACH or not is_apart:
             return ""
-        first, assumed = steps[0], self._settings.others_speed
-        way = first[1] - gap - (self._moved - first[2])
-        speed = way / (stamp - first[0])
-        if speed < _FASTER * assumed + _NOISE or stamp - self._approached_at < _APART:
+        assumed = self._settings.others_speed
+        if (scans[0][1] - gap) < _FASTER * assumed * (stamp - scans[0][0]):
+            return ""  # as mostly: it need not be judged
+        speed, spread = self._approach()
+        if speed - _CERTAIN * spread < _FASTER * assumed:
             return ""
-        for i in range(_STEPS):
-            (t0, gap0, moved0), (t1, gap1, moved1) = steps[i], steps[i + 1]
-            if gap0 - gap1 - (moved1 - moved0) < _STEADY * speed * (t1 - t0):
-                return ""
-        self._approached_at = stamp
-        self._approaches.append(speed)
-        text = f"something came at {speed:.2f} m/s, assumed at most {assumed:.2f}"
+        while self._approaches and stamp - self._approaches[0][0] > _TOGETHER:
+            self._approaches.popleft()
+        self._approaches.append((stamp, speed, spread))
+        came = f"came at {speed:.2f} +- {spread:.2f} m/s, declared at most {assumed:.2f}"
         if len(self._approaches) < 2:
-            return text
-        return self._reduce(text, assumed / sorted(self._approaches)[-2])
+            return f"something {came}"
+        _, speed, spread = sorted(self._approaches, key=itemgetter(1))[-2]
+        came = f"came at {speed:.2f} +- {spread:.2f} m/s or faster, declared at most {assumed:.2f}"
+        self._others = f"{len(self._approaches)} things {came}"
+        self._others_share = min(assumed / speed, self._others_share)
+        return self._reduced(self._others)
 
-    def _braked(self, measured: float, assumed: float, unit: str) -> str:
-        text = f"braked at {measured:.2f} {unit}, assumed {assumed:.2f}"
-        return self._reduce(text, measured / assumed)
+    def _approach(self) -> tuple[float, float]:
+        """The speed in m/s of what comes near, and its deviation; (0, 0) if that is not even.
 
-    def _reduce(self, text: str, share: float) -> str:
-        self.speed_share = min(max(share, MIN_SHARE), self.speed_share)
+        Least squares of the gap over time, less all that the robot moved since the first scan.
+        """
+        times, gaps, begun, moved = np.array(self._scans).T
+        times -= times.mean()
+        slope = float(times @ gaps / (times @ times))
+        off = gaps - gaps.mean() - slope * times
+        if float(np.abs(off).max()) > _STEADY:
+            return 0.0, 0.0
+        noise = max(math.sqrt(float(off @ off) / (len(gaps) - 2)), _RANGE_NOISE)
+        own = float(moved[-1] - begun[0]) / float(times[-1] - times[0])
+        return -slope - own, noise / math.sqrt(float(times @ times))
+
+    def _moved_until(self, at: float) -> float:
+        """m that any corner may have moved until a stamp of odometry."""
+        ways = self._ways
+        while len(ways) > 1 and ways[1][0] <= at:
+            ways.popleft()
+        return ways[0][1] if ways else self._moved
+
+    def _braked(self, brake: _Brake) -> str:
+        return self._reduced(brake.evidence)
+
+    def _reduce(self) -> None:
+        brakes = (brake.braking / brake.declared for brake in (self._linear, self._angular))
+        self.speed_share = max(min(self._others_share, *brakes), MIN_SHARE)
+
+    def _reduced(self, text: str) -> str:
+        self._reduce()
         return f"{text}: speed reduced to {self.speed_share:.0%}"

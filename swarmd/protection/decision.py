@@ -38,10 +38,15 @@ class DecisionContext(Struct, frozen=True):
 
 
 class Permit(Struct, frozen=True):
-    """What the running pattern permits: recovery when it is blocked, and contact in `touch`."""
+    """What the running pattern permits: recovery when it is blocked, and contact in `touch`.
+
+    `scan_delay`: s beyond the platform's latency up to which late scans are no hold. Protection
+    counts the delay, as it does below the platform's own bound.
+    """
 
     may_recover: bool = False
     touch: TouchZone | None = None
+    scan_delay: float = 0.0
 
 
 NO_PERMIT = Permit()

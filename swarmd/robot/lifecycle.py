@@ -225,7 +225,7 @@ class Lifecycle:
         assert running is not None
         granted = self.identity.settings.touch.get(loading.pattern)
         zone, text = effective_zone(loading.pattern, event.touches, granted)
-        running.permit = Permit(_may_recover(event.params), zone)
+        running.permit = Permit(_may_recover(event.params), zone, event.scan_delay)
         if text:
             self.log(f"{loading.pattern} {text}", effects.now)
 
@@ -279,7 +279,8 @@ class Lifecycle:
             self.refuse(effects, request, refusal, event.text or "no pattern is running")
             return
         running.values = event.params
-        running.permit = Permit(_may_recover(event.params), running.permit.touch)
+        permit = running.permit
+        running.permit = Permit(_may_recover(event.params), permit.touch, permit.scan_delay)
         running.params = {**running.params, **request.params}
         names = ", ".join(request.params)
         self.goals.note(f"param set by {request.operator}: {names}"[:MAX_TEXT])

@@ -51,6 +51,7 @@ from swarmd.core.messages import (
     State,
     StopRequest,
 )
+from swarmd.protection.arbiter import Protection
 from swarmd.robot.actions import Effects
 from swarmd.robot.goal_handler import GoalHandler, fault_of
 from swarmd.robot.lifecycle import Lifecycle
@@ -69,10 +70,12 @@ class RequestHandler:
         robot: str,
         lifecycle: Lifecycle,
         goals: GoalHandler,
+        protection: Protection,
         stop_text: Callable[[float], str],
     ) -> None:
         self._robot = robot
         self._goals = goals
+        self._protection = protection
         self._lifecycle = lifecycle
         self._stop_text = stop_text
         self._trials = 0
@@ -204,6 +207,11 @@ class RequestHandler:
             lifecycle.refuse(effects, request, Refusal.DUPLICATE_ID, text)
             return
         state = lifecycle.state_machine.state
+        ended = [text for text in self._protection.findings if text in request.findings]
+        if ended and lifecycle.is_running:
+            text = "it runs; stop it before a finding of the assumption monitor is ended"
+            lifecycle.refuse(effects, request, Refusal.BUSY, text)
+            return
         named = [latch_id for latch_id in request.ids if latch_id in lifecycle.latches.held]
         if named:
             lifecycle.latches.clear(named)
@@ -213,15 +221,27 @@ class RequestHandler:
             if named:
                 lifecycle.raise_revision(f"{request.operator} (reset)")
             lifecycle.refuse(effects, request, Refusal.ESTOPPED, text)
+        elif ended and state is State.IDLE:
+            lifecycle.raise_revision(f"{request.operator} (reset)")
+            self._end_findings(ended, request, effects)
+            lifecycle.applied(effects, request, f"idle: {len(ended)} findings ended")
         elif state in (State.RUNNING, State.IDLE):
             lifecycle.goals.bar(effects.now)
             lifecycle.applied(effects, request, f"{state}: nothing to reset")
         else:
             lifecycle.raise_revision(f"{request.operator} (reset)")
+            self._end_findings(ended, request, effects)
             detail = request.reason or f"by {request.operator}"
             lifecycle.end(Trigger.RESET, Reason.RESET, detail, effects)
             lifecycle.applied(effects, request, "idle")
             self._stood = self._stopped = self.reset_at = effects.now
+
+    def _end_findings(self, ended: list[str], request: ResetRequest, effects: Effects) -> None:
+        """End findings of the assumption monitor, with an event for each."""
+        self._protection.forget_findings(ended)
+        by = f"{request.operator} ({request.reason})" if request.reason else request.operator
+        for text in ended:
+            self._lifecycle.log(f"ended by {by}: {text}", effects.now)
 
     def _set_params(self, request: ParamRequest, effects: Effects) -> None:
         lifecycle, run = self._lifecycle, self._lifecycle.pattern_run

@@ -86,7 +86,9 @@ class Robot:
         self._events = EventLimit(self._lifecycle.log)
         self._machine, self._run = self._lifecycle.state_machine, self._lifecycle.pattern_run
         self._goals = GoalHandler(self._lifecycle)
-        self._requests = RequestHandler(id, self._lifecycle, self._goals, self._stop_text)
+        self._requests = RequestHandler(
+            id, self._lifecycle, self._goals, self._protection, self._stop_text
+        )
         self._duty = DutyCycle()
         self._published: tuple[object, ...] = ()
         self._published_at = -math.inf
@@ -378,7 +380,8 @@ class Robot:
 
     def status(self, now: float) -> Status:
         """The status at `now`."""
-        return make_status(self._lifecycle, self._sensors, self.decision, self._duty, now)
+        findings = self._protection.findings
+        return make_status(self._lifecycle, self._sensors, self.decision, self._duty, now, findings)
 
     def motion(self, now: float) -> Motion | None:
         """How it moves, for viewers; None before the first odometry."""
@@ -415,7 +418,9 @@ class Robot:
         return effects
 
     def _settle(self, effects: Effects) -> Actions:
-        now, lifecycle = effects.now, self._lifecycle
+        now, lifecycle, run = effects.now, self._lifecycle, self._run
+        permit = NO_PERMIT if run.running is None else run.running.permit
+        self._sensors.permitted_delay = permit.scan_delay
         hold = self._sensors.hold(now)
         if hold is not None or now >= self._due_at or not effects.is_routine:
             self._requests.advance(effects)
@@ -423,7 +428,7 @@ class Robot:
             self._is_status_due, self._due_at = True, -math.inf
         self._quiet_until, self._hold = -math.inf, hold
         decision = self.decision = self._decide(hold, now)
-        run, machine = self._run, self._machine
+        machine = self._machine
         if run.restart_at is not None:
             self._restart(effects)
         if effects.host is None and machine.state is State.RUNNING:

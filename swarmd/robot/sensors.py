@@ -57,11 +57,13 @@ class Sensors:
         tells_pose: bool = False,
     ) -> None:
         self._stale_after = platform.scan.stale_after
+        self._max_delay = platform.scan.max_scan_delay
         self._needs_odometry = "odometry" in platform.provides
         # Mode barrier has a better memory of its own for its blind zone.
         guesses_near = platform.protection.get("mode") != "barrier"
         self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
         self.scan_delay = ScanDelay(platform.scan)
+        self.permitted_delay = 0.0  # s of late scans with which the running pattern goes on
         self._deskewer = Deskewer(platform.scan)
         self._scan_at: float | None = None
         self._problem: Reason | None = None
@@ -253,9 +255,11 @@ class Sensors:
         age = self.scan_age(now)
         if age is None:
             return self._problem or Reason.NO_SCAN
-        if self.scan_delay.is_late and age <= self._stale_after:
+        delay = self.scan_delay
+        is_late = delay.is_late and delay.added > self.permitted_delay
+        if is_late and age <= self._stale_after:
             return Reason.LATE_SCAN
-        if age + self.scan_delay.added > self._stale_after:
+        if age > self._longest_age():
             return self._problem or Reason.STALE_SCAN
         if self._needs_odometry and (
             self._odometry_at is None or now - self._odometry_at > ODOMETRY_TIMEOUT
@@ -275,7 +279,17 @@ class Sensors:
         """The time at which the present scan becomes too old; None before the first."""
         if self._scan_at is None:
             return None
-        return self._scan_at + self._stale_after - self.scan_delay.added
+        return self._scan_at + self._longest_age()
+
+    def _longest_age(self) -> float:
+        """The age in s beyond which a scan is stale: age and delay count together.
+
+        A permitted delay beyond the platform's bound takes nothing more of it.
+        """
+        added = self.scan_delay.added
+        if added <= self.permitted_delay:
+            added = min(added, self._max_delay)
+        return self._stale_after - added
 
     def inputs(self, now: float, dt: float) -> Inputs:
         """The inputs of one step; a message, like the mark of a new scan, is in one step only."""

@@ -40,7 +40,12 @@ class DutyCycle:
 
 
 def make_status(
-    lifecycle: Lifecycle, sensors: Sensors, decision: Decision, duty: DutyCycle, now: float
+    lifecycle: Lifecycle,
+    sensors: Sensors,
+    decision: Decision,
+    duty: DutyCycle,
+    now: float,
+    findings: tuple[str, ...],
 ) -> Status:
     """The status at `now`; the daemon adds the health of its own loop."""
     identity, settings = lifecycle.identity, lifecycle.identity.settings
@@ -90,6 +95,7 @@ def make_status(
         body=sensors.peers.own,
         peers=sensors.peers.findings(now)[:MAX_PEERS],
         passage=identity.passage,
+        findings=findings,
         neighbors=tuple(one.id for one in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
     )

@@ -141,7 +141,19 @@ def read_only(scan: Scan) -> Scan:
     """A copy whose arrays raise ValueError when they are written to."""
     ranges, bearings = scan.ranges.copy(), scan.bearings.copy()
     ranges.flags.writeable = bearings.flags.writeable = False
-    return Scan(scan.seq, scan.stamp, ranges, bearings, scan.range_min, scan.range_max)
+    ages = None if scan.ages is None else scan.ages.copy()
+    if ages is not None:
+        ages.flags.writeable = False
+    return Scan(
+        scan.seq,
+        scan.stamp,
+        ranges,
+        bearings,
+        scan.range_min,
+        scan.range_max,
+        ages,
+        scan.newest_age,
+    )
 
 
 def _to_wall(half: float, start: float, direction: Array) -> Array:

@@ -125,6 +125,7 @@ def _protection(status: Status) -> list[tuple[str, str]]:
         ("scan age", NOTHING if age is None else seconds(age)),
         ("passes", NOTHING if status.passage is None else passage_text(status.passage)),
         *_scan_delay(status.scan_delay),
+        *zip(("slowed by", *[""] * len(status.findings)), status.findings, strict=False),
         ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
     ]
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from swarmd.calibration.figures import DONE, NAMES, REFUSED, Figure
-from swarmd.calibration.report import figures_of
+from swarmd.calibration.report import figures_of, settings
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Platform
 from swarmd.settings.settings import load_platform
@@ -34,6 +34,7 @@ def simulated(
     body: dict[str, float] | None = None,
     limits: dict[str, float] | None = None,
     events: Sequence[dict[str, Any]] = (),
+    floor: float | None = None,
     seed: int = 3,
 ) -> Lockstep:
     """One robot in the middle, which calibrates itself from 0.1 s on.
@@ -41,6 +42,9 @@ def simulated(
     Its daemon has the platform's own file, and its base other values of `body` and `limits`.
     """
     file = load_platform(platform)
+    begin = {"at": 0.1, "run": "calibration"}
+    if floor is not None:
+        begin["parameters"] = {"floor": floor}
     scenario = scenario_of(
         {
             "duration": 300.0,
@@ -48,7 +52,7 @@ def simulated(
             "arena": arena,
             "groups": {"all": {"platform": platform, "robots": ["r"]}},
             "start": {"layout": "row"},
-            "events": [{"at": 0.0, "join": "r"}, {"at": 0.1, "run": "calibration"}, *events],
+            "events": [{"at": 0.0, "join": "r"}, begin, *events],
         }
     )
     base: Platform = replace(file, body={**file.body, **(body or {})})
@@ -158,6 +162,34 @@ def test_nothing_moves_unless_the_floor_is_free(
     report = calibrated(sim)
     assert report["state"] == REFUSED
     assert word in report["why"]
+    assert np.array_equal(sim.world.poses(), start)
+
+
+LATE = {"preset": "realistic", "lidar": {"bias": 0.0, "delay": 0.23}}
+
+
+@pytest.mark.parametrize(("platform", "floor"), [("jackal", 5.0), ("burger", 2.3)])
+def test_scans_that_come_late_are_measured(platform: str, floor: float) -> None:
+    """Also those of a Jackal, which are too late for every other pattern."""
+    room = {
+        "size": [floor + 1.0, floor + 0.8],
+        "boxes": [{"name": "crate", "at": [0.5 * floor + 0.3, 0.4 * floor], "size": [0.3, 0.3]}],
+    }
+    figures = found(simulated(platform, LATE, room, floor=floor))
+    given = 0.23 + load_platform(platform).scan.latency
+    assert figures["scan_delay"].value == pytest.approx(given, rel=0.1)
+    (latency,) = [one for one in settings(figures, (1.0, 1.0)) if one.key == "scan.latency"]
+    assert latency.is_safe
+    assert latency.value == pytest.approx(given, rel=0.1)
+    assert figures["braking_linear"].value == pytest.approx(1.0, rel=0.05)
+
+
+def test_late_scans_need_a_larger_floor() -> None:
+    sim = simulated("jackal", LATE, {"size": [6.0, 6.0]}, floor=4.6)
+    start = sim.world.poses()
+    report = calibrated(sim)
+    assert report["state"] == REFUSED
+    assert "5 m needed" in report["why"]
     assert np.array_equal(sim.world.poses(), start)
 
 

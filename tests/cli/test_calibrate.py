@@ -9,16 +9,23 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from swarmd.calibration.figures import Figure
+from swarmd.cli.calibrate import _end_findings
 from swarmd.core.messages import State, Status
 from swarmd.network.operator import Operator
+from swarmd.network.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from swarmd.sim.live.fleet import Fleet, FleetSpec
+from swarmd.sim.live.live_scenario import LiveScenario
 from swarmd.sim.live.starting import statuses_of
+from swarmd.sim.scenarios.scenariofile import scenario_of
 from tests.support.processes import unique_swarm, wait_until
+from tests.support.statuses import status as make_status
 
 pytestmark = pytest.mark.integration
 ROBOT = "r01"
@@ -39,6 +46,42 @@ def swarm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         assert fleet
         wait_until(lambda: scans(name), "the robot scans", 60.0)
         yield name
+
+
+@pytest.fixture
+def late_swarm(tmp_path: Path) -> Iterator[str]:
+    """A Jackal whose scans come 0.23 s late, in a room of 6 x 5.8 m."""
+    scenario = scenario_of(
+        {
+            "duration": 600.0,
+            "realism": {"preset": "realistic", "lidar": {"bias": 0.0, "delay": 0.23}},
+            "arena": {
+                "size": [6.0, 5.8],
+                "boxes": [{"name": "crate", "at": [2.8, 2.0], "size": [0.3, 0.3]}],
+            },
+            "groups": {"all": {"platform": "jackal", "robots": [ROBOT]}},
+            "start": {"layout": "row"},
+            "events": [],
+        }
+    )
+    name = unique_swarm()
+    spec = FleetSpec(
+        swarm=name,
+        robots={ROBOT: "jackal"},
+        folder=tmp_path,
+        arena="",
+        layout="",
+        scenario=LiveScenario(scenario),
+    )
+    with Fleet(spec) as fleet:
+        assert fleet
+        wait_until(lambda: is_late(name), "the robot measures that its scans are late", 60.0)
+        yield name
+
+
+def is_late(swarm: str) -> bool:
+    found = status(swarm)
+    return found is not None and found.scan_delay is not None and found.scan_delay.added > 0.2
 
 
 def status(swarm: str) -> Status | None:
@@ -103,7 +146,7 @@ def test_an_interrupt_stops_the_robot(swarm: str) -> None:
 @pytest.mark.timeout(600)
 def test_a_calibration_finds_weak_brakes_and_writes_them(swarm: str, tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
-    options = ("--floor", "2", "--yes", "--repeats", "1", "-o", "json", "--write", str(file))
+    options = ("--floor", "2", "--yes", "--repeats", "2", "-o", "json", "--write", str(file))
     wanted = {
         "braking_linear": pytest.approx(0.6, rel=0.15),
         "braking_angular": pytest.approx(2.4, rel=0.15),
@@ -123,3 +166,61 @@ def test_a_calibration_finds_weak_brakes_and_writes_them(swarm: str, tmp_path: P
     barrier = load_platform(str(file)).protection["barrier"]
     assert barrier["braking_linear"] < 0.7
     assert barrier["braking_angular"] < 2.8
+    assert "keeps: braked at" in error  # the calibration confirms it
+    ctl = [str(Path(sys.executable).with_name("swarmctl")), "reset", ROBOT]
+    for words, kept in ([], True), (["--findings", "--reason", "a test"], False):
+        done = subprocess.run(
+            [*ctl, *words], capture_output=True, text=True, env={**os.environ, "SWARM": swarm}
+        )
+        assert done.returncode == 0
+        assert "braked at" in done.stderr
+        now = status(swarm)
+        assert now is not None
+        assert bool(now.findings) == kept
+    assert any("(a test): braked at" in event.text for event in now.events)
+
+
+FOUND = "braked at 0.60 +- 0.02 m/s2 in 3 stops, declared 1.00"
+CAME = "2 things came at 0.60 +- 0.02 m/s or faster, declared at most 0.30"
+
+
+class Resetting:
+    """An operator that only takes requests."""
+
+    def __init__(self) -> None:
+        self.asked: list[dict[str, Any]] = []
+
+    def request(self, kind: type, epochs: object, **fields: Any) -> Outcome:
+        self.asked.append({"kind": kind, "epochs": epochs, **fields})
+        return Outcome({}, missing=(ROBOT,))
+
+
+@pytest.mark.parametrize(("braking", "ends"), [(0.97, True), (0.86, False), (0.6, False)])
+def test_a_calibration_ends_findings_that_it_does_not_confirm(braking: float, ends: bool) -> None:
+    """It ends nothing that it cannot tell, such as the speed of others."""
+    found = make_status(ROBOT, findings=(FOUND, CAME))
+    operator = Resetting()
+    figure = Figure(braking, 0.02, 8, 1.0)
+    _end_findings(operator, ROBOT, found, {"braking_linear": figure.text})  # type: ignore[arg-type]  # all that it uses
+    assert [one["findings"] for one in operator.asked] == ([(FOUND,)] if ends else [])
+    assert all(one["epochs"] == {ROBOT: found.epoch} for one in operator.asked)
+
+
+@pytest.mark.timeout(600)
+def test_a_calibration_of_late_scans_writes_their_latency(late_swarm: str, tmp_path: Path) -> None:
+    """They are later than the robot permits to every other pattern."""
+    found = status(late_swarm)
+    assert found is not None
+    assert found.scan_delay is not None
+    assert found.scan_delay.added > found.scan_delay.bound
+    file = tmp_path / "mine.yaml"
+    options = ("--yes", "--repeats", "1", "--write", str(file))
+    for _ in range(3):  # as above
+        file.unlink(missing_ok=True)
+        process = calibrate(late_swarm, *options)
+        _, error = process.communicate(timeout=180.0)
+        assert process.returncode == 0, error
+        latency = load_platform(str(file)).scan.latency
+        if latency == pytest.approx(0.28, rel=0.1):
+            break
+    assert latency == pytest.approx(0.28, rel=0.1)

@@ -67,6 +67,12 @@ REFUSED = Reply(id="x", robot="r1", code=Code.REFUSED, refusal=Refusal.BUSY, tex
             "estop (cable) to 1 robot",
         ),
         (ResetRequest(id="a", operator="o", targets=TARGETS), "reset to 2 robots"),
+        (
+            ResetRequest(
+                id="a", operator="o", targets=ONE, findings=("braked at 0.6",), reason="new tyres"
+            ),
+            "reset of braked at 0.6 (new tyres) to 1 robot",
+        ),
         (ParamRequest(id="a", operator="o", targets=ONE, params={"k": 1}), "param k=1 to 1 robot"),
         (ReloadRequest(id="a", operator="o", targets=ONE, pattern="own"), "reload own to 1 robot"),
         (

@@ -103,7 +103,7 @@ def test_inputs_arrive_bit_by_bit() -> None:
     "event",
     [
         Loaded(1, 10.0, frozenset({"a"}), {"speed": (0.1, "robot"), "law": ("paper", "pattern")}),
-        Loaded(1, 10.0, frozenset(), {}, TouchZone(0.5, 0.3, 0.1), 1.5),
+        Loaded(1, 10.0, frozenset(), {}, TouchZone(0.5, 0.3, 0.1), 1.5, "fast", 0.5),
         LoadRefused(2, "no such pattern"),
         Stepped(3, Outputs(Twist(0.1, -0.2), {"a": 1}, {"state": "go"}, "done"), 9, 2),
         Stepped(3, Outputs(), -1),
@@ -126,6 +126,7 @@ def test_events_arrive(event: SentEvent) -> None:
         lambda bad: Loaded(1, 10.0, frozenset(), {}, TouchZone(bad, 0.3, 0.1)),
         lambda bad: Loaded(1, bad, frozenset(), {}),
         lambda bad: Loaded(1, 10.0, frozenset(), {}, took=bad),
+        lambda bad: Loaded(1, 10.0, frozenset(), {}, scan_delay=bad),
     ],
 )
 def test_a_number_out_of_bounds_is_refused(

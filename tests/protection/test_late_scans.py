@@ -4,18 +4,25 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
 
 from swarmd.core.messages import Reason
-from swarmd.core.values import Pose, Twist
+from swarmd.core.values import Platform, Pose, Twist
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import FilterRun, FilterSim, box, under_barrier
 
 NAMES = ("burger", "waffle_pi")
 NO_FAULT = 0.02  # m/s
 BEGIN = 5.0  # s, when the delay is known and the robot starts to drive
+
+
+def at_ten_hertz(name: str) -> Platform:
+    """The platform with a lidar as fast as that of a Jackal."""
+    platform = under_barrier(load_platform(name), unseen_extent=0.0)
+    return replace(platform, scan=replace(platform.scan, rate=10.0, latency=0.05, sweep=None))
 
 
 def met(name: str, late: Callable[[int], float], *, measures: bool = True) -> FilterRun:
@@ -36,6 +43,41 @@ def test_late_scans_lead_to_no_fault_once_the_delay_is_measured(name: str, late:
     run = met(name, lambda seq: late)
     assert run.touch is not None
     assert run.touch.speed <= NO_FAULT
+
+
+@pytest.mark.parametrize("late", [0.23, 0.35, 0.48])
+def test_later_scans_that_a_pattern_permits_lead_to_no_fault(late: float) -> None:
+    """Later than the bound of a Waffle Pi with a lidar of 10 Hz, which is 0.2 s."""
+    platform = at_ten_hertz("waffle_pi")
+    assert platform.scan.max_scan_delay < late
+    speed = platform.protection["barrier"]["others_speed"]
+    front = box(0.2, 3.0, Pose(2.0), velocity=(-speed, 0.0), begin=BEGIN)
+    sim = FilterSim(platform, [front], phase=0.07, noise=0.005, late=lambda seq: late)
+    sim.sensors.permitted_delay = 0.5
+    top = platform.limits.linear
+    run = sim.run(lambda time: Twist(top if time > BEGIN else 0.0), BEGIN + 8.0)
+    assert max(twist.linear for twist in run.twists) > 0.5 * top
+    assert run.touch is not None
+    assert run.touch.speed <= NO_FAULT
+
+
+@pytest.mark.parametrize(("permitted", "held"), [(0.0, True), (0.5, False), (0.3, True)])
+def test_permitted_delay_is_the_bound_of_a_hold(permitted: float, held: bool) -> None:
+    sim = FilterSim(at_ten_hertz("waffle_pi"), late=lambda seq: 0.35)
+    sim.sensors.permitted_delay = permitted
+    reasons = [decision.reason for _, decision in sim.run(Twist(0.1), 6.0).decisions]
+    assert (reasons[-1] is Reason.LATE_SCAN) == held
+    assert (reasons[-1] is None) != held
+
+
+def test_permitted_late_scans_become_stale_within_two_periods() -> None:
+    sim = FilterSim(at_ten_hertz("waffle_pi"), late=lambda seq: 0.35)
+    sim.sensors.permitted_delay = 0.5
+    sim.run(Twist(), 6.0)
+    sim.has_lidar = False
+    decisions = sim.run(Twist(0.1), 1.5).decisions
+    stale = next(time for time, decision in decisions if decision.reason is Reason.STALE_SCAN)
+    assert stale - 6.0 < 0.35 + 0.2 + 0.1  # the scans under way still arrive
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -57,6 +57,12 @@ class Team(CombinedPattern[Params]):
         return {"push": self.context.make("push")}
 
 
+class Patient(Forward):
+    """Goes on with late scans."""
+
+    scan_delay = 0.4
+
+
 class Greedy(Push):
     """Asks for all there is."""
 
@@ -68,6 +74,7 @@ PATTERNS: Mapping[str, type[Pattern[Any]]] = {
     "push": Push,
     "team": Team,
     "greedy": Greedy,
+    "patient": Patient,
 }
 
 
@@ -205,3 +212,18 @@ def test_parameter_recovery_overrides_the_default(pattern: str, value: str) -> N
     harness.advance(0.1)
     assert permit(harness).may_recover is (value == "true")
     assert harness.status.params["recovery"].source == "request"
+
+
+def test_a_pattern_may_go_on_with_late_scans() -> None:
+    harness = make_harness()
+    sensors = harness.robot._sensors
+    run_pattern(harness, "forward")
+    assert (permit(harness).scan_delay, sensors.permitted_delay) == (0.0, 0.0)
+    run_pattern(harness, "patient")
+    assert (permit(harness).scan_delay, sensors.permitted_delay) == (0.4, 0.4)
+    harness.ask("param", params={"recovery": False})
+    harness.advance(0.1)
+    assert permit(harness).scan_delay == 0.4
+    harness.ask("stop")
+    harness.advance(0.1)
+    assert sensors.permitted_delay == 0.0

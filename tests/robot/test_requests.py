@@ -541,3 +541,58 @@ def test_each_state_refuses_with_its_code() -> None:
     harness.carry_out(harness.robot.on_duplicate("instance b", harness.now))
     assert refusal("run", pattern="forward") is Refusal.FAULTED
     assert refusal("reset") is Refusal.DUPLICATE_ID
+
+
+FOUND = "braked at 0.60 +- 0.02 m/s2 in 3 stops, declared 1.00"
+
+
+def slowed() -> RobotHarness:
+    """An idle robot whose monitor has found weak brakes."""
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(1.0)
+    monitor = harness.robot._protection._monitor
+    assert monitor is not None
+    monitor._linear.braking, monitor._linear.evidence = 0.56, FOUND
+    monitor._reduce()
+    harness.advance(0.1)
+    assert (harness.status.findings, harness.status.decision.speed_share) == ((FOUND,), 0.56)
+    return harness
+
+
+def test_reset_ends_the_findings_that_it_names() -> None:
+    harness = slowed()
+    revision = harness.epoch.revision
+    harness.applied("reset", findings=(FOUND,), reason="new tyres", operator="alice")
+    assert harness.epoch.revision > revision
+    harness.advance(0.1)
+    assert (harness.status.findings, harness.status.decision.speed_share) == ((), 1.0)
+    assert f"ended by alice (new tyres): {FOUND}" in [one.text for one in harness.status.events]
+
+
+@pytest.mark.parametrize("findings", [(), ("braked at 0.70 +- 0.02 m/s2",)])
+def test_reset_leaves_findings_that_it_does_not_name(findings: tuple[str, ...]) -> None:
+    harness = slowed()
+    harness.ask("estop")
+    harness.applied("reset", ids=tuple(harness.status.latches), findings=findings)
+    harness.advance(0.1)
+    assert harness.status.state is State.IDLE
+    assert (harness.status.findings, harness.status.decision.speed_share) == ((FOUND,), 0.56)
+
+
+def test_reset_of_an_emergency_stop_ends_the_findings_that_it_names() -> None:
+    harness = slowed()
+    harness.ask("estop")
+    harness.refused("reset", findings=(FOUND,))
+    assert harness.status.findings == (FOUND,)
+    harness.applied("reset", ids=tuple(harness.status.latches), findings=(FOUND,))
+    assert (harness.status.state, harness.status.findings) == (State.IDLE, ())
+
+
+def test_findings_of_a_running_robot_are_not_ended() -> None:
+    harness = slowed()
+    harness.applied("run", pattern="forward")
+    refused = harness.refused("reset", findings=(FOUND,))
+    assert refused.refusal is Refusal.BUSY
+    harness.advance(0.1)
+    assert (harness.status.state, harness.status.findings) == (State.RUNNING, (FOUND,))
+    assert harness.status.decision.speed_share == 0.56

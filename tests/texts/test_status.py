@@ -125,3 +125,12 @@ def test_what_a_pattern_host_is_denied_and_what_not() -> None:
     open_host = Sandbox(denied=("network",), missing="files: no Landlock")
     assert "files: no Landlock" in sandbox_text(open_host)
     assert "denied:" not in sandbox_text(Sandbox(denied=("files",)))
+
+
+def test_findings_of_the_assumption_monitor_are_lines_of_protection() -> None:
+    found = ("braked at 0.60 +- 0.02 m/s2 in 3 stops, declared 1.00", "2 things came at 0.60 m/s")
+    member = make_member(findings=found)
+    assert member.status is not None
+    lines = dict(sections(member, member.status))["Protection"]
+    assert ("slowed by", found[0]) in lines
+    assert ("", found[1]) in lines
