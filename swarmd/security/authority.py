@@ -25,6 +25,7 @@ from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.keys import check_id
+from swarmd.security.content_signature import Purpose, sign
 from swarmd.security.datagram_keys import (
     SECRET_BYTES,
     DatagramKeys,
@@ -34,7 +35,7 @@ from swarmd.security.datagram_keys import (
     robot_secret,
 )
 from swarmd.security.identity import IdentityInfo, RosterFile, write_identity, write_private
-from swarmd.security.private_keys import load_key, pem_of, public_bytes, sign
+from swarmd.security.private_keys import load_key, pem_of, public_bytes
 from swarmd.security.roster import (
     Role,
     Roster,
@@ -149,7 +150,7 @@ class Authority:
         secret = os.urandom(SECRET_BYTES)
         roster = Roster(swarm=swarm, generation=1, secret_digest=digest_of(secret))
         content = encode_roster(roster)
-        signed = pack_roster(content, sign(key, content))
+        signed = pack_roster(content, sign(key, Purpose.ROSTER, content))
         state = AuthorityState(
             master=os.urandom(SECRET_BYTES), days=days, now=Generation(secret, signed)
         )
@@ -200,7 +201,7 @@ class Authority:
             secret_digest=digest_of(secret),
         )
         content = encode_roster(roster)
-        signed = pack_roster(content, sign(self._key, content))
+        signed = pack_roster(content, sign(self._key, Purpose.ROSTER, content))
         issued, state = dict(self._state.issued), self._state
         ended = {name: issued.pop(name).expires for name in remove if name in issued}
         revoked = {name: end for name, end in state.revoked.items() if name not in add} | ended

@@ -23,7 +23,7 @@ from swarmd.security.identity import (
     write_private,
     write_roster,
 )
-from swarmd.security.roster import MAX_ROSTER, Role, Roster, digest_of, read_roster
+from swarmd.security.roster import MAX_ROSTER, Role, Roster, digest_of, read_roster, same_bytes
 
 
 class SharedRoster(Struct, frozen=True, array_like=True):
@@ -68,17 +68,18 @@ def take_roster(identity: Identity, shared: SharedRoster, certificate: bytes = b
     certificate does not. It takes about 20 ms and writes to the disk.
     """
     roster = read_roster(shared.roster, identity.info.authority)
+    signed = same_bytes(shared.roster, identity.signed_roster)
     if roster.swarm != identity.info.swarm:
         raise CodecError(f"a roster of swarm {roster.swarm}, not of {identity.info.swarm}")
     own = identity.roster.generation
     if roster.generation < own:
         raise CodecError(f"a roster of generation {roster.generation}; it has generation {own}")
-    if roster.generation == own and shared.roster != identity.signed_roster:
+    if roster.generation == own and signed != identity.signed_roster:
         raise CodecError(f"another roster of generation {own}: its authority was an older copy")
     is_newer = roster.generation > own
     keys = _keys_of(identity, roster, shared) if is_newer else identity.datagram_keys
     words, fault, is_renewed = [f"generation {roster.generation} of the roster"], "", False
-    taken = replace(identity, roster=roster, datagram_keys=keys, signed_roster=shared.roster)
+    taken = replace(identity, roster=roster, datagram_keys=keys, signed_roster=signed)
     if certificate and certificate != identity.certificate.read_bytes():
         try:
             renewed = take_certificate(identity, certificate)
@@ -89,8 +90,8 @@ def take_roster(identity: Identity, shared: SharedRoster, certificate: bytes = b
         except OSError as error:
             fault = f"the new certificate cannot be written: {error.strerror}"
     try:
-        if load_identity(identity.folder).signed_roster != shared.roster:
-            write_roster(identity.folder, RosterFile(shared.roster, keys))
+        if load_identity(identity.folder).signed_roster != signed:
+            write_roster(identity.folder, RosterFile(signed, keys))
     except OSError as error:
         fault = f"in memory only: {error.strerror}"
     if is_revoked(taken):

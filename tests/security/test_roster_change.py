@@ -19,7 +19,7 @@ from swarmd.security.roster_change import (
     share_roster,
     take_roster,
 )
-from tests.support.keys import SwarmKeys
+from tests.support.keys import SwarmKeys, flipped
 
 
 @pytest.fixture
@@ -58,6 +58,30 @@ def test_another_roster_of_the_same_generation_is_refused(keys: SwarmKeys, tmp_p
     older.change(add={"r4": Role.ROBOT})
     with pytest.raises(CodecError, match="older copy"):
         take_roster(taken, shared_of(older))
+
+
+def test_a_roster_with_another_signature_or_encoding_keeps_no_real_one_out(
+    keys: SwarmKeys,
+) -> None:
+    """Whoever has the roster can make these without the key of the authority."""
+    keys.authority.change(add={"r3": Role.ROBOT})
+    real, before = shared_of(keys.authority), keys["r1"]
+    content, signature = msgspec.msgpack.decode(real.roster)
+    other_s = SharedRoster(msgspec.msgpack.encode((content, flipped(signature))), real.secret)
+    with pytest.raises(CodecError):
+        take_roster(before, other_s)
+    assert keys["r1"] == before
+    longer = b"\xdc\x00\x02" + real.roster[1:]  # array 16 in place of fixarray
+    more = msgspec.msgpack.encode((content, signature, "more"))
+    for encoding in (longer, more):
+        assert encoding != real.roster
+        first = take_roster(before, SharedRoster(encoding, real.secret)).identity
+        assert first.signed_roster == real.roster
+        assert not take_roster(first, real).is_changed
+        assert not take_roster(first, SharedRoster(encoding, real.secret)).is_changed
+        issued = keys.authority.issue("r1", days=200)  # the real renewal of that generation
+        assert take_roster(first, real, issued.certificate).is_changed
+        assert keys["r1"].signed_roster == real.roster
 
 
 def test_foreign_and_damaged_rosters_are_refused(keys: SwarmKeys, tmp_path: Path) -> None:
