@@ -7,12 +7,15 @@ from __future__ import annotations
 
 import contextlib
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core.goal import Goal, encode_goal
 from swarmd.core.messages import Presence, RunRequest, State
 from swarmd.network.datagram import (
     Ack,
@@ -20,15 +23,19 @@ from swarmd.network.datagram import (
     Beacon,
     Datagram,
     Flag,
+    GoalReport,
     RunLease,
     Solicit,
     Stop,
     pack,
+    unpack,
 )
+from swarmd.network.next_goal import sign_goal
 from swarmd.network.signature import Signer
 from swarmd.network.udp import GROUP4, GROUP_PORT
 from swarmd.security.datagram_keys import reader_keys
 from swarmd.security.roster import Role
+from tests.support.keys import flipped
 from tests.support.processes import wait_until
 from tests.swarm.test_datagram_attacks import SecuredSwarm, _dropped
 
@@ -61,6 +68,68 @@ class Thief:
             if isinstance(body, Beacon) and body.robot == robot
         ]
         return found[-1]
+
+
+class GoalThief(Thief):
+    """The robot `r3` in the thief's hands: a member of the swarm that holds `goal`.
+
+    `handed`: how often it has handed the goal to each address that asked for it.
+    """
+
+    def __init__(self, swarm: SecuredSwarm, goal: Goal) -> None:
+        super().__init__(swarm)
+        self._goal = goal
+        self._sequence = 0
+        self.handed: Counter[Address] = Counter()
+
+    @contextlib.contextmanager
+    def at_work(self) -> Iterator[None]:
+        """Meanwhile it shows the goal to all, and answers what robots ask."""
+        mouth = self.swarm.stranger.mouth
+        mouth.settimeout(0.1)
+        ended = threading.Event()
+
+        def work() -> None:
+            while not ended.is_set():
+                self.send(self._shown())
+                with contextlib.suppress(TimeoutError):
+                    while True:
+                        self._answer(*mouth.recvfrom(2000))
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+    def _shown(self, echo: int = 0) -> Beacon:
+        """A beacon with a digest that no robot has, so that each asks for the goal."""
+        self._sequence += 1
+        digest = self._goal.generation.to_bytes(4, "big") + b"xx"
+        return replace(
+            self.beacon("r1"),
+            robot="r3",
+            instance=b"thief3",
+            sequence=self._sequence,
+            state=0,
+            goal=digest,
+            echo=echo,
+        )
+
+    def _answer(self, payload: bytes, source: Address) -> None:
+        body = unpack(self.swarm.tag, payload)
+        if not isinstance(body, Solicit) or body.robot not in (None, "r3"):
+            return
+        self.send(self._shown(body.echo), to=source)
+        if body.wants_goal:
+            content = encode_goal(self._goal)
+            report = GoalReport(
+                robot="r3", instance=b"thief3", echo=body.echo, goal=content, age=1000
+            )
+            self.send(report, to=source)
+            self.handed[source] += 1
 
 
 @contextlib.contextmanager
@@ -174,6 +243,34 @@ def test_no_ack_of_another_robot_counts(swarm: SecuredSwarm, thief: Thief) -> No
     assert "r1" in outcome.replies
     assert "r2" not in outcome.replies
     assert outcome.exit_code != 0
+
+
+@pytest.mark.parametrize("forge", [flipped, bytes], ids=["flipped", "as it was"])
+def test_an_old_goal_starts_no_robot_after_an_estop_and_a_reset(
+    forge: Callable[[bytes], bytes], swarm: SecuredSwarm, thief: Thief
+) -> None:
+    """As it was signed, or with the other signature of the same content."""
+    robots, identity = ["r1", "r2"], swarm.keys["anna"]
+    drive: dict[str, Any] = {"pattern": "drive", "on_join": "run", "valid": 600.0}
+    goal = sign_goal(Goal(generation=7, issuer="anna", id="old", **drive), identity)
+
+    def runs() -> bool:
+        view = swarm.anna.members()
+        done = swarm.anna.request(RunRequest, view.epochs(robots), pattern="drive", goal=goal)
+        return done.exit_code == 0
+
+    wait_until(runs, "both run")
+    assert swarm.anna.send_stop("estop", select=lambda names: robots).exit_code == 0
+    for robot in robots:
+        swarm.reset(robot)
+    stolen = GoalThief(swarm, replace(goal, signature=forge(goal.signature)))
+    with stolen.at_work():
+        wait_until(
+            lambda: len(stolen.handed) == 2 and min(stolen.handed.values()) > 2,
+            "both have taken the goal",
+        )
+        states = {robot: swarm.status(robot).state for robot in robots}
+    assert states == dict.fromkeys(robots, State.IDLE)
 
 
 def test_questions_of_a_stolen_robot_are_answered(swarm: SecuredSwarm, thief: Thief) -> None:
