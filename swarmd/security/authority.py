@@ -30,6 +30,7 @@ from swarmd.security.datagram_keys import (
     SECRET_BYTES,
     DatagramKeys,
     derive,
+    reader_digest,
     reader_keys,
     robot_keys,
     robot_secret,
@@ -189,16 +190,23 @@ class Authority:
         kept = {name: old.role_of(name) for name in old.names if name not in remove} | add
         operators = [name for name, role in kept.items() if role is Role.OPERATOR]
         secret = os.urandom(SECRET_BYTES)
+        generation = old.generation + 1
+        viewers = tuple(name for name, role in kept.items() if role is Role.VIEWER)
+        readers = {
+            name: reader_keys(generation, secret, name, is_operator=name in operators, answers={})
+            for name in (*operators, *viewers)
+        }
         roster = Roster(
             swarm=old.swarm,
-            generation=old.generation + 1,
+            generation=generation,
             robots=tuple(name for name, role in kept.items() if role is Role.ROBOT),
             operators={
                 name: old.operators.get(name) or public_bytes(self._key_of(name).public_key())
                 for name in operators
             },
-            viewers=tuple(name for name, role in kept.items() if role is Role.VIEWER),
+            viewers=viewers,
             secret_digest=digest_of(secret),
+            readers={name: reader_digest(keys) for name, keys in readers.items()},
         )
         content = encode_roster(roster)
         signed = pack_roster(content, sign(self._key, Purpose.ROSTER, content))

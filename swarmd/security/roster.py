@@ -23,6 +23,7 @@ MAX_ROSTER = 256 * 1024
 Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 PublicKey = Annotated[bytes, Meta(min_length=PUBLIC_KEY_BYTES, max_length=PUBLIC_KEY_BYTES)]
 """A point of P-256: `x || y`, big endian."""
+Sha256 = Annotated[bytes, Meta(min_length=32, max_length=32)]
 Signature = Annotated[bytes, Meta(max_length=SIGNATURE_BYTES)]
 
 
@@ -37,7 +38,9 @@ class Role(StrEnum):
 class Roster(Struct, frozen=True, kw_only=True):
     """The names of a swarm. `operators`: with the public keys that sign goals and behaviours.
 
-    `secret_digest`: SHA-256 of the secret from which the keys of datagrams derive.
+    `secret_digest`: SHA-256 of the secret from which the keys of datagrams derive. `readers`:
+    `reader_digest` of the keys of each operator and viewer, so that a robot which hands them over
+    cannot change them.
     """
 
     swarm: Id
@@ -45,7 +48,8 @@ class Roster(Struct, frozen=True, kw_only=True):
     robots: Annotated[tuple[Id, ...], Meta(max_length=MAX_NAMES)] = ()
     operators: Annotated[dict[Id, PublicKey], Meta(max_length=MAX_NAMES)] = {}
     viewers: Annotated[tuple[Id, ...], Meta(max_length=MAX_NAMES)] = ()
-    secret_digest: Annotated[bytes, Meta(min_length=32, max_length=32)]
+    secret_digest: Sha256
+    readers: Annotated[dict[Id, Sha256], Meta(max_length=2 * MAX_NAMES)] = {}
 
     @property
     def names(self) -> tuple[str, ...]:

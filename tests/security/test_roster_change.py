@@ -10,6 +10,7 @@ import pytest
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.security.authority import Authority
+from swarmd.security.datagram_keys import KEY_BYTES
 from swarmd.security.identity import Identity, load_identity
 from swarmd.security.roster import Role
 from swarmd.security.roster_change import (
@@ -17,6 +18,7 @@ from swarmd.security.roster_change import (
     is_revoked,
     read_shared,
     share_roster,
+    take_answers,
     take_roster,
 )
 from tests.support.keys import SwarmKeys, flipped
@@ -135,6 +137,52 @@ def test_peers_hand_the_roster_on_by_role(keys: SwarmKeys) -> None:
     for end in range(len(blob)):
         with pytest.raises(CodecError):
             read_shared(blob[:end])
+
+
+def test_a_reader_takes_the_key_with_a_robot_from_that_robot_alone(keys: SwarmKeys) -> None:
+    authority = keys.authority
+    authority.change(add={"r3": Role.ROBOT, "r4": Role.ROBOT})
+    true, before = authority.keys_of("alice"), keys["alice"].datagram_keys.answers
+    false = dict.fromkeys(("r1", "r2", "r3", "r4", "ghost"), b"f" * KEY_BYTES)
+    handed = SharedRoster(
+        authority.signed_roster, keys=msgspec.structs.replace(true, secret=b"s", answers=false)
+    )
+    taken = take_roster(keys["alice"], handed, giver="r3").identity
+    assert taken.datagram_keys.answers == {**before, "r3": false["r3"]}
+    assert taken.datagram_keys.secret == b""
+    assert keys["alice"] == taken
+    taken = take_answers(taken, {"r4": true.answers["r4"], "ghost": b"f" * KEY_BYTES, "r2": b""})
+    assert taken.datagram_keys.answers.keys() == {"r1", "r3", "r4"}
+    again = take_answers(keys["alice"], {"r2": true.answers["r2"]})
+    assert keys["alice"] == again
+
+    authority.change(remove=["r3"])  # what it has handed over goes with it
+    handed = SharedRoster(authority.signed_roster, keys=authority.keys_of("alice"))
+    after = take_roster(keys["alice"], handed, giver="r3").identity
+    whole = authority.keys_of("alice")
+    assert after.datagram_keys == whole
+    assert keys["alice"].datagram_keys == whole
+
+
+@pytest.mark.parametrize("field", ["own", "operators", "viewers"])
+def test_a_reader_takes_no_changed_keys_of_its_own(field: str, keys: SwarmKeys) -> None:
+    """A robot hands them over; the roster shows which they are."""
+    keys.authority.change(add={"r3": Role.ROBOT})
+    before, true = keys["alice"], keys.authority.keys_of("alice")
+    for wrong in (b"", b"f" * KEY_BYTES):
+        changed = msgspec.structs.replace(true, **{field: wrong})
+        with pytest.raises(CodecError):
+            take_roster(before, SharedRoster(keys.authority.signed_roster, keys=changed))
+    assert keys["alice"] == before
+
+
+def test_keys_of_another_roster_are_not_written_over_a_newer_one(keys: SwarmKeys) -> None:
+    old = keys["alice"]
+    keys.authority.change(remove=["r2"])
+    handed = SharedRoster(keys.authority.signed_roster, keys=keys.authority.keys_of("alice"))
+    newer = take_roster(old, handed).identity
+    assert take_answers(old, {"r2": b"f" * KEY_BYTES}).datagram_keys.answers["r2"] == b"f" * 16
+    assert keys["alice"] == newer
 
 
 def test_a_reader_takes_no_keys_without_their_generation(keys: SwarmKeys) -> None:
