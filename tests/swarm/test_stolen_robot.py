@@ -20,7 +20,7 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.goal import Goal, encode_goal
-from swarmd.core.keys import ANY, SHARED, build
+from swarmd.core.keys import ANY, SHARED, build, parse
 from swarmd.core.messages import Presence, RunRequest, State
 from swarmd.network.datagram import (
     Ack,
@@ -38,7 +38,7 @@ from swarmd.network.datagram import (
 from swarmd.network.next_goal import sign_goal
 from swarmd.network.outcome import Outcome
 from swarmd.network.pull import _answer
-from swarmd.network.session import open_session
+from swarmd.network.session import open_with, session_options
 from swarmd.network.signature import Author, Signer
 from swarmd.network.udp import GROUP4, GROUP_PORT
 from swarmd.security.datagram_keys import KEY_BYTES, reader_keys
@@ -163,15 +163,20 @@ class KeyThief:
         self._mouth = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         left.callback(self._mouth.close)
         self._mouth.bind(("127.0.0.1", int(endpoint.rpartition(":")[2])))
-        session = open_session(replace(swarm.settings, listen=(endpoint,)), identity)
+        options = session_options(replace(swarm.settings, listen=(endpoint,)), identity)
+        del options["access_control"]  # it answers on the keys of other robots as well
+        session = open_with(options, "a thief")
         left.callback(session.close)
-        key = build(swarm.name, "r3", SHARED, "roster", ANY)
-        session.declare_queryable(key, self._hand_over)
+        session.declare_queryable(build(swarm.name, ANY, SHARED, "roster", ANY), self._hand_over)
+        self.asked: set[str] = set()
         self._seen = 0
         self.acked = 0
 
     def _hand_over(self, query: zenoh.Query) -> None:
         assert query.payload is not None
+        key = parse(str(query.key_expr))
+        assert key is not None
+        self.asked.add(key.robot)
         asked = query.payload.to_bytes()
         query.reply(query.key_expr, _answer(lambda name, asker: self._blob, asked, "anna"))
 
@@ -385,6 +390,7 @@ def test_no_ack_counts_by_keys_that_a_stolen_robot_handed_over(tmp_path: Path) -
             outcome = estop(has_acked())
             assert set(outcome.replies) <= {"r3"}
             assert {"r1", "r2", "r4", "r5"} <= set(outcome.missing)
+            assert thief.asked == {"r3", "r5"}  # r5 at the address of the thief
 
             authority.change(remove=["r3"])
             authority.issue("r1").write(swarm.keys.folder_of("r1"))
