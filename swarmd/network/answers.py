@@ -26,7 +26,8 @@ from swarmd.network.liveness import Liveness
 from swarmd.network.signature import Flaw, Trust, generation_of
 from swarmd.security.identity import Identity
 
-HINT_PERIOD = 5.0  # s between two hints
+HINT_PERIOD = 5.0  # s between two hints; of missing keys, for each robot and source
+MAX_LACKED = 4096
 
 
 class Answers:
@@ -50,7 +51,7 @@ class Answers:
         self._on_newer_roster = on_newer_roster
         self._on_lacking = on_lacking
         self._hint_at = -1e9
-        self._lacked_at: dict[str, float] = {}  # when the last hint of a missing key was given
+        self._lacked_at: dict[tuple[str, Address], float] = {}  # the last hints of missing keys
         # Its own questions are numbered by the operator, which notes them.
         self.liveness = Liveness(lease, lambda: 0)
         self.unproven: dict[str, Address] = {}
@@ -115,8 +116,11 @@ class Answers:
             return True
         if source is not None:
             self.unproven[robot] = source
-            if now - self._lacked_at.get(robot, -1e9) >= HINT_PERIOD:
-                self._lacked_at[robot] = now
+            if now - self._lacked_at.get((robot, source), -1e9) >= HINT_PERIOD:
+                self._lacked_at.pop((robot, source), None)
+                self._lacked_at[robot, source] = now
+                if len(self._lacked_at) > MAX_LACKED:
+                    del self._lacked_at[next(iter(self._lacked_at))]
                 self._on_lacking(robot, source)
         return False
 

@@ -13,6 +13,7 @@ from swarmd.network.datagram import Address
 from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity
 
+MAX_LACKING = 2048
 CLOSING = "swarmd-closing"
 """The name of the threads that close sessions or take rosters: Python must not end before them."""
 
@@ -38,7 +39,7 @@ class RosterFollower:
         self._is_on = is_on
         self._updating: threading.Thread | None = None
         self.shown: tuple[str, Address, int] | None = None
-        self._lacking: dict[str, Address] = {}
+        self._lacking: set[tuple[str, Address]] = set()
         self.notices: list[str] = []
 
     def on_shown(self, robot: str, address: Address, generation: int) -> None:
@@ -47,7 +48,8 @@ class RosterFollower:
 
     def on_lacking(self, robot: str, address: Address) -> None:
         """A robot was heard whose key is missing."""
-        self._lacking[robot] = address
+        if len(self._lacking) < MAX_LACKING:
+            self._lacking.add((robot, address))
 
     def update(self) -> None:
         """Take the roster that was shown and missing keys, if any; waits.
@@ -75,10 +77,9 @@ class RosterFollower:
 
     def _take(self) -> None:
         shown, self.shown = self.shown, None
-        lacking = {}
+        lacking = set()
         while self._lacking:  # the carrier's thread may add to it
-            robot, address = self._lacking.popitem()
-            lacking[robot] = address
+            lacking.add(self._lacking.pop())
         identity, settings = self._operator.identity, self._operator.settings
         if not (shown or lacking) or identity is None or not self._is_on:
             return

@@ -8,7 +8,8 @@ name, since `access.py` lets a robot answer on its own keys alone.
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Mapping
+from collections.abc import Iterable
+from contextlib import suppress
 
 from swarmd.core.errors import CodecError, ConfigError, NetworkError
 from swarmd.network.datagram import Address
@@ -20,6 +21,7 @@ from swarmd.security.roster_change import read_shared, take_answers, take_roster
 
 PULL_TIMEOUT = 5.0  # s
 MAX_PULLS = 8  # at a time
+KEYS_TIMEOUT = 10.0  # s for the keys of all robots
 
 
 def pulled_roster(
@@ -56,21 +58,26 @@ def pulled_roster(
 
 
 def pulled_keys(
-    settings: NetworkSettings, identity: Identity, robots: Mapping[str, Address]
+    settings: NetworkSettings, identity: Identity, robots: Iterable[tuple[str, Address]]
 ) -> Identity | None:
-    """The identity with the keys that these robots hand over, each its own; None without any."""
+    """The identity with the keys that these robots hand over, each its own; None without any.
+
+    `robots`: with the addresses at which they were heard, of which some may be false.
+    """
     found = asyncio.run(_pull_keys(settings, identity, robots))
     return take_answers(identity, found) if found else None
 
 
 async def _pull_keys(
-    settings: NetworkSettings, identity: Identity, robots: Mapping[str, Address]
+    settings: NetworkSettings, identity: Identity, robots: Iterable[tuple[str, Address]]
 ) -> dict[str, bytes]:
     found: dict[str, bytes] = {}
     places = asyncio.Semaphore(MAX_PULLS)
 
     async def ask(robot: str, address: Address) -> None:
         async with places:
+            if robot in found:
+                return
             try:
                 shared = read_shared(
                     await pull(
@@ -89,7 +96,8 @@ async def _pull_keys(
         if key is not None and len(key) == KEY_BYTES:
             found[robot] = key
 
-    async with asyncio.TaskGroup() as group:
-        for robot, address in robots.items():
-            group.create_task(ask(robot, address))
+    with suppress(TimeoutError):
+        async with asyncio.timeout(KEYS_TIMEOUT), asyncio.TaskGroup() as group:
+            for robot, address in robots:
+                group.create_task(ask(robot, address))
     return found

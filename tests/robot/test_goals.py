@@ -595,7 +595,7 @@ def test_the_same_goal_with_another_signature_starts_nothing_after_a_stop_and_a_
     wanted = goal(7, signature=bytes(64), **JOINED)
     run(harness, wanted)
     harness.advance(1.0)
-    assert harness.status.state is State.RUNNING
+    assert told(harness).state is GoalState.RUNNING
     harness.applied("estop")
     harness.advance(1.0)
     harness.applied("reset", ids=tuple(harness.status.latches))
