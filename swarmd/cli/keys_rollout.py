@@ -227,19 +227,20 @@ def _sent(
                 )
                 replies |= outcome.replies
                 seconds += outcome.seconds
-            if identity is own and revoked:
+            if identity.roster.generation == own.roster.generation and revoked:
                 _tell_revoked(operator, view, authority, revoked)
     missing = tuple(sorted(set(robots) - replies.keys()))
     return Outcome(replies=replies, missing=missing, seconds=seconds)
 
 
 def _identities(own: Identity, authority: Authority, robots: Iterable[str]) -> Iterator[Identity]:
-    """The own identity, then the same as of each other generation that a robot may have.
+    """The own identity with all keys, then as of each other generation that a robot may have.
 
     Datagrams are signed with keys of one generation: a robot hears those of its own generation.
     That may be the present one: its answer was lost, or it took a new bundle.
     """
-    yield own
+    present = authority.roster_of(own.name, own.roster.generation)
+    yield own if present is None else as_of(own, present)
     generations = {_generation(authority, name) for name in robots}
     generations.add(authority.roster.generation)
     for generation in sorted(generations - {own.roster.generation}, reverse=True):

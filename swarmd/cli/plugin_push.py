@@ -159,7 +159,7 @@ def greatest_of(replies: Iterable[BehavioursReply], identity: Identity | None) -
     """
     if identity is None:
         return max((reply.generation for reply in replies), default=0)
-    from swarmd.security.roster import is_signed_by
+    from swarmd.security.content_signature import Purpose, is_signed_by
 
     greatest = 0
     for content, signature in {(reply.newest, reply.signature) for reply in replies}:
@@ -169,7 +169,7 @@ def greatest_of(replies: Iterable[BehavioursReply], identity: Identity | None) -
             continue
         key = identity.roster.operators.get(manifest.issuer)
         if manifest.generation > greatest and key is not None:
-            is_signed = is_signed_by(key, content, signature)
+            is_signed = is_signed_by(key, Purpose.MANIFEST, content, signature)
             greatest = manifest.generation if is_signed else greatest
     return greatest
 
@@ -273,9 +273,10 @@ class _Pusher:
         from swarmd.plugins import need
 
         need("cryptography", extra="keys")
-        from swarmd.security.private_keys import load_private_key, sign
+        from swarmd.security.content_signature import Purpose, sign
+        from swarmd.security.private_keys import load_private_key
 
-        return content, sign(load_private_key(identity.key), content)
+        return content, sign(load_private_key(identity.key), Purpose.MANIFEST, content)
 
 
 def _joined(before: Outcome, after: Outcome) -> Outcome:

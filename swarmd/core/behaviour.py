@@ -1,9 +1,9 @@
 """The behaviours that operators push to a swarm: manifests, their order, and the table of them.
 
 A manifest names code by its SHA-256 and the robots that are to have it. Robots order manifests by
-(generation, issuer). Every robot keeps the table of all manifests, also of those for other robots,
-and merges the tables of its peers into it: two robots that know the same manifests have the same
-table, in any order of arrival. Pure.
+(generation, issuer), then by their bytes, and never by a signature. Every robot keeps the table of
+all manifests, also of those for other robots, and merges the tables of its peers into it: two
+robots that know the same manifests have the same table, in any order of arrival. Pure.
 """
 
 from __future__ import annotations
@@ -75,16 +75,16 @@ class Signed(Struct, frozen=True, array_like=True):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A manifest of the table with its signature."""
+    """A manifest of the table with its signature; equal if the manifests are, whoever signed."""
 
-    signed: Signed
+    signed: Signed = field(compare=False)
     manifest: Manifest = field(compare=False)
+    content: bytes = field(repr=False)
 
     @property
-    def order(self) -> tuple[int, str, bytes, bytes]:
+    def order(self) -> tuple[int, str, bytes]:
         """By which manifests are ordered; the greater one holds."""
-        manifest, signed = self.manifest, self.signed
-        return manifest.generation, manifest.issuer, signed.content, signed.signature
+        return self.manifest.generation, self.manifest.issuer, self.content
 
     @property
     def is_removal(self) -> bool:
@@ -124,7 +124,9 @@ def read_entry(signed: Signed) -> Entry:
         raise CodecError(f"a manifest that cannot be read: {error}") from error
     if manifest.kind != "removed" and len(manifest.digest) != 32:
         raise CodecError(f"the manifest of {manifest.name} lacks the SHA-256 of its code")
-    return Entry(signed, manifest)
+    if _encoder.encode(manifest) != signed.content:
+        raise CodecError(f"the manifest of {manifest.name} is not encoded as its issuer encodes it")
+    return Entry(signed, manifest, signed.content)
 
 
 def encode_table(table: Iterable[Entry]) -> bytes:
@@ -171,5 +173,6 @@ def digest_of(table: Table) -> bytes:
     """What a beacon shows of a table: its greatest generation and a hash; empty without entries."""
     if not table:
         return b""
-    content = hashlib.blake2b(encode_table(table), digest_size=DIGEST_BYTES - 4).digest()
-    return greatest_generation(table).to_bytes(4, "big") + content
+    content = _encoder.encode([entry.content for entry in table])
+    hashed = hashlib.blake2b(content, digest_size=DIGEST_BYTES - 4).digest()
+    return greatest_generation(table).to_bytes(4, "big") + hashed

@@ -1,7 +1,9 @@
 """The goal of a swarm: which robots are to run which pattern. One record, without a coordinator.
 
-Robots and operators order goals by (generation, issuer): the greater goal holds everywhere,
-in any order of arrival. A goal is signed by its operator where keys are in force.
+Robots and operators order goals by (generation, issuer), then by their signed bytes: the greater
+goal holds everywhere, in any order of arrival. A goal is signed by its operator where keys are in
+force. The signature, and the encoding in which a goal came, are no part of its order and digest:
+one content is one goal.
 """
 
 from __future__ import annotations
@@ -135,7 +137,7 @@ class GoalStatus(Struct, frozen=True, kw_only=True):
 
 
 _decoder = msgspec.msgpack.Decoder(Goal)
-_encoder = msgspec.msgpack.Encoder()
+_encoder = msgspec.msgpack.Encoder(order="deterministic")  # equal goals have equal bytes
 
 
 def encode_goal(goal: Goal) -> bytes:
@@ -147,7 +149,7 @@ def encode_goal(goal: Goal) -> bytes:
 
 
 def signed_part(goal: Goal) -> bytes:
-    """The bytes that an operator signs."""
+    """The bytes that an operator signs, by which goals are ordered, compared and hashed."""
     return _encoder.encode(msgspec.structs.replace(goal, signature=b""))
 
 
@@ -165,12 +167,15 @@ def digest_of(goal: Goal | None) -> bytes:
     """What a beacon shows: the generation (4 bytes) and a hash (2 bytes); empty without a goal."""
     if goal is None:
         return b""
-    content = hashlib.blake2b(_encoder.encode(goal), digest_size=DIGEST_BYTES - 4).digest()
+    content = hashlib.blake2b(signed_part(goal), digest_size=DIGEST_BYTES - 4).digest()
     return goal.generation.to_bytes(4, "big") + content
 
 
 class HeldGoal(NamedTuple):
-    """A goal with its bytes and digest. `issued`: s on the own clock; None: age unknown."""
+    """A goal with its signed bytes (`content`) and digest.
+
+    `issued`: s on the own clock; None: age unknown.
+    """
 
     goal: Goal
     content: bytes
@@ -180,7 +185,8 @@ class HeldGoal(NamedTuple):
     @classmethod
     def of(cls, goal: Goal, issued: float | None) -> HeldGoal:
         """A goal that was set at `issued`. CodecError if it exceeds MAX_GOAL."""
-        return cls(goal, encode_goal(goal), digest_of(goal), issued)
+        encode_goal(goal)
+        return cls(goal, signed_part(goal), digest_of(goal), issued)
 
     @property
     def order(self) -> tuple[int, str, bytes]:

@@ -33,7 +33,7 @@ from swarmd.daemon.behaviour_files import BehaviourFiles
 from swarmd.daemon.record_writer import RecordWriter
 from swarmd.plugins import Origin
 from swarmd.robot.pushed_code import PushedCode, Version
-from swarmd.security.roster import is_signed_by
+from swarmd.security.content_signature import Purpose, is_signed_by
 
 Operators = Mapping[str, bytes]
 """The public keys of operators by name."""
@@ -261,7 +261,9 @@ class BehaviourState:
         if operators is None:
             return True
         key, signed = operators.get(manifest.issuer), entry.signed
-        return key is not None and is_signed_by(key, signed.content, signed.signature)
+        return key is not None and is_signed_by(
+            key, Purpose.MANIFEST, signed.content, signed.signature
+        )
 
     # What is here
 

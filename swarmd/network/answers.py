@@ -1,9 +1,10 @@
 """What an operator or viewer takes from the robots of a secured swarm. Pure.
 
 Each look asks often, so that a robot counts once it has answered, as in `liveness.py`. Answers
-count only if the robot itself signed them for this operator; acks only with its proof for this
-operator, also if another robot hands them on. An identity that is older than a robot has no key of
-that pair: then the signature of any robot is enough, and the robot is among `unproven`.
+count only if the robot itself signed them for this operator. An ack counts only in a datagram that
+a robot of this roster signed, and with the proof of the robot that made it for this operator, also
+if another robot hands it on. An identity that is older than a robot has no key of that pair:
+nothing of that robot counts until it has handed over its key by a link (`roster_follower.py`).
 """
 
 from __future__ import annotations
@@ -25,15 +26,17 @@ from swarmd.network.liveness import Liveness
 from swarmd.network.signature import Flaw, Trust, generation_of
 from swarmd.security.identity import Identity
 
-HINT_PERIOD = 5.0  # s between two hints
+HINT_PERIOD = 5.0  # s between two hints; of missing keys, for each robot and source
+MAX_LACKED = 4096
 
 
 class Answers:
     """The keys of an operator or viewer at work.
 
     `on_newer_roster` takes the name, address and generation of a robot that may have a newer
-    roster. `outdated`: the robots that were heard with an older one, with their addresses; both are
-    not proven. `unproven`: the robots of which this identity has no key.
+    roster, `on_lacking` the name and address of a robot of which this identity has no key.
+    `outdated`: the robots that were heard with an older roster. `unproven`: those without a key.
+    Both have their addresses, and are not proven.
     """
 
     def __init__(
@@ -41,15 +44,24 @@ class Answers:
         identity: Identity,
         lease: float,
         on_newer_roster: Callable[[str, Address, int], object] = lambda *_: None,
+        on_lacking: Callable[[str, Address], object] = lambda *_: None,
     ) -> None:
         self._trust = Trust.of(identity)
         self._names = frozenset(identity.roster.robots)
         self._on_newer_roster = on_newer_roster
+        self._on_lacking = on_lacking
         self._hint_at = -1e9
+        self._lacked_at: dict[tuple[str, Address], float] = {}  # the last hints of missing keys
         # Its own questions are numbered by the operator, which notes them.
         self.liveness = Liveness(lease, lambda: 0)
-        self.unproven: set[str] = set()
+        self.unproven: dict[str, Address] = {}
         self.outdated: dict[str, Address] = {}
+
+    def take_keys(self, identity: Identity) -> None:
+        """The identity has keys of more robots; its roster is the same."""
+        self._trust = Trust.of(identity)
+        has_key_of = self._trust.verifier.has_key_of
+        self.unproven = {n: one for n, one in self.unproven.items() if not has_key_of(n)}
 
     def sign(self, payload: bytes) -> bytes:
         """A datagram with the signature of this name."""
@@ -57,15 +69,20 @@ class Answers:
 
     def admit(self, body: Datagram, payload: bytes, source: Address, now: float) -> Datagram | None:
         """What of a datagram counts; None: nothing."""
-        if isinstance(body, Ack):
-            return self._ack(body, payload, now)
         author = self._trust.verifier.verify(payload, now)
         if isinstance(author, Flaw):
             self._note_generation(author, body, payload, source, now)
             return None
         match body:
+            case Ack() if body.robot in self._names:
+                is_direct = not body.via
+                if not self._has_key(body.robot, source if is_direct else None, now):
+                    return None
+                return body if self._trust.verifier.is_proven(body) else None
             case Beacon() if body.robot in self._names:
                 self.outdated.pop(body.robot, None)
+                if not self._has_key(body.robot, source, now):
+                    return None
                 return body if self._is_fresh(body, payload, now) else None
             case MemberList() if self.liveness.is_own_echo(body.echo, now):
                 is_known = self.liveness.knows(body.robot, body.instance)
@@ -87,20 +104,25 @@ class Answers:
         return self.liveness.on_beacon(beacon, now) is None
 
     def _is_own(self, body: Beacon | MemberList | ClockReply | GoalReport, payload: bytes) -> bool:
-        """True if that robot answers this operator, as far as its keys can tell."""
-        is_proven = self._trust.verifier.is_answer_of(body.robot, payload)
-        if is_proven is None:
-            self.unproven.add(body.robot)
-        return is_proven is not False
+        """True if that robot answers this operator."""
+        return self._trust.verifier.is_answer_of(body.robot, payload) is True
 
-    def _ack(self, ack: Ack, payload: bytes, now: float) -> Ack | None:
-        is_proven = self._trust.verifier.is_proven(ack)
-        if is_proven is not None or ack.robot not in self._names:
-            return ack if is_proven else None
-        if isinstance(self._trust.verifier.verify(payload, now), Flaw):
-            return None
-        self.unproven.add(ack.robot)
-        return ack
+    def _has_key(self, robot: str, source: Address | None, now: float) -> bool:
+        """True if there is a key of that robot; else it is asked for at `source`, if that is known.
+
+        Any robot of the roster can make this datagram: the link to `source` proves the name.
+        """
+        if self._trust.verifier.has_key_of(robot):
+            return True
+        if source is not None:
+            self.unproven[robot] = source
+            if now - self._lacked_at.get((robot, source), -1e9) >= HINT_PERIOD:
+                self._lacked_at.pop((robot, source), None)
+                self._lacked_at[robot, source] = now
+                if len(self._lacked_at) > MAX_LACKED:
+                    del self._lacked_at[next(iter(self._lacked_at))]
+                self._on_lacking(robot, source)
+        return False
 
     def _note_generation(
         self, flaw: Flaw, body: Datagram, payload: bytes, source: Address, now: float

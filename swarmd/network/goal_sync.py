@@ -26,7 +26,7 @@ from swarmd.core.goal import (
 )
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.datagram import Address, GoalReport
-from swarmd.security.roster import SIGNATURE_BYTES, is_signed_by
+from swarmd.security.content_signature import Purpose, has_form, is_signed_by
 
 ASK_PERIOD = 0.25  # s between questions to one robot
 ASKED_AT_ONCE = 2  # robots that are asked for one goal in a period
@@ -164,7 +164,9 @@ def is_signed_goal(goal: Goal, key_of: Callable[[str], bytes | None]) -> bool:
     if needs_no_signature(goal):
         return True
     public_key = key_of(goal.issuer)
-    return public_key is not None and is_signed_by(public_key, signed_part(goal), goal.signature)
+    return public_key is not None and is_signed_by(
+        public_key, Purpose.GOAL, signed_part(goal), goal.signature
+    )
 
 
 class GoalCheck:
@@ -184,7 +186,7 @@ class GoalCheck:
         if needs_no_signature(goal):
             return True
         public_key = self._key_of(goal.issuer)
-        if public_key is None or len(goal.signature) != SIGNATURE_BYTES:
+        if public_key is None or not has_form(goal.signature):
             return False
         content = public_key + goal.signature + signed_part(goal)
         name = hashlib.blake2b(content, digest_size=16, person=b"swarmd goal").digest()

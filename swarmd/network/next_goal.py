@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.goal import MAX_UNSIGNED, Goal, encode_goal, signed_part
 from swarmd.network.signed_goals import signed_goals
+from swarmd.security.content_signature import Purpose, sign
 
 if TYPE_CHECKING:
     from swarmd.network.members_view import MembersView
@@ -72,10 +73,11 @@ def resigned(operator: Operator, goal: Goal, **changes: Any) -> Goal:
 def sign_goal(goal: Goal, identity: Identity) -> Goal:
     """The goal with the signature of an operator. ConfigError without the library for it."""
     try:
-        from swarmd.security.private_keys import load_private_key, sign
+        from swarmd.security.private_keys import load_private_key
     except ModuleNotFoundError as error:
         raise ConfigError(
             "a goal in a secured swarm is signed, which needs the library cryptography; run:"
             " pip install 'swarmd[keys]'"
         ) from error
-    return replace(goal, signature=sign(load_private_key(identity.key), signed_part(goal)))
+    key = load_private_key(identity.key)
+    return replace(goal, signature=sign(key, Purpose.GOAL, signed_part(goal)))

@@ -165,7 +165,7 @@ class Operator:
             return {} if answers is None else dict(answers.outdated)
 
     def update_roster(self) -> bool:
-        """Take the newer roster that a robot has shown, if any; True if it was taken.
+        """Take the newer roster that a robot has shown, or missing keys; True if any was taken.
 
         `notices` gets a line. Raises NetworkError if the own name is no longer on it.
         """
@@ -174,7 +174,16 @@ class Operator:
         return self.identity is not before
 
     def take_identity(self, identity: Identity) -> None:
-        """Ask with this identity from the next look on: with its keys, on links of its own."""
+        """Ask with this identity from the next look on: with its keys, on links of its own.
+
+        An identity with the same roster, and keys of more robots, counts at once.
+        """
+        with self._arrivals.lock:
+            known, old = self._datagrams.answers, self.identity
+            if known is not None and old is not None and old.roster == identity.roster:
+                self.identity = identity
+                known.take_keys(identity)
+                return
         answers = self._answers_for(identity)
         with self._arrivals.lock:
             self.identity = identity
@@ -373,18 +382,18 @@ class Operator:
             is_ended=is_ended,
         )
         with self._arrivals.lock:
-            return replace(outcome, warnings=(*outcome.warnings, *self._unproven(outcome.replies)))
+            return replace(outcome, warnings=(*outcome.warnings, *self._unproven(outcome.missing)))
 
     # Parts
 
     def _unproven(self, robots: Collection[str]) -> Iterator[str]:
-        """A warning about robots whose answers this identity cannot prove."""
+        """A warning about robots that were heard and whose answers this identity cannot prove."""
         answers = self._datagrams.answers
-        unproven = set() if answers is None else answers.unproven & set(robots)
+        unproven = set() if answers is None else answers.unproven.keys() & set(robots)
         if unproven:
             yield (
-                f"answers of {', '.join(sorted(unproven))} are not proven: this identity has no key"
-                " of them; install its new bundle"
+                f"{', '.join(sorted(unproven))}: heard, not proven and not counted: this identity"
+                " has no key of them, and they handed over none; install its new bundle"
             )
 
     def _check_role(self, verb: str) -> None:
@@ -416,7 +425,9 @@ class Operator:
     def _answers_for(self, identity: Identity) -> Answers:
         from swarmd.network.answers import Answers
 
-        return Answers(identity, self.settings.lease_seconds, self._rosters.on_shown)
+        rosters = self._rosters
+        lease = self.settings.lease_seconds
+        return Answers(identity, lease, rosters.on_shown, rosters.on_lacking)
 
     def _new(self, kind: type[R], **fields: Any) -> R:
         if "reason" in fields:

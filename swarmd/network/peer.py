@@ -15,7 +15,7 @@ from functools import partial
 from msgspec.structs import replace
 
 from swarmd.core.clock import ClockSample
-from swarmd.core.goal import Goal, HeldGoal
+from swarmd.core.goal import Goal, HeldGoal, encode_goal
 from swarmd.core.messages import Body, Latch, State
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.values import PeerPlace, SharedPose
@@ -555,7 +555,7 @@ class Peer:
             robot=self.robot,
             instance=self._instance,
             echo=echo,
-            goal=held.content,
+            goal=encode_goal(held.goal),
             age=None if age is None else math.ceil(1000.0 * age),
         )
 

@@ -1,4 +1,4 @@
-"""The newer roster that a robot has shown to an operator or viewer, and how it is taken.
+"""The newer roster and the keys that an operator or viewer lacks, and how they are taken.
 
 Robots do not answer what is signed with keys of an earlier generation.
 """
@@ -13,6 +13,7 @@ from swarmd.network.datagram import Address
 from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity
 
+MAX_LACKING = 2048
 CLOSING = "swarmd-closing"
 """The name of the threads that close sessions or take rosters: Python must not end before them."""
 
@@ -38,22 +39,30 @@ class RosterFollower:
         self._is_on = is_on
         self._updating: threading.Thread | None = None
         self.shown: tuple[str, Address, int] | None = None
+        self._lacking: set[tuple[str, Address]] = set()
         self.notices: list[str] = []
 
     def on_shown(self, robot: str, address: Address, generation: int) -> None:
         """A robot has shown a newer generation."""
         self.shown = robot, address, generation
 
+    def on_lacking(self, robot: str, address: Address) -> None:
+        """A robot was heard whose key is missing."""
+        if len(self._lacking) < MAX_LACKING:
+            self._lacking.add((robot, address))
+
     def update(self) -> None:
-        """Take the roster that was shown, if any; waits. NetworkError if it lacks the own name."""
-        if self._updating is None:
-            self._take()
-        else:
+        """Take the roster that was shown and missing keys, if any; waits.
+
+        NetworkError if the roster lacks the own name.
+        """
+        if self._updating is not None:
             self._updating.join()
             self._updating = None
+        self._take()
 
     def begin(self) -> None:
-        """Take it on a thread, so that a stop under way goes on being sent."""
+        """Take them on a thread, so that a stop under way goes on being sent."""
 
         def run() -> None:
             try:
@@ -62,18 +71,26 @@ class RosterFollower:
                 self.notices.append(str(error))
 
         is_updating = self._updating is not None and self._updating.is_alive()
-        if not is_updating and self.shown is not None:
+        if not is_updating and (self.shown is not None or self._lacking):
             self._updating = threading.Thread(target=run, name=CLOSING, daemon=True)
             self._updating.start()
 
     def _take(self) -> None:
         shown, self.shown = self.shown, None
-        if shown is None or self._operator.identity is None or not self._is_on:
+        lacking = set()
+        while self._lacking:  # the carrier's thread may add to it
+            lacking.add(self._lacking.pop())
+        identity, settings = self._operator.identity, self._operator.settings
+        if not (shown or lacking) or identity is None or not self._is_on:
             return
-        from swarmd.network.roster_update import pulled_roster
+        from swarmd.network.roster_update import pulled_keys, pulled_roster
 
-        settings, identity = self._operator.settings, self._operator.identity
-        taken, text = pulled_roster(settings, identity, *shown)
-        self.notices.append(text)
-        if taken is not None:
-            self._operator.take_identity(taken)
+        if shown is not None:
+            taken, text = pulled_roster(settings, identity, *shown)
+            self.notices.append(text)
+            if taken is not None:
+                self._operator.take_identity(taken)
+                return
+        found = pulled_keys(settings, identity, lacking) if lacking else None
+        if found is not None:
+            self._operator.take_identity(found)

@@ -1,21 +1,27 @@
 """An operator or viewer whose roster is older than that of the robots takes theirs.
 
 Robots do not answer what is signed with keys of an earlier generation, so that nothing else works
-before that.
+before that. The key with a robot that was added later is taken from that robot: its link proves the
+name, since `access.py` lets a robot answer on its own keys alone.
 """
 
 from __future__ import annotations
 
 import asyncio
+from collections.abc import Iterable
+from contextlib import suppress
 
 from swarmd.core.errors import CodecError, ConfigError, NetworkError
 from swarmd.network.datagram import Address
 from swarmd.network.pull import pull
 from swarmd.network.settings import NetworkSettings
+from swarmd.security.datagram_keys import KEY_BYTES
 from swarmd.security.identity import Identity
-from swarmd.security.roster_change import read_shared, take_roster
+from swarmd.security.roster_change import read_shared, take_answers, take_roster
 
 PULL_TIMEOUT = 5.0  # s
+MAX_PULLS = 8  # at a time
+KEYS_TIMEOUT = 10.0  # s for the keys of all robots
 
 
 def pulled_roster(
@@ -36,7 +42,7 @@ def pulled_roster(
         timeout=PULL_TIMEOUT,
     )
     try:
-        taken = take_roster(identity, read_shared(asyncio.run(pulling)))
+        taken = take_roster(identity, read_shared(asyncio.run(pulling)), giver=robot)
     except (NetworkError, TimeoutError, CodecError, ConfigError, OSError) as error:
         return None, (
             f"{robot} shows generation {generation} of the roster, {identity.name} has"
@@ -49,3 +55,49 @@ def pulled_roster(
         taken.identity,
         f"took {taken.text} from {robot}",
     )
+
+
+def pulled_keys(
+    settings: NetworkSettings, identity: Identity, robots: Iterable[tuple[str, Address]]
+) -> Identity | None:
+    """The identity with the keys that these robots hand over, each its own; None without any.
+
+    `robots`: with the addresses at which they were heard, of which some may be false.
+    """
+    found = asyncio.run(_pull_keys(settings, identity, robots))
+    return take_answers(identity, found) if found else None
+
+
+async def _pull_keys(
+    settings: NetworkSettings, identity: Identity, robots: Iterable[tuple[str, Address]]
+) -> dict[str, bytes]:
+    found: dict[str, bytes] = {}
+    places = asyncio.Semaphore(MAX_PULLS)
+
+    async def ask(robot: str, address: Address) -> None:
+        async with places:
+            if robot in found:
+                return
+            try:
+                shared = read_shared(
+                    await pull(
+                        settings,
+                        robot,
+                        address,
+                        "roster",
+                        identity.name,
+                        identity=identity,
+                        timeout=PULL_TIMEOUT,
+                    )
+                )
+            except (NetworkError, TimeoutError, CodecError):
+                return
+        key = None if shared.keys is None else shared.keys.answers.get(robot)
+        if key is not None and len(key) == KEY_BYTES:
+            found[robot] = key
+
+    with suppress(TimeoutError):
+        async with asyncio.timeout(KEYS_TIMEOUT), asyncio.TaskGroup() as group:
+            for robot, address in robots:
+                group.create_task(ask(robot, address))
+    return found

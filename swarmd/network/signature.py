@@ -76,10 +76,16 @@ class Author(NamedTuple):
 
 
 class Signer:
-    """Signs as the owner of `keys`."""
+    """Signs as the owner of `keys`; `previous` signs answers to authors of the generation before.
 
-    def __init__(self, keys: DatagramKeys, role: Role, name: str) -> None:
+    An operator with an older roster cannot verify newer keys, and must know that its stop arrived.
+    """
+
+    def __init__(
+        self, keys: DatagramKeys, role: Role, name: str, previous: Signer | None = None
+    ) -> None:
         self._keys = keys
+        self._previous = previous
         self._role = role
         self._name = name.encode()
         self._group = (keys.robots, keys.operators, keys.viewers)
@@ -90,6 +96,8 @@ class Signer:
 
         Raises CodecError if it exceeds MAX_DATAGRAM.
         """
+        if asker is not None and asker.is_previous and self._previous is not None:
+            return self._previous.sign(payload, asker)
         generation = self._keys.generation
         if self._role is not Role.ROBOT:
             start = _START.pack(Format.NAMED, generation)
@@ -176,12 +184,16 @@ class Verifier:
         key = self._keys.answers.get(robot)
         if payload[end] != Format.ANSWER:
             return False
-        return None if key is None else _fits(key, payload[: end + _START.size], payload[-8:])
+        return None if not key else _fits(key, payload[: end + _START.size], payload[-8:])
 
     def is_proven(self, ack: Ack) -> bool | None:
         """True if the robot in the ack made it for this operator; None: the key is missing."""
         key = self._keys.answers.get(ack.robot)
-        return None if key is None else compare_digest(_proof(key, ack), ack.proof)
+        return compare_digest(_proof(key, ack), ack.proof) if key else None
+
+    def has_key_of(self, robot: str) -> bool:
+        """True if this operator or viewer has the key of its pair with the robot."""
+        return bool(self._keys.answers.get(robot))
 
     def _author(self, payload: bytes, end: int, form: int) -> Author | Flaw:
         size = len(payload) - end
@@ -227,7 +239,8 @@ class Trust:
         """That of an identity."""
         keys, role = identity.datagram_keys, identity.role
         verifier = Verifier(keys, role, identity.roster, previous)
-        return cls(identity.name, role, Signer(keys, role, identity.name), verifier)
+        before = None if previous is None else Signer(previous.keys, role, identity.name)
+        return cls(identity.name, role, Signer(keys, role, identity.name, before), verifier)
 
 
 def generation_of(payload: bytes) -> int:

@@ -1,9 +1,9 @@
 """The goals that one robot knows, and what it does about its own one. Pure.
 
 The robot holds the greatest goal that it has seen, and its own one: the greatest that targets it.
-Goals are ordered by generation, issuer and bytes, so that all robots that have seen the same goals
-hold the same one. The age of a goal is handed on from robot to robot without wall clocks: after a
-restart it is unknown until a peer reports it.
+Goals are ordered by generation, issuer and signed bytes, so that all robots that have seen the same
+goals hold the same one. The age of a goal is handed on from robot to robot without wall clocks:
+after a restart it is unknown until a peer reports it.
 
 A goal that is found, and was not asked for by a request to this robot, does not start a run: it is
 offered. The exception is a goal with `on_join: run` of a known age below its `valid`, while the

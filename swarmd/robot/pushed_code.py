@@ -87,7 +87,7 @@ class PushedCode(Struct, frozen=True, kw_only=True):
     def lacks(self, entry: Entry) -> bool:
         """True if the version of this manifest is not current here, and has not failed here."""
         known = (self.current, self.failed)
-        return not any(one is not None and one.signed == entry.signed for one in known)
+        return not any(one is not None and one.signed.content == entry.content for one in known)
 
     def accept(self, version: Version) -> PushedCode:
         """The state after a trial that `version` passed.

@@ -25,16 +25,18 @@ from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.keys import check_id
+from swarmd.security.content_signature import Purpose, sign
 from swarmd.security.datagram_keys import (
     SECRET_BYTES,
     DatagramKeys,
     derive,
+    reader_digest,
     reader_keys,
     robot_keys,
     robot_secret,
 )
 from swarmd.security.identity import IdentityInfo, RosterFile, write_identity, write_private
-from swarmd.security.private_keys import load_key, pem_of, public_bytes, sign
+from swarmd.security.private_keys import load_key, pem_of, public_bytes
 from swarmd.security.roster import (
     Role,
     Roster,
@@ -149,7 +151,7 @@ class Authority:
         secret = os.urandom(SECRET_BYTES)
         roster = Roster(swarm=swarm, generation=1, secret_digest=digest_of(secret))
         content = encode_roster(roster)
-        signed = pack_roster(content, sign(key, content))
+        signed = pack_roster(content, sign(key, Purpose.ROSTER, content))
         state = AuthorityState(
             master=os.urandom(SECRET_BYTES), days=days, now=Generation(secret, signed)
         )
@@ -188,19 +190,26 @@ class Authority:
         kept = {name: old.role_of(name) for name in old.names if name not in remove} | add
         operators = [name for name, role in kept.items() if role is Role.OPERATOR]
         secret = os.urandom(SECRET_BYTES)
+        generation = old.generation + 1
+        viewers = tuple(name for name, role in kept.items() if role is Role.VIEWER)
+        readers = {
+            name: reader_keys(generation, secret, name, is_operator=name in operators, answers={})
+            for name in (*operators, *viewers)
+        }
         roster = Roster(
             swarm=old.swarm,
-            generation=old.generation + 1,
+            generation=generation,
             robots=tuple(name for name, role in kept.items() if role is Role.ROBOT),
             operators={
                 name: old.operators.get(name) or public_bytes(self._key_of(name).public_key())
                 for name in operators
             },
-            viewers=tuple(name for name, role in kept.items() if role is Role.VIEWER),
+            viewers=viewers,
             secret_digest=digest_of(secret),
+            readers={name: reader_digest(keys) for name, keys in readers.items()},
         )
         content = encode_roster(roster)
-        signed = pack_roster(content, sign(self._key, content))
+        signed = pack_roster(content, sign(self._key, Purpose.ROSTER, content))
         issued, state = dict(self._state.issued), self._state
         ended = {name: issued.pop(name).expires for name in remove if name in issued}
         revoked = {name: end for name, end in state.revoked.items() if name not in add} | ended

@@ -14,6 +14,7 @@ from __future__ import annotations
 import hashlib
 from typing import Annotated
 
+import msgspec
 from msgspec import Meta, Struct
 
 KEY_BYTES = 16
@@ -83,3 +84,9 @@ def reader_keys(
         own=derive(secret, f"name/{name}"),
         answers=answers,
     )
+
+
+def reader_digest(keys: DatagramKeys) -> bytes:
+    """SHA-256 of the keys of an operator or viewer that change with the roster, which holds it."""
+    content = keys.generation, keys.operators, keys.viewers, keys.own
+    return hashlib.sha256(msgspec.msgpack.encode(content)).digest()

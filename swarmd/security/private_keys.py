@@ -1,20 +1,13 @@
-"""Private keys of P-256 in PEM files, and what they sign. Needs the library `cryptography`."""
+"""Private keys of P-256 in PEM files. Needs the library `cryptography`."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from cryptography.hazmat.primitives import hashes, serialization
+from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
-from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
 
 from swarmd.core.errors import ConfigError
-
-
-def sign(key: ec.EllipticCurvePrivateKey, content: bytes) -> bytes:
-    """The signature of `content` as `r || s`, 64 bytes."""
-    r, s = decode_dss_signature(key.sign(content, ec.ECDSA(hashes.SHA256())))
-    return r.to_bytes(32, "big") + s.to_bytes(32, "big")
 
 
 def public_bytes(key: ec.EllipticCurvePublicKey) -> bytes:

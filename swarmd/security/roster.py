@@ -1,7 +1,7 @@
 """The roster: the names of a swarm with their roles, signed by its certificate authority. Pure.
 
 A roster has a generation. A greater one replaces a smaller one, and never the other way round. Its
-signature is ECDSA with P-256 and SHA-256 (FIPS 186-5), 64 bytes `r || s`.
+signature is that of `content_signature.py`.
 """
 
 from __future__ import annotations
@@ -14,15 +14,16 @@ import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.core.errors import CodecError
+from swarmd.security.content_signature import SIGNATURE_BYTES, Purpose, is_signed_by
 
 PUBLIC_KEY_BYTES = 64
-SIGNATURE_BYTES = 64
 MAX_NAMES = 2048
 MAX_ROSTER = 256 * 1024
 
 Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 PublicKey = Annotated[bytes, Meta(min_length=PUBLIC_KEY_BYTES, max_length=PUBLIC_KEY_BYTES)]
 """A point of P-256: `x || y`, big endian."""
+Sha256 = Annotated[bytes, Meta(min_length=32, max_length=32)]
 Signature = Annotated[bytes, Meta(max_length=SIGNATURE_BYTES)]
 
 
@@ -37,7 +38,9 @@ class Role(StrEnum):
 class Roster(Struct, frozen=True, kw_only=True):
     """The names of a swarm. `operators`: with the public keys that sign goals and behaviours.
 
-    `secret_digest`: SHA-256 of the secret from which the keys of datagrams derive.
+    `secret_digest`: SHA-256 of the secret from which the keys of datagrams derive. `readers`:
+    `reader_digest` of the keys of each operator and viewer, so that a robot which hands them over
+    cannot change them.
     """
 
     swarm: Id
@@ -45,7 +48,8 @@ class Roster(Struct, frozen=True, kw_only=True):
     robots: Annotated[tuple[Id, ...], Meta(max_length=MAX_NAMES)] = ()
     operators: Annotated[dict[Id, PublicKey], Meta(max_length=MAX_NAMES)] = {}
     viewers: Annotated[tuple[Id, ...], Meta(max_length=MAX_NAMES)] = ()
-    secret_digest: Annotated[bytes, Meta(min_length=32, max_length=32)]
+    secret_digest: Sha256
+    readers: Annotated[dict[Id, Sha256], Meta(max_length=2 * MAX_NAMES)] = {}
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -83,6 +87,17 @@ def pack_roster(content: bytes, signature: bytes) -> bytes:
     return _encoder.encode(SignedRoster(content, signature))
 
 
+def same_bytes(data: bytes, known: bytes) -> bytes:
+    """`data` as `pack_roster` writes it; `known` if both are signed rosters of one content.
+
+    Another encoding or signature of a roster is the same roster. CodecError if malformed.
+    """
+    signed = _decoded(data)[0]
+    if known and _decoded(known)[0].content == signed.content:
+        return known
+    return pack_roster(signed.content, signed.signature)
+
+
 def stored_roster(data: bytes) -> Roster:
     """The roster in `data`, whose signature was verified before it was stored. CodecError."""
     return _decoded(data)[1]
@@ -91,7 +106,7 @@ def stored_roster(data: bytes) -> Roster:
 def read_roster(data: bytes, authority: bytes) -> Roster:
     """The roster in `data`, signed by the authority with that public key. CodecError otherwise."""
     signed, roster = _decoded(data)
-    if not is_signed_by(authority, signed.content, signed.signature):
+    if not is_signed_by(authority, Purpose.ROSTER, signed.content, signed.signature):
         raise CodecError("a roster without a valid signature of this swarm's authority")
     return roster
 
@@ -107,15 +122,3 @@ def _decoded(data: bytes) -> tuple[SignedRoster, Roster]:
 def digest_of(secret: bytes) -> bytes:
     """SHA-256 of the secret of a swarm, as the roster holds it."""
     return hashlib.sha256(secret).digest()
-
-
-def is_signed_by(public_key: bytes, content: bytes, signature: bytes) -> bool:
-    """True if `signature` is that of `content` by the holder of `public_key`; takes some 4 ms."""
-    from ecdsa import BadSignatureError, NIST256p, VerifyingKey
-    from ecdsa.errors import MalformedPointError
-
-    try:
-        key = VerifyingKey.from_string(public_key, NIST256p, hashlib.sha256)
-        return bool(key.verify(signature, content))
-    except (BadSignatureError, MalformedPointError, AssertionError, ValueError):
-        return False

@@ -1,11 +1,13 @@
 """Taking a roster, and a renewed certificate, into an identity that is there already.
 
 What an identity takes is checked against its authority alone; the sender does not matter. A
-smaller generation never replaces a greater one.
+smaller generation never replaces a greater one. The key of an operator or viewer with a robot is
+not on the roster: it is taken from the authority, in a bundle, or from that robot.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import msgspec
@@ -13,7 +15,14 @@ from msgspec import Struct
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.security.certificate_check import check_certificate
-from swarmd.security.datagram_keys import DatagramKeys, Secret, reader_keys, robot_keys
+from swarmd.security.datagram_keys import (
+    KEY_BYTES,
+    DatagramKeys,
+    Secret,
+    reader_digest,
+    reader_keys,
+    robot_keys,
+)
 from swarmd.security.identity import (
     CERTIFICATE,
     INFO,
@@ -23,7 +32,7 @@ from swarmd.security.identity import (
     write_private,
     write_roster,
 )
-from swarmd.security.roster import MAX_ROSTER, Role, Roster, digest_of, read_roster
+from swarmd.security.roster import MAX_ROSTER, Role, Roster, digest_of, read_roster, same_bytes
 
 
 class SharedRoster(Struct, frozen=True, array_like=True):
@@ -60,25 +69,30 @@ def is_revoked(identity: Identity) -> bool:
     return identity.roster.role_of(identity.name) is not identity.role
 
 
-def take_roster(identity: Identity, shared: SharedRoster, certificate: bytes = b"") -> TakenRoster:
+def take_roster(
+    identity: Identity, shared: SharedRoster, certificate: bytes = b"", *, giver: str = ""
+) -> TakenRoster:
     """Check a roster and a certificate, and write them into the identity's folder.
 
-    A disk that cannot be written keeps no robot from what its authority decided; see `TakenRoster`.
-    CodecError if the roster is not signed by the authority or does not fit; ConfigError if the
-    certificate does not. It takes about 20 ms and writes to the disk.
+    `giver`: the robot that handed it over, as its link has proved: an operator or viewer takes the
+    key with that robot, and with no other one. A disk that cannot be written keeps no robot from
+    what its authority decided; see `TakenRoster`. CodecError if the roster is not signed by the
+    authority or does not fit; ConfigError if the certificate does not. It takes about 20 ms and
+    writes to the disk.
     """
     roster = read_roster(shared.roster, identity.info.authority)
+    signed = same_bytes(shared.roster, identity.signed_roster)
     if roster.swarm != identity.info.swarm:
         raise CodecError(f"a roster of swarm {roster.swarm}, not of {identity.info.swarm}")
     own = identity.roster.generation
     if roster.generation < own:
         raise CodecError(f"a roster of generation {roster.generation}; it has generation {own}")
-    if roster.generation == own and shared.roster != identity.signed_roster:
+    if roster.generation == own and signed != identity.signed_roster:
         raise CodecError(f"another roster of generation {own}: its authority was an older copy")
     is_newer = roster.generation > own
-    keys = _keys_of(identity, roster, shared) if is_newer else identity.datagram_keys
+    keys = _keys_of(identity, roster, shared, giver) if is_newer else identity.datagram_keys
     words, fault, is_renewed = [f"generation {roster.generation} of the roster"], "", False
-    taken = replace(identity, roster=roster, datagram_keys=keys, signed_roster=shared.roster)
+    taken = replace(identity, roster=roster, datagram_keys=keys, signed_roster=signed)
     if certificate and certificate != identity.certificate.read_bytes():
         try:
             renewed = take_certificate(identity, certificate)
@@ -89,8 +103,8 @@ def take_roster(identity: Identity, shared: SharedRoster, certificate: bytes = b
         except OSError as error:
             fault = f"the new certificate cannot be written: {error.strerror}"
     try:
-        if load_identity(identity.folder).signed_roster != shared.roster:
-            write_roster(identity.folder, RosterFile(shared.roster, keys))
+        if load_identity(identity.folder).signed_roster != signed:
+            write_roster(identity.folder, RosterFile(signed, keys))
     except OSError as error:
         fault = f"in memory only: {error.strerror}"
     if is_revoked(taken):
@@ -135,7 +149,30 @@ def share_roster(identity: Identity, asker: str) -> bytes | None:
     return msgspec.msgpack.encode(shared)
 
 
-def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster) -> DatagramKeys:
+def take_answers(identity: Identity, answers: Mapping[str, bytes]) -> Identity:
+    """The identity with these keys with robots, each of which handed over its own; writes them.
+
+    A disk that cannot be written forgets them, and they are asked for again.
+    """
+    keys = _with_answers(identity.datagram_keys, identity.roster, answers)
+    try:
+        stored = load_identity(identity.folder)  # another process may have written meanwhile
+        if stored.signed_roster == identity.signed_roster:
+            whole = _with_answers(stored.datagram_keys, stored.roster, answers)
+            write_roster(identity.folder, RosterFile(stored.signed_roster, whole))
+    except (OSError, ConfigError):
+        pass
+    return replace(identity, datagram_keys=keys)
+
+
+def _with_answers(keys: DatagramKeys, roster: Roster, answers: Mapping[str, bytes]) -> DatagramKeys:
+    """The keys with those with robots, without robots that are not on the roster."""
+    known = {**keys.answers, **answers}
+    kept = {n: key for n, key in known.items() if n in roster.robots and len(key) == KEY_BYTES}
+    return msgspec.structs.replace(keys, answers=kept)
+
+
+def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster, giver: str) -> DatagramKeys:
     """The keys of the identity at the generation of `roster`; empty ones if it is not on it."""
     role, old = roster.role_of(identity.name), identity.datagram_keys
     if role is not identity.role:
@@ -145,10 +182,16 @@ def _keys_of(identity: Identity, roster: Roster, shared: SharedRoster) -> Datagr
             raise CodecError("a roster with a secret that does not belong to it")
         return robot_keys(roster.generation, shared.secret, old.answer_secret)
     keys = shared.keys
-    if keys is None or keys.generation != roster.generation or not keys.own:
-        raise CodecError("a roster without the keys of its generation")
-    answers = {n: key for n, key in {**old.answers, **keys.answers}.items() if n in roster.robots}
-    return msgspec.structs.replace(keys, secret=b"", answers=answers)
+    if keys is None or reader_digest(keys) != roster.readers.get(identity.name):
+        raise CodecError("a roster without the keys that belong to it")
+    own = DatagramKeys(
+        generation=roster.generation,
+        operators=keys.operators,
+        viewers=keys.viewers,
+        own=keys.own,
+        answers=old.answers,
+    )
+    return _with_answers(own, roster, {n: key for n, key in keys.answers.items() if n == giver})
 
 
 def take_certificate(identity: Identity, certificate: bytes) -> Identity | None:

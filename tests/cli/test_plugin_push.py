@@ -15,7 +15,8 @@ from swarmd.cli.plugin_push import greatest_of, read_source
 from swarmd.core.behaviour import MAX_CODE, Manifest, encode_manifest
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import BehaviourReport, BehavioursReply
-from swarmd.security.private_keys import load_private_key, sign
+from swarmd.security.content_signature import Purpose, sign
+from swarmd.security.private_keys import load_private_key
 from tests.support.keys import SwarmKeys
 
 
@@ -77,7 +78,7 @@ def test_generations_of_behaviours_count_by_their_signatures(tmp_path: Path) -> 
             robot="r1",
             generation=generation,
             newest=content,
-            signature=sign(key, content) if is_signed else bytes(64),
+            signature=sign(key, Purpose.MANIFEST, content) if is_signed else bytes(64),
         )
 
     replies = (

@@ -94,6 +94,24 @@ def test_a_full_table_forgets_old_removals_first(monkeypatch: pytest.MonkeyPatch
     assert merged([entry("a", 1), entry("b", 2)], [entry("c", 3)]) == (entry("c", 3), entry("b", 2))
 
 
+def test_a_manifest_with_another_signature_is_the_same_entry() -> None:
+    one = entry()
+    other = read_entry(Signed(one.signed.content, b"\xff" * 64))
+    assert other == one
+    assert other.order == one.order
+    assert digest_of((other,)) == digest_of((one,))
+    assert merged([one], [other])[0].signed == one.signed
+
+
+def test_another_encoding_of_a_manifest_is_refused() -> None:
+    content = encode_manifest(entry().manifest)
+    longer = b"\xde\x00" + bytes([content[0] & 0x0F]) + content[1:]
+    more = bytes([content[0] + 1]) + content[1:] + b"\xa4more\x01"
+    for other in (longer, more):
+        with pytest.raises(CodecError):
+            read_entry(Signed(other))
+
+
 def test_manifests_out_of_bounds_are_refused() -> None:
     with pytest.raises(CodecError, match="SHA-256"):
         entry(digest=b"short")

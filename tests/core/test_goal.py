@@ -1,9 +1,19 @@
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 
 from swarmd.core.errors import CodecError
-from swarmd.core.goal import Goal, decode_goal, digest_of, encode_goal, generation_of, signed_part
+from swarmd.core.goal import (
+    Goal,
+    HeldGoal,
+    decode_goal,
+    digest_of,
+    encode_goal,
+    generation_of,
+    signed_part,
+)
 
 
 def test_a_goal_is_read_as_it_was_written() -> None:
@@ -34,7 +44,43 @@ def test_the_signature_is_no_part_of_what_is_signed() -> None:
     goal = Goal(generation=1, issuer="alice", id="ab")
     signed = Goal(generation=1, issuer="alice", id="ab", signature=bytes(64))
     assert signed_part(goal) == signed_part(signed)
-    assert digest_of(goal) != digest_of(signed)
+    assert digest_of(goal) == digest_of(signed)
+    held, again = HeldGoal.of(goal, None), HeldGoal.of(signed, None)
+    assert (held.order, held.content) == (again.order, again.content)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda content: b"\xde\x00" + bytes([content[0] & 0x0F]) + content[1:],
+        lambda content: bytes([content[0] + 1]) + content[1:] + b"\xa4more\x01",
+        lambda content: bytes([content[0] + 1]) + b"\xa6issuer\xa3eve" + content[1:],
+        lambda content: content.replace(b"\xa5alice", b"\xd9\x05alice"),
+        lambda content: content.replace(b"\x82\xa1a\x01\xa1b\x02", b"\x82\xa1b\x02\xa1a\x01"),
+        lambda content: content.replace(b"\xa1a\x01", b"\xa1a\xd3" + bytes(7) + b"\x01"),
+    ],
+    ids=["head", "unknown field", "field twice", "string head", "order of parameters", "integer"],
+)
+def test_another_encoding_is_the_same_goal(change: Callable[[bytes], bytes]) -> None:
+    goal = Goal(generation=7, issuer="alice", id="x", pattern="drive", params={"a": 1, "b": 2})
+    changed = change(encode_goal(goal))
+    assert changed != encode_goal(goal)
+    again = decode_goal(changed)
+    assert signed_part(again) == signed_part(goal)
+    assert digest_of(again) == digest_of(goal)
+    assert HeldGoal.of(again, None).order == HeldGoal.of(goal, None).order
+
+
+def test_bytes_after_a_goal_are_refused() -> None:
+    with pytest.raises(CodecError):
+        decode_goal(encode_goal(Goal(generation=1, issuer="alice", id="ab")) + b"\0")
+
+
+def test_two_goals_of_one_generation_and_issuer_have_an_order() -> None:
+    goals = [Goal(generation=1, issuer="alice", id=id, signature=bytes(64)) for id in ("a", "b")]
+    one, two = (HeldGoal.of(goal, None) for goal in goals)
+    assert one.order < two.order
+    assert one.digest != two.digest
 
 
 @pytest.mark.parametrize("content", [b"", b"\xc1", b"\x80", bytes(1001)])

@@ -19,6 +19,7 @@ from swarmd.core.behaviour import (
     Table,
     encode_manifest,
     encode_table,
+    merged,
     read_entry,
 )
 from swarmd.core.clock import boottime
@@ -33,9 +34,10 @@ from swarmd.daemon.behaviour_sync import BehaviourSync
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.pushed_code import HOLD_TIME, PushedCode
-from swarmd.security.private_keys import load_private_key, sign
+from swarmd.security.content_signature import Purpose, sign
+from swarmd.security.private_keys import load_private_key
 from swarmd.settings.settings import load_platform
-from tests.support.keys import SwarmKeys
+from tests.support.keys import SwarmKeys, flipped
 
 CODE = b"from swarmd.api import Pattern\n"
 EPOCH = Epoch("0123456789ab", 1)
@@ -162,7 +164,7 @@ class Rig:
         )
         signature = b""
         if self.keys is not None and signer:
-            signature = sign(load_private_key(self.keys[signer].key), content)
+            signature = sign(load_private_key(self.keys[signer].key), Purpose.MANIFEST, content)
         request = PushRequest(
             id=f"p{self._generation}",
             operator=issuer,
@@ -222,6 +224,17 @@ async def test_with_keys_only_code_that_an_operator_signed_is_taken(rig: Rig) ->
     assert not (rig.folder / "behaviours" / "own").exists()
     assert (await rig.push(signer="bob", issuer="bob")).code is Code.APPLIED
     assert rig.origin() != ""
+
+
+async def test_a_push_with_the_other_signature_of_its_content_is_refused(rig: Rig) -> None:
+    rig.secure()
+    assert (await rig.push()).code is Code.APPLIED
+    (known,) = rig.state.table
+    other = Signed(known.signed.content, flipped(known.signed.signature))
+    assert not rig.state.is_trusted(read_entry(other))
+    assert not rig.state.versions["own"].lacks(read_entry(other))
+    rig.state.set_table(merged(rig.state.table, [read_entry(other)]))
+    assert [entry.signed for entry in rig.state.table] == [known.signed]
 
 
 async def test_without_keys_on_a_network_no_code_is_taken(rig: Rig) -> None:
@@ -494,7 +507,7 @@ async def test_a_table_with_false_signatures_costs_one_check(
     ]
     checked: list[bytes] = []
 
-    def check(key: bytes, content: bytes, signature: bytes) -> bool:
+    def check(key: bytes, purpose: Purpose, content: bytes, signature: bytes) -> bool:
         checked.append(content)
         return False
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import pytest
 from msgspec.structs import replace
 
@@ -17,7 +19,7 @@ from swarmd.network.datagram import (
     pack,
     tag_of,
 )
-from swarmd.network.signature import Author
+from swarmd.network.signature import Author, Previous, Trust
 from swarmd.security.roster import Role
 from tests.network.keyring import Keyring
 
@@ -112,26 +114,70 @@ def test_acks_count_with_the_proof_of_their_robot_alone(via: str, rig: Rig) -> N
     assert rig.hear(thief, by="r2") is None
 
 
-def test_an_answer_of_a_robot_without_a_key_counts_as_not_proven(keyring: Keyring) -> None:
+def test_nothing_of_a_robot_counts_without_its_key(keyring: Keyring) -> None:
+    """Any robot of the roster can make these in the name of one that was added later."""
     full = keyring.identity("anna")
+    keys = replace(full.datagram_keys, answers={"r2": full.datagram_keys.answers["r2"]})
+    lacking: list[tuple[str, Address]] = []
     rig = Rig(keyring)
-    keys = replace(full.datagram_keys, answers={})
-    rig.answers = Answers(type(full)(full.folder, full.info, full.roster, keys), 3.0)
+    rig.answers = Answers(
+        dataclasses.replace(full, datagram_keys=keys),
+        3.0,
+        on_lacking=lambda *hint: lacking.append(hint),
+    )
     rig.answers.liveness.note_echo(7, 0.0)
-    assert rig.hear(replace(BEACON, echo=7), to=ANNA) is not None
-    assert rig.hear(ACK) == ACK
-    assert rig.answers.unproven == {"r1"}
-    assert rig.answers.admit(ACK, pack(TAG, ACK), ROBOT, 0.1) is None
+    proven = replace(ACK, proof=keyring.trust("r1").signer.proof(ACK, "anna"))
+    answer = replace(BEACON, echo=7)
+    assert rig.hear(replace(proven, via="r2"), by="r2") is None
+    assert rig.answers.admit(proven, pack(TAG, proven), ROBOT, 0.1) is None
+    assert lacking == []  # where r1 is, no robot has shown yet
+    for body in (answer, proven, ACK, LIST):
+        for thief in ("r1", "r2"):
+            assert rig.hear(body, by=thief, to=ANNA) is None
+            assert rig.hear(body, by=thief) is None
+    assert (lacking, rig.answers.unproven) == ([("r1", ROBOT)], {"r1": ROBOT})
+    assert rig.hear(answer, to=ANNA, now=6.0) is None
+    assert lacking == [("r1", ROBOT)] * 2
+    rig.answers.take_keys(full)
+    assert rig.answers.unproven == {}
+    assert rig.hear(proven) == proven
+    assert rig.hear(replace(proven, via="r2"), by="r2") is not None
+    assert rig.hear(ACK) is None
 
 
-def test_other_generations_are_hints_and_acks_count_across_them(rig: Rig) -> None:
-    proven = replace(ACK, proof=rig.keyring.trust("r1").signer.proof(ACK, "anna"))
-    old = rig.keyring.trust("r1").signer.sign(pack(TAG, BEACON))
-    rig.keyring.renew()
+def test_an_ack_needs_the_signature_of_its_datagram_beside_its_proof(
+    keyring: Keyring, rig: Rig
+) -> None:
+    """A name that was revoked keeps the keys of its pairs, and not those of the generation."""
+    thief = keyring.trust("r2").signer
+    keyring.renew(remove=("r2",))
+    for ack in (replace(ACK, robot="r2"), ACK):
+        for answers in (rig.answers, Rig(keyring).answers):
+            proven = replace(ack, proof=thief.proof(ack, "anna"))
+            bare = pack(TAG, proven)
+            assert answers.admit(proven, bare, ROBOT, 0.1) is None
+            assert answers.admit(proven, bare + bytes(21), ROBOT, 0.1) is None
+    newer = Rig(keyring)
+    proven = replace(ACK, robot="r2", proof=thief.proof(replace(ACK, robot="r2"), "anna"))
+    assert newer.answers.admit(proven, thief.sign(bare), ROBOT, 0.1) is None
+    assert newer.hear(proven, by="r1") is None  # r2 is not on the roster any more
+
+
+def test_other_generations_are_hints_and_those_before_get_answers_that_they_can_verify(
+    rig: Rig,
+) -> None:
+    keyring = rig.keyring
+    old = keyring.trust("r1").signer.sign(pack(TAG, BEACON))
+    before = Previous(keyring.keys("r1"), keyring.roster, until=600.0)
+    keyring.renew()
     assert rig.hear(replace(BEACON, echo=7), to=ANNA) is None
     assert rig.hear(BEACON, now=1.0) is None
-    assert rig.hints == [("r1", ROBOT, rig.keyring.roster.generation)]
-    assert rig.hear(proven) == proven
+    assert rig.hints == [("r1", ROBOT, keyring.roster.generation)]
+    signer = Trust.of(keyring.identity("r1"), before).signer
+    proven = replace(ACK, proof=signer.proof(ACK, "anna"))
+    assert rig.hear(proven, to=ANNA) is None
+    payload = signer.sign(pack(TAG, proven), ANNA._replace(is_previous=True))
+    assert rig.answers.admit(proven, payload, ROBOT, 0.1) == proven
     newer = Rig(rig.keyring)
     assert newer.answers.admit(BEACON, old, ROBOT, 0.1) is None
     assert newer.answers.outdated == {"r1": ROBOT}

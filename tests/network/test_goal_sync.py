@@ -6,11 +6,14 @@ import hashlib
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from swarmd.core.goal import MAX_UNSIGNED, Goal, HeldGoal, digest_of, encode_goal, signed_part
 from swarmd.network.datagram import GoalReport, Solicit
 from swarmd.network.goal_sync import CHECK_BURST, GoalCheck, GoalSync
+from swarmd.security.content_signature import Purpose
 from tests.network.virtual_network import VirtualNetwork
+from tests.support.keys import flipped
 
 INSTANCE = b"abcdef"
 SOURCE = ("10.0.0.1", 7440)
@@ -139,9 +142,9 @@ class _Signing:
         self.public: bytes = self._key.get_verifying_key().to_string()
 
     def sign(self, one: Goal) -> Goal:
-        from msgspec.structs import replace
-
-        return replace(one, signature=self._key.sign(signed_part(one)))
+        signature = self._key.sign(Purpose.GOAL.value + signed_part(one))
+        other = flipped(signature)
+        return replace(one, signature=min(signature, other, key=lambda two: two[32:]))
 
 
 def test_a_goal_counts_only_with_the_signature_of_its_issuer() -> None:
@@ -166,3 +169,28 @@ def test_signatures_are_verified_once_and_at_a_limited_rate() -> None:
     assert verdicts.count(False) == CHECK_BURST - 1
     assert verdicts.count(None) > 0
     assert check(good, 0.0) is True, "it was verified before"
+
+
+def test_a_flipped_signature_does_not_count_and_costs_no_check() -> None:
+    bob = _Signing()
+    check = GoalCheck({"bob": bob.public}.get)
+    good = bob.sign(goal())
+    bad = replace(good, signature=flipped(good.signature))
+    for _ in range(100):
+        assert check(bad, 0.0) is False
+    assert check(good, 0.0) is True
+
+
+def test_no_robot_asks_for_the_goal_that_it_holds_with_another_signature() -> None:
+    network = VirtualNetwork(3)
+    held = goal(7, signature=bytes(64))
+    for robot in network.robots.values():
+        robot.find(held, 0.0, network.now)
+    network.run(2.0)
+    asked = network.sent_kinds[GoalReport]
+    thief = network.robots["r3"].goals
+    thief.held = HeldGoal.of(replace(held, signature=b"\xff" * 64), network.now)
+    network.run(5.0)
+    assert network.sent_kinds[GoalReport] == asked
+    for name in ("r1", "r2"):
+        assert network.robots[name].goals.held.goal == held  # type: ignore[union-attr]

@@ -15,8 +15,9 @@ from swarmd.network.members_view import MembersView
 from swarmd.network.next_goal import MAX_GENERATION, next_goal, resigned
 from swarmd.network.signed_goals import signed_goals
 from swarmd.security.authority import Authority
+from swarmd.security.content_signature import Purpose, is_signed_by
 from swarmd.security.identity import load_identity
-from swarmd.security.roster import Role, is_signed_by
+from swarmd.security.roster import Role
 from tests.support.goals import goal_status, member_with, view_of
 from tests.support.keys import SwarmKeys
 
@@ -57,8 +58,10 @@ def test_where_keys_are_in_force_the_operator_signs_each_goal(tmp_path: Path) ->
     again = resigned(me, goal, generation=5)
     assert again.id == goal.id
     for one in (goal, again):
-        assert is_signed_by(roster.operators["anna"], signed_part(one), one.signature)
-    assert not is_signed_by(roster.operators["anna"], signed_part(again), goal.signature)
+        assert is_signed_by(roster.operators["anna"], Purpose.GOAL, signed_part(one), one.signature)
+    assert not is_signed_by(
+        roster.operators["anna"], Purpose.GOAL, signed_part(again), goal.signature
+    )
 
 
 def test_a_robot_that_was_taken_over_cannot_use_up_the_generations(tmp_path: Path) -> None:

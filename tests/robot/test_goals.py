@@ -732,3 +732,19 @@ def test_goals_of_a_revoked_operator_are_forgotten() -> None:
     harness.carry_out(harness.robot.forget_goals((digest_of(own).hex(),), harness.now))
     assert harness.status.goal is None
     assert run(harness, goal(1)).code is Code.APPLIED
+
+
+def test_the_same_goal_with_another_signature_starts_nothing_after_a_stop_and_a_reset() -> None:
+    harness = ready()
+    wanted = goal(7, signature=bytes(64), **JOINED)
+    run(harness, wanted)
+    harness.advance(1.0)
+    assert told(harness).state is GoalState.RUNNING
+    harness.applied("estop")
+    harness.advance(1.0)
+    harness.applied("reset", ids=tuple(harness.status.latches))
+    for byte in (b"\x00", b"\x01", b"\xff"):  # lesser, or greater, than the one before
+        harness.find(goal(7, signature=byte * 64, **JOINED), age=1.0)
+        harness.advance(2.0)
+        assert harness.status.state is State.IDLE
+    assert told(harness).held.goal.signature == bytes(64)  # type: ignore[union-attr]

@@ -9,9 +9,11 @@ import pytest
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.security.authority import Authority, IssueRecord, is_encrypted
+from swarmd.security.content_signature import Purpose, is_signed_by, sign
 from swarmd.security.identity import KEY, ROSTER, load_identity
-from swarmd.security.private_keys import load_private_key, public_bytes, sign
-from swarmd.security.roster import Role, SignedRoster, is_signed_by, read_roster
+from swarmd.security.private_keys import load_private_key, public_bytes
+from swarmd.security.roster import Role, SignedRoster, read_roster
+from tests.support.keys import flipped
 
 NAMES = {"r01": Role.ROBOT, "r02": Role.ROBOT, "alice": Role.OPERATOR, "class": Role.VIEWER}
 
@@ -56,7 +58,11 @@ def test_a_new_generation_changes_the_keys_of_datagrams(authority: Authority) ->
 def test_a_roster_with_another_signature_or_content_is_refused(authority: Authority) -> None:
     signed = msgspec.msgpack.decode(authority.signed_roster, type=SignedRoster)
     changed = signed.content.replace(b"r01", b"r03")
-    for content, signature in ((changed, signed.signature), (signed.content, bytes(64))):
+    for content, signature in (
+        (changed, signed.signature),
+        (signed.content, bytes(64)),
+        (signed.content, flipped(signed.signature)),
+    ):
         with pytest.raises(CodecError, match="signature"):
             read_roster(msgspec.msgpack.encode([content, signature]), authority.public_key)
 
@@ -65,11 +71,11 @@ def test_what_an_operator_signs_is_verified_with_the_key_on_the_roster(
     authority: Authority, tmp_path: Path
 ) -> None:
     authority.issue("alice").write(tmp_path / "alice")
-    signature = sign(load_private_key(tmp_path / "alice" / KEY), b"goal")
+    signature = sign(load_private_key(tmp_path / "alice" / KEY), Purpose.GOAL, b"goal")
     public = authority.roster.operators["alice"]
-    assert is_signed_by(public, b"goal", signature)
-    assert not is_signed_by(public, b"other", signature)
-    assert not is_signed_by(bytes(64), b"goal", signature)
+    assert is_signed_by(public, Purpose.GOAL, b"goal", signature)
+    assert not is_signed_by(public, Purpose.GOAL, b"other", signature)
+    assert not is_signed_by(bytes(64), Purpose.GOAL, b"goal", signature)
 
 
 def test_a_damaged_or_public_identity_is_refused_in_one_line(

@@ -10,6 +10,7 @@ import pytest
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.security.authority import Authority
+from swarmd.security.datagram_keys import KEY_BYTES
 from swarmd.security.identity import Identity, load_identity
 from swarmd.security.roster import Role
 from swarmd.security.roster_change import (
@@ -17,9 +18,10 @@ from swarmd.security.roster_change import (
     is_revoked,
     read_shared,
     share_roster,
+    take_answers,
     take_roster,
 )
-from tests.support.keys import SwarmKeys
+from tests.support.keys import SwarmKeys, flipped
 
 
 @pytest.fixture
@@ -58,6 +60,30 @@ def test_another_roster_of_the_same_generation_is_refused(keys: SwarmKeys, tmp_p
     older.change(add={"r4": Role.ROBOT})
     with pytest.raises(CodecError, match="older copy"):
         take_roster(taken, shared_of(older))
+
+
+def test_a_roster_with_another_signature_or_encoding_keeps_no_real_one_out(
+    keys: SwarmKeys,
+) -> None:
+    """Whoever has the roster can make these without the key of the authority."""
+    keys.authority.change(add={"r3": Role.ROBOT})
+    real, before = shared_of(keys.authority), keys["r1"]
+    content, signature = msgspec.msgpack.decode(real.roster)
+    other_s = SharedRoster(msgspec.msgpack.encode((content, flipped(signature))), real.secret)
+    with pytest.raises(CodecError):
+        take_roster(before, other_s)
+    assert keys["r1"] == before
+    longer = b"\xdc\x00\x02" + real.roster[1:]  # array 16 in place of fixarray
+    more = msgspec.msgpack.encode((content, signature, "more"))
+    for encoding in (longer, more):
+        assert encoding != real.roster
+        first = take_roster(before, SharedRoster(encoding, real.secret)).identity
+        assert first.signed_roster == real.roster
+        assert not take_roster(first, real).is_changed
+        assert not take_roster(first, SharedRoster(encoding, real.secret)).is_changed
+        issued = keys.authority.issue("r1", days=200)  # the real renewal of that generation
+        assert take_roster(first, real, issued.certificate).is_changed
+        assert keys["r1"].signed_roster == real.roster
 
 
 def test_foreign_and_damaged_rosters_are_refused(keys: SwarmKeys, tmp_path: Path) -> None:
@@ -111,6 +137,52 @@ def test_peers_hand_the_roster_on_by_role(keys: SwarmKeys) -> None:
     for end in range(len(blob)):
         with pytest.raises(CodecError):
             read_shared(blob[:end])
+
+
+def test_a_reader_takes_the_key_with_a_robot_from_that_robot_alone(keys: SwarmKeys) -> None:
+    authority = keys.authority
+    authority.change(add={"r3": Role.ROBOT, "r4": Role.ROBOT})
+    true, before = authority.keys_of("alice"), keys["alice"].datagram_keys.answers
+    false = dict.fromkeys(("r1", "r2", "r3", "r4", "ghost"), b"f" * KEY_BYTES)
+    handed = SharedRoster(
+        authority.signed_roster, keys=msgspec.structs.replace(true, secret=b"s", answers=false)
+    )
+    taken = take_roster(keys["alice"], handed, giver="r3").identity
+    assert taken.datagram_keys.answers == {**before, "r3": false["r3"]}
+    assert taken.datagram_keys.secret == b""
+    assert keys["alice"] == taken
+    taken = take_answers(taken, {"r4": true.answers["r4"], "ghost": b"f" * KEY_BYTES, "r2": b""})
+    assert taken.datagram_keys.answers.keys() == {"r1", "r3", "r4"}
+    again = take_answers(keys["alice"], {"r2": true.answers["r2"]})
+    assert keys["alice"] == again
+
+    authority.change(remove=["r3"])  # what it has handed over goes with it
+    handed = SharedRoster(authority.signed_roster, keys=authority.keys_of("alice"))
+    after = take_roster(keys["alice"], handed, giver="r3").identity
+    whole = authority.keys_of("alice")
+    assert after.datagram_keys == whole
+    assert keys["alice"].datagram_keys == whole
+
+
+@pytest.mark.parametrize("field", ["own", "operators", "viewers"])
+def test_a_reader_takes_no_changed_keys_of_its_own(field: str, keys: SwarmKeys) -> None:
+    """A robot hands them over; the roster shows which they are."""
+    keys.authority.change(add={"r3": Role.ROBOT})
+    before, true = keys["alice"], keys.authority.keys_of("alice")
+    for wrong in (b"", b"f" * KEY_BYTES):
+        changed = msgspec.structs.replace(true, **{field: wrong})
+        with pytest.raises(CodecError):
+            take_roster(before, SharedRoster(keys.authority.signed_roster, keys=changed))
+    assert keys["alice"] == before
+
+
+def test_keys_of_another_roster_are_not_written_over_a_newer_one(keys: SwarmKeys) -> None:
+    old = keys["alice"]
+    keys.authority.change(remove=["r2"])
+    handed = SharedRoster(keys.authority.signed_roster, keys=keys.authority.keys_of("alice"))
+    newer = take_roster(old, handed).identity
+    assert take_answers(old, {"r2": b"f" * KEY_BYTES}).datagram_keys.answers["r2"] == b"f" * 16
+    assert keys["alice"] == newer
 
 
 def test_a_reader_takes_no_keys_without_their_generation(keys: SwarmKeys) -> None:

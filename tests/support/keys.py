@@ -9,6 +9,14 @@ from swarmd.security.authority import Authority
 from swarmd.security.identity import Identity, load_identity
 from swarmd.security.roster import Role
 
+P256_ORDER = 0xFFFFFFFF00000000FFFFFFFFFFFFFFFFBCE6FAADA7179E84F3B9CAC2FC632551
+
+
+def flipped(signature: bytes) -> bytes:
+    """The other signature of the same content, (r, n - s), which needs no private key."""
+    s = P256_ORDER - int.from_bytes(signature[32:], "big")
+    return signature[:32] + s.to_bytes(32, "big")
+
 
 class SwarmKeys:
     """The authority of `swarm` in `folder`, and an identity for each name, in a folder of its own.

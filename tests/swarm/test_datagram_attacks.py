@@ -8,6 +8,7 @@ import struct
 import threading
 from collections.abc import Iterator
 from pathlib import Path
+from types import UnionType
 
 import pytest
 
@@ -61,7 +62,7 @@ class Stranger:
         self._ear.close()
         self.mouth.close()
 
-    def recorded(self, kind: type[Datagram]) -> list[tuple[Datagram, bytes, Address]]:
+    def recorded(self, kind: type[Datagram] | UnionType) -> list[tuple[Datagram, bytes, Address]]:
         """What was heard of a kind: body, bytes and source."""
         found = []
         for payload, source in list(self._heard):

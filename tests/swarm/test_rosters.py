@@ -12,6 +12,7 @@ from click.testing import CliRunner
 
 from swarmd.cli.daemon import swarmd
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
+from swarmd.security.identity import load_identity
 from tests.support.fake_body import Body
 from tests.support.processes import wait_until
 from tests.swarm.conftest import Finished
@@ -163,3 +164,26 @@ def test_an_operator_with_an_older_roster_takes_that_of_a_robot(
     done = secured.ctl("estop", "r1", "--until-all")
     assert done.outcome == (0, "1 targeted, 1 applied"), done
     assert secured.statuses()["r1"]["state"] == "estopped"
+
+
+def test_an_operator_takes_the_key_of_a_robot_that_was_added_later_from_that_robot(
+    secured: SecuredSwarm, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    swarm, bundle = secured.swarm.name, secured.folder / "bob.bundle"
+    secured.make("r1")
+    kept = bundle.read_bytes()
+    secured.keys("add", "r2", "--role", "robot", "--timeout", "1s")
+    assert secured.keys("bundle", "r1", "r2", "-o", str(secured.folder)).code == 0
+    for robot in ("r1", "r2"):
+        secured.start(robot)
+    bundle.write_bytes(kept)
+    monkeypatch.setenv("XDG_CONFIG_HOME", str(tmp_path / "bob"))
+    assert secured.keys("install", str(bundle)).code == 0
+    folder = tmp_path / "bob/swarmd/identities" / swarm
+    assert load_identity(folder).datagram_keys.answers.keys() == {"r1"}
+    done = secured.ctl("estop", "--until-all")
+    assert done.outcome == (0, "2 targeted, 2 applied"), done
+    keys = load_identity(folder).datagram_keys
+    assert (keys.generation, set(keys.answers)) == (3, {"r1", "r2"})
+    assert {one["state"] for one in secured.statuses().values()} == {"estopped"}
+    assert set(secured.statuses()) == {"r1", "r2"}

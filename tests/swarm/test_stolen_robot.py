@@ -6,13 +6,21 @@ The rows of `docs/security.md` on the bundle of a robot.
 from __future__ import annotations
 
 import contextlib
+import socket
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
+import msgspec
 import pytest
+import zenoh
 from msgspec.structs import replace
 
+from swarmd.core.clock import boottime
+from swarmd.core.goal import Goal, encode_goal
+from swarmd.core.keys import ANY, SHARED, build, parse
 from swarmd.core.messages import Presence, RunRequest, State
 from swarmd.network.datagram import (
     Ack,
@@ -20,16 +28,24 @@ from swarmd.network.datagram import (
     Beacon,
     Datagram,
     Flag,
+    GoalReport,
     RunLease,
     Solicit,
     Stop,
     pack,
+    unpack,
 )
-from swarmd.network.signature import Signer
+from swarmd.network.next_goal import sign_goal
+from swarmd.network.outcome import Outcome
+from swarmd.network.pull import _answer
+from swarmd.network.session import open_with, session_options
+from swarmd.network.signature import Author, Signer
 from swarmd.network.udp import GROUP4, GROUP_PORT
-from swarmd.security.datagram_keys import reader_keys
+from swarmd.security.datagram_keys import KEY_BYTES, reader_keys
 from swarmd.security.roster import Role
-from tests.support.processes import wait_until
+from swarmd.security.roster_change import SharedRoster
+from tests.support.keys import flipped
+from tests.support.processes import free_endpoint, wait_until
 from tests.swarm.test_datagram_attacks import SecuredSwarm, _dropped
 
 pytestmark = pytest.mark.integration
@@ -61,6 +77,140 @@ class Thief:
             if isinstance(body, Beacon) and body.robot == robot
         ]
         return found[-1]
+
+
+class GoalThief(Thief):
+    """The robot `r3` in the thief's hands: a member of the swarm that holds `goal`.
+
+    `handed`: how often it has handed the goal to each address that asked for it.
+    """
+
+    def __init__(self, swarm: SecuredSwarm, goal: Goal) -> None:
+        super().__init__(swarm)
+        self._goal = goal
+        self._sequence = 0
+        self.handed: Counter[Address] = Counter()
+
+    @contextlib.contextmanager
+    def at_work(self) -> Iterator[None]:
+        """Meanwhile it shows the goal to all, and answers what robots ask."""
+        mouth = self.swarm.stranger.mouth
+        mouth.settimeout(0.1)
+        ended = threading.Event()
+
+        def work() -> None:
+            while not ended.is_set():
+                self.send(self._shown())
+                with contextlib.suppress(TimeoutError):
+                    while True:
+                        self._answer(*mouth.recvfrom(2000))
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join()
+
+    def _shown(self, echo: int = 0) -> Beacon:
+        """A beacon with a digest that no robot has, so that each asks for the goal."""
+        self._sequence += 1
+        digest = self._goal.generation.to_bytes(4, "big") + b"xx"
+        return replace(
+            self.beacon("r1"),
+            robot="r3",
+            instance=b"thief3",
+            sequence=self._sequence,
+            state=0,
+            goal=digest,
+            echo=echo,
+        )
+
+    def _answer(self, payload: bytes, source: Address) -> None:
+        body = unpack(self.swarm.tag, payload)
+        if not isinstance(body, Solicit) or body.robot not in (None, "r3"):
+            return
+        self.send(self._shown(body.echo), to=source)
+        if body.wants_goal:
+            content = encode_goal(self._goal)
+            report = GoalReport(
+                robot="r3", instance=b"thief3", echo=body.echo, goal=content, age=1000
+            )
+            self.send(report, to=source)
+            self.handed[source] += 1
+
+
+class KeyThief:
+    """The robot `r3` in the thief's hands, which hands over a newer roster with false keys.
+
+    Then it acks each stop in the name of every robot, with those keys.
+    """
+
+    FALSE = b"f" * KEY_BYTES
+
+    def __init__(self, swarm: SecuredSwarm, left: contextlib.ExitStack) -> None:
+        self._swarm = swarm
+        authority = swarm.keys.authority
+        authority.issue("r3").write(swarm.keys.folder_of("r3"))
+        identity = swarm.keys["r3"]
+        self._names = sorted(identity.roster.robots, key=lambda name: name != "r3")
+        self._signer = Signer(identity.datagram_keys, Role.ROBOT, "r3")
+        self._signer._pairs["anna"] = self.FALSE
+        keys = replace(authority.keys_of("anna"), answers=dict.fromkeys(self._names, self.FALSE))
+        self._blob = msgspec.msgpack.encode(SharedRoster(authority.signed_roster, keys=keys))
+        endpoint = free_endpoint()
+        self._mouth = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        left.callback(self._mouth.close)
+        self._mouth.bind(("127.0.0.1", int(endpoint.rpartition(":")[2])))
+        options = session_options(replace(swarm.settings, listen=(endpoint,)), identity)
+        del options["access_control"]  # it answers on the keys of other robots as well
+        session = open_with(options, "a thief")
+        left.callback(session.close)
+        session.declare_queryable(build(swarm.name, ANY, SHARED, "roster", ANY), self._hand_over)
+        self.asked: set[str] = set()
+        self._seen = 0
+        self.acked = 0
+
+    def _hand_over(self, query: zenoh.Query) -> None:
+        assert query.payload is not None
+        key = parse(str(query.key_expr))
+        assert key is not None
+        self.asked.add(key.robot)
+        asked = query.payload.to_bytes()
+        query.reply(query.key_expr, _answer(lambda name, asker: self._blob, asked, "anna"))
+
+    def work(self) -> None:
+        """Answer what the operator has asked since the last time, as each robot."""
+        heard = self._swarm.stranger.recorded(Solicit | Stop)
+        for body, _, source in heard[self._seen :]:
+            self._seen += 1
+            for robot in self._names:
+                if isinstance(body, Solicit):
+                    beacon = Beacon(
+                        robot=robot,
+                        instance=b"thief3",
+                        sequence=self._seen,
+                        wire=3,
+                        state=0,
+                        revision=1,
+                        echo=body.echo,
+                    )
+                    self._send(beacon, source)
+                elif isinstance(body, Stop):
+                    self._ack(body.id, robot, source)
+
+    def _ack(self, stop: str, robot: str, source: Address) -> None:
+        ack = Ack(id=stop, robot=robot, instance=b"thief3", revision=1, code="applied")
+        ack = replace(ack, proof=self._signer.proof(ack, "anna"))
+        self._send(ack, source)
+        self._send(replace(ack, via="r1"), source)
+        self._mouth.sendto(pack(self._swarm.tag, ack), source)  # without a signature
+        self.acked += 1
+
+    def _send(self, body: Datagram, to: Address) -> None:
+        payload = self._signer.sign(pack(self._swarm.tag, body), Author(Role.OPERATOR, "anna"))
+        self._mouth.sendto(payload, to)
 
 
 @contextlib.contextmanager
@@ -176,7 +326,80 @@ def test_no_ack_of_another_robot_counts(swarm: SecuredSwarm, thief: Thief) -> No
     assert outcome.exit_code != 0
 
 
+@pytest.mark.parametrize("forge", [flipped, bytes], ids=["flipped", "as it was"])
+def test_an_old_goal_starts_no_robot_after_an_estop_and_a_reset(
+    forge: Callable[[bytes], bytes], swarm: SecuredSwarm, thief: Thief
+) -> None:
+    """As it was signed, or with the other signature of the same content."""
+    robots, identity = ["r1", "r2"], swarm.keys["anna"]
+    drive: dict[str, Any] = {"pattern": "drive", "on_join": "run", "valid": 600.0}
+    goal = sign_goal(Goal(generation=7, issuer="anna", id="old", **drive), identity)
+
+    def runs() -> bool:
+        view = swarm.anna.members()
+        done = swarm.anna.request(RunRequest, view.epochs(robots), pattern="drive", goal=goal)
+        return done.exit_code == 0
+
+    wait_until(runs, "both run")
+    assert swarm.anna.send_stop("estop", select=lambda names: robots).exit_code == 0
+    for robot in robots:
+        swarm.reset(robot)
+    stolen = GoalThief(swarm, replace(goal, signature=forge(goal.signature)))
+    with stolen.at_work():
+        wait_until(
+            lambda: len(stolen.handed) == 2 and min(stolen.handed.values()) > 2,
+            "both have taken the goal",
+        )
+        states = {robot: swarm.status(robot).state for robot in robots}
+    assert states == dict.fromkeys(robots, State.IDLE)
+
+
 def test_questions_of_a_stolen_robot_are_answered(swarm: SecuredSwarm, thief: Thief) -> None:
     swarm.stranger.mouth.settimeout(10.0)
     thief.send(Solicit(echo=77, wants_members=True))
     assert swarm.stranger.mouth.recv(2000)
+
+
+def test_no_ack_counts_by_keys_that_a_stolen_robot_handed_over(tmp_path: Path) -> None:
+    """It brings a newer roster; two robots are frozen, r4 never existed, r5 is new."""
+    with contextlib.ExitStack() as left:
+        swarm = SecuredSwarm(tmp_path, left, names=("r1", "r2", "r3", "r4"))
+        authority, anna = swarm.keys.authority, swarm.anna
+        for robot in ("r1", "r2"):
+            swarm.daemons[robot].freeze()
+            left.callback(swarm.daemons[robot].thaw)
+        authority.change(add={"r5": Role.ROBOT})
+        thief = KeyThief(swarm, left)
+
+        def estop(is_ended: Callable[[], bool]) -> Outcome:
+            until = boottime() + 60.0
+            return anna.send_stop(
+                "estop", until_all=True, is_ended=lambda: is_ended() or boottime() > until
+            )
+
+        def has_acked() -> Callable[[], bool]:
+            enough = thief.acked + 100
+            return lambda: thief.acked >= enough
+
+        def has(generation: int) -> bool:
+            return anna.identity is not None and anna.identity.roster.generation == generation
+
+        with repeated(thief.work):
+            estop(lambda: has(3))
+            assert has(3)
+            outcome = estop(has_acked())
+            assert set(outcome.replies) <= {"r3"}
+            assert {"r1", "r2", "r4", "r5"} <= set(outcome.missing)
+            assert thief.asked == {"r3", "r5"}  # r5 at the address of the thief
+
+            authority.change(remove=["r3"])
+            authority.issue("r1").write(swarm.keys.folder_of("r1"))
+            swarm.daemons["r1"].kill()
+            swarm.spawn("r1").wait_ready()
+            estop(lambda: has(4))
+            assert has(4)
+            outcome = estop(has_acked())
+        assert set(outcome.replies) == {"r1"}
+        assert {"r2", "r4", "r5"} <= set(outcome.missing)
+        true = authority.keys_of("anna").answers
+        assert swarm.keys["anna"].datagram_keys.answers.items() <= true.items()
