@@ -14,11 +14,18 @@
         └── IdHeldError  the robot's id belongs to another daemon of the swarm
 
 Every message names what is wrong, where, what was expected and what to do, in one line.
+
+`CoreFault` stands beside it: it carries an error of the robot's own core past each `except`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class SwarmError(Exception):
@@ -63,6 +70,23 @@ class NetworkError(SwarmError):
 
 class IdHeldError(NetworkError):
     """The robot's id belongs to another daemon of this swarm."""
+
+
+class CoreFault(BaseException):
+    """An error of the robot's core, its cause; it ends the daemon, whatever called the core."""
+
+
+def fail_stop(function: Callable[P, R]) -> Callable[P, R]:
+    """The function of the robot's core, of which each error is raised as a `CoreFault`."""
+
+    @wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except Exception as error:
+            raise CoreFault from error
+
+    return run
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> str:

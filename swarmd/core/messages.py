@@ -14,6 +14,7 @@ from msgspec import Meta, Struct
 from swarmd.core.bounds import (
     BoundedScalar,
     Count,
+    FileName,
     Height,
     Id,
     Line,
@@ -327,7 +328,7 @@ class RecordingFile(Struct, frozen=True, kw_only=True):
     `crc`: the CRC-32 of a finished file. `dropped`: entries that were lost in it.
     """
 
-    name: Line
+    name: FileName
     size: Count
     is_open: bool
     crc: Count | None = None
@@ -352,7 +353,7 @@ class RecordingsReply(Struct, frozen=True, kw_only=True):
 class FetchQuery(Struct, frozen=True, kw_only=True):
     """Asks for `length` bytes of a recording from `offset` on."""
 
-    file: Line
+    file: FileName
     offset: Count
     length: Annotated[int, Meta(gt=0, le=32768)]
 
@@ -361,7 +362,7 @@ class FetchReply(Struct, frozen=True, kw_only=True):
     """Bytes of a recording and their CRC-32; `size` of the file, `text` why there are none."""
 
     robot: Name
-    file: Line
+    file: FileName
     offset: Count
     size: Count
     data: bytes

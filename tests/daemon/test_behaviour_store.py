@@ -30,6 +30,7 @@ from swarmd.daemon.behaviour_runs import CodeRuns
 from swarmd.daemon.behaviour_state import BehaviourState
 from swarmd.daemon.behaviour_store import BehaviourStore
 from swarmd.daemon.behaviour_sync import BehaviourSync
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.pushed_code import HOLD_TIME, PushedCode
@@ -142,7 +143,7 @@ class Rig:
         control = self.control = Control()
         self.files = GatedFiles(self.folder / "behaviours")
         self.state = BehaviourState(self.files, "r1", "lab", lambda: self.operators)
-        self.store = control.store = BehaviourStore(self.state)
+        self.store = control.store = BehaviourStore(self.state, DropCounter())
         self.runs = CodeRuns(self.state)
         await self.state.open(control)
 
@@ -500,7 +501,7 @@ async def test_a_table_with_false_signatures_costs_one_check(
 
     monkeypatch.setattr(behaviour_state, "is_signed_by", check)
     puller = Pulling(encode_table(map(read_entry, (*foreign, *false))))
-    sync = BehaviourSync(rig.state, rig.store, puller, lambda *_: None)  # type: ignore[arg-type]
+    sync = BehaviourSync(rig.state, rig.store, puller, lambda *_: None, DropCounter())  # type: ignore[arg-type]
     digests = (number.to_bytes(4, "big") + b"xx" for number in range(1, 100))
     for digest in digests:
         sync.on_beacon("r2", digest, ("127.0.0.1", 1), boottime())
