@@ -7,6 +7,7 @@
     │   └── ParameterError       a pattern's parameter is unknown, missing or out of bounds
     ├── CodecError       bytes that do not fit the key they came on; dropped and counted
     ├── PluginError      a pattern or driver cannot be found, loaded or used on this robot
+    │   ├── ChangedCodeError     the file of a pushed pattern is not what was pushed
     │   ├── UnknownPatternError  no pattern has this name
     │   └── MissingSensorError   the platform lacks what a pattern or condition needs
     ├── DriverError      the robot's base cannot be reached or does not answer as it should
@@ -50,6 +51,10 @@ class CodecError(SwarmError):
 
 class PluginError(SwarmError):
     """A pattern or driver cannot be found, loaded or used."""
+
+
+class ChangedCodeError(PluginError):
+    """The file of a pushed pattern has another SHA-256 than its manifest."""
 
 
 class UnknownPatternError(PluginError):

@@ -122,6 +122,7 @@ class Refusal(StrEnum):
     OTHER_VERSION = "other_version"  # the request is of another wire version
     NOT_SIGNED = "not_signed"  # by an operator of the roster
     NAME_TAKEN = "name_taken"  # the robot has a pattern of that name by other means
+    CHANGED_CODE = "changed_code"  # the file of a pushed pattern is not what was pushed
 
 
 class Epoch(Struct, frozen=True):

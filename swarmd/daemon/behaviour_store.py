@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from swarmd.core.behaviour import Entry, Signed, merged, read_entry
 from swarmd.core.errors import CodecError, PluginError
-from swarmd.core.host_messages import HostEvent, TrialDone
+from swarmd.core.host_messages import HostEvent, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, PushRequest, Refusal, ReloadRequest, Reply
 from swarmd.daemon.behaviour_state import BehaviourState, Candidate
 from swarmd.network.inbound_queue import FAILED, DropCounter
@@ -41,7 +41,7 @@ class BehaviourStore:
         self._queue: deque[tuple[Entry, bytes, str, PushRequest | None]] = deque()
 
     def check_again(self) -> None:
-        """The roster has changed: check all code again."""
+        """The roster or a file has changed: check all code again."""
         self._start(self._state.check_again())
 
     def close(self) -> None:
@@ -217,6 +217,8 @@ class BehaviourStore:
 
         None: a trial succeeded. The robot gets the event when the version is on the disk.
         """
+        if isinstance(event, LoadRefused) and event.refusal is Refusal.CHANGED_CODE:
+            self.check_again()
         candidate = self._state.candidate
         if candidate is None or not isinstance(event, TrialDone) or event.text:
             return event

@@ -22,7 +22,7 @@ from swarmd.core.behaviour import (
     read_entry,
 )
 from swarmd.core.clock import boottime
-from swarmd.core.host_messages import Load, TrialDone
+from swarmd.core.host_messages import Load, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, PushRequest, Refusal, ReloadRequest, Reply
 from swarmd.daemon import behaviour_state
 from swarmd.daemon.behaviour_files import BehaviourFiles
@@ -247,12 +247,34 @@ async def test_code_from_before_the_keys_and_of_a_revoked_operator_is_not_loaded
     assert rig.standing() == "returned"
 
 
+async def test_code_that_a_host_found_changed_is_missing_until_it_is_pushed_again(rig: Rig) -> None:
+    await rig.push()
+    Path(rig.origin()).write_bytes(b"something else")
+    refused = LoadRefused(1, "own was changed", Refusal.CHANGED_CODE)
+    assert rig.store.on_event(refused) is refused
+    async with asyncio.timeout(20.0):
+        while rig.origin():
+            await asyncio.sleep(0.005)
+    (listed,) = rig.state.report().behaviours
+    assert (listed.standing, listed.digest, "changed" in listed.text) == ("missing", "", True)
+    assert len(rig.control.faults) == 1
+    assert (await rig.push()).code is Code.APPLIED
+    assert (Path(rig.origin()).read_bytes(), rig.standing()) == (CODE, "provisional")
+
+
+@pytest.mark.parametrize("name", ["table", "versions", "code"])
+async def test_a_name_of_a_file_of_the_daemon_is_a_name_of_a_pattern(rig: Rig, name: str) -> None:
+    assert (await rig.push(name=name)).code is Code.APPLIED
+    await rig.start()
+    assert Path(rig.origin(name)).read_bytes() == CODE
+
+
 async def test_code_that_was_damaged_on_the_disk_is_not_loaded(rig: Rig) -> None:
     await rig.push()
     Path(rig.origin()).write_bytes(b"something else")
     await rig.start()
     assert rig.origin() == ""
-    assert any("damaged" in text for text in rig.control.events)
+    assert any("damaged" in text for text in rig.control.faults)
     (wanted,) = rig.state.missing()  # another robot may have it
     rig.store.take(wanted, CODE, "r2")
     async with asyncio.timeout(20.0):
