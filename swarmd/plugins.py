@@ -36,8 +36,8 @@ DRIVERS = "swarmd.drivers"
 COMMANDS = "swarmd.commands"
 EMULATORS = "swarmd.emulators"
 MISSION = ".yaml"
-IN_FOLDER = "//"
-"""Between the folder of an unpacked wheel and the `module:Class` that is imported from there."""
+IN_WHEEL = "//"
+"""Between the path of a wheel and the `module:Class` that is imported from it."""
 MAX_MISSION_SIZE = 1 << 20
 _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 
@@ -46,15 +46,17 @@ _HEAD = re.compile(rb"^(?:\xef\xbb\xbf)?([\"']?)mission\1[ \t]*:", re.MULTILINE)
 class Origin:
     """Where a pattern comes from.
 
-    `value` is `module:Class`, or the path of a file if `is_file`; `<folder>//module:Class` is
-    imported from an unpacked wheel. `source` is for people: a
-    distribution and its version, or the file. `rival` is another source of the same name.
+    `value` is `module:Class`, or the path of a file if `is_file`; `<path>//module:Class` is
+    imported from a wheel. `source` is for people: a distribution and its version, or the file.
+    `rival` is another source of the same name. `digest`: the SHA-256 that a pushed file or wheel
+    must have; empty for any other.
     """
 
     value: str
     source: str
     is_file: bool = False
     rival: str = ""
+    digest: bytes = b""
 
 
 def installed_patterns() -> Mapping[str, Origin]:

@@ -19,6 +19,14 @@ Name = Annotated[str, Meta(min_length=1, max_length=63)]
 Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 Word = Annotated[str, Meta(max_length=64)]
 Line = Annotated[str, Meta(max_length=1000)]
+FileName = Annotated[
+    str,
+    Meta(
+        pattern=r"^[^./\\\x00-\x1f\x7f\ud800-\udfff][^/\\\x00-\x1f\x7f\ud800-\udfff]*\Z",
+        max_length=200,
+    ),
+]
+"""The name of a file in a known folder: no path, no hidden file, no control character."""
 ReasonText = Annotated[str, Meta(max_length=256)]
 BoundedScalar = (
     bool

@@ -83,7 +83,18 @@ def decode_value(payload: bytes) -> Any:
         raise CodecError(f"not MessagePack: {error!r}") from error
     if _is_deeper(value, MAX_DEPTH):
         raise CodecError(f"a message nests deeper than {MAX_DEPTH}")
+    if not _is_plain(value):
+        raise CodecError("a message has an extension type")
     return value
+
+
+def _is_plain(value: Any) -> bool:
+    """True without extension types, timestamps among them: no pattern host could be sent them."""
+    if isinstance(value, dict):
+        value = list(value.values())
+    if isinstance(value, list):
+        return all(map(_is_plain, value))
+    return value is None or isinstance(value, bool | int | float | str | bytes)
 
 
 def _is_deeper(value: Any, depth: int) -> bool:

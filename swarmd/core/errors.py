@@ -7,6 +7,7 @@
     │   └── ParameterError       a pattern's parameter is unknown, missing or out of bounds
     ├── CodecError       bytes that do not fit the key they came on; dropped and counted
     ├── PluginError      a pattern or driver cannot be found, loaded or used on this robot
+    │   ├── ChangedCodeError     the file of a pushed pattern is not what was pushed
     │   ├── UnknownPatternError  no pattern has this name
     │   └── MissingSensorError   the platform lacks what a pattern or condition needs
     ├── DriverError      the robot's base cannot be reached or does not answer as it should
@@ -14,11 +15,18 @@
         └── IdHeldError  the robot's id belongs to another daemon of the swarm
 
 Every message names what is wrong, where, what was expected and what to do, in one line.
+
+`CoreFault` stands beside it: it carries an error of the robot's own core past each `except`.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import wraps
+from typing import ParamSpec, TypeVar
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 class SwarmError(Exception):
@@ -45,6 +53,10 @@ class PluginError(SwarmError):
     """A pattern or driver cannot be found, loaded or used."""
 
 
+class ChangedCodeError(PluginError):
+    """The file of a pushed pattern has another SHA-256 than its manifest."""
+
+
 class UnknownPatternError(PluginError):
     """No pattern has this name."""
 
@@ -63,6 +75,23 @@ class NetworkError(SwarmError):
 
 class IdHeldError(NetworkError):
     """The robot's id belongs to another daemon of this swarm."""
+
+
+class CoreFault(BaseException):
+    """An error of the robot's core, its cause; it ends the daemon, whatever called the core."""
+
+
+def fail_stop(function: Callable[P, R]) -> Callable[P, R]:
+    """The function of the robot's core, of which each error is raised as a `CoreFault`."""
+
+    @wraps(function)
+    def run(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return function(*args, **kwargs)
+        except Exception as error:
+            raise CoreFault from error
+
+    return run
 
 
 def unknown(what: str, name: str, known: Iterable[str]) -> str:

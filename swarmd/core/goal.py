@@ -154,13 +154,15 @@ def signed_part(goal: Goal) -> bytes:
 
 
 def decode_goal(content: bytes) -> Goal:
-    """The goal in these bytes. CodecError if it is malformed or too long."""
+    """The goal in these bytes. CodecError if it is malformed, or too long once it is encoded."""
     if len(content) > MAX_GOAL:
         raise CodecError(f"a goal of {len(content)} bytes; at most {MAX_GOAL}")
     try:
-        return _decoder.decode(content)
+        goal = _decoder.decode(content)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
         raise CodecError(str(error)) from error
+    encode_goal(goal)
+    return goal
 
 
 def digest_of(goal: Goal | None) -> bytes:

@@ -11,7 +11,12 @@ from typing import Annotated
 
 from msgspec import Meta, Struct
 
-from swarmd.core.errors import MissingSensorError, ParameterError, UnknownPatternError
+from swarmd.core.errors import (
+    ChangedCodeError,
+    MissingSensorError,
+    ParameterError,
+    UnknownPatternError,
+)
 from swarmd.core.messages import Refusal
 from swarmd.core.values import Inputs, Outputs, Platform, Scalar, TouchZone, Value
 
@@ -32,6 +37,7 @@ class Load(Struct, frozen=True, eq=False, array_like=True, tag="load"):
     `is_fresh`: load it in a new host, because the present one hangs. `until`: conditions, the first
     of which to hold ends the run (`swarmd.kit.conditions`). `origins`: where each pattern is
     found, name -> (module:Class or path, whether it is a file); the runner fills it in.
+    `digests`: the SHA-256 that the code of pushed patterns must have, by name.
     `is_restart`: of a pattern that failed, with the code that it ran.
     """
 
@@ -45,6 +51,7 @@ class Load(Struct, frozen=True, eq=False, array_like=True, tag="load"):
     until: tuple[str, ...] = ()
     origins: Mapping[str, tuple[str, bool]] = {}
     is_restart: bool = False
+    digests: Mapping[str, bytes] = {}
 
 
 class Step(Struct, frozen=True, eq=False, array_like=True, tag="step"):
@@ -172,4 +179,6 @@ def refusal_of(error: Exception) -> Refusal:
         return Refusal.UNKNOWN_PATTERN
     if isinstance(error, MissingSensorError):
         return Refusal.MISSING_SENSOR
+    if isinstance(error, ChangedCodeError):
+        return Refusal.CHANGED_CODE
     return Refusal.PATTERN_FAILED

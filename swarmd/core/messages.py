@@ -14,6 +14,7 @@ from msgspec import Meta, Struct
 from swarmd.core.bounds import (
     BoundedScalar,
     Count,
+    FileName,
     Height,
     Id,
     Line,
@@ -123,6 +124,7 @@ class Refusal(StrEnum):
     OTHER_VERSION = "other_version"  # the request is of another wire version
     NOT_SIGNED = "not_signed"  # by an operator of the roster
     NAME_TAKEN = "name_taken"  # the robot has a pattern of that name by other means
+    CHANGED_CODE = "changed_code"  # the file of a pushed pattern is not what was pushed
 
 
 class Epoch(Struct, frozen=True):
@@ -342,7 +344,7 @@ class RecordingFile(Struct, frozen=True, kw_only=True):
     `crc`: the CRC-32 of a finished file. `dropped`: entries that were lost in it.
     """
 
-    name: Line
+    name: FileName
     size: Count
     is_open: bool
     crc: Count | None = None
@@ -367,7 +369,7 @@ class RecordingsReply(Struct, frozen=True, kw_only=True):
 class FetchQuery(Struct, frozen=True, kw_only=True):
     """Asks for `length` bytes of a recording from `offset` on."""
 
-    file: Line
+    file: FileName
     offset: Count
     length: Annotated[int, Meta(gt=0, le=32768)]
 
@@ -376,7 +378,7 @@ class FetchReply(Struct, frozen=True, kw_only=True):
     """Bytes of a recording and their CRC-32; `size` of the file, `text` why there are none."""
 
     robot: Name
-    file: Line
+    file: FileName
     offset: Count
     size: Count
     data: bytes

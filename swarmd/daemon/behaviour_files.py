@@ -2,10 +2,10 @@
 
 ::
 
-    table                      the manifests of the swarm, signed
-    versions                   which versions this robot has, and how they stand
-    <name>/<sha256>/<name>.py  a behaviour of one file
-    <name>/<sha256>/code.whl   a wheel, and beside it the folder `wheel` with its content
+    table                           the manifests of the swarm, signed
+    versions                        which versions this robot has, and how they stand
+    code/<name>/<sha256>/<name>.py  a behaviour of one file
+    code/<name>/<sha256>/code.whl   a wheel
 """
 
 from __future__ import annotations
@@ -22,13 +22,13 @@ import msgspec
 from swarmd.core.behaviour import Manifest, Table, decode_table, encode_table
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.files import sync_folder, write_whole
-from swarmd.pattern_host.wheel import inspect_wheel, unpack_wheel
-from swarmd.plugins import IN_FOLDER
+from swarmd.pattern_host.wheel import inspect_wheel
+from swarmd.plugins import IN_WHEEL
 from swarmd.robot.pushed_code import PushedCode
 
 log = logging.getLogger(__name__)
 
-WHEEL, UNPACKED = "code.whl", "wheel"
+CODE, WHEEL = "code", "code.whl"
 
 _versions = msgspec.msgpack.Decoder(dict[str, PushedCode])
 
@@ -80,12 +80,11 @@ class BehaviourFiles:
                 found = inspect_wheel(code, manifest.label)
                 if (found.name, found.value) != (manifest.name, manifest.value):
                     raise PluginError(f"{manifest.label} is a wheel of {found.name}")
-                unpack_wheel(code, partial / UNPACKED, manifest.label)
                 write_whole(partial / WHEEL, code)
             shutil.rmtree(folder, ignore_errors=True)
             partial.rename(folder)
-            sync_folder(folder.parent)
-            sync_folder(self.folder)
+            for above in (folder.parent, self.folder / CODE, self.folder):
+                sync_folder(above)
         except BaseException:
             shutil.rmtree(partial, ignore_errors=True)
             raise
@@ -104,17 +103,17 @@ class BehaviourFiles:
         folder = self._folder_of(manifest.name, manifest.digest)
         if manifest.kind == "file":
             return str(folder / f"{manifest.name}.py"), True
-        return f"{folder / UNPACKED}{IN_FOLDER}{manifest.value}", False
+        return f"{folder / WHEEL}{IN_WHEEL}{manifest.value}", False
 
     def prune(self, kept: Collection[tuple[str, bytes]]) -> None:
         """Remove all code but that of the names and digests in `kept`."""
         folders = {self._folder_of(name, digest) for name, digest in kept}
         with suppress(OSError):
-            for one in self.folder.glob("*/*"):
+            for one in (self.folder / CODE).glob("*/*"):
                 if one.is_dir() and one not in folders:
                     shutil.rmtree(one, ignore_errors=True)
                     with suppress(OSError):
                         one.parent.rmdir()
 
     def _folder_of(self, name: str, digest: bytes) -> Path:
-        return self.folder / name / digest.hex()
+        return self.folder / CODE / name / digest.hex()

@@ -64,7 +64,8 @@ class CodeRuns:
         if name in own and not manifest.replaces:
             return False
         value, is_file = self._state.files.place(manifest)
-        origins[name] = Origin(value, f"{manifest.label} of {manifest.issuer}", is_file)
+        source = f"{manifest.label} of {manifest.issuer}"
+        origins[name] = Origin(value, source, is_file, digest=manifest.digest)
         return True
 
     def _note_load(self, load: Load, name: str, version: Version) -> None:

@@ -70,6 +70,9 @@ class RobotControl(Protocol):
         """The patterns that the robot has by other means."""
 
 
+CHANGED = "its file was changed or damaged on the disk"
+
+
 class Candidate(Struct, frozen=True):
     """Code that is being tried, for the request `id`.
 
@@ -127,9 +130,7 @@ class BehaviourState:
             return
         foreign, checked = await asyncio.to_thread(self._check, table, versions)
         self.set_table(tuple(entry for entry in table if entry not in foreign))
-        for name, code in versions.items():
-            if code.current is not None and not self._is_whole(code.current):
-                self.control.event(f"{name}: the file of {code.current.label} is damaged")
+        self._tell_of_changed_files(checked)
         self.versions = {name: code.restarted() for name, code in checked.items()}
         for name, code in self.versions.items():
             if code.failed is not None and code.failed != versions[name].failed:
@@ -205,10 +206,11 @@ class BehaviourState:
     # Trust
 
     async def check_again(self) -> None:
-        """The roster has changed: code that its operators did not sign is not loaded any more."""
+        """The roster or a file has changed: what operators did not sign is not loaded any more."""
         versions = dict(self.versions)
         foreign, checked = await asyncio.to_thread(self._check, self.table, versions)
         self.set_table(tuple(entry for entry in self.table if entry not in foreign))
+        self._tell_of_changed_files(checked)
         for name, code in checked.items():
             if code != versions[name] and self.versions.get(name) == versions[name]:
                 self.versions[name] = code
@@ -237,8 +239,13 @@ class BehaviourState:
             fault = "no operator of the roster has signed it"
             return PushedCode(current=before, failed=current, fault=fault)
         if current is not None and not self._is_whole(current):
-            return PushedCode(current=before)
+            return PushedCode(current=before, fault=f"{CHANGED}: {current.label}")
         return replace(code, before=before)
+
+    def _tell_of_changed_files(self, checked: Mapping[str, PushedCode]) -> None:
+        for name, code in checked.items():
+            if code.fault.startswith(CHANGED) and code != self.versions.get(name):
+                self.control.fault(f"{name}: {code.fault}")
 
     def _is_signed(self, version: Version) -> bool:
         try:

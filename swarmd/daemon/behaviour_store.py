@@ -17,9 +17,10 @@ from msgspec.structs import replace
 
 from swarmd.core.behaviour import Entry, Signed, merged, read_entry
 from swarmd.core.errors import CodecError, PluginError
-from swarmd.core.host_messages import HostEvent, TrialDone
+from swarmd.core.host_messages import HostEvent, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, PushRequest, Refusal, ReloadRequest, Reply
 from swarmd.daemon.behaviour_state import BehaviourState, Candidate
+from swarmd.network.inbound_queue import FAILED, DropCounter
 from swarmd.robot.pushed_code import Version
 
 MAX_QUEUE = 4
@@ -29,17 +30,18 @@ _PASSING = frozenset({Refusal.BUSY, Refusal.OVERTAKEN, Refusal.STALE_EPOCH})
 
 
 class BehaviourStore:
-    """Takes behaviours into `state`, one at a time."""
+    """Takes behaviours into `state`, one at a time; `drops` counts those of which that fails."""
 
-    def __init__(self, state: BehaviourState) -> None:
+    def __init__(self, state: BehaviourState, drops: DropCounter) -> None:
         self._state = state
+        self._drops = drops
         self._uploads: dict[bytes, bytearray] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._is_taking = False
         self._queue: deque[tuple[Entry, bytes, str, PushRequest | None]] = deque()
 
     def check_again(self) -> None:
-        """The roster has changed: check all code again."""
+        """The roster or a file has changed: check all code again."""
         self._start(self._state.check_again())
 
     def close(self) -> None:
@@ -132,24 +134,29 @@ class BehaviourStore:
     ) -> None:
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
         is_rerun = request is not None and request.is_rerun
-        fault = self._refusal_of(entry)  # again: it may have waited
-        reply = None
-        try:
-            await asyncio.to_thread(self._state.files.prune, self._state.in_use())
-            fault = fault or await asyncio.to_thread(self._write_checked, entry, code)
-            if fault is not None:
-                refusal, text = fault
-                if refusal is Refusal.PATTERN_FAILED:
-                    self._state.note_failed(entry, Version.of(entry, source), text)
-                reply = self._refused(id, refusal, text)
-            elif entry.is_removal or (self._state.has(entry) and not is_rerun):
-                reply = await self._adopt(id, entry)
-        finally:
-            self._is_taking = False
-        if reply is not None:
-            self._state.control.reply(reply)
-        else:
-            self._try(id, entry, Version.of(entry, source), request)
+
+        def refuse(text: str) -> None:
+            self._state.control.reply(self._refused(id, Refusal.PATTERN_FAILED, text))
+
+        with self._drops.refusing("control/push", refuse):
+            fault = self._refusal_of(entry)  # again: it may have waited
+            reply = None
+            try:
+                await asyncio.to_thread(self._state.files.prune, self._state.in_use())
+                fault = fault or await asyncio.to_thread(self._write_checked, entry, code)
+                if fault is not None:
+                    refusal, text = fault
+                    if refusal is Refusal.PATTERN_FAILED:
+                        self._state.note_failed(entry, Version.of(entry, source), text)
+                    reply = self._refused(id, refusal, text)
+                elif entry.is_removal or (self._state.has(entry) and not is_rerun):
+                    reply = await self._adopt(id, entry)
+            finally:
+                self._is_taking = False
+            if reply is not None:
+                self._state.control.reply(reply)
+            else:
+                self._try(id, entry, Version.of(entry, source), request)
         self._take_next()
 
     def _write_checked(self, entry: Entry, code: bytes) -> tuple[Refusal, str] | None:
@@ -210,6 +217,8 @@ class BehaviourStore:
 
         None: a trial succeeded. The robot gets the event when the version is on the disk.
         """
+        if isinstance(event, LoadRefused) and event.refusal is Refusal.CHANGED_CODE:
+            self.check_again()
         candidate = self._state.candidate
         if candidate is None or not isinstance(event, TrialDone) or event.text:
             return event
@@ -223,7 +232,9 @@ class BehaviourStore:
         def is_wanted() -> bool:
             return state.candidate is candidate  # else the robot ended the trial, and has replied
 
-        fault = await state.adopt(entry, version, is_wanted)
+        fault = FAILED
+        with self._drops.refusing("control/push"):
+            fault = await state.adopt(entry, version, is_wanted)
         if not is_wanted():
             self._take_next()
             return

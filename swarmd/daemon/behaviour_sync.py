@@ -15,12 +15,12 @@ from functools import partial
 from swarmd.core.behaviour import Entry, decode_table, encode_table
 from swarmd.core.clock import boottime
 from swarmd.core.codec import encode
-from swarmd.core.errors import CodecError
 from swarmd.core.goal import generation_of
 from swarmd.daemon.behaviour_state import BehaviourState
 from swarmd.daemon.behaviour_store import BehaviourStore
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import Address
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.pull import Blob, Puller, serve_shared
 
 log = logging.getLogger(__name__)
@@ -39,7 +39,8 @@ MAX_ASKED = 256
 class BehaviourSync:
     """Pulls what `state` lacks with `puller` and hands it to `store`; serves what it has.
 
-    `on_taken(robot, entry)`: code came from a robot, and is tried.
+    `on_taken(robot, entry)`: code came from a robot, and is tried. `drops` counts the tables that
+    cannot be read.
     """
 
     def __init__(
@@ -48,7 +49,9 @@ class BehaviourSync:
         store: BehaviourStore,
         puller: Puller,
         on_taken: Callable[[str, Entry], None],
+        drops: DropCounter,
     ) -> None:
+        self._drops = drops
         self._state = state
         self._store = store
         self._on_taken = on_taken
@@ -140,22 +143,24 @@ class BehaviourSync:
                     return good, len(new), True
             return good, len(new), False
 
-        try:
-            good, count, is_false = await asyncio.to_thread(trusted)
-        except CodecError as error:
-            log.warning("%s: %s", robot, error)
-            return
-        finally:
-            self._checking = None
-        if is_false:
-            self._false[robot] = boottime() + FALSE_PERIOD
-        if len(good) < count:
-            log.warning(
-                "%s has behaviours that no operator of the roster signed; they are left out", robot
-            )
-        if good:
-            self._store.merge(good)
-            self._pull_code(robot, address, boottime())
+        def refuse(text: str) -> None:
+            log.warning("%s: %s", robot, text)
+
+        with self._drops.refusing(f"shared/{TABLE}", refuse):
+            try:
+                good, count, is_false = await asyncio.to_thread(trusted)
+            finally:
+                self._checking = None
+            if is_false:
+                self._false[robot] = boottime() + FALSE_PERIOD
+            if len(good) < count:
+                log.warning(
+                    "%s has behaviours that no operator of the roster signed; they are left out",
+                    robot,
+                )
+            if good:
+                self._store.merge(good)
+                self._pull_code(robot, address, boottime())
 
     def _on_code(self, robot: str, entry: Entry, blob: Blob, why: str) -> None:
         if blob is None:

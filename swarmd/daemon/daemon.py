@@ -23,7 +23,7 @@ from msgspec.structs import replace
 from swarmd.core.behaviour import Entry
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import encode, encode_value
-from swarmd.core.errors import CodecError, SwarmError
+from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
 from swarmd.core.messages import (
     REQUEST_TYPES,
     Request,
@@ -57,6 +57,7 @@ from swarmd.driver_api.driver import Driver, check_protected, message_carrier
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import Address
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.peer import Summary
 from swarmd.network.pull import Puller, serve_shared
 from swarmd.pattern_host.runner import ProcessRunner
@@ -108,9 +109,10 @@ class Daemon:
         self._notify = Notifier()
         folder = settings.state_dir / settings.network.swarm / settings.id
         self._latches = LatchFile(folder)
-        self._rosters = RosterService(settings.id, settings.identity, self._on_roster)
+        self._drops = DropCounter()
+        self._rosters = RosterService(settings.id, settings.identity, self._on_roster, self._drops)
         self._goals = GoalService(folder, lambda: self._rosters.identity, self._warn)
-        self._puller = Puller(settings.network, settings.id, settings.identity)
+        self._puller = Puller(settings.network, settings.id, settings.identity, drops=self._drops)
         behaviours = BehaviourFiles(folder / "behaviours")
         with suppress(OSError):  # a sandbox permits only what exists when it begins
             behaviours.folder.mkdir(parents=True, exist_ok=True)
@@ -120,10 +122,14 @@ class Daemon:
             settings.network.swarm,
             self._operators,
         )
-        self._behaviours = BehaviourStore(self._behaviour_state)
+        self._behaviours = BehaviourStore(self._behaviour_state, self._drops)
         self._code_runs = CodeRuns(self._behaviour_state)
         self._behaviour_sync = BehaviourSync(
-            self._behaviour_state, self._behaviours, self._puller, self._on_pulled_code
+            self._behaviour_state,
+            self._behaviours,
+            self._puller,
+            self._on_pulled_code,
+            self._drops,
         )
         identity = settings.identity
         self._runner = ProcessRunner(
@@ -141,6 +147,7 @@ class Daemon:
             settings.roster,
             version=version("swarmd"),
             body=body_of(settings.platform),
+            drops=self._drops,
             identity=settings.identity,
             stop_counters=self._latches.path.with_name("stops"),
         )
@@ -150,7 +157,7 @@ class Daemon:
             settings.recording,
             self._head,
             self._warn,
-            self._network.drop,
+            self._drops,
         )
         self._tools = FieldTools(
             settings,
@@ -170,6 +177,7 @@ class Daemon:
             roster=self._rosters.answer,
             is_secured=settings.identity is not None,
             push=self._behaviours.push,
+            drops=self._drops,
         )
         self._ticks = 0
         self._shown_scan = -1  # sequence of the last scan for viewers
@@ -198,7 +206,7 @@ class Daemon:
             self._robot,
             self._carry_out,
             stop=self._requests.stop,
-            drop=self._network.drop,
+            drop=self._drops.add,
             audit=self._audit,
             neighborhood=self._neighborhood,
             recorder=self._recording.recorder,
@@ -213,8 +221,9 @@ class Daemon:
             await asyncio.wait(ends, return_when=asyncio.FIRST_COMPLETED)
             if living.done():
                 error = living.exception()
-                if not isinstance(error, SwarmError):
-                    self._crash = self._crash or error
+                if error is not None and not isinstance(error, SwarmError):
+                    self._crash = self._crash or _cause_of(error)
+                    raise self._crash
                 living.result()
             if self._crash is not None:
                 raise self._crash
@@ -249,7 +258,8 @@ class Daemon:
     def _on_crash(self, loop: asyncio.AbstractEventLoop, context: dict[str, Any]) -> None:
         """A callback of the daemon raised: command zero and end the daemon."""
         loop.default_exception_handler(context)
-        self._crash = self._crash or context.get("exception") or RuntimeError(context["message"])
+        error: BaseException = context.get("exception") or RuntimeError(context["message"])
+        self._crash = self._crash or _cause_of(error)
         self._crashed.set()
         self._output.send_zero()
 
@@ -464,6 +474,7 @@ class Daemon:
             if kept is not None:
                 self._carry_out(self._robot.on_host(kept, boottime()))
 
+    @fail_stop
     def _carry_out(self, actions: Actions) -> None:
         self._output.command(actions, boottime())
         if actions.is_quiet:
@@ -482,7 +493,7 @@ class Daemon:
                 payload = encode_value(value)
             except CodecError as error:
                 log.debug("message on %s not sent: %s", name, error)
-                self._network.drop(f"msg/{name}:unsendable")
+                self._drops.add(f"msg/{name}:unsendable")
                 continue
             if self._carrier is None:
                 self._network.publish_message(name, payload)
@@ -515,6 +526,11 @@ class Daemon:
     def _head(self) -> RecordingHead:
         pushed = self._behaviour_state.versions
         return recording_head(self._settings, self._robot, self._instance, self._seed, pushed)
+
+
+def _cause_of(error: BaseException) -> BaseException:
+    """The error itself, or that of the robot's core which it carries."""
+    return error.__cause__ or error if isinstance(error, CoreFault) else error
 
 
 async def _end(task: asyncio.Task[Any]) -> None:

@@ -18,7 +18,6 @@ import msgspec
 
 from swarmd.core.clock import FIRST_WALL, boottime, clock_id
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.errors import CodecError
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.log_ring import LogRing
 from swarmd.core.machine import measure_machine
@@ -78,7 +77,7 @@ class FieldTools:
         self._settings, self._instance, self._network = settings, instance, network
         self._version, self._keys, self._sandbox = version, keys, sandbox
         self._loop = asyncio.get_running_loop()
-        self._answers = ThreadedAnswers(self._loop, network.drop)
+        self._answers = ThreadedAnswers(self._loop, network.drops)
         self._ring = LogRing()
         self._capture = LogCapture(self._ring)
         self._published = 0
@@ -141,12 +140,7 @@ class FieldTools:
     # Logs
 
     def _on_logs(self, query: Query) -> None:
-        try:
-            asked = _logs(query.payload)
-        except CodecError:
-            self._network.drop("control/logs:malformed")
-            query.drop()
-            return
+        asked = _logs(query.payload)
         query.reply(encode(self._batch(self._ring.matching(asked))))
 
     def _batch(self, records: list[LogRecord]) -> LogBatch:
@@ -169,12 +163,7 @@ class FieldTools:
     # Links
 
     def _on_links(self, query: Query) -> None:
-        try:
-            asked = _links(query.payload)
-        except CodecError:
-            self._network.drop("control/links:malformed")
-            query.drop()
-            return
+        asked = _links(query.payload)
         links = sorted(self._network.links(), key=lambda link: link[1].age)
         if asked.measures and links:
             names = [robot for robot, _, _ in sorted(links)]

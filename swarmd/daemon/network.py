@@ -17,7 +17,7 @@ from msgspec.structs import replace
 
 from swarmd.core import codec
 from swarmd.core.clock import ClockSample, boottime, clock_id
-from swarmd.core.errors import CodecError, IdHeldError
+from swarmd.core.errors import CodecError, IdHeldError, fail_stop
 from swarmd.core.messages import Body, Latch, Member, Presence, Reply
 from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.daemon.connection import NetworkConnection
@@ -83,6 +83,7 @@ class NetworkHandlers:
 class Network:
     """The network of the daemon `robot`; `instance` is that of this life of the daemon, in hex.
 
+    `drops` counts what could not be read, handled or sent.
     With an `identity` the swarm is secured; the file `stop_counters` then outlives the daemon.
     """
 
@@ -95,6 +96,7 @@ class Network:
         *,
         version: str,
         body: Body | None = None,
+        drops: DropCounter,
         identity: Identity | None = None,
         stop_counters: Path = Path("stops"),
     ) -> None:
@@ -108,7 +110,7 @@ class Network:
         self._handlers: NetworkHandlers  # from `join` on
         self._loop = asyncio.get_running_loop()
         self._tag = tag_of(settings.profile, settings.swarm, authority_of(identity))
-        self._drops = DropCounter()
+        self.drops = drops
         self._guard: DatagramGuard | None = None
         self._lost = 0
         self._connection = NetworkConnection(
@@ -116,7 +118,7 @@ class Network:
             robot,
             self._tag,
             identity,
-            self._drops,
+            self.drops,
             on_datagram=self._on_datagram,
             on_interface=lambda change: self._handlers.on_interface(change),
             on_reopened=self._serve,
@@ -190,7 +192,7 @@ class Network:
     @property
     def dropped(self) -> dict[str, int]:
         """What was dropped or lost so far, by kind, such as `control/run:key` or `msg:lost`."""
-        counts = self._drops.counts()
+        counts = self.drops.counts()
         if self._carrier is not None:
             counts |= self._carrier.dropped
             if self._carrier.unsent:
@@ -213,7 +215,7 @@ class Network:
                 self._tag,
                 settings.lease_seconds,
                 self._stop_counters,
-                self._drops,
+                self.drops,
                 on_event=handlers.on_event,
                 on_newer_roster=handlers.on_newer_roster,
             )
@@ -299,10 +301,6 @@ class Network:
         if bus is not None and self.owns_id:
             bus.publish(name, payload)
 
-    def drop(self, kind: str) -> None:
-        """Count what could not be read or sent."""
-        self._drops.add(kind)
-
     def forget(self, robot: str) -> bool:
         """Remove a robot from the members; False if it is alive."""
         assert self._peer is not None
@@ -339,8 +337,11 @@ class Network:
         return self._connection.carrier
 
     def _on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
-        peer = self._peer
-        if peer is None:
+        with self.drops.refusing("datagram"):
+            self._take(payload, source, waited)
+
+    def _take(self, payload: bytes, source: Address, waited: float) -> None:
+        if self._peer is None:
             return
         now, author = boottime(), None
         if self._guard is not None and is_of_swarm(self._tag, payload):
@@ -348,19 +349,30 @@ class Network:
             if author is None:
                 return
             self._connection.admit_links_from(source, now)
-        try:
-            body = unpack(self._tag, payload)
-        except CodecError:
-            self._drops.add("datagram:malformed")
-            return
+        body = unpack(self._tag, payload)
         if body is None:
             return
+        # A stop that cannot be handled ends the daemon, and thereby stops the robot.
+        act = fail_stop(self._act) if isinstance(body, Stop) else self._act
+        act(self._peer, body, source, author, waited, is_any=is_for_any_swarm(payload))
+
+    def _act(
+        self,
+        peer: Peer,
+        body: Datagram,
+        source: Address,
+        author: Author | None,
+        waited: float,
+        *,
+        is_any: bool,
+    ) -> None:
+        """Hand a datagram, which waited for so many seconds, to the peer; carry out what follows."""
         effects = peer.on_datagram(
             body,
             source,
-            now,
+            boottime(),
             self._handlers.summary(),
-            is_any=is_for_any_swarm(payload),
+            is_any=is_any,
             author=author,
             waited=waited,
         )
@@ -412,7 +424,7 @@ class Network:
         for lease in effects.leases:
             self._handlers.on_run_lease(lease)
         for _ in range(effects.invalid_goals):
-            self._drops.add("goal:invalid")
+            self.drops.add("goal:invalid")
         for message in effects.messages:
             self._handlers.on_message(message)
         for place in effects.places:
@@ -455,7 +467,7 @@ class Network:
             if self._guard is not None and not is_any:
                 payload = self._guard.sign(payload, asker)
         except CodecError:
-            self._drops.add("datagram:oversized")
+            self.drops.add("datagram:oversized")
             return
         if address is None:
             self._carrier.send(payload)

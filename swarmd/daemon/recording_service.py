@@ -7,9 +7,13 @@ import json
 import logging
 import zlib
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
+from swarmd.core.bounds import FileName
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import ConfigError, PluginError
@@ -27,6 +31,7 @@ from swarmd.core.messages import (
 from swarmd.daemon.recorder import Recorder
 from swarmd.daemon.threaded_answers import ThreadedAnswers
 from swarmd.network.bus import ZenohBus
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.plugins import need
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import clock_of
@@ -48,13 +53,13 @@ class RecordingService:
         section: RecordingSection,
         head: Callable[[], RecordingHead],
         on_event: Callable[[str], None],
-        drop: Callable[[str], None],
+        drops: DropCounter,
     ) -> None:
         self._robot, self._section, self._head = robot, section, head
         self._folder = Path(section.folder or "recordings")
         self._on_event = on_event
         loop = asyncio.get_running_loop()
-        self._answers = ThreadedAnswers(loop, drop)
+        self._answers = ThreadedAnswers(loop, drops)
         self.recorder = Recorder(loop, on_event)
 
     @property
@@ -115,7 +120,7 @@ class RecordingService:
 
     def _list(self, _: bytes) -> bytes:
         try:
-            found = (path for path in self._folder.glob("*.mcap") if path.name.isprintable())
+            found = (path for path in self._folder.glob("*.mcap") if _is_told(path.name))
             paths = sorted(found)[-MAX_FILES:]
         except OSError:
             paths = []
@@ -137,7 +142,7 @@ class RecordingService:
         query = _fetch(payload)
         data, size, text = b"", 0, ""
         try:
-            if Path(query.file).name != query.file or not query.file.endswith(".mcap"):
+            if not query.file.endswith(".mcap"):
                 raise FileNotFoundError
             with (self._folder / query.file).open("rb") as file:
                 size = file.seek(0, 2)
@@ -158,6 +163,13 @@ class RecordingService:
                 text=text,
             )
         )
+
+
+def _is_told(name: str) -> bool:
+    """True if operators can ask for a file of this name."""
+    with suppress(msgspec.ValidationError):
+        return msgspec.convert(name, FileName).isprintable()
+    return False
 
 
 def _described(path: Path, lost: int | None) -> RecordingFile | None:

@@ -34,6 +34,7 @@ from swarmd.core.messages import (
 from swarmd.daemon.audit import Audit, describe_request
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.datagram import Stop
+from swarmd.network.inbound_queue import DropCounter
 
 MAX_PENDING = 64
 MAX_REPLIES = 64  # kept for repeats; the epoch refuses what was carried out before those
@@ -64,8 +65,9 @@ class RequestServer:
     `audit` takes each request that was answered: operator, address, request, result.
     `forget` removes a member, and returns False if that is alive; `record` starts or stops a
     recording; `roster` takes a roster and replies later; `push` takes a behaviour, and
-    returns None if its reply follows. If the swarm `is_secured`, the operator is the asker that the
-    link has proved, not the name in the request.
+    returns None if its reply follows. `drops` counts requests that cannot be handled: they are
+    refused. If the swarm `is_secured`, the operator is the asker that the link has proved, not the
+    name in the request.
     """
 
     def __init__(
@@ -78,8 +80,10 @@ class RequestServer:
         record: Callable[[RecordRequest], Reply],
         roster: Callable[[RosterRequest, Callable[[Reply], None]], None],
         push: Callable[[PushRequest], Reply | None],
+        drops: DropCounter,
         is_secured: bool = False,
     ) -> None:
+        self._drops = drops
         self._is_secured = is_secured
         self._push = push
         self._robot = robot
@@ -88,13 +92,11 @@ class RequestServer:
         self._take_roster = roster
         self._on_request = on_request
         self._audit = audit
-        self._bus: ZenohBus | None = None
         self._pending: dict[str, _Pending] = {}
         self._replies: dict[str, Reply] = {}  # the last MAX_REPLIES, by request id
 
     def serve(self, bus: ZenohBus, verbs: Iterable[str]) -> None:
         """Answer requests with these verbs."""
-        self._bus = bus
         for verb in verbs:
             bus.serve("control", verb, partial(self.handle, verb))
 
@@ -110,21 +112,22 @@ class RequestServer:
             text = f"{reply.text}; not on disk, so a restart would forget it: see the log"
             reply = msgspec.structs.replace(reply, text=text)
         is_repeat = self._keep(reply)
-        pending.answer(reply)
-        if is_audited and not is_repeat:
-            request = pending.request
-            what = describe_request(request)
-            count = None if request.targets is None else len(request.targets)
-            source = pending.source()
-            self._audit.record(
-                what,
-                request.operator,
-                source,
-                reply,
-                boottime(),
-                targets=count,
-                is_relayed=pending.is_relayed,
-            )
+        with self._drops.refusing("control/reply"):
+            pending.answer(reply)
+            if is_audited and not is_repeat:
+                request = pending.request
+                what = describe_request(request)
+                count = None if request.targets is None else len(request.targets)
+                source = pending.source()
+                self._audit.record(
+                    what,
+                    request.operator,
+                    source,
+                    reply,
+                    boottime(),
+                    targets=count,
+                    is_relayed=pending.is_relayed,
+                )
 
     def stop(self, stop: Stop, source: str, answer: Callable[[Reply], None]) -> None:
         """Carry out a stop or estop that came as a datagram, if it is for this robot.
@@ -157,13 +160,10 @@ class RequestServer:
 
     def handle(self, verb: str, query: Query) -> None:
         """Carry out or refuse the request in a query that came on the key of `verb`."""
-        try:
-            request = _DECODERS[verb](query.payload)
-        except CodecError as error:
-            if self._bus is not None:
-                self._bus.drop(f"control/{verb}:malformed")
-            self._refuse_unread(query, str(error))
-            return
+        with self._drops.refusing(f"control/{verb}", partial(self._refuse, query)):
+            self._carry_out(_DECODERS[verb](query.payload), query)
+
+    def _carry_out(self, request: AnyRequest, query: Query) -> None:
         if self._is_secured:
             request = msgspec.structs.replace(request, operator=query.asker)
         is_for_this = request.targets is None or self._robot in request.targets
@@ -199,8 +199,8 @@ class RequestServer:
             del self._replies[next(iter(self._replies))]
         return is_repeat
 
-    def _refuse_unread(self, query: Query, text: str) -> None:
-        """Refuse a request that is malformed or of another version."""
+    def _refuse(self, query: Query, text: str) -> None:
+        """Refuse a request that is malformed, of another version, or that cannot be handled."""
         try:
             header = _header(query.payload)
         except CodecError:
@@ -208,6 +208,7 @@ class RequestServer:
         if not 0 < len(header.id) <= MAX_ID or self._robot not in (header.targets or ()):
             query.drop()
             return
+        self._pending.pop(header.id, None)
         verb = header.verb[:MAX_ID]
         operator = query.asker if self._is_secured else header.operator[:MAX_OPERATOR]
         version = codec.version_of(query.payload)

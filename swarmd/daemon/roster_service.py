@@ -9,9 +9,11 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Coroutine
+from functools import partial
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.messages import Code, KeySummary, Refusal, Reply, RosterRequest
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.security.identity import Identity
 from swarmd.security.roster_change import (
     SharedRoster,
@@ -27,12 +29,17 @@ log = logging.getLogger(__name__)
 class RosterService:
     """The roster of one daemon. `on_taken` makes it take effect; it is called on the loop.
 
-    One roster is taken at a time; others wait.
+    One roster is taken at a time; others wait. `drops` counts rosters that cannot be handled.
     """
 
     def __init__(
-        self, robot: str, identity: Identity | None, on_taken: Callable[[TakenRoster], None]
+        self,
+        robot: str,
+        identity: Identity | None,
+        on_taken: Callable[[TakenRoster], None],
+        drops: DropCounter,
     ) -> None:
+        self._drops = drops
         self._robot = robot
         self._on_taken = on_taken
         self._loop = asyncio.get_running_loop()
@@ -51,14 +58,18 @@ class RosterService:
     def answer(self, request: RosterRequest, reply: Callable[[Reply], None]) -> None:
         """Take the roster of a request; the reply follows when the robot stands."""
 
-        async def run() -> None:
-            shared = SharedRoster(request.roster, request.secret)
-            certificate = request.certificates.get(self._robot, b"")
-            refusal, text = await self.take(shared, certificate)
+        def answer(refusal: Refusal | None, text: str) -> None:
             code = Code.APPLIED
             if refusal is not None:
                 code = Code.FAILED if refusal is Refusal.NOT_WRITTEN else Code.REFUSED
             reply(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text))
+
+        async def run() -> None:
+            shared = SharedRoster(request.roster, request.secret)
+            certificate = request.certificates.get(self._robot, b"")
+            refuse = partial(answer, Refusal.INVALID_ROSTER)
+            with self._drops.refusing("control/roster", refuse):
+                answer(*await self.take(shared, certificate))
 
         self._start(run())
 
@@ -107,9 +118,10 @@ class RosterService:
         task.add_done_callback(self._tasks.discard)
 
     async def _take_pulled(self, blob: bytes) -> None:
-        try:
-            refusal, text = await self.take(read_shared(blob))
-        except CodecError as error:
-            refusal, text = Refusal.INVALID_ROSTER, str(error)
-        if refusal is not None:
+        def refuse(text: str, refusal: Refusal = Refusal.INVALID_ROSTER) -> None:
             log.warning("the roster of a peer (%s): %s", refusal, text)
+
+        with self._drops.refusing("shared/roster", refuse):
+            refusal, text = await self.take(read_shared(blob))
+            if refusal is not None:
+                refuse(text, refusal)

@@ -6,18 +6,18 @@ import asyncio
 from collections.abc import Callable
 from functools import partial
 
-from swarmd.core.errors import CodecError
 from swarmd.network.bus import Query, ZenohBus
+from swarmd.network.inbound_queue import DropCounter
 
 MAX_TASKS = 8
 """Answers at a time; further queries are dropped, and their askers repeat them."""
 
 
 class ThreadedAnswers:
-    """Queries of the plane `control`; `drop` counts those that are malformed."""
+    """Queries of the plane `control`; `drops` counts those that cannot be answered."""
 
-    def __init__(self, loop: asyncio.AbstractEventLoop, drop: Callable[[str], None]) -> None:
-        self._loop, self._drop = loop, drop
+    def __init__(self, loop: asyncio.AbstractEventLoop, drops: DropCounter) -> None:
+        self._loop, self._drops = loop, drops
         self._tasks: set[asyncio.Task[None]] = set()
 
     def serve(self, bus: ZenohBus, name: str, answer: Callable[[bytes], bytes]) -> None:
@@ -34,8 +34,5 @@ class ThreadedAnswers:
         task.add_done_callback(self._tasks.discard)
 
     async def _run(self, name: str, answer: Callable[[bytes], bytes], query: Query) -> None:
-        try:
+        with self._drops.refusing(f"control/{name}", lambda text: query.drop()):
             query.reply(await asyncio.to_thread(answer, query.payload))
-        except CodecError:
-            self._drop(f"control/{name}:malformed")
-            query.drop()

@@ -8,8 +8,8 @@ Order of use in a daemon::
     bus.close(); session.close()
 
 Zenoh calls from its own threads. Each callback checks key, kind and size, and puts the bytes into
-an inbound queue (`inbound_queue.py`). Nothing raises into Zenoh. The handlers run on the loop, and
-count payloads that they cannot decode: `bus.drop("control/run:malformed")`.
+an inbound queue (`inbound_queue.py`). Nothing raises into Zenoh. The handlers run on the loop. What
+they raise is counted, such as `control/run:malformed`, and answers nothing: `DropCounter.refusing`.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from typing import Protocol
 import zenoh
 
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
-from swarmd.core.errors import CodecError
 from swarmd.core.keys import ANY, CONTROL, SHARED, Key, build, parse
 from swarmd.core.messages import Member, MembersQuery, PeerView, Status
 from swarmd.network.inbound_queue import DropCounter, InboundQueue
@@ -114,9 +113,9 @@ class ZenohBus:
     ) -> None:
         self.swarm = swarm
         self.robot = robot
+        self.drops = drops
         self._session = session
         self._loop = asyncio.get_running_loop()
-        self._drops = drops
         self._entities: list[zenoh.Queryable[None]] = []
         self._queues: list[InboundQueue] = []
         self._publishers = {
@@ -128,10 +127,6 @@ class ZenohBus:
             for name in ("status", "motion", "scan", "log")
         }
         self._is_closed = False
-
-    def drop(self, kind: str) -> None:
-        """Count what could not be read, such as `control/run:malformed`."""
-        self._drops.add(kind)
 
     def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
         """Publish `state/<name>` to the viewers that subscribe to it; without any it is not made.
@@ -146,27 +141,34 @@ class ZenohBus:
             if content is not None:
                 publisher.put(content)
         except zenoh.ZError:
-            self._drops.add(f"state/{name}:unsent")
+            self.drops.add(f"state/{name}:unsent")
 
     def serve(self, plane: str, name: str, handler: Callable[[Query], None]) -> None:
-        """Answer queries to this robot or to all, of any asker that links let pass."""
+        """Answer queries to this robot or to all, of any asker that links let pass.
+
+        A query of which the handler raises is counted and dropped.
+        """
         asker = ANY if plane in (CONTROL, SHARED) else ""
         kind = f"{plane}/{name}"
-        queue = InboundQueue(self._loop, self._drops, kind)
+        queue = InboundQueue(self._loop, self.drops, kind)
         self._queues.append(queue)
+
+        def handle(query: Query) -> None:
+            with self.drops.refusing(kind, lambda text: query.drop()):
+                handler(query)
 
         def on_query(query: zenoh.Query) -> None:
             if not queue.is_full():
                 payload = b"" if query.payload is None else query.payload
                 key = parse(str(query.key_expr), is_query=True)
                 if key is None or not self._is_own(key, plane, name):
-                    self._drops.add(f"{kind}:key")
+                    self.drops.add(f"{kind}:key")
                 elif len(payload) > MAX_CONTROL:
-                    self._drops.add(f"{kind}:oversized")
+                    self.drops.add(f"{kind}:oversized")
                 else:
                     own = build(self.swarm, self.robot, plane, name, key.asker)
                     asked = ZenohQuery(self._session, query, own, key.asker, bytes(payload))
-                    if queue.offer(handler, asked):
+                    if queue.offer(handle, asked):
                         return
             query.drop()
 
@@ -205,11 +207,5 @@ class ZenohBus:
         return asked == (self.swarm, plane, name) and key.robot in (self.robot, ANY)
 
     def _is_excused(self, payload: bytes) -> bool:
-        """True if the asker has this robot's answer already, or the query is malformed."""
-        if not payload:
-            return False
-        try:
-            return self.robot in _members_query(payload).answered
-        except CodecError:
-            self._drops.add("control/members:malformed")
-            return True
+        """True if the asker has this robot's answer already. CodecError if it is malformed."""
+        return bool(payload) and self.robot in _members_query(payload).answered

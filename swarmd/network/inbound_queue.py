@@ -8,12 +8,17 @@ loop takes a small batch and then pauses, so that its timers stay on time.
 from __future__ import annotations
 
 import asyncio
+import logging
 import threading
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
+from swarmd.core.clock import boottime
+from swarmd.core.errors import CodecError
 from swarmd.core.threads import hand_over
+from swarmd.core.token_bucket import TokenBucket
 
 CAPACITY = 256
 # Tokens and emergency stops must not be lost in a flood: a longer queue, without pauses.
@@ -22,6 +27,11 @@ BATCH = 8
 BATCH_PAUSE = 0.001
 MAX_KIND_LENGTH = 64
 MAX_KINDS = 256
+FAULT_RATE, FAULT_BURST = 0.1, 5.0
+"""Errors per second that are logged with their traceback."""
+FAILED = "the daemon failed at it; its log has the error"
+
+log = logging.getLogger(__name__)
 
 
 class DropCounter:
@@ -30,6 +40,30 @@ class DropCounter:
     def __init__(self) -> None:
         self._lock = threading.Lock()
         self._counts: dict[str, int] = {}
+        self._faults = TokenBucket(FAULT_RATE, FAULT_BURST)
+
+    @contextmanager
+    def refusing(self, kind: str, refuse: Callable[[str], object] | None = None) -> Iterator[None]:
+        """Refuse, in place of raising, what came from the network and is handled in the block.
+
+        A CodecError counts as `<kind>:malformed`. Any other Exception is a fault of the handler: it
+        counts as `<kind>:failed`, and is logged at a limited rate. `refuse` gets the reason. A
+        `CoreFault` passes. Call it on the loop.
+        """
+        try:
+            yield
+            return
+        except CodecError as error:
+            text = str(error)
+            self.add(f"{kind}:malformed")
+        except Exception:
+            text = FAILED
+            self.add(f"{kind}:failed")
+            if self._faults.take(1.0, boottime()):
+                log.exception("%s: refused, since its handler failed", kind)
+        if refuse is not None:
+            with self.refusing(kind):
+                refuse(text)
 
     def add(self, kind: str) -> None:
         """Count a drop. Beyond MAX_KINDS kinds the later ones are counted together as `other`."""

@@ -28,10 +28,9 @@ class _Window:
             self.seen = ((self.seen << ahead) | 1) & ((1 << WINDOW) - 1)
             self.highest = sequence
             return True, ahead - 1
-        bit = 1 << -ahead
-        if -ahead >= WINDOW or self.seen & bit:
+        if -ahead >= WINDOW or self.seen & 1 << -ahead:
             return False, 0
-        self.seen |= bit
+        self.seen |= 1 << -ahead
         return True, -1
 
 

@@ -27,6 +27,7 @@ from swarmd.core.threads import hand_over
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.datagram import Address
+from swarmd.network.inbound_queue import FAILED, DropCounter
 from swarmd.network.session import open_in_thread, open_pull_session
 from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity
@@ -78,12 +79,21 @@ _reply = Decoder(PullReply, 2 * PIECE)
 
 
 class Puller:
-    """Pulls blobs for one daemon, one at a time; `asker` is its own name. Use it on the loop."""
+    """Pulls blobs for one daemon, one at a time; `asker` is its own name. Use it on the loop.
+
+    `drops` counts the blobs that cannot be taken because of an error.
+    """
 
     def __init__(
-        self, settings: NetworkSettings, asker: str, identity: Identity | None = None
+        self,
+        settings: NetworkSettings,
+        asker: str,
+        identity: Identity | None = None,
+        *,
+        drops: DropCounter,
     ) -> None:
         self.settings = settings
+        self._drops = drops
         self._identity = identity
         self._asker = asker
         self._rate = TokenBucket(PULL_RATE, PULL_BURST)
@@ -109,23 +119,25 @@ class Puller:
             return False
 
         async def run() -> None:
-            blob, why = None, ""
-            try:
-                blob = await pull(
-                    self.settings,
-                    peer,
-                    address,
-                    what,
-                    self._asker,
-                    name=name,
-                    limit=limit,
-                    digest=digest,
-                    identity=self._identity,
-                )
-            except (NetworkError, TimeoutError) as error:
-                why = str(error) or f"{peer} did not hand it over within {PULL_TIMEOUT:.0f} s"
+            blob, why = None, FAILED
+            with self._drops.refusing(f"shared/{what}"):
+                try:
+                    blob = await pull(
+                        self.settings,
+                        peer,
+                        address,
+                        what,
+                        self._asker,
+                        name=name,
+                        limit=limit,
+                        digest=digest,
+                        identity=self._identity,
+                    )
+                except (NetworkError, TimeoutError) as error:
+                    why = str(error) or f"{peer} did not hand it over within {PULL_TIMEOUT:.0f} s"
             self._task = None
-            on_done(blob, why)
+            with self._drops.refusing(f"shared/{what}"):
+                on_done(blob, why)
 
         self._task = asyncio.get_running_loop().create_task(run())
         return True
@@ -239,11 +251,8 @@ def serve_shared(bus: ZenohBus, what: str, provider: Provider) -> None:
     tasks: dict[asyncio.Task[None], str] = {}
 
     async def answer(query: Query) -> None:
-        try:
+        with bus.drops.refusing(f"{SHARED}/{what}", lambda text: query.drop()):
             query.reply(await asyncio.to_thread(_answer, provider, query.payload, query.asker))
-        except CodecError:
-            bus.drop(f"shared/{what}:malformed")
-            query.drop()
 
     def on_query(query: Query) -> None:
         asker = query.asker

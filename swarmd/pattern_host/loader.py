@@ -1,10 +1,17 @@
-"""Imports a pattern's class from where it is found: the only module that imports plugin code."""
+"""Imports a pattern's class from where it is found: the only module that imports plugin code.
+
+Of a pushed pattern the bytes that are executed are those of which the SHA-256 was compared: a file
+is read once, and a wheel is imported from a sealed copy in memory (memfd_create(2)).
+"""
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
 import importlib
 import importlib.util
 import inspect
+import os
 import sys
 from collections.abc import Mapping
 from importlib.machinery import SourceFileLoader
@@ -12,11 +19,12 @@ from pathlib import Path
 from types import CodeType, ModuleType
 from typing import Any, get_args
 
-from swarmd.core.errors import PluginError, UnknownPatternError, unknown
+from swarmd.core.errors import ChangedCodeError, PluginError, UnknownPatternError, unknown
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.params import Params
-from swarmd.plugins import IN_FOLDER, MISSION
+from swarmd.plugins import IN_WHEEL, MISSION
 
+_SEALS = fcntl.F_SEAL_WRITE | fcntl.F_SEAL_GROW | fcntl.F_SEAL_SHRINK | fcntl.F_SEAL_SEAL
 _CHANNEL_TYPES = (bool, int, float, str, bytes, list, dict)
 
 
@@ -28,34 +36,56 @@ class PatternLoader:
 
     def __init__(self, origins: Mapping[str, tuple[str, bool]]) -> None:
         self.origins = origins
+        self._digests: Mapping[str, bytes] = {}
+        self._wheels: dict[bytes, str] = {}  # the path of the copy, by digest
         self._files: dict[Path, type[Pattern[Any]]] | None = None
         self._missions: dict[tuple[Path, int, int], type[Pattern[Any]]] = {}
         self._open: list[str] = []
 
-    def begin(self, origins: Mapping[str, tuple[str, bool]]) -> None:
-        """Begin a load: each file is read as it is now, and once until the next load."""
+    def begin(
+        self, origins: Mapping[str, tuple[str, bool]], digests: Mapping[str, bytes] | None = None
+    ) -> None:
+        """Begin a load: each file is read as it is now, and once until the next load.
+
+        `digests`: the SHA-256 that the file or wheel of a name must have.
+        """
         self.origins, self._files = origins, {}
+        self._digests = digests or {}
         self._missions.clear()
 
     def __call__(self, name: str) -> type[Pattern[Any]]:
         """The class of that name.
 
         Raises PluginError if there is none or several, or if its declarations contradict each
-        other; ConfigError if it is a mission whose file has a fault.
+        other; ChangedCodeError if its code has not its digest; ConfigError if it is a mission whose
+        file has a fault.
         """
         if name not in self.origins:
             raise UnknownPatternError(unknown("pattern", name, self.origins))
         value, is_file = self.origins[name]
         if is_file and value.endswith(MISSION):
             return self._mission(name, Path(value))
-        return self._file(Path(value)) if is_file else _from_entry_point(name, value)
+        digest = self._digests.get(name, b"")
+        if is_file:
+            return self._file(Path(value), digest)
+        wheel, _, value = value.rpartition(IN_WHEEL)
+        if wheel:
+            _import_first_from(self._wheel(Path(wheel), digest))
+        return _from_entry_point(name, value)
 
-    def _file(self, path: Path) -> type[Pattern[Any]]:
+    def _file(self, path: Path, digest: bytes) -> type[Pattern[Any]]:
         if self._files is None:
-            return _from_file(path)
+            return _from_file(path, digest)
         if path not in self._files:
-            self._files[path] = _from_file(path)
+            self._files[path] = _from_file(path, digest)
         return self._files[path]
+
+    def _wheel(self, path: Path, digest: bytes) -> str:
+        """The path of a sealed copy of a wheel, which has this digest."""
+        content = _checked(path.read_bytes(), path, digest)
+        if digest not in self._wheels:
+            self._wheels[digest] = _sealed_copy(path.name, content)
+        return self._wheels[digest]
 
     def _mission(self, name: str, path: Path) -> type[Pattern[Any]]:
         from swarmd.mission.mission import mission_class  # few hosts run one
@@ -74,10 +104,7 @@ class PatternLoader:
 
 
 def _from_entry_point(name: str, value: str) -> type[Pattern[Any]]:
-    folder, _, value = value.rpartition(IN_FOLDER)
     module_name, _, attribute = value.partition(":")
-    if folder:
-        _import_first_from(Path(folder))
     module = importlib.import_module(module_name)
     kind = getattr(module, attribute, None)
     if not isinstance(kind, type) or not issubclass(kind, Pattern):
@@ -86,22 +113,44 @@ def _from_entry_point(name: str, value: str) -> type[Pattern[Any]]:
     return kind
 
 
-def _import_first_from(folder: Path) -> None:
-    """Let modules be imported from an unpacked wheel, in place of an earlier version of it.
+def _sealed_copy(name: str, content: bytes) -> str:
+    """A path in `/proc` of a copy in memory, which no process can change."""
+    file = os.memfd_create(name, os.MFD_CLOEXEC | os.MFD_ALLOW_SEALING)
+    with open(file, "wb", closefd=False) as copy:
+        copy.write(content)
+    fcntl.fcntl(file, fcntl.F_ADD_SEALS, _SEALS)
+    return f"/proc/self/fd/{file}"
 
-    An installed package of the same name yields: the folder holds what was pushed and tried.
+
+def _checked(content: bytes, path: Path, digest: bytes) -> bytes:
+    """The content of a file. ChangedCodeError if it has not this SHA-256."""
+    if hashlib.sha256(content).digest() != digest:
+        raise ChangedCodeError(
+            f"{path.name} was changed on the disk: its SHA-256 is not {digest.hex()[:8]}..;"
+            " push it again"
+        )
+    return content
+
+
+def _import_first_from(wheel: str) -> None:
+    """Let modules be imported from a wheel, in place of an earlier version of it.
+
+    An installed package of the same name yields: the wheel is what was pushed and tried.
     """
-    tops = {entry.name.removesuffix(".py") for entry in folder.iterdir()}
+    from zipfile import ZipFile  # few hosts run one
+
+    with ZipFile(wheel) as archive:
+        tops = {name.partition("/")[0].removesuffix(".py") for name in archive.namelist()}
     for module in list(sys.modules):
         file = getattr(sys.modules[module], "__file__", None) or ""
-        if module.partition(".")[0] in tops and not file.startswith(f"{folder}/"):
+        if module.partition(".")[0] in tops and not file.startswith(f"{wheel}/"):
             del sys.modules[module]
-    sys.path[:] = [str(folder), *(one for one in sys.path if one != str(folder))]
+    sys.path[:] = [wheel, *(one for one in sys.path if one != wheel)]
     importlib.invalidate_caches()
 
 
-def _from_file(path: Path) -> type[Pattern[Any]]:
-    module = import_file(path)
+def _from_file(path: Path, digest: bytes = b"") -> type[Pattern[Any]]:
+    module = import_file(path, digest)
     kinds = [
         value
         for value in vars(module).values()
@@ -138,10 +187,13 @@ def _check_declarations(kind: type[Pattern[Any]]) -> None:
                 )
 
 
-def import_file(path: Path) -> ModuleType:
-    """The file as a module, as it is now; PluginError, or what the file raises."""
+def import_file(path: Path, digest: bytes = b"") -> ModuleType:
+    """The file as a module, as it is now; PluginError, or what the file raises.
+
+    ChangedCodeError if it has not the SHA-256 `digest`; empty: any.
+    """
     name = f"swarmd_plugin_{path.stem}"
-    loader = _UncachedLoader(name, str(path))
+    loader = _UncachedLoader(name, str(path), digest)
     spec = importlib.util.spec_from_loader(name, loader)
     if spec is None:
         raise PluginError(f"{path} cannot be read as Python")
@@ -157,6 +209,13 @@ class _UncachedLoader(SourceFileLoader):
     Cached bytecode would be taken for that of a file changed within the same second.
     """
 
+    def __init__(self, name: str, path: str, digest: bytes) -> None:
+        super().__init__(name, path)
+        self._digest = digest
+
     def get_code(self, fullname: str) -> CodeType:
-        """The code of the file as it is now."""
-        return self.source_to_code(self.get_data(self.path), self.path)
+        """The code of the file as it is now. ChangedCodeError if it has not its digest."""
+        source = self.get_data(self.path)
+        if self._digest:
+            source = _checked(source, Path(self.path), self._digest)
+        return self.source_to_code(source, self.path)

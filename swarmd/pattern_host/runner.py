@@ -221,7 +221,8 @@ class ProcessRunner:
         origins = places_of(found)
         # Options of drivers may hold what plugin code has no business with.
         platform = dataclasses.replace(load.platform, drivers={})
-        return replace(load, origins=origins, platform=platform)
+        digests = {name: one.digest for name, one in found.items() if one.digest}
+        return replace(load, origins=origins, platform=platform, digests=digests)
 
     def _start_trial(self, load: Load) -> None:
         log.info("trying new code of %s", load.pattern)

@@ -1,4 +1,4 @@
-"""Wheels of pushed behaviours: their entry point, and how they are unpacked.
+"""Wheels of pushed behaviours: their entry point, and what they may hold.
 
 A wheel is a zip of pure Python with exactly one entry point of the group `swarmd.patterns` (PyPA:
 binary distribution format). Nothing of it is executed here.
@@ -7,14 +7,13 @@ binary distribution format). Nothing of it is executed here.
 from __future__ import annotations
 
 import io
-import os
 import sys
 import zipfile
 from collections.abc import Iterator
 from contextlib import contextmanager
 from email.parser import HeaderParser
 from importlib.metadata import EntryPoints
-from pathlib import Path, PurePosixPath
+from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from swarmd.core.errors import PluginError
@@ -63,18 +62,6 @@ def inspect_wheel(content: bytes, label: str) -> WheelPattern:
     return WheelPattern(point.name, version[:32], f"{point.module}:{point.attr}")
 
 
-def unpack_wheel(content: bytes, folder: Path, label: str) -> None:
-    """Write the files of a wheel that `inspect_wheel` accepts to a new folder, and to the disk."""
-    with _opened(content, label) as archive:
-        for info in _check_files(archive, label):
-            path = folder / info.filename
-            path.parent.mkdir(parents=True, exist_ok=True)
-            with path.open("wb") as file:
-                file.write(_read(archive, info, label))
-                file.flush()
-                os.fsync(file.fileno())
-
-
 @contextmanager
 def _opened(content: bytes, label: str) -> Iterator[zipfile.ZipFile]:
     """The archive for the block, in which an error of a damaged archive becomes a PluginError."""
@@ -94,8 +81,12 @@ def _check_files(archive: zipfile.ZipFile, label: str) -> list[zipfile.ZipInfo]:
     if len(files) > MAX_FILES or size > MAX_UNPACKED:
         raise PluginError(
             f"{label} has {len(files)} files of {size} bytes;"
-            f" at most {MAX_FILES} of {MAX_UNPACKED} are unpacked"
+            f" at most {MAX_FILES} of {MAX_UNPACKED} are taken"
         )
+    names = {PurePosixPath(info.filename) for info in files}
+    folders = {folder for name in names for folder in name.parents}
+    if twice := sorted(map(str, names & folders)):
+        raise PluginError(f"{label} has the file {twice[0]!r}, which is also a folder")
     for info in files:
         path = PurePosixPath(info.filename)
         is_named = bool(path.parts) and not path.is_absolute() and ".." not in path.parts

@@ -62,7 +62,7 @@ def _serve(daemon: socket.socket) -> None:
         command = decode_command(frame)
         if isinstance(command, Load):
             limit_growth(MAX_LOAD_GROWTH)
-            loader.begin(command.origins)
+            loader.begin(command.origins, command.digests)
         began = time.monotonic()
         event = executor.handle(command)
         if isinstance(event, Loaded):

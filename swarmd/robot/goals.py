@@ -23,6 +23,7 @@ from collections.abc import Callable
 from enum import Enum
 from typing import NamedTuple
 
+from swarmd.core.errors import CodecError
 from swarmd.core.goal import (
     MAX_UNSIGNED,
     Goal,
@@ -211,8 +212,12 @@ class Goals:
         return self.overtaken_by(goal)
 
     def overtaken_by(self, goal: Goal) -> tuple[Refusal, str] | None:
-        """Why a goal comes too late: a greater one is held."""
-        if self.held is None or HeldGoal.of(goal, None).order >= self.held.order:
+        """Why a goal does not count: it is too long, or a greater one is held."""
+        try:
+            new = HeldGoal.of(goal, None)
+        except CodecError as error:
+            return Refusal.INVALID_GOAL, str(error)
+        if self.held is None or new.order >= self.held.order:
             return None
         return Refusal.OVERTAKEN, f"{self.held.goal.text} came first"
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 
+import msgpack
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -39,6 +40,14 @@ def test_what_nests_as_deep_as_allowed_is_read() -> None:
     while value is not None:
         value, depth = value[0], depth + 1
     assert depth == MAX_DEPTH
+
+
+@pytest.mark.parametrize(
+    "value", [msgpack.ExtType(5, b""), [msgpack.Timestamp(1)], {"a": msgpack.Timestamp(1)}]
+)
+def test_extension_types_are_unreadable(value: object) -> None:
+    with pytest.raises(CodecError):
+        decode_value(b"\x01" + msgpack.packb(value))
 
 
 @pytest.mark.parametrize("value", [object(), "x" * MAX_MESSAGE, {1, 2}, 2**70])

@@ -2,10 +2,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
+import msgspec
 import pytest
 
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import (
+    MAX_GOAL,
     Goal,
     HeldGoal,
     decode_goal,
@@ -93,3 +95,13 @@ def test_a_goal_that_no_datagram_carries_is_refused() -> None:
     goal = Goal(generation=1, issuer="a", id="b", targets=tuple(f"robot-{n:04}" for n in range(99)))
     with pytest.raises(CodecError, match="fewer targets"):
         encode_goal(goal)
+
+
+def test_a_goal_that_would_be_handed_on_with_more_bytes_is_refused() -> None:
+    """An encoding may leave out defaults, which the goal of a robot's own has."""
+    names = tuple(f"robot-{n:04}" for n in range(85))
+    short = {"generation": 1, "issuer": "a", "id": "b", "targets": names}
+    content = msgspec.msgpack.encode(short)
+    assert len(content) <= MAX_GOAL
+    with pytest.raises(CodecError, match="at most"):
+        decode_goal(content)

@@ -23,7 +23,7 @@ from swarmd.core.behaviour import (
     read_entry,
 )
 from swarmd.core.clock import boottime
-from swarmd.core.host_messages import Load, TrialDone
+from swarmd.core.host_messages import Load, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, PushRequest, Refusal, ReloadRequest, Reply
 from swarmd.daemon import behaviour_state
 from swarmd.daemon.behaviour_files import BehaviourFiles
@@ -31,6 +31,7 @@ from swarmd.daemon.behaviour_runs import CodeRuns
 from swarmd.daemon.behaviour_state import BehaviourState
 from swarmd.daemon.behaviour_store import BehaviourStore
 from swarmd.daemon.behaviour_sync import BehaviourSync
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.pushed_code import HOLD_TIME, PushedCode
@@ -144,7 +145,7 @@ class Rig:
         control = self.control = Control()
         self.files = GatedFiles(self.folder / "behaviours")
         self.state = BehaviourState(self.files, "r1", "lab", lambda: self.operators)
-        self.store = control.store = BehaviourStore(self.state)
+        self.store = control.store = BehaviourStore(self.state, DropCounter())
         self.runs = CodeRuns(self.state)
         await self.state.open(control)
 
@@ -259,12 +260,34 @@ async def test_code_from_before_the_keys_and_of_a_revoked_operator_is_not_loaded
     assert rig.standing() == "returned"
 
 
+async def test_code_that_a_host_found_changed_is_missing_until_it_is_pushed_again(rig: Rig) -> None:
+    await rig.push()
+    Path(rig.origin()).write_bytes(b"something else")
+    refused = LoadRefused(1, "own was changed", Refusal.CHANGED_CODE)
+    assert rig.store.on_event(refused) is refused
+    async with asyncio.timeout(20.0):
+        while rig.origin():
+            await asyncio.sleep(0.005)
+    (listed,) = rig.state.report().behaviours
+    assert (listed.standing, listed.digest, "changed" in listed.text) == ("missing", "", True)
+    assert len(rig.control.faults) == 1
+    assert (await rig.push()).code is Code.APPLIED
+    assert (Path(rig.origin()).read_bytes(), rig.standing()) == (CODE, "provisional")
+
+
+@pytest.mark.parametrize("name", ["table", "versions", "code"])
+async def test_a_name_of_a_file_of_the_daemon_is_a_name_of_a_pattern(rig: Rig, name: str) -> None:
+    assert (await rig.push(name=name)).code is Code.APPLIED
+    await rig.start()
+    assert Path(rig.origin(name)).read_bytes() == CODE
+
+
 async def test_code_that_was_damaged_on_the_disk_is_not_loaded(rig: Rig) -> None:
     await rig.push()
     Path(rig.origin()).write_bytes(b"something else")
     await rig.start()
     assert rig.origin() == ""
-    assert any("damaged" in text for text in rig.control.events)
+    assert any("damaged" in text for text in rig.control.faults)
     (wanted,) = rig.state.missing()  # another robot may have it
     rig.store.take(wanted, CODE, "r2")
     async with asyncio.timeout(20.0):
@@ -513,7 +536,7 @@ async def test_a_table_with_false_signatures_costs_one_check(
 
     monkeypatch.setattr(behaviour_state, "is_signed_by", check)
     puller = Pulling(encode_table(map(read_entry, (*foreign, *false))))
-    sync = BehaviourSync(rig.state, rig.store, puller, lambda *_: None)  # type: ignore[arg-type]
+    sync = BehaviourSync(rig.state, rig.store, puller, lambda *_: None, DropCounter())  # type: ignore[arg-type]
     digests = (number.to_bytes(4, "big") + b"xx" for number in range(1, 100))
     for digest in digests:
         sync.on_beacon("r2", digest, ("127.0.0.1", 1), boottime())

@@ -22,6 +22,7 @@ from swarmd.core.behaviour import (
 )
 from swarmd.core.clock import boottime
 from swarmd.daemon.behaviour_sync import CODE_PERIOD, FALSE_PERIOD, TABLE_PERIOD, BehaviourSync
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.robot.pushed_code import PushedCode, Version
 from tests.daemon.test_behaviour_store import Rig
 
@@ -74,7 +75,9 @@ def rig(runner: asyncio.Runner, tmp_path: Path) -> Rig:
 
 def sync_of(rig: Rig) -> tuple[BehaviourSync, Pulls]:
     pulls = Pulls()
-    return BehaviourSync(rig.state, rig.store, pulls, lambda robot, entry: None), pulls  # type: ignore[arg-type]
+    return BehaviourSync(
+        rig.state, rig.store, pulls, lambda robot, entry: None, DropCounter()
+    ), pulls  # type: ignore[arg-type]
 
 
 async def settled(sync: BehaviourSync) -> None:

@@ -12,19 +12,24 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder, encode
 from swarmd.core.goal import GoalRecord
-from swarmd.core.messages import Code, Reply
+from swarmd.core.messages import Code, Epoch, LabelRequest, Refusal, Reply
 from swarmd.core.values import Twist
 from swarmd.daemon import behaviour_files, goal_service
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.latchfile import LatchFile
 from swarmd.driver_api.driver import Finding, Sink
-from swarmd.network.datagram import Stop
+from swarmd.network.datagram import Stop, pack, tag_of
+from swarmd.robot.robot import Robot
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from tests.support.processes import unique_swarm
 from tests.support.viewer import Viewer
 
 pytestmark = pytest.mark.integration
+
+
+ESTOP = Stop(id="e1", verb="estop", operator="alice")
 
 
 class RecordingDriver:
@@ -85,6 +90,74 @@ async def test_a_daemon_that_raises_sends_zero_and_ends(
     assert driver.sent[-1].is_zero
 
 
+class Question:
+    """A request on a link, for the robot tb3-01."""
+
+    asker, source = "anna", "10.0.0.5:40000"
+
+    def __init__(self, payload: bytes) -> None:
+        self.payload = payload
+        self.replies: list[Reply] = []
+
+    def reply(self, payload: bytes) -> None:
+        self.replies.append(Decoder(Reply)(payload))
+
+    def drop(self) -> None:
+        pass
+
+
+def _broken(*args: object) -> None:
+    raise ZeroDivisionError("on purpose")
+
+
+def _label(daemon: Daemon) -> Question:
+    targets: dict[str, Epoch | None] = {"tb3-01": daemon._robot.epoch}
+    return Question(encode(LabelRequest(id="l1", operator="anna", targets=targets, labels=None)))
+
+
+async def test_an_error_of_the_robot_in_a_request_ends_the_daemon(
+    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = RecordingDriver()
+    daemon = Daemon(settings, driver)
+    monkeypatch.setattr(Robot, "on_request", _broken)
+    with pytest.raises(ZeroDivisionError, match="on purpose"):
+        await run(daemon, later=lambda: daemon._requests.handle("label", _label(daemon)))
+    assert driver.sent[-1].is_zero
+
+
+async def test_an_error_beside_the_robot_refuses_the_request(
+    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stop = asyncio.Event()
+    daemon = Daemon(settings, RecordingDriver())
+    monkeypatch.setattr(daemon._goals, "refusal_of", _broken)
+    question = _label(daemon)
+
+    def ask() -> None:
+        daemon._requests.handle("label", question)
+        stop.set()
+
+    await run(daemon, stop, ask)
+    assert [(reply.code, reply.refusal) for reply in question.replies] == [
+        (Code.REFUSED, Refusal.INVALID_REQUEST)
+    ]
+    assert daemon._drops.counts() == {"control/label:failed": 1}
+
+
+async def test_a_stop_that_cannot_be_handled_ends_the_daemon(
+    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    daemon = Daemon(settings, RecordingDriver())
+    monkeypatch.setattr(daemon._inputs, "_stop", _broken)
+    payload = pack(tag_of("dev", settings.network.swarm), ESTOP)
+    with pytest.raises(ZeroDivisionError, match="on purpose"):
+        await run(
+            daemon,
+            later=lambda: daemon._network._on_datagram(payload, ("127.0.0.9", 7441), False),
+        )
+
+
 class Unplugged(RecordingDriver):
     """A driver that cannot send commands any more, from `unplug` on."""
 
@@ -99,9 +172,6 @@ class Unplugged(RecordingDriver):
         if self.is_gone:
             raise OSError("unplugged")
         super().send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
-
-
-ESTOP = Stop(id="e1", verb="estop", operator="alice")
 
 
 async def test_an_estop_is_stored_and_acked_if_zero_cannot_be_sent(

@@ -26,6 +26,7 @@ from swarmd.core.messages import LimitingObstacle, RecordingsReply
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.daemon.recorder import Recorder
 from swarmd.daemon.recording_service import RecordingService
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages, process
@@ -219,7 +220,7 @@ def test_a_folder_that_cannot_be_written_is_an_event_and_stands_in_the_list(
 
     async def run() -> RecordingsReply:
         section = RecordingSection(from_start=True, folder=str(tmp_path / "file" / "folder"))
-        service = RecordingService("a", section, head, events.append, lambda kind: None)
+        service = RecordingService("a", section, head, events.append, DropCounter())
         service.start_if_wanted()
         service.recorder.scan(scan(1), 0.0)
         service.recorder.flush()

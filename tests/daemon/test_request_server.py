@@ -25,6 +25,7 @@ from swarmd.core.messages import (
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.request_server import MAX_PENDING, RequestServer
 from swarmd.network.datagram import Stop
+from swarmd.network.inbound_queue import DropCounter
 
 EPOCH = Epoch("0123456789ab", 1)
 
@@ -69,6 +70,7 @@ def server_of(
         roster=lambda request, answer: None,
         is_secured=is_secured,
         push=lambda request: None,
+        drops=DropCounter(),
     )
 
 

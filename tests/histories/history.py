@@ -312,7 +312,9 @@ def _disturb(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
 
 
 def _wall(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
-    return step(0.0, "wall", robot=chance.choice((*robots, *OPERATORS)), shift=chance.choice((-1e6, 1e6)))
+    return step(
+        0.0, "wall", robot=chance.choice((*robots, *OPERATORS)), shift=chance.choice((-1e6, 1e6))
+    )
 
 
 _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], HistoryStep], float], ...] = (
@@ -393,7 +395,9 @@ def shrink(
         count -= 1
     for at, one in enumerate(best):
         for gap in (0.05, 0.5, 1.0, 2.0):
-            if gap < one.gap and breaks(count, (*best[:at], replace(one, gap=gap), *best[at + 1 :])):
+            if gap < one.gap and breaks(
+                count, (*best[:at], replace(one, gap=gap), *best[at + 1 :])
+            ):
                 best = (*best[:at], replace(one, gap=gap), *best[at + 1 :])
                 break
         for name in [*one.args]:

@@ -126,8 +126,9 @@ class Invariants:
             if robot.is_running or daemon.is_active:
                 what = "runs" if robot.is_running else "loads a pattern"
                 raise BrokenRuleError(
-                    1, f"{daemon.name} answers `{request.verb}` {request.id} with `applied`"
-                    f" ({reply.text}) and {what}"
+                    1,
+                    f"{daemon.name} answers `{request.verb}` {request.id} with `applied`"
+                    f" ({reply.text}) and {what}",
                 )
             issued = self._issued[request.id]
             cause = daemon.cause
@@ -135,8 +136,9 @@ class Invariants:
             is_ended &= not self._is_logged(daemon, Reason.LOOP_STALLED)
             if is_ended and cause is not None and cause.at - issued > AGE_SHIFT:
                 raise BrokenRuleError(
-                    5, f"the run of {daemon.name} is ended by a stop that was issued"
-                    f" {cause.at - issued:.1f} s before it"
+                    5,
+                    f"the run of {daemon.name} is ended by a stop that was issued"
+                    f" {cause.at - issued:.1f} s before it",
                 )
             known.stopped = max(known.stopped, issued)
             known.obeyed = now
@@ -207,14 +209,16 @@ class Invariants:
         for what, at in (("stop", known.stopped), ("reset", known.reset)):
             if issued < at - AGE_SHIFT:
                 raise BrokenRuleError(
-                    3, f"{name} joins {goal.text}, which is {at - issued:.1f} s older than the"
-                    f" {what} that it obeyed"
+                    3,
+                    f"{name} joins {goal.text}, which is {at - issued:.1f} s older than the"
+                    f" {what} that it obeyed",
                 )
         given, stopped_all = self._given
         if given == goal.id and issued < stopped_all - AGE_SHIFT:
             raise BrokenRuleError(
-                3, f"{name} joins {goal.text}, which is {stopped_all - issued:.1f} s older than"
-                " the stop of all that its giver obeyed"
+                3,
+                f"{name} joins {goal.text}, which is {stopped_all - issued:.1f} s older than"
+                " the stop of all that its giver obeyed",
             )
 
     def _check_refused(self, daemon: VirtualDaemon, request: Request) -> None:
@@ -224,8 +228,9 @@ class Invariants:
         issued = self._issued[request.id]
         if cause.at < issued:
             raise BrokenRuleError(
-                1, f"{daemon.name} refuses the stop {request.id}, which is {issued - cause.at:.1f} s"
-                " later than its run, and goes on"
+                1,
+                f"{daemon.name} refuses the stop {request.id}, which is {issued - cause.at:.1f} s"
+                " later than its run, and goes on",
             )
 
     def _check_end(self, daemon: VirtualDaemon) -> None:
@@ -250,13 +255,12 @@ class Invariants:
         late = self._issued[before.id] - self._issued[goal.id]
         if late > AGE_SHIFT and not isinstance(found, GoalRequest):
             raise BrokenRuleError(
-                5, f"{daemon.name} makes {goal.text} of a stop that was issued {late:.1f} s"
-                f" before {before.text}"
+                5,
+                f"{daemon.name} makes {goal.text} of a stop that was issued {late:.1f} s"
+                f" before {before.text}",
             )
 
-    def _check_latches(
-        self, daemon: VirtualDaemon, known: _Memory, held: frozenset[str]
-    ) -> None:
+    def _check_latches(self, daemon: VirtualDaemon, known: _Memory, held: frozenset[str]) -> None:
         lost, new = known.held - held, held - known.held
         cleared = set(daemon.robot.cleared)
         if not lost <= cleared:
@@ -298,7 +302,9 @@ class Invariants:
         if own is None or cause is None or status is None or not cause.goal_id:
             return
         if cause.goal_id != own.goal.id or status.state is not GoalState.RUNNING:
-            raise BrokenRuleError(4, f"{name} runs {cause.goal_id}, and its goal is {own.goal.text}")
+            raise BrokenRuleError(
+                4, f"{name} runs {cause.goal_id}, and its goal is {own.goal.text}"
+            )
 
     def _check_spread(self, alive: list[VirtualDaemon]) -> None:
         for one in alive:

@@ -400,7 +400,9 @@ class VirtualDaemon(Node):
         """A datagram arrives at its socket."""
         self.take(partial(self._on_datagram, body, sender, self.swarm.now, self.lives))
 
-    def on_request(self, verb: str, payload: bytes, asker: str, answer: Callable[[bytes], None]) -> None:
+    def on_request(
+        self, verb: str, payload: bytes, asker: str, answer: Callable[[bytes], None]
+    ) -> None:
         """A request comes by a link."""
         if not self.is_settled:
             return
@@ -590,7 +592,9 @@ class VirtualDaemon(Node):
         elif isinstance(command, KillHost):
             self._load = next(self._loads)
         elif isinstance(command, SetParams):
-            self._host_says(ParamsSet(command.generation, command.request, "", {"a": (1.0, "b")}), 0.0)
+            self._host_says(
+                ParamsSet(command.generation, command.request, "", {"a": (1.0, "b")}), 0.0
+            )
         elif isinstance(command, Load):
             self._load = next(self._loads)
             self._causes[command.generation] = self._cause_of(command)

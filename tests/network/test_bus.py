@@ -79,6 +79,18 @@ def echo(query: Query) -> None:
     query.reply(query.payload + b"!")
 
 
+async def test_a_query_of_which_the_handler_raises_gets_no_answer(rig: BusRig) -> None:
+    def fail_once(query: Query) -> None:
+        if query.payload == b"fail":
+            raise ValueError("a bug")
+        query.reply(b"well")
+
+    await rig.serve(fail_once)
+    assert await rig.get("me/control/run/eve", b"fail") == []
+    assert await rig.get("me/control/run/eve") != []
+    assert rig.drops.counts() == {"control/run:failed": 1}
+
+
 @pytest.mark.parametrize("robot", ["me", "*"])
 async def test_queries_to_this_robot_and_to_all_are_answered(rig: BusRig, robot: str) -> None:
     await rig.serve(echo)

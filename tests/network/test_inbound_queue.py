@@ -7,9 +7,11 @@ import threading
 
 import pytest
 
+from swarmd.core.errors import CodecError, CoreFault, fail_stop
 from swarmd.network.inbound_queue import (
     BATCH,
     CAPACITY,
+    FAILED,
     MAX_KIND_LENGTH,
     MAX_KINDS,
     DropCounter,
@@ -90,6 +92,36 @@ async def test_a_closed_queue_discards_its_calls_and_takes_no_more(queue: Inboun
     for _ in range(3):
         await asyncio.sleep(0)
     assert got == []
+
+
+def test_what_a_handler_raises_is_counted_refused_and_logged_at_a_limited_rate(
+    drops: DropCounter, caplog: pytest.LogCaptureFixture
+) -> None:
+    reasons: list[str] = []
+    for error in (CodecError("not MessagePack"), *[ValueError("a bug")] * 100):
+        with drops.refusing("control/x", reasons.append):
+            raise error
+    assert drops.counts() == {"control/x:malformed": 1, "control/x:failed": 100}
+    assert (reasons[0], set(reasons[1:])) == ("not MessagePack", {FAILED})
+    assert 1 <= len(caplog.records) <= 10
+    assert caplog.records[0].exc_info is not None
+
+
+def test_a_refusal_that_raises_is_counted(drops: DropCounter) -> None:
+    with drops.refusing("control/x", lambda text: 1 // 0):
+        raise ValueError
+    assert drops.counts() == {"control/x:failed": 2}
+
+
+def test_an_error_of_the_robots_core_is_not_refused(drops: DropCounter) -> None:
+    @fail_stop
+    def decide() -> float:
+        return 1 / 0
+
+    with pytest.raises(CoreFault) as raised, drops.refusing("control/x"):
+        decide()
+    assert isinstance(raised.value.__cause__, ZeroDivisionError)
+    assert drops.counts() == {}
 
 
 def test_kinds_are_bounded_in_length_and_number(drops: DropCounter) -> None:

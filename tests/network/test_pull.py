@@ -61,7 +61,7 @@ async def test_a_pull_from_an_address_at_which_nothing_listens_ends(
 ) -> None:
     monkeypatch.setattr("swarmd.network.session.PULL_LINK_TIMEOUT", 0.3)
     done: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-    puller = Puller(settings, "r02")
+    puller = Puller(settings, "r02", drops=DropCounter())
 
     def on_done(blob: bytes | None, why: str) -> None:
         assert blob is None

@@ -260,6 +260,13 @@ def test_a_run_whose_goal_is_of_another_run_or_robot_is_refused() -> None:
     assert run(harness, goal(targets=("r*",))).refusal is Refusal.INVALID_GOAL
 
 
+def test_a_goal_that_no_datagram_carries_is_refused() -> None:
+    harness = ready()
+    long = goal(targets=("*", *(f"robot-{number:060}" for number in range(20))))
+    assert run(harness, long).refusal is Refusal.INVALID_GOAL
+    assert harness.refused("goal", goal=long).refusal is Refusal.INVALID_GOAL
+
+
 def test_goals_of_one_generation_and_issuer_have_one_order_everywhere() -> None:
     one, other = goal(3, params={"speed": 0.1}), goal(3, params={"speed": 0.2})
     held = []

@@ -30,6 +30,7 @@ from swarmd.core.messages import (
 from swarmd.daemon.network import Network, NetworkHandlers
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.datagram import Stop
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.peer import Summary
 from swarmd.network.settings import NetworkSettings
 from tests.support.keys import SwarmKeys
@@ -103,6 +104,7 @@ class FakeDaemon:
             self.instance,
             self._roster,
             version=self._version,
+            drops=DropCounter(),
             identity=self._identity,
         )
         self._advancing = asyncio.create_task(self._advance())
@@ -148,7 +150,7 @@ class FakeDaemon:
         try:
             request = _DECODERS[verb](query.payload)
         except CodecError:
-            self.network.drop("request:malformed")
+            self.network.drops.add("request:malformed")
             query.drop()
             return
         if request.targets is not None and self.robot not in request.targets:

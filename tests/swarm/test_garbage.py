@@ -2,32 +2,59 @@
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import itertools
 import random
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from types import ModuleType
+from typing import TYPE_CHECKING, Any, get_args
 
 import pytest
 import zenoh
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from msgspec import Struct, to_builtins
 
+from swarmd.core import messages, tool_messages
+from swarmd.core.behaviour import Signed
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_SENSOR_PAYLOAD, encode
+from swarmd.core.errors import CodecError
 from swarmd.core.goal import Goal
-from swarmd.core.keys import CONTROL, build
-from swarmd.core.messages import REQUEST_TYPES, AnyRequest, Epoch, MembersQuery, Presence, State
+from swarmd.core.keys import CONTROL, SHARED, build
+from swarmd.core.messages import (
+    REQUEST_TYPES,
+    AnyRequest,
+    Epoch,
+    FetchQuery,
+    MembersQuery,
+    Presence,
+    State,
+)
 from swarmd.core.values import Neighbor, Odometry, Pose, Twist
+from swarmd.daemon.daemon import Daemon
 from swarmd.driver_api.hw_codec import (
     encode_neighbors,
     encode_odometry,
     encode_readings,
     encode_scan,
 )
-from swarmd.network.datagram import Beacon, pack, tag_of
+from swarmd.network import datagram, pull
+from swarmd.network.bus import Query, ZenohBus
+from swarmd.network.datagram import MAX_DATAGRAM, Beacon, Datagram, pack, tag_of
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.membership import MAX_MEMBERS
-from tests.support.garbage import KINDS, Garbage
-from tests.support.processes import CAP, wait_until
+from swarmd.security.roster_change import SharedRoster
+from swarmd.settings.settings import DaemonSettings, load_daemon_settings
+from tests.daemon.test_daemon import RecordingDriver
+from tests.support.examples import examples
+from tests.support.garbage import KINDS, Garbage, hostile_message, packed
+from tests.support.keys import SwarmKeys
+from tests.support.processes import CAP, unique_swarm, wait_until
 from tests.support.viewer import Viewer
 
 if TYPE_CHECKING:
@@ -259,3 +286,248 @@ def test_false_robots_do_not_hide_real_ones(swarm: Swarm, vandal: Vandal) -> Non
     after = swarm.status("r1")
     assert (after.state, after.epoch.instance) == (State.STOPPED, before.epoch.instance)
     assert after.health.loop_stalls == 0
+
+
+# Messages that decode, at the ends of their bounds, and such with hostile fields
+
+
+def messages_of(*modules: ModuleType) -> list[type[Struct]]:
+    """What robots are asked, of these modules: a new question or request is among them."""
+    return [
+        kind
+        for module in modules
+        for name, kind in sorted(vars(module).items())
+        if isinstance(kind, type)
+        and issubclass(kind, Struct)
+        and name.endswith(("Query", "Request"))
+        and not name.startswith("_")
+    ]
+
+
+ASKED = messages_of(messages, tool_messages, pull)
+REQUESTS = {kind: verb for verb, kind in REQUEST_TYPES.items()}
+DATAGRAMS: Mapping[type[Struct], int] = {kind: no for no, kind in datagram._TYPES.items()}
+
+
+def test_every_message_to_a_robot_is_tried() -> None:
+    assert set(get_args(Datagram)) == DATAGRAMS.keys()
+    assert REQUESTS.keys() < set(ASKED)
+    assert {"FetchQuery", "AuditQuery", "PullQuery"} <= {kind.__name__ for kind in ASKED}
+
+
+def datagrams() -> st.SearchStrategy[tuple[int, bytes]]:
+    """The kind and the body of hostile datagrams that fit."""
+    return st.sampled_from(sorted(DATAGRAMS, key=DATAGRAMS.__getitem__)).flatmap(
+        lambda kind: st.tuples(st.just(DATAGRAMS[kind]), hostile_message(kind).map(packed))
+    )
+
+
+def datagram_of(tag: bytes, kind: int, body: bytes) -> bytes:
+    body = body[: MAX_DATAGRAM - 15]
+    return b"SWMD" + bytes([kind]) + tag + len(body).to_bytes(2, "big") + body
+
+
+def questions() -> st.SearchStrategy[tuple[type[Struct], Any]]:
+    return st.sampled_from(ASKED).flatmap(
+        lambda kind: st.tuples(st.just(kind), hostile_message(kind))
+    )
+
+
+class Asked:
+    """A question that came over no link."""
+
+    source = "10.0.0.9:40000"
+
+    def __init__(self, payload: bytes, asker: str) -> None:
+        self.payload, self.asker = payload, asker
+        self.replies: list[bytes] = []
+
+    def reply(self, payload: bytes) -> None:
+        self.replies.append(payload)
+
+    def drop(self) -> None:
+        pass
+
+
+class OpenBus(ZenohBus):
+    """Keeps the handlers, by plane and name, without what guards them."""
+
+    def __init__(self, robot: str, drops: DropCounter) -> None:
+        self.robot, self.drops = robot, drops
+        self.handlers: dict[tuple[str, str], Callable[[Query], None]] = {}
+
+    def serve(self, plane: str, name: str, handler: Callable[[Query], None]) -> None:
+        self.handlers[plane, name] = handler
+
+
+class Handlers:
+    """A daemon in this process, and its handlers; each try ends when they have done their work."""
+
+    def __init__(self, settings: DaemonSettings, runner: asyncio.Runner) -> None:
+        self._settings, self._runner = settings, runner
+        self._numbers = itertools.count()
+        self.robot = settings.id
+        authority = b"" if settings.identity is None else settings.identity.info.authority
+        self.tag = tag_of("dev", settings.network.swarm, authority)
+
+    def __enter__(self) -> Handlers:
+        self._runner.run(self._start())
+        return self
+
+    async def _start(self) -> None:
+        self.daemon = Daemon(self._settings, RecordingDriver())
+        self._stop = asyncio.Event()
+        self._life = asyncio.get_running_loop().create_task(self.daemon.run(self._stop))
+        async with asyncio.timeout(CAP):
+            while not self.daemon._has_joined:
+                await asyncio.sleep(0.02)
+        self.bus = OpenBus(self.robot, self.daemon._drops)
+        self.daemon._serve(self.bus)
+
+    def __exit__(self, *_: object) -> None:
+        async def end() -> None:
+            self._stop.set()
+            with contextlib.suppress(Exception):
+                await self._life
+
+        self._runner.run(end())
+
+    def epoch(self) -> object:
+        return to_builtins(self.daemon._robot.epoch)
+
+    def try_message(self, function: Callable[..., object], *args: object) -> None:
+        """Call a handler, and wait until nothing that it began is under way."""
+
+        async def call() -> None:
+            before = asyncio.all_tasks()
+            with contextlib.suppress(CodecError):  # it counts as malformed
+                function(*args)
+            await asyncio.sleep(0)
+            if begun := asyncio.all_tasks() - before:
+                await asyncio.wait(begun, timeout=2.0)
+            await asyncio.sleep(0)
+
+        self._runner.run(call())
+        failed = [kind for kind in self.daemon._network.dropped if kind.endswith(":failed")]
+        assert not failed, failed
+        assert self.daemon._crash is None, repr(self.daemon._crash)
+
+    def ask(self, kind: type[Struct], message: Any) -> None:
+        """Put a question to every handler, a request to its own."""
+        verb = REQUESTS.get(kind)  # type: ignore[call-overload]
+        if verb is not None:  # else the robot leaves it to others, or repeats an answer
+            targets = {self.robot: self.epoch()}
+            message = {**message, "targets": targets, "id": f"q{next(self._numbers)}"}
+        payload = b"\x01" + packed(message)
+        for (plane, name), handler in self.bus.handlers.items():
+            is_request = plane == CONTROL and name in REQUEST_TYPES
+            if is_request == (verb is not None) and (verb is None or verb == name):
+                self.try_message(handler, Asked(payload, "anna"))
+
+
+@pytest.fixture(params=["insecure", "secured"])
+def handlers(
+    request: pytest.FixtureRequest, tmp_path: Path, runner: asyncio.Runner
+) -> Iterator[Handlers]:
+    name = unique_swarm()
+    values: dict[str, Any] = {
+        "id": "r1",
+        "swarm": name,
+        "state_dir": str(tmp_path / "state"),
+        "recording": {"folder": str(tmp_path / "recordings")},
+    }
+    if request.param == "secured":
+        keys = SwarmKeys(tmp_path / "keys", name, ("r1", "r2"), operators=("anna",))
+        values["identity"] = str(keys.folder_of("r1"))
+    with Handlers(load_daemon_settings(None, values), runner) as made:
+        yield made
+
+
+def test_no_question_raises_in_its_handler(handlers: Handlers) -> None:
+    @settings(max_examples=examples(1000))
+    @given(questions())
+    def check(question: tuple[type[Struct], Any]) -> None:
+        handlers.ask(*question)
+
+    handlers.ask(FetchQuery, {"file": "a\0.mcap", "offset": 0, "length": 1})
+    check()
+
+
+def test_no_datagram_raises_in_the_peer(handlers: Handlers) -> None:
+    network = handlers.daemon._network
+    guard = network._guard
+
+    @settings(max_examples=examples(2000))
+    @given(datagrams())
+    def check(one: tuple[int, bytes]) -> None:
+        take(*one)
+
+    def take(kind: int, body: bytes) -> None:
+        payload = datagram_of(handlers.tag, kind, body)
+        handlers.try_message(network._on_datagram, payload, ("127.0.0.9", 7441), True)
+
+    def message(sequence: int) -> tuple[int, bytes]:
+        kind = DATAGRAMS[datagram.Message]
+        return kind, packed(["r2", b"abcdef", sequence, "own/say", b"\x01\xc0"])
+
+    network._guard = None  # as if a name of the swarm had signed it
+    take(*message(2**53))
+    take(*message(0))
+    check()
+    network._guard = guard
+
+
+def test_nothing_that_is_pulled_raises(handlers: Handlers) -> None:
+    daemon = handlers.daemon
+
+    async def take_table(blob: bytes) -> None:
+        await daemon._behaviour_sync._check("r2", ("127.0.0.1", 9), blob)
+
+    @settings(max_examples=examples(200))
+    @given(hostile_message(SharedRoster).map(packed), st.lists(hostile_message(Signed)).map(packed))
+    def check(roster: bytes, table: bytes) -> None:
+        loop = handlers.daemon._loop
+        handlers.try_message(daemon._rosters.on_pulled, roster, "")
+        handlers.try_message(lambda: loop.create_task(take_table(table)))
+
+    check()
+
+
+def test_a_daemon_answers_after_hostile_messages(swarm: Swarm, vandal: Vandal) -> None:
+    """Some hundred questions, requests and datagrams by a plain session and a plain socket."""
+    body = swarm.body("r1")
+    daemon = swarm.start("r1", body)
+    vandal.connect()
+    names = {"members", "fetch", "recordings", "audit", "logs", "links", "doctor", "plugins"}
+    shared = {"roster", "behaviours", "behaviour"}
+    keys = [build(swarm.name, "r1", CONTROL, name, "eve") for name in sorted(names)]
+    keys += [build(swarm.name, "r1", SHARED, name, "eve") for name in sorted(shared)]
+    for file in ("a\0.mcap", "../a.mcap", "\0"):
+        query = {"file": file, "offset": 0, "length": 1}
+        vandal.ask(build(swarm.name, "r1", CONTROL, "fetch", "eve"), b"\x01" + packed(query))
+
+    @settings(max_examples=examples(400), database=None)
+    @given(questions(), datagrams())
+    def send(question: tuple[type[Struct], Any], one: tuple[int, bytes]) -> None:
+        kind, message = question
+        payload = b"\x01" + packed(message)
+        verb = REQUESTS.get(kind)  # type: ignore[call-overload]
+        if verb is None:
+            for key in keys:
+                vandal.ask(key, payload)
+        elif verb not in ("stop", "estop"):
+            vandal.ask(build(swarm.name, "r1", CONTROL, verb, "eve"), payload)
+        vandal.viewer.carrier.send(datagram_of(vandal.tag, *one).ljust(8))
+
+    send()
+    assert swarm.status("r1").health.dropped
+    listed = swarm.ctl("members", "-o", "json")  # robots that do not exist are among them
+    assert "r1" in {member["robot"] for member in listed.json["members"]}
+    assert daemon.process.poll() is None, daemon.text()[-3000:]
+
+    def is_driving() -> bool:
+        swarm.ctl("reset", "--all", "--yes")
+        return swarm.ctl("run", "drive", "r1").code == 0
+
+    wait_until(is_driving, "r1 takes a run")
+    body.wait_moving()

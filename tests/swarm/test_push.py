@@ -164,6 +164,46 @@ def test_a_wheel_is_pushed_and_run(pushing: Pushing) -> None:
     assert pushing.listed("r1")["own"]["version"] == "3.1"
 
 
+@pytest.mark.parametrize("kind", ["file", "wheel"])
+def test_code_that_was_changed_on_the_disk_is_not_run(pushing: Pushing, kind: str) -> None:
+    swarm = pushing.swarm
+    daemon = swarm.start("r1", swarm.body("r1"))
+    file = pushing.folder / ("own.py" if kind == "file" else "own-3.1-py3-none-any.whl")
+    file.write_bytes(V1.encode() if kind == "file" else wheel("own", V1))
+    assert swarm.ctl("plugin", "push", str(file), "r1").code == 0
+    pushing.run("r1", 1)
+    assert swarm.ctl("stop", "r1").code == 0
+    behaviours = swarm.folder / "state" / swarm.name / "r1" / "behaviours"
+    changed = 0
+    for path in behaviours.rglob("*"):
+        if path.suffix == ".py":  # of a wheel that is unpacked, too
+            changed += path.write_text(V2) > 0
+        elif path.suffix == ".whl":
+            changed += path.write_bytes(wheel("own", V2)) > 0
+    assert changed
+    done = swarm.ctl("run", "own", "r1", "-o", "json")
+    assert done.json["replies"]["r1"]["refusal"] == "changed_code", done
+    assert "changed" in daemon.text()
+    wait_until(lambda: pushing.listed("r1")["own"]["hash"] == "", "the list shows no code")
+    listed = pushing.listed("r1")["own"]
+    assert (listed["standing"], "changed" in listed["text"]) == ("missing", True)
+    assert swarm.ctl("run", "own", "r1").code != 0
+    assert swarm.ctl("plugin", "push", str(file), "r1").code == 0
+    pushing.run("r1", 1)
+
+
+@pytest.mark.parametrize("name", ["table", "versions", "code"])
+def test_no_name_of_a_pattern_is_that_of_a_file(pushing: Pushing, name: str) -> None:
+    swarm = pushing.swarm
+    first = swarm.start("r1")
+    assert pushing.push(V1, "r1", name=name).code == 0
+    assert pushing.push(V1, "r1", name="own").code == 0
+    assert first.terminate() == 0
+    swarm.start("r1")
+    assert set(pushing.listed("r1")) == {name, "own"}
+    assert pushing.listed("r1")[name]["standing"] == "provisional"
+
+
 def test_with_keys_an_operator_pushes_and_robots_pull_from_each_other(
     pushing: Pushing, tmp_path: Path
 ) -> None:
