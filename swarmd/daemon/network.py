@@ -366,7 +366,7 @@ class Network:
         *,
         is_any: bool,
     ) -> None:
-        """Hand a datagram, which waited for so many seconds, to the peer; carry out what follows."""
+        """Hand a datagram that waited for so many seconds to the peer; carry out what follows."""
         effects = peer.on_datagram(
             body,
             source,
