@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from swarmd.core.messages import Body
@@ -70,14 +70,20 @@ def request_of(platform: Platform, v: float, w: float) -> Twist:
     return Twist(v * platform.limits.linear, w * platform.limits.angular)
 
 
+@example(WAFFLE, [(0, 0.125)], [ToldObstacle(0.0, 2.0, 0.5, 0.0)], 0.125, 1.0, None)
 @given(PLATFORM, RETURNS, st.lists(TOLD, min_size=1, max_size=4), SHARE, SHARE, ZONE)
 def test_told_obstacles_allow_no_command_that_is_refused_without(
     platform: Platform, returns: list[tuple[int, float]], told: list[ToldObstacle], v: float,
     w: float, zone: TouchZone | None,
 ) -> None:  # fmt: skip
-    """What they leave of a request passes without them, so the allowed commands are a subset."""
+    """What they leave of a request passes without them, so the allowed commands are a subset.
+
+    A robot that creeps, which no told obstacle is near, may not turn alone as fast as it then does.
+    """
     scan, requested = seeing(platform, returns), request_of(platform, v, w)
     safe = decided(platform, scan, requested, touch=zone, told=tuple(told)).safe
+    if safe == decided(platform, scan, requested, touch=zone).safe:
+        return
     again = decided(platform, scan, safe, touch=zone).safe
     assert (again.linear, again.angular) == pytest.approx((safe.linear, safe.angular), abs=1e-9)
 
