@@ -12,6 +12,7 @@ from collections.abc import Callable, Sequence
 from typing import cast
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.errors import CodecError, ConfigError, SwarmError, unknown
 from swarmd.core.values import Array, Pose, SharedPose
@@ -78,7 +79,8 @@ class RealTimeWorld:
         self._odometry_due = Staggered(np.full(n, ODOMETRY_RATE), start, order)
         rate = 1.0 if radio is None else neighbors_rate(radio.settings)
         self._neighbors_due = Staggered(np.full(n, rate), start, order)
-        self._there = np.zeros(n, dtype=np.bool_)  # whose daemons commanded them lately
+        # The robots whose daemons commanded them lately.
+        self._there: NDArray[np.bool_] = np.zeros(n, dtype=np.bool_)
         self._readings_due = Staggered(np.full(n if world.fields else 0, READINGS_RATE), start)
         self._poses_due = Staggered(np.full(n if has_shared_frame else 0, POSE_RATE), start)
         self._state_due = Staggered(np.array([STATE_RATE]), start)
@@ -110,7 +112,7 @@ class RealTimeWorld:
         for pending in self._link.take_requests():
             self._answer(pending)
 
-    def _is_fresh(self, now: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+    def _is_fresh(self, now: float) -> NDArray[np.bool_]:
         # NaN before the first command: then none is fresh, even without a timeout.
         quiet = np.where(np.isfinite(self._arrivals), now - self._arrivals, np.nan)
         return np.less_equal(quiet, self._command_timeouts)
