@@ -175,6 +175,11 @@ def _with_links(path: Path) -> Iterator[Path]:
         yield from (Path(entry) for entry in os.scandir(path) if entry.is_symlink())
 
 
+def _real(path: Path) -> Path:
+    """The place to which the links in a path lead; unlike `resolve`, it does not fail."""
+    return Path(os.path.realpath(path))
+
+
 def _without(path: Path, secret: frozenset[Path]) -> Iterator[tuple[Path, int]]:
     """`path` with its rights, or the parts of it that are not in `secret`."""
     if path in secret:
@@ -193,7 +198,7 @@ def _restrict_files(libc: ctypes.CDLL, readable: set[Path], secret: frozenset[Pa
     """Why Landlock is not in force; empty if it is."""
     version = libc.syscall(_CREATE_RULESET, None, ctypes.c_size_t(0), _GET_VERSION)
     if version < 1:
-        return "this kernel has no Landlock"
+        return f"no Landlock here: {_error()}"
     if len(os.listdir("/proc/self/task")) > 1:  # others would stay free
         return "a library has started threads"
     handled = (1 << _RIGHTS.get(version, 16)) - 1
@@ -201,8 +206,8 @@ def _restrict_files(libc: ctypes.CDLL, readable: set[Path], secret: frozenset[Pa
     if ruleset < 0:
         return f"Landlock: {_error()}"
     try:
-        hidden = frozenset(one.resolve() for one in secret)
-        for path in {path.resolve() for path in readable}:
+        hidden = frozenset(map(_real, secret))
+        for path in set(map(_real, readable)):
             for part, rights in _without(path, hidden):
                 _allow(libc, ruleset, part, rights)
         _allow(libc, ruleset, Path("/dev/null"), _READ_FILE | _WRITE_FILE)
