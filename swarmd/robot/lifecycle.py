@@ -228,6 +228,9 @@ class Lifecycle:
         running.permit = Permit(_may_recover(event.params), zone, event.scan_delay)
         if text:
             self.log(f"{loading.pattern} {text}", effects.now)
+        if event.scan_delay > 0.0:
+            text = f"goes on with scans up to {event.scan_delay:.2f} s later than declared"
+            self.log(f"{loading.pattern} {text}", effects.now)
 
     def _on_load_refused(self, event: LoadRefused, effects: Effects) -> None:
         text = event.text

@@ -177,6 +177,8 @@ def test_a_calibration_finds_weak_brakes_and_writes_them(swarm: str, tmp_path: P
         now = status(swarm)
         assert now is not None
         assert bool(now.findings) == kept
+    now = status(swarm)
+    assert now is not None
     assert any("(a test): braked at" in event.text for event in now.events)
 
 

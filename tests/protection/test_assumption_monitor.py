@@ -127,7 +127,7 @@ def test_ended_findings_are_raised_again_if_they_persist() -> None:
     bases.run(60.0)
     for monitor in bases.monitors:
         assert any("braked at" in text for text in monitor.findings)
-        monitor.forget()
+        monitor.forget(monitor.findings)
         assert (monitor.speed_share, monitor.findings) == (1.0, ())
     bases.run(60.0)
     assert all(monitor.speed_share < 0.7 and monitor.findings for monitor in bases.monitors)

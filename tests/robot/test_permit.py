@@ -221,6 +221,7 @@ def test_a_pattern_may_go_on_with_late_scans() -> None:
     assert (permit(harness).scan_delay, sensors.permitted_delay) == (0.0, 0.0)
     run_pattern(harness, "patient")
     assert (permit(harness).scan_delay, sensors.permitted_delay) == (0.4, 0.4)
+    assert any("0.40 s later" in event.text for event in harness.status.events)
     harness.ask("param", params={"recovery": False})
     harness.advance(0.1)
     assert permit(harness).scan_delay == 0.4
