@@ -50,7 +50,7 @@ class Answers:
         self._names = frozenset(identity.roster.robots)
         self._on_newer_roster = on_newer_roster
         self._on_lacking = on_lacking
-        self._hint_at = -1e9
+        self._hint_at: dict[bool, float] = {}  # of robots of the own roster, and of others
         self._lacked_at: dict[tuple[str, Address], float] = {}  # the last hints of missing keys
         # Its own questions are numbered by the operator, which notes them.
         self.liveness = Liveness(lease, lambda: 0)
@@ -131,6 +131,9 @@ class Answers:
             return
         if flaw is Flaw.OLDER and body.robot in self._names:
             self.outdated[body.robot] = source
-        elif flaw is Flaw.NEWER and now - self._hint_at >= HINT_PERIOD:
-            self._hint_at = now
+        elif flaw is Flaw.NEWER:
+            is_known = body.robot in self._names
+            if now - self._hint_at.get(is_known, -1e9) < HINT_PERIOD:
+                return
+            self._hint_at[is_known] = now
             self._on_newer_roster(body.robot, source, generation_of(payload))

@@ -43,8 +43,12 @@ class RosterFollower:
         self.notices: list[str] = []
 
     def on_shown(self, robot: str, address: Address, generation: int) -> None:
-        """A robot has shown a newer generation."""
-        self.shown = robot, address, generation
+        """A robot has shown a newer generation.
+
+        The own roster must have that robot: no link proves the names of others.
+        """
+        if self.shown is None or self._is_known(robot):
+            self.shown = robot, address, generation
 
     def on_lacking(self, robot: str, address: Address) -> None:
         """A robot was heard whose key is missing."""
@@ -71,12 +75,21 @@ class RosterFollower:
                 self.notices.append(str(error))
 
         is_updating = self._updating is not None and self._updating.is_alive()
-        if not is_updating and (self.shown is not None or self._lacking):
+        is_due = self.shown is not None and self._is_known(self.shown[0])
+        if not is_updating and (is_due or self._lacking):
             self._updating = threading.Thread(target=run, name=CLOSING, daemon=True)
             self._updating.start()
 
+    def _is_known(self, robot: str) -> bool:
+        identity = self._operator.identity
+        return identity is not None and robot in identity.roster.robots
+
     def _take(self) -> None:
-        shown, self.shown = self.shown, None
+        shown = self.shown
+        if shown is not None and not self._is_known(shown[0]):
+            shown = None
+        elif shown is not None:
+            self.shown = None
         lacking = set()
         while self._lacking:  # the carrier's thread may add to it
             lacking.add(self._lacking.pop())

@@ -7,6 +7,7 @@ import dataclasses
 import pytest
 from msgspec.structs import replace
 
+from swarmd.network import roster_update
 from swarmd.network.answers import Answers
 from swarmd.network.datagram import (
     Ack,
@@ -19,7 +20,10 @@ from swarmd.network.datagram import (
     pack,
     tag_of,
 )
+from swarmd.network.roster_follower import RosterFollower
+from swarmd.network.settings import NetworkSettings
 from swarmd.network.signature import Author, Previous, Trust
+from swarmd.security.identity import Identity
 from swarmd.security.roster import Role
 from tests.network.keyring import Keyring
 
@@ -143,6 +147,46 @@ def test_nothing_of_a_robot_counts_without_its_key(keyring: Keyring) -> None:
     assert rig.hear(proven) == proven
     assert rig.hear(replace(proven, via="r2"), by="r2") is not None
     assert rig.hear(ACK) is None
+
+
+class Following:
+    """An operator that follows rosters, without a network."""
+
+    settings = NetworkSettings()
+
+    def __init__(self, identity: Identity) -> None:
+        self.identity: Identity | None = identity
+
+    def take_identity(self, identity: Identity) -> None:
+        self.identity = identity
+
+
+def test_a_robot_that_was_added_later_hides_no_robot_that_proves_a_newer_roster(
+    keyring: Keyring, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A link proves the names of the own roster alone, so that only these can hand one over."""
+    following = Following(keyring.identity("anna"))
+    rosters, pulled = RosterFollower(following, is_on=True), list[str]()
+    rig = Rig(keyring)
+    rig.answers = Answers(keyring.identity("anna"), 3.0, rosters.on_shown, rosters.on_lacking)
+
+    def pull(settings: object, identity: Identity, robot: str, *_: object) -> tuple[None, str]:
+        pulled.append(robot)
+        return None, "no answer"
+
+    monkeypatch.setattr(roster_update, "pulled_roster", pull)
+    keyring.renew(add=("r0", "r3"))
+    late = replace(BEACON, robot="r0")
+    for number in range(5):
+        now = 10.0 * number
+        rig.hear(late, by="r0", now=now)
+        rosters.update()
+        rig.hear(BEACON, now=now)
+        rig.hear(replace(BEACON, robot="r3"), by="r3", now=now)
+        rosters.update()
+    assert pulled == ["r1"] * 5
+    rig.hear(late, by="r0", now=100.0)
+    assert rosters.shown == ("r0", ROBOT, keyring.roster.generation)  # for a note
 
 
 def test_an_ack_needs_the_signature_of_its_datagram_beside_its_proof(
