@@ -76,8 +76,12 @@ def rig(runner: asyncio.Runner, tmp_path: Path) -> Rig:
 def sync_of(rig: Rig) -> tuple[BehaviourSync, Pulls]:
     pulls = Pulls()
     return BehaviourSync(
-        rig.state, rig.store, pulls, lambda robot, entry: None, DropCounter()
-    ), pulls  # type: ignore[arg-type]
+        rig.state,
+        rig.store,
+        pulls,  # type: ignore[arg-type]
+        lambda robot, entry: None,
+        DropCounter(),
+    ), pulls
 
 
 async def settled(sync: BehaviourSync) -> None:

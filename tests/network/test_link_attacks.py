@@ -238,6 +238,26 @@ def test_a_viewer_reads_and_commands_nothing(besieged: Besieged) -> None:
         assert attacking.ask(build(besieged.name, "r1", CONTROL, "members", "alice")) == []
 
 
+def test_no_question_of_a_viewer_ends_a_daemon(besieged: Besieged) -> None:
+    files = ("a\0.mcap", "\0", "../r1.yaml", "/etc/passwd", ".mcap", "\ud800.mcap", "x" * 5000)
+    with unchanged(besieged), attacker(besieged, besieged.keys["eve"]) as attacking:
+        assert attacking.is_linked()
+        key = build(besieged.name, "r1", CONTROL, "members", "eve")
+        wait_until(lambda: attacking.ask(key, encode(MembersQuery())) != [], "eve reads members")
+        for name, file in itertools.product(("fetch", "audit", "logs", "recordings"), files):
+            query = {"file": file, "grep": file, "offset": 0, "length": 1, "before": file}
+            content = msgpack.packb(query, unicode_errors="surrogatepass")
+            attacking.session.get(
+                build(besieged.name, "r1", CONTROL, name, "eve"),
+                zenoh.handlers.Callback(lambda reply: None),
+                payload=bytes([VERSION]) + content,
+            )
+        wait_until(lambda: attacking.ask(key, encode(MembersQuery())) != [], "r1 answers eve")
+    drops = besieged.statuses()["r1"].health.dropped
+    assert drops["control/fetch:malformed"] > 0
+    assert all(daemon.process.poll() is None for daemon in besieged.daemons)
+
+
 def test_an_operator_commands_in_no_other_name(besieged: Besieged) -> None:
     """What a payload claims does not count: the robot logs the name of the certificate."""
     payload = besieged.request("run", operator="alice")

@@ -73,7 +73,7 @@ WRONG: tuple[object, ...] = (
     *(msgpack.Timestamp(2**32, 1), msgpack.ExtType(5, b"\0"), {1: 2}, ["\0"] * 300),
 )
 # Fields of bytes that hold a message of their own.
-CONTENTS: Mapping[tuple[type, str], object] = {
+CONTENTS: Mapping[tuple[type, str], type[Struct]] = {
     (PushRequest, "content"): Manifest,
     (RosterRequest, "roster"): SignedRoster,
     (SignedRoster, "content"): Roster,
