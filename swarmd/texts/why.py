@@ -35,7 +35,7 @@ SENTENCES = {
     Reason.FROZEN_SCAN: "its scans repeat{detail}; check the lidar",
     Reason.SCAN_CONFLICT: "more than one node publishes its scan{detail}{driver}; end all but one",
     Reason.LATE_SCAN: "its scans arrive {late} later than the platform's scan.latency; shorten the"
-    " way of the scans, or correct the platform",
+    " way of the scans, or correct the platform: `swarmctl calibrate {robot}` measures it",
     Reason.STALE_ODOMETRY: "its odometry is too old{detail}; check the driver{driver}",
     Reason.COMMAND_EXPIRED: "the pattern sends no commands{detail}; its host is restarted soon",
     Reason.DRIVER_LOST: "its base does not answer{driver}; check the driver",
