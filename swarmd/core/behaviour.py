@@ -75,7 +75,7 @@ class Signed(Struct, frozen=True, array_like=True):
 
 @dataclass(frozen=True, slots=True)
 class Entry:
-    """A manifest of the table with its signature; equal if the manifests are, whoever signed."""
+    """A manifest of the table with its signature; equal manifests make equal entries."""
 
     signed: Signed = field(compare=False)
     manifest: Manifest = field(compare=False)
