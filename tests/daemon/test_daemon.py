@@ -106,7 +106,7 @@ class Question:
         pass
 
 
-def _broken(*args: object) -> None:
+def _broken(*args: object, **options: object) -> None:
     raise ZeroDivisionError("on purpose")
 
 
@@ -123,6 +123,16 @@ async def test_an_error_of_the_robot_in_a_request_ends_the_daemon(
     monkeypatch.setattr(Robot, "on_request", _broken)
     with pytest.raises(ZeroDivisionError, match="on purpose"):
         await run(daemon, later=lambda: daemon._requests.handle("label", _label(daemon)))
+    assert driver.sent[-1].is_zero
+
+
+async def test_an_error_of_the_robot_in_a_reading_of_its_driver_ends_the_daemon(
+    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    driver = RecordingDriver()
+    monkeypatch.setattr(Robot, "on_driver", _broken)
+    with pytest.raises(ZeroDivisionError, match="on purpose"):
+        await run(Daemon(settings, driver))
     assert driver.sent[-1].is_zero
 
 
