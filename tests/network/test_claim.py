@@ -48,7 +48,7 @@ def test_a_claimer_of_a_lesser_instance_is_a_rival_until_it_is_silent() -> None:
     claim = Claim("r1", OWN, 0.25, 0.0)
     claim.on_beacon(beacon(OTHER, 1, Flag.JOINING), 0.0)
     assert not claim.is_won(0.3)
-    assert claim.rivals == (OTHER,)
+    assert list(claim.rivals) == [OTHER]
     assert not claim.is_won(0.5)
     assert claim.is_won(0.6)
-    assert claim.rivals == ()
+    assert not claim.rivals
