@@ -375,7 +375,8 @@ class Daemon:
             robot.latches,
             robot.goal,
             behaviours=behaviours,
-            relays_from=robot.relays_from,
+            wished=robot.wished,
+            reset_at=robot.reset_at,
             cleared=robot.cleared,
         )
 

@@ -88,7 +88,8 @@ class GoalService:
 
     def store(self, record: GoalRecord) -> None:
         """Write the record soon; a later one replaces it."""
-        self._writer.store(replace(record, clock=clock_id()))
+        clock = "" if record.stood is None else clock_id()
+        self._writer.store(replace(record, clock=clock))
 
     async def close(self) -> None:
         """Write what is not written yet."""

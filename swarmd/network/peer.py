@@ -78,8 +78,9 @@ CheckGoal = Callable[[Goal, float], bool | None]
 class Summary:
     """What a robot's beacon shows of it; `behaviours`: the digest of its table.
 
-    `relays_from`: stops of this robot that were issued before this time are not handed on, in s;
-    `cleared`: nor emergency stops with these ids, which were reset.
+    `wished`: when the present run was asked for, in s: earlier stops of this robot are not handed
+    on. `reset_at`: nor stops of all that were issued before this reset. `cleared`: nor emergency
+    stops with these ids, which were reset.
     """
 
     state: State
@@ -87,7 +88,8 @@ class Summary:
     latches: Mapping[str, Latch]
     goal: HeldGoal | None = None
     behaviours: bytes = b""
-    relays_from: float = -math.inf
+    wished: float = -math.inf
+    reset_at: float = -math.inf
     cleared: Collection[str] = ()
 
 
@@ -446,8 +448,9 @@ class Peer:
         is_run_of_all = held is not None and held.goal.pattern and not held.goal.targets
         if held is not None and is_run_of_all and held.issued is not None and issued < held.issued:
             return True
-        is_own = stop.targets is None or self.robot in stop.targets
-        return is_own and issued < summary.relays_from
+        if stop.targets is None:
+            return issued < max(summary.wished, summary.reset_at)
+        return self.robot in stop.targets and issued < summary.wished
 
     def _on_own_id(
         self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: Effects

@@ -580,7 +580,7 @@ def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
     for level, kind, content in ancillary:
         if (level, kind, len(content)) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS, _TIMESPEC.size):
             seconds, nanoseconds = _TIMESPEC.unpack(content)
-            return time.time() - seconds - 1e-9 * float(nanoseconds)
+            return time.time() - float(seconds) - 1e-9 * float(nanoseconds)
     return 0.0
 
 

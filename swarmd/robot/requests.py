@@ -78,16 +78,8 @@ class RequestHandler:
         self._trials = 0
         self._obeyed: dict[str, float] = {}  # ids of stops, and when each was carried out first
         # A robot that stands has stood since stops that were issued before this time.
-        self._stood = self._last_reset = -math.inf
-
-    @property
-    def relays_from(self) -> float:
-        """Stops of this robot that were issued before this time are not handed on.
-
-        The time of the newest wish behind the present run, or of the last reset.
-        """
-        wish = self._lifecycle.pattern_run.wish
-        return max(-math.inf if wish is None else wish.at, self._last_reset)
+        self._stood = -math.inf
+        self.reset_at = -math.inf  # when the robot was reset last
 
     def answer(self, request: Request, effects: Effects) -> None:
         """Carry the request out or refuse it; no reply if it targets only other robots."""
@@ -221,7 +213,7 @@ class RequestHandler:
             detail = request.reason or f"by {request.operator}"
             lifecycle.end(Trigger.RESET, Reason.RESET, detail, effects)
             lifecycle.applied(effects, request, "idle")
-            self._stood = self._last_reset = effects.now
+            self._stood = self.reset_at = effects.now
 
     def _set_params(self, request: ParamRequest, effects: Effects) -> None:
         lifecycle, run = self._lifecycle, self._lifecycle.pattern_run

@@ -143,9 +143,15 @@ class Robot:
         return self._lifecycle.goals.held
 
     @property
-    def relays_from(self) -> float:
-        """Stops of this robot that were issued before this time are not handed on."""
-        return self._requests.relays_from
+    def wished(self) -> float:
+        """When the present run, or the next one, was asked for, in s; -inf if the robot stands."""
+        wish = self._run.wish
+        return -math.inf if wish is None else wish.at
+
+    @property
+    def reset_at(self) -> float:
+        """When the robot was reset last, in s; -inf if it was not."""
+        return self._requests.reset_at
 
     @property
     def goals(self) -> GoalRecord:

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core.clock import boottime
 from swarmd.core.goal import Goal, GoalRecord
 from swarmd.core.messages import GoalRequest
 from swarmd.daemon import record_writer
@@ -57,6 +58,25 @@ def test_a_folder_that_cannot_be_written_is_told_once_and_tried_again(
     asyncio.run(run())
     assert len(told) == 2
     assert GoalFile(blocker).read() == RECORD
+
+
+@pytest.mark.parametrize("is_restarted", [False, True])
+def test_the_time_of_the_last_stop_outlives_the_daemon_and_is_bounded_after_a_reboot(
+    tmp_path: Path, is_restarted: bool
+) -> None:
+    async def run() -> None:
+        service = GoalService(tmp_path, lambda: None, lambda text: None)
+        service.store(replace(RECORD, stood=1.5))
+        await service.close()
+
+    asyncio.run(run())
+    file = GoalFile(tmp_path)
+    if is_restarted:
+        file.write(replace(file.read(), clock="another"))
+    read = GoalService(tmp_path, lambda: None, lambda text: None).read()
+    assert read.stood is not None
+    assert (read.stood == 1.5) is not is_restarted
+    assert read.stood <= boottime()
 
 
 def test_the_last_record_is_on_disk_when_the_service_closes(tmp_path: Path) -> None:

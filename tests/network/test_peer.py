@@ -263,10 +263,10 @@ def relayed(network: VirtualNetwork, name: str, seconds: float) -> int:
     return sum(sender == name and isinstance(body, Stop) for sender, body, _, _ in network.tapped)
 
 
-@pytest.mark.parametrize("why", ["none", "run", "goal", "older goal", "goal of others"])
-@pytest.mark.parametrize("targets", [None, ("r1",), ("r9",)])
-def test_a_stop_is_not_handed_on_after_a_newer_run_or_goal(
-    why: str, targets: tuple[str] | None
+@pytest.mark.parametrize("why", ["none", "run", "reset", "goal", "older goal", "goal of others"])
+@pytest.mark.parametrize("targets", [None, ("r1",), ("r9",), ("r1", "r9")])
+def test_a_stop_is_not_handed_on_after_a_newer_run_goal_or_reset(
+    why: str, targets: tuple[str, ...] | None
 ) -> None:
     network = VirtualNetwork(1)
     robot = network.robots["r1"]
@@ -276,12 +276,15 @@ def test_a_stop_is_not_handed_on_after_a_newer_run_or_goal(
     network.stop("stop", 0.2, targets)
     network.run(0.5)
     if why == "run":
-        robot.relays_from = network.now
+        robot.wished = network.now
+    elif why == "reset":
+        robot.reset_at = network.now
     elif why == "goal":
         robot.find(goal, 0.0, network.now)
     elif why == "goal of others":
         robot.find(replace(goal, targets=("r2",)), 0.0, network.now)
     is_over = why == "goal" or (why == "run" and targets != ("r9",))
+    is_over |= why == "reset" and targets is None
     is_silent = targets == ("r1",)  # no other robot is to stop
     assert (relayed(network, "r1", 10.0) == 0) is (is_over or is_silent)
 

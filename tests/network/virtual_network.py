@@ -44,7 +44,8 @@ class Robot:
     clocks: list[ClockSample] = field(default_factory=list)
     places: list[PeerPlace] = field(default_factory=list)
     goals: Goals = field(default_factory=lambda: Goals("robot", (), None, 0.0))
-    relays_from: float = -math.inf
+    wished: float = -math.inf
+    reset_at: float = -math.inf
     cleared: tuple[str, ...] = ()
     joinable: list[Goal] = field(default_factory=list)
     is_recording: bool = False
@@ -62,7 +63,8 @@ class Robot:
             self.revision,
             self.latches,
             self.goals.held,
-            relays_from=self.relays_from,
+            wished=self.wished,
+            reset_at=self.reset_at,
             cleared=self.cleared,
         )
 

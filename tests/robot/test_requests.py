@@ -107,13 +107,16 @@ def test_a_stop_that_is_older_than_the_wish_to_run_ends_no_run(verb: str) -> Non
     if verb == "resume":
         harness.find(JOINED, 100.0, may_join=False)
     harness.advance(5.0)
-    fields = {"run": {"pattern": "forward"}, "reload": {"pattern": "forward", "is_rerun": True}}
+    fields: dict[str, dict[str, Any]] = {
+        "run": {"pattern": "forward"},
+        "reload": {"pattern": "forward", "is_rerun": True},
+    }
     harness.ask(verb, **fields.get(verb, {}))
     harness.advance(2.0)
     assert late_stop(harness, 3.0).refusal is Refusal.OVERTAKEN
     assert harness.status.state is State.RUNNING
     assert late_stop(harness, 1.5).code is Code.APPLIED
-    assert harness.status.state is State.STOPPED
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
 
 
 @pytest.mark.parametrize(("age", "ends"), [(12.0, False), (9.0, True)])
@@ -124,7 +127,7 @@ def test_a_stop_ends_a_joined_run_if_it_is_newer_than_the_goal(age: float, ends:
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
     assert (late_stop(harness, age).code is Code.APPLIED) is ends
-    assert (harness.status.state is State.STOPPED) is ends
+    assert (standing_state(harness)[0] is State.STOPPED) is ends
 
 
 def test_a_stop_after_a_reset_and_a_join_stops() -> None:
@@ -137,8 +140,10 @@ def test_a_stop_after_a_reset_and_a_join_stops() -> None:
     harness.find(msgspec.structs.replace(JOINED, generation=7), 0.5)
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
-    assert late_stop(harness, 0.6).code is Code.APPLIED
-    assert (harness.status.state, harness.twist.is_zero) == (State.STOPPED, True)
+    before_the_reset = late_stop(harness, 5.0)
+    assert before_the_reset.refusal is Refusal.OVERTAKEN, "it drives"
+    assert late_stop(harness, 0.6, id="s1").code is Code.APPLIED
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
 
 
 @pytest.mark.parametrize(
@@ -160,7 +165,7 @@ def test_a_refused_run_does_not_overtake_a_stop(verb: str, fields: dict[str, Any
     assert refused is not None
     assert refused.code is not Code.APPLIED
     assert late_stop(harness, 3.0).code is Code.APPLIED
-    assert harness.status.state is State.STOPPED
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
 
 
 def test_a_restart_after_a_fault_keeps_the_wish_of_the_run() -> None:
@@ -172,7 +177,7 @@ def test_a_restart_after_a_fault_keeps_the_wish_of_the_run() -> None:
     harness.advance(1.0)
     assert harness.status.state is State.RUNNING
     assert late_stop(harness, 4.0).code is Code.APPLIED
-    assert harness.status.state is State.STOPPED
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
 
 
 def test_a_stop_between_a_run_and_a_load_ends_the_run_alone() -> None:

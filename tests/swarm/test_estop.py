@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Code, Refusal, ResetRequest, State
+from swarmd.core.messages import Code, Reason, Refusal, ResetRequest, State
 from tests.support.processes import wait_until
 
 if TYPE_CHECKING:
@@ -113,6 +113,27 @@ def test_a_frozen_daemon_is_named_and_estopped_after_the_thaw(
     status = swarm.await_state("r3", State.ESTOPPED)
     assert [latch.reason for latch in status.latches.values()] == ["smoke"]
     assert not bodies["r3"].moved_anew(thawed)
+
+
+def test_a_daemon_that_thaws_hands_no_earlier_stop_on_to_a_later_run(swarm: Swarm) -> None:
+    """Its sockets hold copies of the stop that were young when it was frozen."""
+    bodies = {robot: swarm.body(robot) for robot in ("r1", "r2")}
+    daemons = {robot: swarm.start(robot, body) for robot, body in bodies.items()}
+    swarm.run_drive("--all")
+    daemons["r2"].freeze()
+    assert swarm.ctl("stop", "--all").code == 3
+    swarm.run_drive("r1")
+    began = boottime()
+    wait_until(lambda: boottime() - began > 6.0, "the run is older than the copies")
+
+    daemons["r2"].thaw()
+    assert swarm.await_state("r2", State.STOPPED).reason in (Reason.LOOP_STALLED, Reason.OPERATOR)
+    handed = boottime()
+    wait_until(lambda: boottime() - handed > 3.0, "it would have handed the stop on")
+    assert swarm.status("r1").state is State.RUNNING
+    ended = [line for line in daemons["r2"].text().splitlines() if "the run ended" in line]
+    assert len(ended) == 1
+    assert "stopped (loop_stalled)" in ended[0]
 
 
 def test_an_estop_without_acks_is_no_success(swarm: Swarm) -> None:

@@ -6,8 +6,11 @@ from typing import Any
 
 import pytest
 
+from swarmd.core.clock import boottime
 from swarmd.core.goal import Goal, GoalState, GoalStatus
 from swarmd.core.messages import Code, Refusal, ResumeRequest, RunRequest, State, Status
+from swarmd.network.stop_relay import LAST_INTERVAL
+from tests.support.processes import wait_until
 from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
@@ -71,8 +74,30 @@ def test_a_goal_with_on_join_run_is_joined_until_an_emergency_stop(swarm: Swarm)
     assert swarm.ctl("estop").code == 0
     swarm.start("r3", swarm.body("r3"))
     swarm.await_state("r3", State.ESTOPPED)
-    await_goal(swarm, "r3", GoalState.OFFERED)
+    await_goal(swarm, "r3", GoalState.STANDING)
     assert swarm.ctl("reset", "--all", "--yes").code == 0
     for robot in ("r1", "r2", "r3"):
         swarm.await_state(robot, State.IDLE)
-    assert goals_of(swarm.status("r3")).state is GoalState.OFFERED
+    swarm.start("r4", swarm.body("r4"))
+    await_goal(swarm, "r4", GoalState.STANDING)
+    for robot in ("r1", "r2", "r3", "r4"):
+        status = swarm.status(robot)
+        assert (status.state, goals_of(status).state) == (State.IDLE, GoalState.STANDING)
+
+
+def test_a_daemon_that_restarts_does_not_end_the_run_that_followed_a_stop(swarm: Swarm) -> None:
+    """Robots hand the stop on for a minute; the one that restarts knows the age of no goal."""
+    bodies = {robot: swarm.body(robot) for robot in ("r1", "r2", "r3")}
+    daemons = {robot: swarm.start(robot, body) for robot, body in bodies.items()}
+    swarm.run_drive("--all")
+    assert swarm.ctl("stop", "--all").code == 0
+    swarm.run_drive("r1", "r2", "r3")
+    daemons["r3"].kill()
+    swarm.start("r3", bodies["r3"])
+    began = boottime()
+    wait_until(lambda: boottime() - began > 1.5 * LAST_INTERVAL, "each robot would have repeated")
+    for robot in ("r1", "r2"):
+        status = swarm.status(robot)
+        assert status.state is State.RUNNING
+        assert goals_of(status).state is GoalState.RUNNING
+    assert swarm.status("r3").state is not State.RUNNING
