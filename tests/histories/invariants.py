@@ -133,10 +133,11 @@ class Invariants:
             cause = daemon.cause
             is_ended = known.was_running and isinstance(request, StopRequest)
             is_ended &= not self._is_logged(daemon, Reason.LOOP_STALLED)
-            if is_ended and cause is not None and cause.at - issued > AGE_SHIFT:
+            late = 0.0 if cause is None else self._wanted(cause) - issued
+            if is_ended and late > AGE_SHIFT:
                 raise BrokenRuleError(
                     5, f"the run of {daemon.name} is ended by a stop that was issued"
-                    f" {cause.at - issued:.1f} s before it"
+                    f" {late:.1f} s before it"
                 )
             known.stopped = max(known.stopped, issued)
             known.obeyed = now
@@ -221,12 +222,16 @@ class Invariants:
         cause = daemon.cause
         if not isinstance(request, StopRequest) or not daemon.robot.is_running or cause is None:
             return
-        issued = self._issued[request.id]
-        if cause.at < issued:
+        late = self._issued[request.id] - self._wanted(cause)
+        if late > AGE_SHIFT:
             raise BrokenRuleError(
-                1, f"{daemon.name} refuses the stop {request.id}, which is {issued - cause.at:.1f} s"
-                " later than its run, and goes on"
+                1, f"{daemon.name} refuses the stop {request.id}, which is {late:.1f} s later than"
+                " its run, and goes on"
             )
+
+    def _wanted(self, cause: Cause) -> float:
+        """When an operator wanted a run: of a robot that joins, when the goal was set."""
+        return self._issued[cause.goal_id] if cause.request is None else cause.at
 
     def _check_end(self, daemon: VirtualDaemon) -> None:
         reason = daemon.robot.status(self._swarm.now).reason

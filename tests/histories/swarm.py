@@ -496,7 +496,8 @@ class VirtualDaemon(Node):
             robot.epoch.revision,
             robot.latches,
             robot.goal,
-            relays_from=robot.relays_from,
+            wished=robot.wished,
+            reset_at=robot.reset_at,
             cleared=robot.cleared,
         )
 
