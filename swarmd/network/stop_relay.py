@@ -96,7 +96,8 @@ class StopRelay:
             self._stops[key] = relayed
         # Ages grow along different ways; a forged one must not make the stop look older than a run.
         relayed.issued = max(min(relayed.issued, issued), relayed.first_issued - MAX_AGE_SHIFT)
-        relayed.repeated = max(relayed.repeated, min(stop.repeated, stop.age) / 1000.0)
+        repeated = min(stop.repeated / 1000.0, now - relayed.issued)  # it may be forged
+        relayed.repeated = max(relayed.repeated, repeated)
         if stop.hops <= relayed.stop.hops:
             origin = {"origin": stop.origin, "counter": stop.counter}
             relayed.stop = replace(relayed.stop, hops=stop.hops, **origin)

@@ -83,6 +83,14 @@ def test_relays_end_a_minute_after_the_operator_sent_its_last_copy(hears_operato
     assert last_sent <= hears_operator + LIFETIME + 1.0
 
 
+def test_a_copy_with_a_forged_age_does_not_prolong_the_relays() -> None:
+    relay = StopRelay("r1", seed=1)
+    relay.on_stop(stop(), OPERATOR, 0.0)
+    relay.on_stop(stop(age=2**40, repeated=2**40, hops=1), STRANGER, 1.0)
+    assert copies(relay, LIFETIME + 2.0 * LAST_INTERVAL)
+    assert not copies(relay, 100.0, LIFETIME + 4.0)
+
+
 def test_a_stop_that_the_robot_would_refuse_is_not_handed_on() -> None:
     relay = StopRelay("r1", seed=1)
     relay.on_stop(stop(age=2000), OPERATOR, 10.0)
