@@ -23,6 +23,7 @@
    an older disk.
 7. *What is over is not handed on*: a robot relays no stop beyond its minute, no emergency stop that
    it has reset, and no stop of all that is older than the run of all whose goal it holds.
+8. *No storms*: a robot sends at most MAX_SENT datagrams within a second.
 
 A robot that starts with an empty or an older disk has forgotten what it obeyed: it counts as a new
 robot for rules 1 and 3, and is bound by what its peers tell before it is ready.
@@ -39,9 +40,9 @@ from swarmd.core.messages import (
     GoalRequest,
     LabelRequest,
     Reason,
+    Reply,
     Request,
     ResetRequest,
-    Reply,
     ResumeRequest,
     RunRequest,
     State,
@@ -50,12 +51,12 @@ from swarmd.core.messages import (
 from swarmd.network.datagram import Datagram, Stop
 from swarmd.network.goal_sync import FoundGoal
 from swarmd.network.stop_relay import LIFETIME
-from tests.histories.operators import Done
 from tests.histories.swarm import Cause, VirtualDaemon, VirtualSwarm
 
 AGE_SHIFT = 0.5  # s by which the age of a goal or a stop may be wrong
 LATE = 25.0  # s for which an operator repeats a stop
 HEAL_TIME = 10.0  # s
+MAX_SENT = 300  # datagrams of one robot within a second
 
 
 class BrokenRuleError(AssertionError):
@@ -81,6 +82,8 @@ class _Memory:
     runs: Cause | None = None
     goal: Goal | None = None
     lives: int = 1
+    since: float = 0.0
+    sent: int = 0
 
 
 class Invariants:
@@ -126,8 +129,9 @@ class Invariants:
             if robot.is_running or daemon.is_active:
                 what = "runs" if robot.is_running else "loads a pattern"
                 raise BrokenRuleError(
-                    1, f"{daemon.name} answers `{request.verb}` {request.id} with `applied`"
-                    f" ({reply.text}) and {what}"
+                    1,
+                    f"{daemon.name} answers `{request.verb}` {request.id} with `applied`"
+                    f" ({reply.text}) and {what}",
                 )
             issued = self._issued[request.id]
             cause = daemon.cause
@@ -136,8 +140,9 @@ class Invariants:
             late = 0.0 if cause is None else self._wanted(cause) - issued
             if is_ended and late > AGE_SHIFT:
                 raise BrokenRuleError(
-                    5, f"the run of {daemon.name} is ended by a stop that was issued"
-                    f" {late:.1f} s before it"
+                    5,
+                    f"the run of {daemon.name} is ended by a stop that was issued"
+                    f" {late:.1f} s before it",
                 )
             known.stopped = max(known.stopped, issued)
             known.obeyed = now
@@ -158,7 +163,14 @@ class Invariants:
             raise BrokenRuleError(2, f"{daemon.name} answers `label` and has other labels")
 
     def on_send(self, daemon: VirtualDaemon, body: Datagram) -> None:
-        """Rule 7."""
+        """Rules 7 and 8."""
+        known = self._of(daemon)
+        if self._swarm.now - known.since >= 1.0:
+            known.since, known.sent = self._swarm.now, 0
+        known.sent += 1
+        if known.sent > MAX_SENT:
+            kind = type(body).__name__
+            raise BrokenRuleError(8, f"{daemon.name} sends a storm, of {kind} and others")
         if not isinstance(body, Stop):
             return
         robot, name, issued = daemon.robot, daemon.name, self._issued[body.id]
@@ -167,12 +179,13 @@ class Invariants:
         if body.verb == "estop" and body.id in robot.cleared and body.id not in robot.latches:
             raise BrokenRuleError(7, f"{name} hands on the estop {body.id}, which was reset")
         held = robot.goal
-        is_run_of_all = held is not None and held.goal.pattern and not held.goal.targets
-        if body.verb == "stop" and body.targets is None and held is not None and is_run_of_all:
-            if self._issued[held.goal.id] > issued + AGE_SHIFT and held.issued is not None:
-                raise BrokenRuleError(
-                    7, f"{name} hands on a stop of all, which is older than {held.goal.text}"
-                )
+        if body.verb != "stop" or body.targets is not None or held is None:
+            return
+        is_run_of_all = held.goal.pattern and not held.goal.targets and held.issued is not None
+        if is_run_of_all and self._issued[held.goal.id] > issued + AGE_SHIFT:
+            raise BrokenRuleError(
+                7, f"{name} hands on a stop of all, which is older than {held.goal.text}"
+            )
 
     def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
         """Rule 3: what the robot that hands a goal on has obeyed."""
@@ -184,7 +197,7 @@ class Invariants:
     # Rules
 
     def _check_begin(self, daemon: VirtualDaemon, known: _Memory) -> None:
-        cause, now, name = daemon.cause, self._swarm.now, daemon.name
+        cause, name = daemon.cause, daemon.name
         assert cause is not None
         if known.held:
             raise BrokenRuleError(1, f"{name} runs with the latches {sorted(known.held)}")
@@ -208,14 +221,16 @@ class Invariants:
         for what, at in (("stop", known.stopped), ("reset", known.reset)):
             if issued < at - AGE_SHIFT:
                 raise BrokenRuleError(
-                    3, f"{name} joins {goal.text}, which is {at - issued:.1f} s older than the"
-                    f" {what} that it obeyed"
+                    3,
+                    f"{name} joins {goal.text}, which is {at - issued:.1f} s older than the"
+                    f" {what} that it obeyed",
                 )
         given, stopped_all = self._given
         if given == goal.id and issued < stopped_all - AGE_SHIFT:
             raise BrokenRuleError(
-                3, f"{name} joins {goal.text}, which is {stopped_all - issued:.1f} s older than"
-                " the stop of all that its giver obeyed"
+                3,
+                f"{name} joins {goal.text}, which is {stopped_all - issued:.1f} s older than"
+                " the stop of all that its giver obeyed",
             )
 
     def _check_refused(self, daemon: VirtualDaemon, request: Request) -> None:
@@ -225,8 +240,9 @@ class Invariants:
         late = self._issued[request.id] - self._wanted(cause)
         if late > AGE_SHIFT:
             raise BrokenRuleError(
-                1, f"{daemon.name} refuses the stop {request.id}, which is {late:.1f} s later than"
-                " its run, and goes on"
+                1,
+                f"{daemon.name} refuses the stop {request.id}, which is {late:.1f} s later than"
+                " its run, and goes on",
             )
 
     def _wanted(self, cause: Cause) -> float:
@@ -255,13 +271,12 @@ class Invariants:
         late = self._issued[before.id] - self._issued[goal.id]
         if late > AGE_SHIFT and not isinstance(found, GoalRequest):
             raise BrokenRuleError(
-                5, f"{daemon.name} makes {goal.text} of a stop that was issued {late:.1f} s"
-                f" before {before.text}"
+                5,
+                f"{daemon.name} makes {goal.text} of a stop that was issued {late:.1f} s"
+                f" before {before.text}",
             )
 
-    def _check_latches(
-        self, daemon: VirtualDaemon, known: _Memory, held: frozenset[str]
-    ) -> None:
+    def _check_latches(self, daemon: VirtualDaemon, known: _Memory, held: frozenset[str]) -> None:
         lost, new = known.held - held, held - known.held
         cleared = set(daemon.robot.cleared)
         if not lost <= cleared:
@@ -303,7 +318,9 @@ class Invariants:
         if own is None or cause is None or status is None or not cause.goal_id:
             return
         if cause.goal_id != own.goal.id or status.state is not GoalState.RUNNING:
-            raise BrokenRuleError(4, f"{name} runs {cause.goal_id}, and its goal is {own.goal.text}")
+            raise BrokenRuleError(
+                4, f"{name} runs {cause.goal_id}, and its goal is {own.goal.text}"
+            )
 
     def _check_spread(self, alive: list[VirtualDaemon]) -> None:
         for one in alive:

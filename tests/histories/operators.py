@@ -28,15 +28,24 @@ from swarmd.core.messages import (
     ResumeRequest,
     RunRequest,
 )
-from swarmd.network.datagram import Ack, Address, Beacon, Datagram, MemberList, RunLease, Solicit, Stop
+from swarmd.network.datagram import (
+    Ack,
+    Address,
+    Beacon,
+    Datagram,
+    MemberList,
+    RunLease,
+    Solicit,
+    Stop,
+)
 from swarmd.network.discovery import Discovery
 from swarmd.network.members_view import MembersView
 from swarmd.network.next_goal import next_goal
 from swarmd.network.outcome import Acks, Outcome, joined
 from swarmd.network.repeat_timer import SOLICIT_PACE, RepeatTimer
 from swarmd.network.request_sender import REPEAT_PERIOD, request_timeout
-from swarmd.network.stop_request import PendingStop
 from swarmd.network.signature import Author
+from swarmd.network.stop_request import PendingStop
 from swarmd.network.stop_sender import STOP_PACE
 from swarmd.security.roster import Role
 from swarmd.texts.goal import content_of, present_goals, set_apart
@@ -125,9 +134,7 @@ class VirtualOperator(Node):
         view = yield from self._look(needs_status=False)
         names = _chosen(view, targets)
         params = params or {}
-        goal = self._next_goal(
-            view, pattern=pattern, params=params, targets=targets, **fields
-        )
+        goal = self._next_goal(view, pattern=pattern, params=params, targets=targets, **fields)
         if not names or goal is None:
             return None
         at = {} if ahead is None else dict.fromkeys(names, self.swarm.now + ahead)
@@ -141,9 +148,7 @@ class VirtualOperator(Node):
             self._keep(goal, names, 1, self.swarm.now + here)
         return outcome
 
-    def stop(
-        self, verb: Literal["stop", "estop"], targets: tuple[str, ...] = ()
-    ) -> Command:
+    def stop(self, verb: Literal["stop", "estop"], targets: tuple[str, ...] = ()) -> Command:
         """All robots, without targets."""
         now = self.swarm.now
         discovery = Discovery(now)
@@ -242,9 +247,7 @@ class VirtualOperator(Node):
 
     # Parts
 
-    def _look(
-        self, *, needs_status: bool = True
-    ) -> Generator[None, None, MembersView]:
+    def _look(self, *, needs_status: bool = True) -> Generator[None, None, MembersView]:
         swarm = self.swarm
         now = swarm.now
         discovery = Discovery(now, needs_status=needs_status)
