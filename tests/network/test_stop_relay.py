@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.messages import Code
-from swarmd.network.datagram import Ack, Stop
+from swarmd.network.datagram import Ack, Address, Stop
 from swarmd.network.stop_freshness import REPLAYED
 from swarmd.network.stop_relay import (
     ACK_PERIOD,
@@ -60,7 +60,7 @@ def test_the_refusal_of_a_replayed_stop_travels_in_no_circle() -> None:
     refusal = Ack(
         id="s", robot="r4", instance=b"abcdef", revision=0, code="refused", refusal=REPLAYED
     )
-    under_way = [("a", refusal, ("10.0.0.4", 7440))]
+    under_way: list[tuple[str, Ack, Address]] = [("a", refusal, ("10.0.0.4", 7440))]
     count = 0
     while under_way:
         name, body, source = under_way.pop()
@@ -69,6 +69,7 @@ def test_the_refusal_of_a_replayed_stop_travels_in_no_circle() -> None:
             assert count < 50
             receiver = next(key for key, one in addresses.items() if one == address)
             assert isinstance(handed, Ack)
+            assert address is not None
             under_way.append((receiver, handed, addresses[name]))
     assert count >= 2
 
