@@ -11,7 +11,7 @@
    and `seconds`, counted from the moment at which a robot took it last (AGE_SHIFT beside it), and
    the goal is later than each stop, emergency stop and reset that the robot has obeyed, in this
    life and in the earlier ones whose disk it has kept; and than each stop of all robots that was
-   obeyed by the robot from which it learned of the goal. A run with a lease ends with its lease.
+   obeyed by the robot from which it learned of the goal.
 4. *Ten seconds after all is healed the robots agree.* All hold the same goal and the same
    swarm-wide latches. A robot is estopped exactly if it holds a latch. A robot runs its own goal,
    or was asked for a run without one after it came.
@@ -340,5 +340,5 @@ class Invariants:
             known.cleared = set(daemon.robot.cleared)
         if known.lives != daemon.lives:
             known.lives = daemon.lives
-            known.was_running, known.runs = False, None
+            known.was_running, known.runs, known.goal = False, None, None
         return known

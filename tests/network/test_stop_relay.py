@@ -64,12 +64,11 @@ def test_the_refusal_of_a_replayed_stop_travels_in_no_circle() -> None:
     count = 0
     while under_way:
         name, body, source = under_way.pop()
-        for handed, address in relays[name].on_ack(body, source, 0.1):
+        for handed, to in relays[name].on_ack(body, source, 0.1):
             count += 1
             assert count < 50
-            receiver = next(key for key, one in addresses.items() if one == address)
             assert isinstance(handed, Ack)
-            assert address is not None
+            receiver = next(key for key, one in addresses.items() if one == to)
             under_way.append((receiver, handed, addresses[name]))
     assert count >= 2
 
