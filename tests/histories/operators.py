@@ -44,8 +44,8 @@ from swarmd.network.next_goal import next_goal
 from swarmd.network.outcome import Acks, Outcome, joined
 from swarmd.network.repeat_timer import SOLICIT_PACE, RepeatTimer
 from swarmd.network.request_sender import REPEAT_PERIOD, request_timeout
-from swarmd.network.stop_request import PendingStop
 from swarmd.network.signature import Author
+from swarmd.network.stop_request import PendingStop
 from swarmd.network.stop_sender import STOP_PACE
 from swarmd.security.roster import Role
 from swarmd.texts.goal import content_of, present_goals, set_apart

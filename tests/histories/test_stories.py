@@ -171,5 +171,11 @@ def test_the_age_of_a_goal_counts_from_its_request() -> None:
     swarm = history.swarm
     for one in swarm.robots.values():
         held = one.robot.goal
-        assert held is not None and held.issued is not None
+        assert held is not None
+        assert held.issued is not None
         assert abs(held.issued - swarm.issued[held.goal.id]) < 0.5
+
+
+def test_a_robot_of_a_secured_swarm_that_restarts_after_a_stop_causes_no_storm() -> None:
+    """Its peers hand the stop on, which it has heard in its earlier life."""
+    replay(4, [step(0.0, "stop", by="anna"), step(4.0, "start", robot="r1")], seed=2)
