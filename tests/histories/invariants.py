@@ -8,7 +8,7 @@
    robot is not estopped, and the named latches are gone. To a goal: the robot holds it or a greater
    one. To labels: it has them.
 3. *No robot moves by a goal that is too old.* A robot that joins does so within the goal's `valid`
-   and `seconds`, counted from the moment at which a robot took it last (AGE_SHIFT beside it), and
+   and `seconds`, counted from the moment at which its operator set it (AGE_SHIFT beside it), and
    the goal is later than each stop, emergency stop and reset that the robot has obeyed, in this
    life and in the earlier ones whose disk it has kept; and than each stop of all robots that was
    obeyed by the robot from which it learned of the goal.
@@ -93,7 +93,6 @@ class Invariants:
         self._swarm = swarm
         self._robots: dict[str, _Memory] = {}
         self._issued = swarm.issued
-        self._taken: dict[str, float] = {}  # when a robot ran a goal by request last, by its id
 
     def forget(self, robot: str) -> None:
         """A robot has lost its disk."""
@@ -209,12 +208,11 @@ class Invariants:
                     1, f"{name} runs by `{cause.request.verb}` of before the stop that it obeyed"
                 )
             known.stopped = known.reset = -1.0  # an operator wants it to run again
-            self._taken[cause.goal_id] = cause.at
             return
         goal = daemon.robot.goals.own
         assert goal is not None, "a robot joins by a goal"
         issued = self._issued[goal.id]
-        age = cause.at - self._taken.get(goal.id, issued)
+        age = cause.at - issued
         limit = min(goal.valid or 0.0, goal.seconds or 1e9)
         if goal.on_join != "run" or age > limit + AGE_SHIFT:
             raise BrokenRuleError(

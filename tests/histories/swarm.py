@@ -56,6 +56,7 @@ from swarmd.daemon.request_server import RequestServer
 from swarmd.network.admission import Admission
 from swarmd.network.datagram import Ack, Address, Datagram, Stop
 from swarmd.network.goal_sync import FoundGoal
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.peer import Effects, Peer, Summary
 from swarmd.network.signature import Author
 from swarmd.network.stop_freshness import REPLAYED
@@ -323,6 +324,7 @@ class VirtualDaemon(Node):
             record=self._refuse,
             roster=lambda request, reply: None,
             push=lambda request: None,
+            drops=DropCounter(),
         )
         self._observe()
         self._tick_at(now)
