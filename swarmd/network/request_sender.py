@@ -15,9 +15,12 @@ from swarmd.core.messages import (
     Code,
     Epoch,
     GoalRequest,
+    PushRequest,
     Refusal,
+    ReloadRequest,
     Reply,
     ReplyHeader,
+    ResumeRequest,
     RunRequest,
 )
 from swarmd.network.arrivals import Arrivals
@@ -33,6 +36,9 @@ REQUEST_WAIT, REQUEST_TRIPS, REQUEST_LOSS_WAIT = 5.0, 8.0, 15.0
 REQUEST_CAP = 45.0  # or `least`, if that is longer
 # How often a request looks for links that have come up, in s.
 LINK_PERIOD = 0.003
+
+# What starts a run counts from when its operator issued it, as stops do.
+_WITH_AGE = RunRequest | ResumeRequest | ReloadRequest | PushRequest | GoalRequest
 
 _reply_header = Decoder(ReplyHeader, any_version=True)
 _reply = Decoder(Reply, MAX_CONTROL)
@@ -137,7 +143,7 @@ def _collect(acks: Acks) -> Callable[[str, bytes], object]:
 
 def _aged(request: AnyRequest, age: float) -> AnyRequest:
     """The request as it is sent `age` s after it was issued; a goal in it is as old."""
-    return replace(request, age=age) if isinstance(request, RunRequest | GoalRequest) else request
+    return replace(request, age=age) if isinstance(request, _WITH_AGE) else request
 
 
 def _refused(request: str, robot: str, wire: int | None) -> Reply:

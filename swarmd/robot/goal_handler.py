@@ -78,7 +78,7 @@ class GoalHandler:
         if request.targets is None:
             self._goals.stand(request.id, request.operator, request.age, effects.now)
 
-    def resume(self, request: ResumeRequest, effects: Effects) -> None:
+    def resume(self, request: ResumeRequest, wish: Wish, effects: Effects) -> None:
         """Run the own goal; the caller has checked that the robot may run."""
         lifecycle, own = self._lifecycle, self._goals.own
         if own is None or own.goal.pattern is None:
@@ -95,7 +95,6 @@ class GoalHandler:
             lifecycle.refuse(effects, request, Refusal.INVALID_CONDITION, fault)
         else:
             lifecycle.raise_revision(f"{request.operator} (resume {own.goal.pattern})")
-            wish = Wish(effects.now, request.operator)
             self._start(own.goal, effects, wish, own.goal.seconds, request)
 
     def set_goal(self, request: GoalRequest, effects: Effects) -> None:

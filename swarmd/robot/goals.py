@@ -8,7 +8,8 @@ after a restart it is unknown until a peer reports it.
 A goal that is found, and was not asked for by a request to this robot, does not start a run: it is
 offered. The exception is a goal with `on_join: run` of a known age below its `valid`, while the
 robot may join: it was idle when the goal came, or ran for a lesser goal, and nothing ended a run
-since. If it lacks the pattern of the goal, it joins once more when the pattern is pushed to it.
+since. If it lacks the pattern of the goal, it joins once more when the pattern is pushed to it. A
+goal with a lease is joined only while its operator is heard.
 No goal that was set before the last stop, emergency stop or reset of the robot is joined.
 
 A stop or emergency stop of all robots makes a goal without a pattern that follows the held one,
@@ -272,6 +273,8 @@ class Goals:
             return False
         if not self._was_held and now - age <= self._stood:
             return False
+        if self.refusal_to_resume(now):  # the operator of its run lease is not heard
+            return False
         return goal.seconds is None or age < goal.seconds
 
     def on_loading(self) -> None:
@@ -308,7 +311,7 @@ class Goals:
     ) -> None:
         """A run began, for `goal`, asked for `age` s ago, or without one. `what`: in words.
 
-        `is_resumed`: the request did not set the goal, and does not renew its lease.
+        `is_resumed`: no request set the goal now, so that its lease is not renewed.
         """
         self._may_join, self._awaits_code = False, None
         self._undecided.clear()  # the run was asked for later

@@ -212,7 +212,7 @@ class Lifecycle:
                 loading.pattern,
                 now - loading.wish.at,
                 now,
-                is_resumed=isinstance(loading.request, ResumeRequest | ReloadRequest),
+                is_resumed=not isinstance(loading.request, RunRequest),
             )
             text = f"runs {loading.pattern}"
             text = f"{text}; {event.note}" if event.note else text

@@ -170,7 +170,7 @@ class RequestHandler:
         elif text := under_way(lifecycle):
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
         elif isinstance(request, ResumeRequest):
-            self._goals.resume(request, effects)
+            self._goals.resume(request, self._wish_of(request, effects.now), effects)
         elif why := self._refusal_of(request, effects.now):
             lifecycle.refuse(effects, request, *why)
         else:
@@ -179,14 +179,17 @@ class RequestHandler:
                 request.pattern,
                 request.params,
                 effects,
-                # The epoch that it quotes is younger than the last stop that was carried out.
-                wish=Wish(max(effects.now - request.age, self._stopped), request.operator),
+                wish=self._wish_of(request, effects.now),
                 seconds=request.seconds,
                 until=request.until,
                 request=request,
                 goal=request.goal,
                 start_at=request.at.get(self._robot),
             )
+
+    def _wish_of(self, request: RunRequest | ResumeRequest | ReloadRequest, now: float) -> Wish:
+        """When the operator asked; the epoch quoted is younger than the last stop obeyed."""
+        return Wish(max(now - request.age, self._stopped), request.operator)
 
     def _refusal_of(self, request: RunRequest, now: float) -> tuple[Refusal, str] | None:
         """Why a run is refused because of its conditions, its time or its goal."""
@@ -212,6 +215,8 @@ class RequestHandler:
             text = "it runs; stop it before a finding of the assumption monitor is ended"
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
             return
+        loading = lifecycle.pattern_run.loading  # of a found goal: no request wants it to run
+        joins = loading is not None and loading.goal is not None and loading.request is None
         named = [latch_id for latch_id in request.ids if latch_id in lifecycle.latches.held]
         if named:
             lifecycle.latches.clear(named)
@@ -221,11 +226,11 @@ class RequestHandler:
             if named:
                 lifecycle.raise_revision(f"{request.operator} (reset)")
             lifecycle.refuse(effects, request, Refusal.ESTOPPED, text)
-        elif ended and state is State.IDLE:
+        elif ended and state is State.IDLE and not joins:
             lifecycle.raise_revision(f"{request.operator} (reset)")
             self._end_findings(ended, request, effects)
             lifecycle.applied(effects, request, f"idle: {len(ended)} findings ended")
-        elif state in (State.RUNNING, State.IDLE):
+        elif state in (State.RUNNING, State.IDLE) and not joins:
             lifecycle.goals.bar(effects.now)
             lifecycle.applied(effects, request, f"{state}: nothing to reset")
         else:
@@ -267,7 +272,8 @@ class RequestHandler:
         is_running = running is not None and running.pattern == pattern
         params = running.params if running is not None and is_running else {}
         self._trials += 1
-        lifecycle.trial = Trial(self._trials, effects.now, request)
+        wish = self._wish_of(request, effects.now)
+        lifecycle.trial = Trial(self._trials, effects.now, request, wish)
         effects.trial = StartTrial(lifecycle.load_of(self._trials, pattern, params))
 
     def on_trial_done(self, event: TrialDone, effects: Effects) -> None:
@@ -319,7 +325,7 @@ class RequestHandler:
                 request.pattern,
                 running.params,
                 effects,
-                wish=Wish(trial.since, request.operator),
+                wish=trial.wish,
                 seconds=left,
                 until=running.until,
                 request=request,

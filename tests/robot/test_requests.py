@@ -119,6 +119,25 @@ def test_a_stop_that_is_older_than_the_wish_to_run_ends_no_run(verb: str) -> Non
     assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
 
 
+@pytest.mark.parametrize("verb", ["run", "resume", "reload"])
+def test_a_stop_ends_a_run_whose_request_was_issued_earlier_and_came_sooner(verb: str) -> None:
+    """On a slow link the request takes 3 s."""
+    harness = started() if verb == "reload" else RobotHarness(patterns=PATTERNS)
+    if verb == "resume":
+        harness.find(JOINED, 100.0, may_join=False)
+    harness.advance(5.0)
+    fields: dict[str, dict[str, Any]] = {
+        "run": {"pattern": "forward"},
+        "reload": {"pattern": "forward", "is_rerun": True},
+    }
+    harness.ask(verb, age=3.0, **fields.get(verb, {}))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+    assert late_stop(harness, 4.0).refusal is Refusal.OVERTAKEN
+    assert late_stop(harness, 3.0, id="s1").code is Code.APPLIED
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
+
+
 @pytest.mark.parametrize(("age", "ends"), [(12.0, False), (9.0, True)])
 def test_a_stop_ends_a_joined_run_if_it_is_newer_than_the_goal(age: float, ends: bool) -> None:
     harness = RobotHarness(patterns=PATTERNS)
