@@ -241,8 +241,8 @@ class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
     """A piece of a behaviour for robots; with the last one they try it and take it.
 
     `content` and `signature`: of the manifest (`core/behaviour.py`). `is_rerun`: as in
-    `ReloadRequest`; without it nothing moves or stops, and the epoch is not compared. `age`: as that
-    of RunRequest.
+    `ReloadRequest`; without it nothing moves or stops, and the epoch is not compared. `age`: as
+    that of RunRequest.
     """
 
     content: Annotated[bytes, Meta(max_length=8192)]
