@@ -167,7 +167,7 @@ class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
     be greater than the goal that the robot holds, or the same. `at`: when each robot is to start,
     in s on its own clock (CLOCK_BOOTTIME); the pattern is loaded before, and robots without an
     entry start when it is loaded. More than MAX_LATE after that time the robot refuses. `age`:
-    seconds since the operator issued the request, with half of the longest round trip added.
+    seconds since the operator issued the request, with the longest round trip of its look added.
     """
 
     pattern: Name

@@ -50,6 +50,11 @@ def request_timeout(view: MembersView, least: float) -> float:
     return min(timeout, max(least, REQUEST_CAP))
 
 
+def aged(request: AnyRequest, age: float) -> AnyRequest:
+    """The request as it is sent `age` s after it was issued; a goal in it is as old."""
+    return replace(request, age=age) if isinstance(request, _WITH_AGE) else request
+
+
 class RequestSender:
     """Sends by the sessions of an operator."""
 
@@ -85,7 +90,7 @@ class RequestSender:
             if is_due or linked:
                 repeat_at = now + REPEAT_PERIOD if is_due else repeat_at
                 asking = set(robots) - unlinked if is_due else linked
-                payload = encode(_aged(request, now - started + 0.5 * view.round_trip))
+                payload = encode(aged(request, now - started + view.round_trip))
                 for robot in (ANY,) if len(asking) == len(asked) else sorted(asking):
                     self._sessions.get(robot, CONTROL, request.verb, payload, left, _collect(acks))
             if unlinked and discovery is not None:
@@ -139,11 +144,6 @@ def _collect(acks: Acks) -> Callable[[str, bytes], object]:
         acks.on_reply(robot, reply)
 
     return take
-
-
-def _aged(request: AnyRequest, age: float) -> AnyRequest:
-    """The request as it is sent `age` s after it was issued; a goal in it is as old."""
-    return replace(request, age=age) if isinstance(request, _WITH_AGE) else request
 
 
 def _refused(request: str, robot: str, wire: int | None) -> Reply:

@@ -33,6 +33,7 @@ REDUNDANCY = 2
 MAX_STOPS = 64
 MAX_SOURCES = 4
 MAX_ACKS = 256
+MAX_HANDED_ON = 8 * MAX_ACKS * MAX_SOURCES
 ACKS_AT_ONCE = 16  # acks of others that one repeat of a stop returns
 MAX_AGE_SHIFT = 2.0  # s
 # So long a stop is handed on whatever acks say, in s: one of them may be forged.
@@ -63,7 +64,7 @@ class _Relayed:
     heard_directly: float = -1e9
     acks: dict[str, Ack] = field(default_factory=dict)
     acks_sent: float = -1e9
-    handed_on: set[tuple[str, Address]] = field(default_factory=set)
+    handed_on: set[tuple[str, Address, bytes | None]] = field(default_factory=set)
 
 
 class StopRelay:
@@ -148,13 +149,20 @@ class StopRelay:
                 continue
             handed = replace(ack, via=self._own)
             others = [address for address in relayed.sources if address != source]
+            origin: bytes | None = None
             if ack.refusal == REPLAYED:  # the operator repeats the stop for this robot
-                sends += [(handed, address) for address in others]
-                continue
-            relayed.acks[ack.robot] = ack
+                # With a new origin each time. One that was handed on travels in circles if it is
+                # handed on again.
+                origin = relayed.stop.origin
+                if not ack.via:
+                    sends += [(handed, address) for address in others]
+                    continue
+            else:
+                relayed.acks[ack.robot] = ack
             for address in others:
-                if (ack.robot, address) not in relayed.handed_on:
-                    relayed.handed_on.add((ack.robot, address))
+                key = ack.robot, address, origin
+                if key not in relayed.handed_on and len(relayed.handed_on) < MAX_HANDED_ON:
+                    relayed.handed_on.add(key)
                     sends.append((handed, address))
         return sends
 

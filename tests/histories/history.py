@@ -312,9 +312,8 @@ def _disturb(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
 
 
 def _wall(chance: random.Random, robots: tuple[str, ...]) -> HistoryStep:
-    return step(
-        0.0, "wall", robot=chance.choice((*robots, *OPERATORS)), shift=chance.choice((-1e6, 1e6))
-    )
+    node, shift = chance.choice((*robots, *OPERATORS)), chance.choice((-1e6, 1e6))
+    return step(0.0, "wall", robot=node, shift=shift)
 
 
 _KINDS: tuple[tuple[Callable[[random.Random, tuple[str, ...]], HistoryStep], float], ...] = (
@@ -395,18 +394,21 @@ def shrink(
         count -= 1
     for at, one in enumerate(best):
         for gap in (0.05, 0.5, 1.0, 2.0):
-            if gap < one.gap and breaks(
-                count, (*best[:at], replace(one, gap=gap), *best[at + 1 :])
-            ):
-                best = (*best[:at], replace(one, gap=gap), *best[at + 1 :])
+            if gap < one.gap and breaks(count, _with(best, at, replace(one, gap=gap))):
+                best = _with(best, at, replace(one, gap=gap))
                 break
-        for name in [*one.args]:
+        for name in sorted(one.args.keys() - _NEEDED):
             args = {key: value for key, value in best[at].args.items() if key != name}
-            if name in ("by", "robot", "groups", "senders", "receivers", "shift", "valid"):
-                continue
-            if breaks(count, (*best[:at], replace(best[at], args=args), *best[at + 1 :])):
-                best = (*best[:at], replace(best[at], args=args), *best[at + 1 :])
+            if breaks(count, _with(best, at, replace(best[at], args=args))):
+                best = _with(best, at, replace(best[at], args=args))
     return count, best
+
+
+_NEEDED = frozenset({"by", "robot", "groups", "senders", "receivers", "shift", "valid"})
+
+
+def _with(steps: Steps, at: int, one: HistoryStep) -> Steps:
+    return (*steps[:at], one, *steps[at + 1 :])
 
 
 def _without(steps: Steps, at: int, size: int) -> Steps:

@@ -8,10 +8,10 @@
    robot is not estopped, and the named latches are gone. To a goal: the robot holds it or a greater
    one. To labels: it has them.
 3. *No robot moves by a goal that is too old.* A robot that joins does so within the goal's `valid`
-   and `seconds`, counted from the moment at which the operator set it (AGE_SHIFT beside it), and
+   and `seconds`, counted from the moment at which its operator set it (AGE_SHIFT beside it), and
    the goal is later than each stop, emergency stop and reset that the robot has obeyed, in this
    life and in the earlier ones whose disk it has kept; and than each stop of all robots that was
-   obeyed by the robot from which it learned of the goal. A run with a lease ends with its lease.
+   obeyed by the robot from which it learned of the goal.
 4. *Ten seconds after all is healed the robots agree.* All hold the same goal and the same
    swarm-wide latches. A robot is estopped exactly if it holds a latch. A robot runs its own goal,
    or was asked for a run without one after it came.
@@ -23,6 +23,7 @@
    an older disk.
 7. *What is over is not handed on*: a robot relays no stop beyond its minute, no emergency stop that
    it has reset, and no stop of all that is older than the run of all whose goal it holds.
+8. *No storms*: a robot sends at most MAX_SENT datagrams within a second.
 
 A robot that starts with an empty or an older disk has forgotten what it obeyed: it counts as a new
 robot for rules 1 and 3, and is bound by what its peers tell before it is ready.
@@ -39,9 +40,9 @@ from swarmd.core.messages import (
     GoalRequest,
     LabelRequest,
     Reason,
+    Reply,
     Request,
     ResetRequest,
-    Reply,
     ResumeRequest,
     RunRequest,
     State,
@@ -50,12 +51,12 @@ from swarmd.core.messages import (
 from swarmd.network.datagram import Datagram, Stop
 from swarmd.network.goal_sync import FoundGoal
 from swarmd.network.stop_relay import LIFETIME
-from tests.histories.operators import Done
 from tests.histories.swarm import Cause, VirtualDaemon, VirtualSwarm
 
 AGE_SHIFT = 0.5  # s by which the age of a goal or a stop may be wrong
 LATE = 25.0  # s for which an operator repeats a stop
 HEAL_TIME = 10.0  # s
+MAX_SENT = 300  # datagrams of one robot within a second
 
 
 class BrokenRuleError(AssertionError):
@@ -81,6 +82,8 @@ class _Memory:
     runs: Cause | None = None
     goal: Goal | None = None
     lives: int = 1
+    since: float = 0.0
+    sent: int = 0
 
 
 class Invariants:
@@ -134,11 +137,12 @@ class Invariants:
             cause = daemon.cause
             is_ended = known.was_running and isinstance(request, StopRequest)
             is_ended &= not self._is_logged(daemon, Reason.LOOP_STALLED)
-            if is_ended and cause is not None and cause.at - issued > AGE_SHIFT:
+            late = 0.0 if cause is None else self._wanted(cause) - issued
+            if is_ended and late > AGE_SHIFT:
                 raise BrokenRuleError(
                     5,
                     f"the run of {daemon.name} is ended by a stop that was issued"
-                    f" {cause.at - issued:.1f} s before it",
+                    f" {late:.1f} s before it",
                 )
             known.stopped = max(known.stopped, issued)
             known.obeyed = now
@@ -159,7 +163,14 @@ class Invariants:
             raise BrokenRuleError(2, f"{daemon.name} answers `label` and has other labels")
 
     def on_send(self, daemon: VirtualDaemon, body: Datagram) -> None:
-        """Rule 7."""
+        """Rules 7 and 8."""
+        known = self._of(daemon)
+        if self._swarm.now - known.since >= 1.0:
+            known.since, known.sent = self._swarm.now, 0
+        known.sent += 1
+        if known.sent > MAX_SENT:
+            kind = type(body).__name__
+            raise BrokenRuleError(8, f"{daemon.name} sends a storm, of {kind} and others")
         if not isinstance(body, Stop):
             return
         robot, name, issued = daemon.robot, daemon.name, self._issued[body.id]
@@ -168,12 +179,13 @@ class Invariants:
         if body.verb == "estop" and body.id in robot.cleared and body.id not in robot.latches:
             raise BrokenRuleError(7, f"{name} hands on the estop {body.id}, which was reset")
         held = robot.goal
-        is_run_of_all = held is not None and held.goal.pattern and not held.goal.targets
-        if body.verb == "stop" and body.targets is None and held is not None and is_run_of_all:
-            if self._issued[held.goal.id] > issued + AGE_SHIFT and held.issued is not None:
-                raise BrokenRuleError(
-                    7, f"{name} hands on a stop of all, which is older than {held.goal.text}"
-                )
+        if body.verb != "stop" or body.targets is not None or held is None:
+            return
+        is_run_of_all = held.goal.pattern and not held.goal.targets and held.issued is not None
+        if is_run_of_all and self._issued[held.goal.id] > issued + AGE_SHIFT:
+            raise BrokenRuleError(
+                7, f"{name} hands on a stop of all, which is older than {held.goal.text}"
+            )
 
     def on_found(self, daemon: VirtualDaemon, found: FoundGoal, source: str) -> None:
         """Rule 3: what the robot that hands a goal on has obeyed."""
@@ -185,7 +197,7 @@ class Invariants:
     # Rules
 
     def _check_begin(self, daemon: VirtualDaemon, known: _Memory) -> None:
-        cause, now, name = daemon.cause, self._swarm.now, daemon.name
+        cause, name = daemon.cause, daemon.name
         assert cause is not None
         if known.held:
             raise BrokenRuleError(1, f"{name} runs with the latches {sorted(known.held)}")
@@ -225,13 +237,17 @@ class Invariants:
         cause = daemon.cause
         if not isinstance(request, StopRequest) or not daemon.robot.is_running or cause is None:
             return
-        issued = self._issued[request.id]
-        if cause.at < issued:
+        late = self._issued[request.id] - self._wanted(cause)
+        if late > AGE_SHIFT:
             raise BrokenRuleError(
                 1,
-                f"{daemon.name} refuses the stop {request.id}, which is {issued - cause.at:.1f} s"
-                " later than its run, and goes on",
+                f"{daemon.name} refuses the stop {request.id}, which is {late:.1f} s later than"
+                " its run, and goes on",
             )
+
+    def _wanted(self, cause: Cause) -> float:
+        """When an operator wanted a run: of a robot that joins, when the goal was set."""
+        return self._issued[cause.goal_id] if cause.request is None else cause.at
 
     def _check_end(self, daemon: VirtualDaemon) -> None:
         reason = daemon.robot.status(self._swarm.now).reason
@@ -322,5 +338,5 @@ class Invariants:
             known.cleared = set(daemon.robot.cleared)
         if known.lives != daemon.lives:
             known.lives = daemon.lives
-            known.was_running, known.runs = False, None
+            known.was_running, known.runs, known.goal = False, None, None
         return known

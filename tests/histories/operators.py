@@ -43,9 +43,9 @@ from swarmd.network.members_view import MembersView
 from swarmd.network.next_goal import next_goal
 from swarmd.network.outcome import Acks, Outcome, joined
 from swarmd.network.repeat_timer import SOLICIT_PACE, RepeatTimer
-from swarmd.network.request_sender import REPEAT_PERIOD, request_timeout
-from swarmd.network.stop_request import PendingStop
+from swarmd.network.request_sender import REPEAT_PERIOD, aged, request_timeout
 from swarmd.network.signature import Author
+from swarmd.network.stop_request import PendingStop
 from swarmd.network.stop_sender import STOP_PACE
 from swarmd.security.roster import Role
 from swarmd.texts.goal import content_of, present_goals, set_apart
@@ -277,11 +277,13 @@ class VirtualOperator(Node):
             name: epoch for name, epoch in targets.items() if view.is_in_reach(name)
         }
         request: Any = kind(id=self._new_id(), operator=self.name, targets=asked, **fields)
-        payload, acks = encode(request), Acks(request.id)
+        acks = Acks(request.id)
         began, timeout = swarm.now, request_timeout(view, least)
         repeat = RepeatTimer(began, ((1e9, REPEAT_PERIOD),))
         while (robots := acks.missing(asked)) and swarm.now - began < timeout:
             if repeat.is_due(swarm.now):
+                age = swarm.now - began + view.round_trip
+                payload = encode(aged(request, age))
                 for robot in robots:
                     if robot in swarm.robots:
                         answer = partial(_take_reply, robot, acks)

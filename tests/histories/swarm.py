@@ -23,7 +23,6 @@ from typing import Any, Protocol
 import numpy as np
 from msgspec.structs import replace as struct_replace
 
-from swarmd.core.codec import encode
 from swarmd.core.goal import GoalRecord
 from swarmd.core.host_messages import (
     HostCommand,
@@ -54,10 +53,10 @@ from swarmd.core.messages import (
 from swarmd.core.values import ZERO, Odometry, Outputs, Platform, Pose, Scan, Twist
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.request_server import RequestServer
-from swarmd.network.bus import Query
 from swarmd.network.admission import Admission
 from swarmd.network.datagram import Ack, Address, Datagram, Stop
 from swarmd.network.goal_sync import FoundGoal
+from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.peer import Effects, Peer, Summary
 from swarmd.network.signature import Author
 from swarmd.network.stop_freshness import REPLAYED
@@ -70,7 +69,7 @@ from swarmd.settings.settings import load_platform
 
 LEASE, SETTLE = 3.0, 1.0  # of profile field
 DELAY = 0.005  # s
-JOIN_TICK, TICK, LONGEST_TICK = 0.05, 0.05, 0.25  # s
+JOIN_TICK, TICK, LONGEST_TICK = 0.05, 0.05, 0.4  # s
 LOAD_TIME, TRIAL_TIME, DISK_TIME = 0.05, 0.3, 0.02  # s
 SCAN_PERIOD = 0.5
 BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `network/udp.py`
@@ -100,8 +99,8 @@ class Judge(Protocol):
 class Disk:
     """The state folder of a robot."""
 
-    latches: LatchRecord = LatchRecord()
-    goals: GoalRecord = GoalRecord()
+    latches: LatchRecord = field(default_factory=LatchRecord)
+    goals: GoalRecord = field(default_factory=GoalRecord)
     patterns: frozenset[str] = frozenset()
     counters: Mapping[bytes, int] = field(default_factory=dict)
 
@@ -259,7 +258,6 @@ class VirtualDaemon(Node):
         self.twist = ZERO
         self.cause: Cause | None = None  # of the pattern that runs
         self.event: object = None  # the request or the goal that is handed to the robot now
-        self.log: list[str] = []
         self._waiting: list[Callable[[], object]] = []
         self._due = math.inf
 
@@ -269,11 +267,6 @@ class VirtualDaemon(Node):
     def is_listening(self) -> bool:  # type: ignore[override]
         """True while its sockets are open."""
         return self.is_up
-
-    @property
-    def is_moving(self) -> bool:
-        """True while it is commanded to move."""
-        return self.is_up and self.twist != ZERO
 
     @property
     def is_active(self) -> bool:
@@ -294,6 +287,7 @@ class VirtualDaemon(Node):
         self._scan_seq, self._scan_at, self._waiting = 0, -math.inf, []
         self._loads = itertools.count()
         self._load = 0  # the load under way, which a kill of the host ends
+        self._pattern = ""
         self.robot = Robot(
             self.name,
             platform(),
@@ -330,6 +324,7 @@ class VirtualDaemon(Node):
             record=self._refuse,
             roster=lambda request, reply: None,
             push=lambda request: None,
+            drops=DropCounter(),
         )
         self._observe()
         self._tick_at(now)
@@ -498,7 +493,8 @@ class VirtualDaemon(Node):
             robot.epoch.revision,
             robot.latches,
             robot.goal,
-            relays_from=robot.relays_from,
+            wished=robot.wished,
+            reset_at=robot.reset_at,
             cleared=robot.cleared,
         )
 
@@ -592,9 +588,8 @@ class VirtualDaemon(Node):
         elif isinstance(command, KillHost):
             self._load = next(self._loads)
         elif isinstance(command, SetParams):
-            self._host_says(
-                ParamsSet(command.generation, command.request, "", {"a": (1.0, "b")}), 0.0
-            )
+            done = ParamsSet(command.generation, command.request, "", {"a": (1.0, "b")})
+            self._host_says(done, 0.0)
         elif isinstance(command, Load):
             self._load = next(self._loads)
             self._causes[command.generation] = self._cause_of(command)
@@ -634,7 +629,7 @@ class VirtualDaemon(Node):
         self.swarm.at(self.swarm.now + delay, lambda: self.take(say))
 
     def push(self, pattern: str, request_id: str, operator: str) -> None:
-        """Code of a pattern arrives and is stored; the robot tries it, as `BehaviourControl` asks."""
+        """Code of a pattern is stored; the robot tries it, as `BehaviourControl` asks."""
         if not self.is_settled:
             return
         self._store(replace(self.disk, patterns=self.disk.patterns | {pattern}))

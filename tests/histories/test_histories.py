@@ -64,7 +64,8 @@ def test_a_failing_history_is_shrunk(monkeypatch: pytest.MonkeyPatch) -> None:
         step(1.0, "run", by="bob"),
     )
     fault = fault_of(3, history)
-    assert fault is not None and fault.rule == 6
+    assert fault is not None
+    assert fault.rule == 6
     count, steps = shrink(3, history, 6)
     assert [one.name for one in steps] == ["estop", "start"]
     printed = script(count, steps)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.messages import Code
-from swarmd.network.datagram import Ack, Stop
+from swarmd.network.datagram import Ack, Address, Stop
+from swarmd.network.stop_freshness import REPLAYED
 from swarmd.network.stop_relay import (
     ACK_PERIOD,
     ACKS_AT_ONCE,
@@ -46,6 +47,30 @@ def test_a_repeat_returns_few_acks_of_others_and_in_the_end_all() -> None:
         handed |= {body.robot for body, _ in sends if isinstance(body, Ack)}
     assert len(handed) == MAX_ACKS
     assert relay.on_stop(stop(targets=None), OPERATOR, 3.9 + ACK_PERIOD / 2) == []
+
+
+def test_the_refusal_of_a_replayed_stop_travels_in_no_circle() -> None:
+    """Three robots that have heard the stop from each other hear the refusal of a fourth."""
+    addresses = {name: (f"10.0.0.{number}", 7440) for number, name in enumerate("abc", 11)}
+    relays = {name: StopRelay(name, seed=1) for name in addresses}
+    for name, relay in relays.items():
+        for other, address in addresses.items():
+            if other != name:
+                relay.on_stop(stop(targets=None, hops=1, origin=b"1234"), address, 0.0)
+    refusal = Ack(
+        id="s", robot="r4", instance=b"abcdef", revision=0, code="refused", refusal=REPLAYED
+    )
+    under_way: list[tuple[str, Ack, Address]] = [("a", refusal, ("10.0.0.4", 7440))]
+    count = 0
+    while under_way:
+        name, body, source = under_way.pop()
+        for handed, to in relays[name].on_ack(body, source, 0.1):
+            count += 1
+            assert count < 50
+            assert isinstance(handed, Ack)
+            receiver = next(key for key, one in addresses.items() if one == to)
+            under_way.append((receiver, handed, addresses[name]))
+    assert count >= 2
 
 
 @pytest.mark.parametrize("attack", ["ack", "age", "copies"])
