@@ -180,8 +180,11 @@ class Goals:
         is_own = goal.is_for(self._robot, self.labels)
         new = HeldGoal.of(goal, None if age is None else now - age)
         if self.held is None or new.order > self.held.order:
-            if self.held is not None and self.held.goal.id != goal.id:
-                self.before = self.held.goal
+            before = None if self.held is None else self.held.goal
+            # Of two stops the second keeps what `undo` sets again.
+            are_stops = before is not None and before.pattern is None and goal.pattern is None
+            if before is not None and before.id != goal.id and not are_stops:
+                self.before = before
             self.held, self._held_since = new, now
         if is_own and (self.own is None or new.order > self.own.order):
             self.own = new

@@ -554,6 +554,18 @@ def test_a_robot_that_finds_a_goal_with_a_lease_resumes_it_once_the_operator_is_
     assert harness.status.state is State.RUNNING
 
 
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+def test_a_second_stop_of_all_keeps_the_goal_before_the_first(verb: str) -> None:
+    harness = ready()
+    run(harness, goal(3))
+    for id in ("s1", "s2"):
+        harness.advance(0.5)
+        kind = EstopRequest if verb == "estop" else StopRequest
+        harness.send(kind(id=id, operator="anna"))
+    assert told(harness).held.goal.pattern is None  # type: ignore[union-attr]
+    assert told(harness).before == goal(3)
+
+
 def test_a_reset_ends_the_load_of_a_goal_that_was_found() -> None:
     harness = ready()
     harness.is_hung = True
