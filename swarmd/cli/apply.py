@@ -107,6 +107,8 @@ def _carry_out(
     outcomes: list[Outcome] = []
     if plan.is_empty:
         return outcomes
+    # A robot that was stopped, or changed otherwise, since the first look refuses the run.
+    epochs = view.epochs(plan.targets)
 
     def look() -> MembersView:
         return operator.members(timeout=options.timeout)
@@ -114,12 +116,13 @@ def _carry_out(
     if plan.labels:
         by_labels = _grouped(plan.labels, tuple)
         for labels, names in by_labels.items():
-            epochs = view.epochs(names)
-            outcomes.append(operator.request(LabelRequest, epochs, labels=labels))
+            outcome = operator.request(LabelRequest, view.epochs(names), labels=labels)
+            replies = outcome.replies.items()
+            epochs |= {name: one.epoch for name, one in replies if name in epochs and one.epoch}
+            outcomes.append(outcome)
         view = look()
     if plan.goal is not None:
         goal = next_goal(operator, view, **plan.goal)
-        epochs = view.epochs(plan.targets)
         if goal.pattern is None:
             outcomes.append(operator.request(GoalRequest, epochs, goal=goal))
         else:
@@ -130,8 +133,7 @@ def _carry_out(
         view = look()
     params = _plan(operator, view).params
     for items, names in _grouped(params, lambda one: tuple(sorted(one.items()))).items():
-        epochs = view.epochs(names)
-        outcomes.append(operator.request(ParamRequest, epochs, params=dict(items)))
+        outcomes.append(operator.request(ParamRequest, view.epochs(names), params=dict(items)))
     return outcomes
 
 
