@@ -151,9 +151,12 @@ def run_with_canary(
     if faults:
         _fail(operator, canaries, faults, len(names))
     others = tuple(name for name in names if name not in canaries)
-    view = operator.members(timeout=options.timeout)
-    goal = resigned(operator, goal, generation=next_generation(operator, view))
-    outcome, _ = start(options, operator, view, goal, names, timeout=options.timeout)
+    later = operator.members(timeout=options.timeout)
+    goal = resigned(operator, goal, generation=next_generation(operator, later))
+    # A robot that was stopped, or changed otherwise, while the canaries ran refuses.
+    epochs = view.epochs(others) | {name: outcome.replies[name].epoch for name in canaries}
+    fields, wait = run_fields(goal), options.timeout
+    outcome = operator.request(RunRequest, epochs, timeout=wait, **fields)
     outcome = replace(outcome, unlabelled=unlabelled)
     report(options, outcome, {"canary": list(canaries), "others": list(others)})
 

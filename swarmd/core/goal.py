@@ -92,7 +92,8 @@ class GoalRecord(Struct, frozen=True, kw_only=True):
 
     `ended` empty: it ran, or was offered. `may_join`: no stop or reset came since. `before`: the
     goal that the held one replaced. `stood`: when it was stopped, emergency-stopped or reset
-    last, in s on the clock `clock`. `labels` None: those of the swarm file.
+    last, in s on the clock `clock`. `ran`: the own goal was loading or running, and nothing
+    ended that since. `labels` None: those of the swarm file.
     """
 
     held: Goal | None = None
@@ -101,6 +102,7 @@ class GoalRecord(Struct, frozen=True, kw_only=True):
     ended: Line = ""
     may_join: bool = True
     stood: Seconds | None = None
+    ran: bool = False
     clock: Word = ""
     labels: Annotated[tuple[Word, ...], Meta(max_length=MAX_LABELS)] | None = None
 

@@ -183,10 +183,11 @@ class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
     """Run the robot's own goal, which is offered or whose run has ended.
 
     `digest`: of the goal that the operator saw, in hex; the robot refuses if it has another. Empty:
-    whichever it is.
+    whichever it is. `age`: as that of RunRequest.
     """
 
     digest: Word = ""
+    age: Seconds = 0.0
 
 
 class GoalRequest(_EpochRequest, frozen=True, kw_only=True, tag="goal"):
@@ -227,18 +228,21 @@ class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
     """Replace a pattern's code; with `is_rerun` a robot that runs the pattern runs it again.
 
     `keeps_running`: a robot that runs the pattern goes on with the old code until its next run.
+    `age`: as that of RunRequest.
     """
 
     pattern: Name
     is_rerun: bool = False
     keeps_running: bool = False
+    age: Seconds = 0.0
 
 
 class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
     """A piece of a behaviour for robots; with the last one they try it and take it.
 
     `content` and `signature`: of the manifest (`core/behaviour.py`). `is_rerun`: as in
-    `ReloadRequest`; without it nothing moves or stops, and the epoch is not compared.
+    `ReloadRequest`; without it nothing moves or stops, and the epoch is not compared. `age`: as
+    that of RunRequest.
     """
 
     content: Annotated[bytes, Meta(max_length=8192)]
@@ -246,6 +250,7 @@ class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
     offset: Count = 0
     data: Annotated[bytes, Meta(max_length=32768)] = b""
     is_rerun: bool = False
+    age: Seconds = 0.0
 
 
 class ForgetRequest(_EpochRequest, frozen=True, kw_only=True, tag="forget"):

@@ -201,9 +201,9 @@ class BehaviourStore:
     def _try(self, id: str, entry: Entry, version: Version, request: PushRequest | None) -> None:
         self._state.candidate = Candidate(id, entry, version)
         targets: dict[str, Epoch | None] = {self._state.robot: self._state.control.epoch()}
-        is_rerun = False
+        is_rerun, age = False, 0.0
         if request is not None and request.is_rerun:  # else nothing moves, whatever the epoch
-            targets, is_rerun = request.targets, True
+            targets, is_rerun, age = request.targets, True, request.age
         self._state.control.try_code(
             ReloadRequest(
                 id=id,
@@ -212,6 +212,7 @@ class BehaviourStore:
                 pattern=entry.manifest.name,
                 is_rerun=is_rerun,
                 keeps_running=not is_rerun,
+                age=age,
             )
         )
 

@@ -26,6 +26,7 @@ from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
 from swarmd.core.messages import (
     REQUEST_TYPES,
+    Reply,
     Request,
     Status,
 )
@@ -109,6 +110,7 @@ class Daemon:
         self._notify = Notifier()
         folder = settings.state_dir / settings.network.swarm / settings.id
         self._latches = LatchFile(folder)
+        self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
         self._drops = DropCounter()
         self._rosters = RosterService(settings.id, settings.identity, self._on_roster, self._drops)
         self._goals = GoalService(folder, lambda: self._rosters.identity, self._warn)
@@ -328,6 +330,8 @@ class Daemon:
         """
         self._timer.stop()
         self._output.send_zero()
+        for answer in self._answers:
+            answer.cancel()
         try:
             if self._crash is None:
                 self._carry_out(self._robot.on_leave(boottime()))
@@ -479,6 +483,7 @@ class Daemon:
         self._output.command(actions, boottime())
         if actions.is_quiet:
             return
+        robot = self._robot
         if actions.ended:
             log.info("the run ended: %s", actions.ended)
         if actions.goals is not None:
@@ -503,10 +508,22 @@ class Daemon:
             self._network.publish("status", lambda: encode(self._status()))
         if actions.failed_code is not None:
             self._code_runs.on_failed(actions.failed_code)
-        for reply in actions.replies:
-            self._requests.reply(self._behaviours.on_reply(reply), is_stored=is_stored)
+        # A robot that stops, or is reset, must not join again after a restart.
+        awaits_disk = self._goals.is_writing and not robot.is_running and not robot.latches
+        for reply in map(self._behaviours.on_reply, actions.replies):
+            if awaits_disk:
+                answer = self._loop.create_task(self._answer(reply, is_stored))
+                self._answers.add(answer)
+                answer.add_done_callback(self._answers.discard)
+            else:
+                self._requests.reply(reply, is_stored=is_stored)
         wake_at = self._robot.wake_at(boottime())
         self._timer.wake_in(None if wake_at is None else wake_at - boottime())
+
+    async def _answer(self, reply: Reply, is_stored: bool) -> None:
+        """Send a reply once the goals are on the disk, or cannot be written."""
+        is_stored &= await self._goals.is_stored()
+        self._requests.reply(reply, is_stored=is_stored)
 
     def _status(self) -> Status:
         status = self._robot.status(boottime())

@@ -20,6 +20,8 @@ from swarmd.security.identity import Identity
 
 log = logging.getLogger(__name__)
 
+STORE_TIME = 1.0  # s for which the answer to a stop waits for the disk
+
 
 class GoalFile:
     """The file `goal` in a robot's state folder: goals and labels."""
@@ -91,6 +93,15 @@ class GoalService:
         """Write the record soon; a later one replaces it."""
         clock = "" if record.stood is None else clock_id()
         self._writer.store(replace(record, clock=clock))
+
+    @property
+    def is_writing(self) -> bool:
+        """True while the last record is not on the disk."""
+        return self._writer.is_busy
+
+    async def is_stored(self) -> bool:
+        """True once the last record is on the disk; False if that takes STORE_TIME or fails."""
+        return await self._writer.is_written(STORE_TIME)
 
     async def close(self) -> None:
         """Write what is not written yet."""

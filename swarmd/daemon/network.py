@@ -98,7 +98,7 @@ class Network:
         body: Body | None = None,
         drops: DropCounter,
         identity: Identity | None = None,
-        stop_counters: Path = Path("stops"),
+        stop_counters: Path | None = None,
     ) -> None:
         self._version = version
         self._body = body
@@ -210,6 +210,7 @@ class Network:
         settings = self._settings
         self._handlers = handlers
         if self._identity is not None:
+            assert self._stop_counters is not None
             self._guard = DatagramGuard(
                 self._identity,
                 self._tag,

@@ -29,6 +29,7 @@ class RecordWriter(Generic[Record]):
         self._on_event = on_event
         self._newest: Record
         self._tried: asyncio.Future[str] | None = None  # of the try that is to begin
+        self._last: asyncio.Future[str] | None = None  # of the try that takes the newest record
         self._task: asyncio.Task[None] | None = None
         self._asked = asyncio.Event()  # there is a newer record, or the writer closes
         self._is_closed = False
@@ -45,6 +46,14 @@ class RecordWriter(Generic[Record]):
         """
         return await asyncio.shield(self._begin(record))
 
+    async def is_written(self, seconds: float) -> bool:
+        """True once all records are on the disk; False after `seconds`, or while writes fail."""
+        if self._last is None or self._fault or not self.is_busy:
+            return not self.is_busy
+        with suppress(TimeoutError):
+            return not await asyncio.wait_for(asyncio.shield(self._last), seconds)
+        return False
+
     async def close(self) -> None:
         """Wait until the newest record is on the disk, or could not be written once more."""
         self._is_closed = True
@@ -52,13 +61,18 @@ class RecordWriter(Generic[Record]):
         if self._task is not None:
             await self._task
 
+    @property
+    def is_busy(self) -> bool:
+        """True while the newest record is not on the disk."""
+        return self._task is not None and not self._task.done()
+
     def _begin(self, record: Record) -> asyncio.Future[str]:
         loop = asyncio.get_running_loop()
         self._newest = record
         self._asked.set()
         if self._tried is None:
-            self._tried = loop.create_future()
-        if self._task is None or self._task.done():
+            self._tried = self._last = loop.create_future()
+        if not self.is_busy:
             self._task = loop.create_task(self._run())
             self._task.add_done_callback(_raise)
         return self._tried

@@ -15,9 +15,12 @@ from swarmd.core.messages import (
     Code,
     Epoch,
     GoalRequest,
+    PushRequest,
     Refusal,
+    ReloadRequest,
     Reply,
     ReplyHeader,
+    ResumeRequest,
     RunRequest,
 )
 from swarmd.network.arrivals import Arrivals
@@ -34,6 +37,9 @@ REQUEST_CAP = 45.0  # or `least`, if that is longer
 # How often a request looks for links that have come up, in s.
 LINK_PERIOD = 0.003
 
+# Requests that count from when their operator issued them, as stops do.
+_WITH_AGE = RunRequest | ResumeRequest | ReloadRequest | PushRequest | GoalRequest
+
 _reply_header = Decoder(ReplyHeader, any_version=True)
 _reply = Decoder(Reply, MAX_CONTROL)
 
@@ -46,7 +52,7 @@ def request_timeout(view: MembersView, least: float) -> float:
 
 def aged(request: AnyRequest, age: float) -> AnyRequest:
     """The request as it is sent `age` s after it was issued; a goal in it is as old."""
-    return replace(request, age=age) if isinstance(request, RunRequest | GoalRequest) else request
+    return replace(request, age=age) if isinstance(request, _WITH_AGE) else request
 
 
 class RequestSender:

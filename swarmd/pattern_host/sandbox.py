@@ -106,6 +106,9 @@ _DENIED = {
     "setns": (308, 268),
 }
 _KILL, _TGKILL, _PRLIMIT, _PRCTL = (62, 129), (234, 131), (302, 261), (157, 167)
+_FCNTL, _IOCTL = (72, 25), (16, 29)
+# The owner of a file gets the signals of its events: F_SETOWN, F_SETOWN_EX, FIOSETOWN, SIOCSPGRP.
+_SET_OWNER = ((_FCNTL, (8, 15)), (_IOCTL, (0x8901, 0x8902)))
 _SOCKETPAIR = (53, 199)
 _AF_UNIX, _SOCK_STREAM, _SOCK_SEQPACKET, _SOCK_TYPE_MASK = 1, 1, 5, 0xF
 _PR_SET_PDEATHSIG, _PR_SET_NO_NEW_PRIVS = 1, 38
@@ -266,8 +269,11 @@ def _program(column: int, architecture: int) -> Iterator[_Instruction]:
     own = os.getpid()
     for numbers, allowed in ((_KILL, own), (_TGKILL, own), (_PRLIMIT, 0)):
         yield from _if_called(numbers[column], [*_argument(0), *_allowed(allowed)], _REFUSE)
-    keeps_parent = [*_argument(0), (_EQUAL, 0, 1, _PR_SET_PDEATHSIG), (_RETURN, 0, 0, _REFUSE)]
+    keeps_parent = [*_argument(0), *_refused(_PR_SET_PDEATHSIG)]
     yield from _if_called(_PRCTL[column], keeps_parent, _ALLOW)
+    for numbers, commands in _SET_OWNER:
+        refused = [part for one in commands for part in _refused(one)]
+        yield from _if_called(numbers[column], [*_argument(1), *refused], _ALLOW)
     # A pair of SOCK_DGRAM could be connected to other sockets.
     pair = [
         *_argument(0),
@@ -295,3 +301,7 @@ def _argument(index: int) -> list[_Instruction]:
 
 def _allowed(value: int) -> list[_Instruction]:
     return [(_EQUAL, 0, 1, value), (_RETURN, 0, 0, _ALLOW)]
+
+
+def _refused(value: int) -> list[_Instruction]:
+    return [(_EQUAL, 0, 1, value), (_RETURN, 0, 0, _REFUSE)]

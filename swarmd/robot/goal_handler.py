@@ -37,6 +37,7 @@ class GoalHandler:
         self._goals = lifecycle.goals
         # The goal that was found last, the epoch before that, and the revision that it led to.
         self._found: tuple[Goal, Epoch, int] | None = None
+        self._is_settled = False  # what the other peers hold is known since the own goal was found
 
     def on_goal(self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool) -> None:
         """A peer holds this goal, set `age` s ago (None: not known).
@@ -49,12 +50,14 @@ class GoalHandler:
             before = self._lifecycle.epoch
             self._take_over(goal, age, effects, may_join=True)
             self._found = goal, before, self._lifecycle.revision
+            self._is_settled = False
         elif found is Found.OTHER:
             goals.adopt(goal, age, now, may_join=False)
         elif found is Found.AGED or goals.is_held(goal):
             goals.learn_age(age, now)
         if may_join:
-            self._join_if_wanted(effects)
+            self._is_settled = True
+            self.join_if_settled(effects)
 
     def is_of_found_goal(self, request: Request, quoted: Epoch | None) -> bool:
         """True for a run or a goal that came from a peer sooner than by this request.
@@ -71,14 +74,14 @@ class GoalHandler:
         own, run = self._goals.own, self._lifecycle.pattern_run
         if own is not None and own.goal.pattern == pattern and run.loading is None:
             self._goals.offer_again(run.generation)
-            self._join_if_wanted(effects)
+            self.join_if_settled(effects)
 
     def on_stop(self, request: StopRequest | EstopRequest, effects: Effects) -> None:
         """A stop or estop was carried out: one of all robots makes a goal without a pattern."""
         if request.targets is None:
             self._goals.stand(request.id, request.operator, request.age, effects.now)
 
-    def resume(self, request: ResumeRequest, effects: Effects) -> None:
+    def resume(self, request: ResumeRequest, wish: Wish, effects: Effects) -> None:
         """Run the own goal; the caller has checked that the robot may run."""
         lifecycle, own = self._lifecycle, self._goals.own
         if own is None or own.goal.pattern is None:
@@ -95,7 +98,6 @@ class GoalHandler:
             lifecycle.refuse(effects, request, Refusal.INVALID_CONDITION, fault)
         else:
             lifecycle.raise_revision(f"{request.operator} (resume {own.goal.pattern})")
-            wish = Wish(effects.now, request.operator)
             self._start(own.goal, effects, wish, own.goal.seconds, request)
 
     def set_goal(self, request: GoalRequest, effects: Effects) -> None:
@@ -141,9 +143,14 @@ class GoalHandler:
             goals.superseded = goal.text
         goals.adopt(goal, age, now, may_join=may_join and is_free)
 
-    def _join_if_wanted(self, effects: Effects) -> None:
-        """Run the own goal, which was found, if it wants that and is young enough."""
+    def join_if_settled(self, effects: Effects) -> None:
+        """Run the own goal, which was found, if it wants that and is young enough.
+
+        A load or a trial that is under way delays the run until its end.
+        """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
+        if not self._is_settled:
+            return
         own, trial, found = goals.own, lifecycle.trial, self._found
         if own is None or not goals.joins(now) or lifecycle.pattern_run.loading or trial:
             return

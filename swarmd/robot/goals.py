@@ -8,7 +8,8 @@ after a restart it is unknown until a peer reports it.
 A goal that is found, and was not asked for by a request to this robot, does not start a run: it is
 offered. The exception is a goal with `on_join: run` of a known age below its `valid`, while the
 robot may join: it was idle when the goal came, or ran for a lesser goal, and nothing ended a run
-since. If it lacks the pattern of the goal, it joins once more when the pattern is pushed to it.
+since. If it lacks the pattern of the goal, it joins once more when the pattern is pushed to it. A
+goal with a lease is joined only while its operator is heard.
 No goal that was set before the last stop, emergency stop or reset of the robot is joined.
 
 A stop or emergency stop of all robots makes a goal without a pattern that follows the held one,
@@ -84,7 +85,7 @@ class Goals:
         self._held_since = now  # the held goal is not newer than this
         # When the robot was stopped, emergency-stopped or reset last, on the own clock.
         self._stood = -math.inf if record.stood is None else record.stood
-        self._was_held = True  # the own goal is that of the record, which knows if it may be joined
+        self._ran = record.ran  # the own goal was run when the robot was restarted
         self._stopped = b""  # the held goal after which a stop of all came, and made no goal
         self._is_changed = False
         # The load that failed since the robot has no such pattern, and whether it was repeated.
@@ -124,12 +125,14 @@ class Goals:
 
     def record(self) -> GoalRecord:
         """The record for the disk."""
+        is_run = self.state in (GoalState.LOADING, GoalState.RUNNING)
         return GoalRecord(
             held=None if self.held is None else self.held.goal,
             own=None if self.own is None else self.own.goal,
             before=self.before,
             ended=self._reason if self.state is GoalState.ENDED else "",
-            may_join=self._may_join or self.state in (GoalState.LOADING, GoalState.RUNNING),
+            may_join=self._may_join or is_run,
+            ran=is_run or (self._ran and self._may_join),
             stood=None if self._stood == -math.inf else self._stood,
             labels=self._set_labels,
         )
@@ -177,13 +180,16 @@ class Goals:
         is_own = goal.is_for(self._robot, self.labels)
         new = HeldGoal.of(goal, None if age is None else now - age)
         if self.held is None or new.order > self.held.order:
-            if self.held is not None and self.held.goal.id != goal.id:
-                self.before = self.held.goal
+            before = None if self.held is None else self.held.goal
+            # Of two stops the second keeps what `undo` sets again.
+            are_stops = before is not None and before.pattern is None and goal.pattern is None
+            if before is not None and before.id != goal.id and not are_stops:
+                self.before = before
             self.held, self._held_since = new, now
         if is_own and (self.own is None or new.order > self.own.order):
             self.own = new
             self._lease_count, self._lease_until = -1, None
-            self._has_retried = self._was_held = False
+            self._has_retried = self._ran = False
             self._offer("", may_join=may_join)
         self._is_changed = True
         self._decide_stops(now)
@@ -270,7 +276,9 @@ class Goals:
         goal, age = own.goal, own.age(now)
         if goal.on_join != "run" or goal.valid is None or age is None or age >= goal.valid:
             return False
-        if not self._was_held and now - age <= self._stood:
+        if not self._ran and now - age <= self._stood:
+            return False
+        if self.refusal_to_resume(now):  # the operator of its run lease is not heard
             return False
         return goal.seconds is None or age < goal.seconds
 
@@ -308,7 +316,7 @@ class Goals:
     ) -> None:
         """A run began, for `goal`, asked for `age` s ago, or without one. `what`: in words.
 
-        `is_resumed`: the request did not set the goal, and does not renew its lease.
+        `is_resumed`: no request set the goal now, so that its lease is not renewed.
         """
         self._may_join, self._awaits_code = False, None
         self._undecided.clear()  # the run was asked for later
@@ -334,7 +342,7 @@ class Goals:
 
     def bar(self, now: float) -> None:
         """The robot was stopped or reset: it joins no goal that was set before."""
-        self._stood, self._was_held, self._is_changed = now, False, True
+        self._stood, self._ran, self._is_changed = now, False, True
 
     def on_end(self, why: str) -> None:
         """A run ended, or an event came after which no found goal may start one."""

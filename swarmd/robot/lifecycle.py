@@ -212,7 +212,7 @@ class Lifecycle:
                 loading.pattern,
                 now - loading.wish.at,
                 now,
-                is_resumed=isinstance(loading.request, ResumeRequest | ReloadRequest),
+                is_resumed=not isinstance(loading.request, RunRequest),
             )
             text = f"runs {loading.pattern}"
             text = f"{text}; {event.note}" if event.note else text
@@ -421,7 +421,7 @@ class Lifecycle:
         run.restart_at = None
         load = self.load_of(run.generation, pattern, params)
         is_fresh = is_fresh or run.is_outdated
-        is_restart = request is None
+        is_restart = run.loading.is_restart
         self._load = structs.replace(load, is_fresh=is_fresh, until=until, is_restart=is_restart)
         effects.command_host(self._load)
         run.is_outdated = False

@@ -77,11 +77,12 @@ class Loading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trial:
-    """A trial of new code, under way for a reload request."""
+    """A trial of new code, under way for a reload request; `wish`: of the run that may follow."""
 
     generation: int
     since: float
     request: ReloadRequest
+    wish: Wish
 
 
 @dataclass(slots=True, eq=False)

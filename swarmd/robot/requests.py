@@ -79,10 +79,10 @@ class RequestHandler:
         self._lifecycle = lifecycle
         self._stop_text = stop_text
         self._trials = 0
-        self._obeyed: dict[str, float] = {}  # ids of stops, and when each was carried out first
+        self._executed: dict[str, float] = {}  # ids of stops, and when each was carried out first
         # A robot that stands has stood since stops that were issued before this time.
         self._stood = -math.inf
-        self._stopped = -math.inf  # when a stop, an emergency stop or a reset was carried out last
+        self._stopped = -math.inf  # when a stop, an emergency stop or a reset raised the epoch last
         self.reset_at = -math.inf  # when the robot was reset last
 
     def answer(self, request: Request, effects: Effects) -> None:
@@ -119,10 +119,11 @@ class RequestHandler:
 
     def _stop(self, request: StopRequest, effects: Effects) -> None:
         lifecycle, now, run = self._lifecycle, effects.now, self._lifecycle.pattern_run
-        # A copy of a stop that was carried out is at least as old as the time since then.
-        issued = min(now - request.age, self._obeyed.get(request.id, math.inf))
+        # A copy of a stop that was carried out is at least as old as the time since then. The age
+        # of a refused copy is not kept: a forged one would make the true stop look older.
+        issued = min(now - request.age, self._executed.get(request.id, math.inf))
         detail = f"by {request.operator}"
-        is_copy = request.id in self._obeyed  # of a stop that came before the wish
+        is_copy = request.id in self._executed
 
         def is_older(wish: Wish) -> bool:
             return issued < wish.at or (is_copy and issued == wish.at)
@@ -136,13 +137,13 @@ class RequestHandler:
             return
         is_known = is_copy or issued <= self._stood
         self._stood = max(self._stood, issued)
-        if not is_copy:
-            self._obeyed[request.id] = self._stopped = now
-        while len(self._obeyed) > MAX_STOPS:
-            del self._obeyed[next(iter(self._obeyed))]
+        self._executed.setdefault(request.id, now)
+        while len(self._executed) > MAX_STOPS:
+            del self._executed[next(iter(self._executed))]
         # Robots hand a stop on for a minute, and operators repeat it: what was asked of a robot
         # that has stood since, such as a trial or a reset, goes on.
         if run.wish is not None or not is_known:
+            self._stopped = now
             lifecycle.raise_revision(f"{request.operator} (stop)")
             lifecycle.end(Trigger.STOP, Reason.OPERATOR, detail, effects)
         self._goals.on_stop(request, effects)
@@ -170,7 +171,7 @@ class RequestHandler:
         elif text := under_way(lifecycle):
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
         elif isinstance(request, ResumeRequest):
-            self._goals.resume(request, effects)
+            self._goals.resume(request, self._wish_of(request, effects.now), effects)
         elif why := self._refusal_of(request, effects.now):
             lifecycle.refuse(effects, request, *why)
         else:
@@ -179,14 +180,20 @@ class RequestHandler:
                 request.pattern,
                 request.params,
                 effects,
-                # The epoch that it quotes is younger than the last stop that was carried out.
-                wish=Wish(max(effects.now - request.age, self._stopped), request.operator),
+                wish=self._wish_of(request, effects.now),
                 seconds=request.seconds,
                 until=request.until,
                 request=request,
                 goal=request.goal,
                 start_at=request.at.get(self._robot),
             )
+
+    def _wish_of(self, request: RunRequest | ResumeRequest | ReloadRequest, now: float) -> Wish:
+        """The time at which the operator issued the request.
+
+        The epoch that the request quotes began after the last stop, so the request did, too.
+        """
+        return Wish(max(now - request.age, self._stopped), request.operator)
 
     def _refusal_of(self, request: RunRequest, now: float) -> tuple[Refusal, str] | None:
         """Why a run is refused because of its conditions, its time or its goal."""
@@ -209,9 +216,11 @@ class RequestHandler:
         state = lifecycle.state_machine.state
         ended = [text for text in self._protection.findings if text in request.findings]
         if ended and lifecycle.is_running:
-            text = "it runs; stop it before a finding of the assumption monitor is ended"
+            text = f"{self._robot} runs; stop it before a finding of its monitor is ended"
             lifecycle.refuse(effects, request, Refusal.BUSY, text)
             return
+        loading = lifecycle.pattern_run.loading  # of a found goal: no request wants it to run
+        joins = loading is not None and loading.goal is not None and loading.request is None
         named = [latch_id for latch_id in request.ids if latch_id in lifecycle.latches.held]
         if named:
             lifecycle.latches.clear(named)
@@ -221,13 +230,18 @@ class RequestHandler:
             if named:
                 lifecycle.raise_revision(f"{request.operator} (reset)")
             lifecycle.refuse(effects, request, Refusal.ESTOPPED, text)
-        elif ended and state is State.IDLE:
-            lifecycle.raise_revision(f"{request.operator} (reset)")
-            self._end_findings(ended, request, effects)
-            lifecycle.applied(effects, request, f"idle: {len(ended)} findings ended")
-        elif state in (State.RUNNING, State.IDLE):
+        elif state is State.RUNNING:
             lifecycle.goals.bar(effects.now)
-            lifecycle.applied(effects, request, f"{state}: nothing to reset")
+            lifecycle.applied(effects, request, "running: nothing to reset")
+        elif state is State.IDLE and not joins:
+            lifecycle.goals.bar(effects.now)
+            self._stood = self.reset_at = effects.now
+            if ended:
+                lifecycle.raise_revision(f"{request.operator} (reset)")
+                self._stopped = effects.now
+                self._end_findings(ended, request, effects)
+            text = f"{len(ended)} findings ended" if ended else "nothing to reset"
+            lifecycle.applied(effects, request, f"idle: {text}")
         else:
             lifecycle.raise_revision(f"{request.operator} (reset)")
             self._end_findings(ended, request, effects)
@@ -267,7 +281,8 @@ class RequestHandler:
         is_running = running is not None and running.pattern == pattern
         params = running.params if running is not None and is_running else {}
         self._trials += 1
-        lifecycle.trial = Trial(self._trials, effects.now, request)
+        wish = self._wish_of(request, effects.now)
+        lifecycle.trial = Trial(self._trials, effects.now, request, wish)
         effects.trial = StartTrial(lifecycle.load_of(self._trials, pattern, params))
 
     def on_trial_done(self, event: TrialDone, effects: Effects) -> None:
@@ -277,6 +292,7 @@ class RequestHandler:
             return
         if event.text:
             lifecycle.end_trial(event.refusal, event.text, effects)
+            self._goals.join_if_settled(effects)
             return
         lifecycle.trial = None
         new_code = f"a run of {trial.request.pattern} takes the new code"
@@ -295,6 +311,7 @@ class RequestHandler:
             lifecycle.applied(effects, trial.request, f"{new_code}; {state}, as before")
             if request.keeps_running:  # it was pushed
                 self._goals.on_new_code(request.pattern, effects)
+            self._goals.join_if_settled(effects)
 
     def advance(self, effects: Effects) -> None:
         """End a trial that takes longer than TRIAL_TIMEOUT."""
@@ -302,6 +319,7 @@ class RequestHandler:
         if trial is not None and effects.now - trial.since >= TRIAL_TIMEOUT:
             text = f"{trial.request.pattern}: loading took more than {TRIAL_TIMEOUT:.0f} s"
             self._lifecycle.end_trial(Refusal.PATTERN_FAILED, text, effects)
+            self._goals.join_if_settled(effects)
 
     def _replace(self, trial: Trial, effects: Effects) -> None:
         """Stop the running pattern and its host; run the new code in a fresh host if asked to."""
@@ -319,7 +337,7 @@ class RequestHandler:
                 request.pattern,
                 running.params,
                 effects,
-                wish=Wish(trial.since, request.operator),
+                wish=trial.wish,
                 seconds=left,
                 until=running.until,
                 request=request,

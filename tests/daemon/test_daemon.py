@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import errno
 import logging
 import threading
 from collections.abc import Callable
@@ -13,6 +14,7 @@ import pytest
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
+from swarmd.core.files import write_whole
 from swarmd.core.goal import GoalRecord
 from swarmd.core.messages import Code, Epoch, LabelRequest, Refusal, Reply
 from swarmd.core.values import Twist
@@ -30,6 +32,7 @@ pytestmark = pytest.mark.integration
 
 
 ESTOP = Stop(id="e1", verb="estop", operator="alice")
+STOP = Stop(id="s1", verb="stop", operator="alice", targets=("tb3-01",))
 
 
 class RecordingDriver:
@@ -250,6 +253,40 @@ async def test_a_disk_that_takes_no_write_stops_no_tick(
     await run(daemon, stop, lambda: changes.append(asyncio.create_task(change())))
     await changes[0]
     assert set(asked) >= {"goal", "versions"}
+
+
+@pytest.mark.parametrize("is_written", [True, False])
+async def test_a_stop_is_acked_when_a_restart_would_not_forget_it(
+    settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch, is_written: bool
+) -> None:
+    stop, is_open = asyncio.Event(), threading.Event()
+    replies: list[Reply] = []
+    early: list[int] = []
+
+    def write(path: Path, content: bytes) -> None:
+        assert is_open.wait(60.0)
+        if not is_written:
+            raise OSError(errno.ENOSPC, "full")
+        write_whole(path, content)
+
+    monkeypatch.setattr(goal_service, "write_whole", write)
+    daemon = Daemon(settings, RecordingDriver())
+
+    async def ask() -> None:
+        daemon._requests.stop(STOP, "10.0.0.5", replies.append)
+        await asyncio.sleep(0.05)
+        early.append(len(replies))
+        is_open.set()
+        while not replies:
+            await asyncio.sleep(0.01)
+        stop.set()
+
+    asked: list[asyncio.Task[None]] = []
+    await run(daemon, stop, lambda: asked.append(asyncio.create_task(ask())))
+    await asked[0]
+    assert early == [0]
+    assert [reply.code for reply in replies] == [Code.APPLIED]
+    assert ("not on disk" in replies[0].text) is not is_written
 
 
 @pytest.mark.parametrize("ends", [False, True])

@@ -73,11 +73,14 @@ def test_five_shy_robots_never_get_stuck() -> None:
 
 
 def test_beeclust_gathers_in_the_warm_spot() -> None:
-    overrides = {"duration": 80.0}
-    trace = simulate_run(load_scenario(str(EXAMPLES / "beeclust.yaml"), overrides), 1)
-    late = trace.pose[trace.t > 20.0, :, :2]
-    warm, cold = ((np.hypot(*(late - (x, 0.0)).T) < 1.0).mean() for x in (1.5, -1.5))
-    assert warm > 3.0 * cold  # without waiting it is 1.9 times
+    """In one run of twelve robots chance may lead more of them to the cold half."""
+    shares = []
+    for seed in range(4):
+        trace = simulate_run(load_scenario(str(EXAMPLES / "beeclust.yaml")), seed)
+        late = trace.pose[trace.t > 60.0, :, :2]
+        shares.append([(np.hypot(*(late - (x, 0.0)).T) < 1.0).mean() for x in (1.5, -1.5)])
+    warm, cold = np.mean(shares, axis=0)
+    assert warm > 1.75 * cold  # 2.3 times; without waiting 1.2 times
 
 
 def test_beeclust_waits_for_robots_alone_and_for_as_long_as_it_is_warm() -> None:

@@ -36,7 +36,7 @@ from swarmd.settings.settings import load_platform
 pytestmark = pytest.mark.integration
 
 TRIES = """
-import contextlib, ctypes, json, os, resource, signal, socket, struct, sys
+import contextlib, ctypes, fcntl, json, os, resource, signal, socket, struct, sys
 
 def reached(name, attempt):
     try:
@@ -71,6 +71,11 @@ def tries(place, parent):
         "reach a local service": lambda: socket.socket(socket.AF_UNIX).close(),
         "signal the daemon": lambda: os.kill(parent, 0),
         "signal the group of the daemon": lambda: os.killpg(os.getpgid(parent), 0),
+        "let a pipe signal the daemon": lambda: own_by(parent, 8, parent),
+        "let a pipe signal a thread of the daemon": lambda: own_by(
+            parent, 15, struct.pack("ii", 0, parent)
+        ),
+        "let a socket signal the daemon": lambda: own_socket_by(parent),
         "trace the daemon": lambda: trace(parent, is_pc),
         "read the daemon's memory": lambda: open(f"/proc/{parent}/mem", "rb").close(),
         "read the daemon's environment": lambda: open(f"/proc/{parent}/environ", "rb").close(),
@@ -79,6 +84,16 @@ def tries(place, parent):
         "slow the daemon": lambda: os.setpriority(os.PRIO_PROCESS, parent, 19),
         "leave the process group": lambda: os.setpgid(0, 0),
     }
+
+def own_by(pid, command, owner):
+    for end in os.pipe():
+        fcntl.fcntl(end, command, owner)
+        os.close(end)
+
+def own_socket_by(pid):
+    for end in socket.socketpair():
+        with end:
+            fcntl.ioctl(end, 0x8901, struct.pack("i", pid))
 
 def trace(pid, is_pc):
     seize, detach = 0x4206, 17

@@ -8,6 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.goal import MAX_UNSIGNED, Goal, GoalRecord, GoalState, GoalStatus, digest_of
+from swarmd.core.host_messages import Load, Loaded
 from swarmd.core.messages import (
     Code,
     EstopRequest,
@@ -341,6 +342,47 @@ def test_no_goal_that_is_older_than_the_last_reset_is_joined(
     assert told(harness).state is (GoalState.RUNNING if joins else GoalState.OFFERED)
 
 
+@pytest.mark.parametrize("is_restarted", [False, True])
+def test_a_restart_does_not_join_a_goal_that_was_offered_after_a_reset(is_restarted: bool) -> None:
+    harness = ready()
+    harness.applied("estop", id="e1", scope="robots")
+    harness.advance(1.0)
+    harness.applied("reset", ids=("e1",))
+    harness.find(goal(6, **JOINED), 6.0)
+    assert told(harness).state is GoalState.OFFERED
+    if is_restarted:
+        began, harness = harness.now, RobotHarness(patterns=PATTERNS, goals=harness.record)
+        harness.advance(began - harness.now)
+    harness.find(goal(6, **JOINED), 6.5)
+    harness.advance(0.5)
+    assert harness.status.state is State.IDLE
+
+
+def test_a_robot_that_was_reset_while_it_was_idle_joins_no_earlier_goal() -> None:
+    harness = ready()
+    harness.advance(5.0)
+    harness.applied("reset")
+    harness.find(goal(6, **JOINED), 3.0)
+    harness.advance(0.5)
+    assert harness.status.state is State.IDLE
+
+
+def test_a_trial_delays_a_join_until_its_end() -> None:
+    harness = ready()
+    harness.is_hung = True
+    harness.send(harness.request("reload", pattern="forward"))
+    harness.find(goal(6, **JOINED), 1.0)
+    harness.is_hung = False
+    harness.advance(11.0)
+    assert harness.status.state is State.RUNNING
+
+
+def test_a_join_takes_the_present_code() -> None:
+    harness = ready()
+    harness.find(goal(6, **JOINED), 1.0)
+    assert [one.is_restart for one in harness.sent if isinstance(one, Load)] == [False]
+
+
 def test_a_goal_is_joined_only_when_what_the_others_hold_is_known() -> None:
     harness = ready()
     run(harness, goal(5))
@@ -510,6 +552,57 @@ def test_a_robot_that_finds_a_goal_with_a_lease_resumes_it_once_the_operator_is_
     harness.applied("resume")
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
+
+
+@pytest.mark.parametrize("verb", ["stop", "estop"])
+def test_a_second_stop_of_all_keeps_the_goal_before_the_first(verb: str) -> None:
+    harness = ready()
+    run(harness, goal(3))
+    for id in ("s1", "s2"):
+        harness.advance(0.5)
+        kind = EstopRequest if verb == "estop" else StopRequest
+        harness.send(kind(id=id, operator="anna"))
+    assert told(harness).held.goal.pattern is None  # type: ignore[union-attr]
+    assert told(harness).before == goal(3)
+
+
+def test_a_reset_ends_the_load_of_a_goal_that_was_found() -> None:
+    harness = ready()
+    harness.is_hung = True
+    harness.find(goal(**JOINED), 1.0)
+    harness.applied("reset")
+    harness.is_hung = False
+    load = next(one for one in harness.sent if isinstance(one, Load))
+    harness.host_says(Loaded(load.generation, 20.0, frozenset(), {}))
+    harness.advance(1.0)
+    assert standing_state(harness)[0] is State.IDLE
+    assert told(harness).state is GoalState.ENDED
+    harness.find(goal(**JOINED), 2.0)
+    harness.advance(1.0)
+    assert harness.status.state is State.IDLE
+
+
+@pytest.mark.parametrize("is_restarted", [False, True])
+def test_a_robot_joins_no_run_with_a_lease_whose_operator_is_not_heard(is_restarted: bool) -> None:
+    wanted = goal(6, **JOINED, lease=5.0)
+    harness = ready(GoalRecord(held=wanted, own=wanted) if is_restarted else None)
+    harness.find(wanted, 20.0)
+    harness.advance(1.0)
+    assert harness.status.state is State.IDLE
+    assert told(harness).state is GoalState.OFFERED
+
+
+def test_a_robot_that_joins_a_run_with_a_lease_runs_until_its_operator_is_gone() -> None:
+    harness = ready()
+    harness.find(goal(6, **JOINED, lease=5.0), 20.0, may_join=False)
+    harness.robot.on_run_lease("g6bob", 7, harness.now)
+    harness.advance(2.0)
+    harness.find(goal(6, **JOINED, lease=5.0), 22.0)
+    harness.advance(1.0)
+    assert harness.status.state is State.RUNNING
+    assert told(harness).lease_left == pytest.approx(2.0)  # the join does not renew it
+    harness.advance(2.1)
+    assert standing_state(harness) == (State.STOPPED, Reason.LEASE_ENDED)
 
 
 def test_a_restarted_robot_offers_its_goal_and_tells_why_it_had_ended() -> None:

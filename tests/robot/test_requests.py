@@ -101,6 +101,28 @@ def late_stop(harness: RobotHarness, age: float, **fields: Any) -> Reply:
 JOINED = Goal(generation=1, issuer="bob", id="g1", pattern="forward", on_join="run", valid=600.0)
 
 
+def test_a_stop_that_was_covered_by_a_later_one_makes_no_run_newer() -> None:
+    harness = started()
+    harness.applied("stop")
+    harness.advance(3.0)
+    epoch = harness.epoch
+    assert late_stop(harness, 4.0).code is Code.APPLIED  # covered: the epoch stays
+    harness.send(harness.request("run", epoch, pattern="forward", age=1.0))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+    assert late_stop(harness, 0.7, id="s1").code is Code.APPLIED  # issued after the run
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
+
+
+def test_a_stop_from_before_the_reset_of_an_idle_robot_changes_nothing() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.advance(5.0)
+    harness.applied("reset")
+    epoch = harness.epoch
+    assert late_stop(harness, 2.0).code is Code.APPLIED
+    assert (harness.status.state, harness.epoch) == (State.IDLE, epoch)
+
+
 @pytest.mark.parametrize("verb", ["run", "resume", "reload"])
 def test_a_stop_that_is_older_than_the_wish_to_run_ends_no_run(verb: str) -> None:
     harness = started() if verb == "reload" else RobotHarness(patterns=PATTERNS)
@@ -116,6 +138,25 @@ def test_a_stop_that_is_older_than_the_wish_to_run_ends_no_run(verb: str) -> Non
     assert late_stop(harness, 3.0).refusal is Refusal.OVERTAKEN
     assert harness.status.state is State.RUNNING
     assert late_stop(harness, 1.5).code is Code.APPLIED
+    assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
+
+
+@pytest.mark.parametrize("verb", ["run", "resume", "reload"])
+def test_a_stop_ends_a_run_whose_request_was_issued_earlier_and_came_sooner(verb: str) -> None:
+    """On a slow link the request takes 3 s."""
+    harness = started() if verb == "reload" else RobotHarness(patterns=PATTERNS)
+    if verb == "resume":
+        harness.find(JOINED, 100.0, may_join=False)
+    harness.advance(5.0)
+    fields: dict[str, dict[str, Any]] = {
+        "run": {"pattern": "forward"},
+        "reload": {"pattern": "forward", "is_rerun": True},
+    }
+    harness.ask(verb, age=3.0, **fields.get(verb, {}))
+    harness.advance(0.5)
+    assert harness.status.state is State.RUNNING
+    assert late_stop(harness, 4.0).refusal is Refusal.OVERTAKEN
+    assert late_stop(harness, 3.0, id="s1").code is Code.APPLIED
     assert standing_state(harness) == (State.STOPPED, Reason.OPERATOR)
 
 

@@ -115,6 +115,20 @@ def test_after_a_canary_that_runs_well_all_run(swarm: Swarm) -> None:
     assert [swarm.status(name).state for name in NAMES] == [State.RUNNING] * 2
 
 
+def test_a_robot_that_is_stopped_while_the_canary_runs_is_not_started_after_it(
+    swarm: Swarm,
+) -> None:
+    process = swarm.begin("run", "drive", "--all", "--canary", "r1", "--canary-time", "6s")
+    try:
+        swarm.await_state("r1", State.RUNNING)
+        assert swarm.ctl("stop", "r2", user="bob").code == 0
+        done = swarm.finish(process)
+    finally:
+        process.kill()
+    assert done.outcome == (3, "2 targeted, 1 applied, 1 refused (r2)")
+    assert [swarm.status(name).state for name in NAMES] == [State.RUNNING, State.STOPPED]
+
+
 def test_a_run_with_a_lease_ends_with_its_operator(swarm: Swarm) -> None:
     keeper = swarm.begin("run", "drive", "--all", "--lease", "1s")
     try:

@@ -26,7 +26,7 @@ class Stage:
     """A fleet, its operator and its world in one, which list what is done to them."""
 
     def __init__(self, *present: str) -> None:
-        self.spec = SimpleNamespace(robots=dict.fromkeys(ROBOTS), folder="logs")
+        self.spec = SimpleNamespace(robots=dict.fromkeys(ROBOTS), folder="logs", all_hear_all=False)
         self.robots = present
         self.done: list[tuple[Any, ...]] = []
         self.code = Code.APPLIED
