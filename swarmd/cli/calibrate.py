@@ -246,13 +246,16 @@ def _end_findings(
     for text in status.findings:
         axis = axis_of(text)
         if axis is None:
-            warn(f"{robot} keeps: {text}; no calibration can tell; see `swarmctl reset --findings`")
+            warn(
+                f"{robot} keeps the finding: {text}; a calibration does not measure it;"
+                " see `swarmctl reset --findings`"
+            )
             continue
         brake = Figure.parse(str(report[f"braking_{axis}"]))
         if brake.is_measured and brake.value - 2.0 * brake.spread > SOUND * brake.assumed:
             ended.append((text, f"{brake.value:.3g} +- {brake.spread:.2g}"))
         else:
-            warn(f"{robot} keeps: {text}; give it the platform file that follows")
+            warn(f"{robot} keeps the finding: {text}; give it the platform file that follows")
     if not ended:
         return
     reason = f"calibrated: {', '.join(measured for _, measured in ended)}"

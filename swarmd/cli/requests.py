@@ -53,7 +53,8 @@ def estop(options: CommonOptions, targets: Targets, reason: str, until_all: bool
 @click.option(
     "--findings",
     is_flag=True,
-    help="Also end what the assumption monitor found; the robots drive at full speed again.",
+    help="Also end the findings of the assumption monitor; the robots then drive at full speed"
+    " again.",
 )
 @click.option(
     "-y",
@@ -67,8 +68,8 @@ def reset(
 ) -> None:
     """Clear emergency stops and faults of TARGETS, which become idle; moves nothing.
 
-    Clears only the emergency stops that swarmctl sees now. A later one stays. So it is with the
-    findings of the assumption monitor, which robots keep without --findings.
+    Clears only the emergency stops that swarmctl sees now; a later one stays. --findings ends only
+    the findings that swarmctl sees now.
     """
     with options.operator() as operator:
         view = known_members(options, operator, is_request_next=True)

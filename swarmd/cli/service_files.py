@@ -102,7 +102,7 @@ def keep_for_root(root: Path = Path("/")) -> None:
     try:
         with open_folder(folder) as outer:
             if os.fstat(outer).st_uid != 0:
-                raise ConfigError(f"{folder} is not of root; run: chown root {folder}")
+                raise ConfigError(f"{folder} is not owned by root; run: chown root {folder}")
             with open_folder(_IDENTITIES, outer) as handle:
                 os.fchown(handle, 0, 0 if account is None else account[1])
                 os.fchmod(handle, 0o700 if account is None else 0o750)

@@ -7,7 +7,7 @@
     │   └── ParameterError       a pattern's parameter is unknown, missing or out of bounds
     ├── CodecError       bytes that do not fit the key they came on; dropped and counted
     ├── PluginError      a pattern or driver cannot be found, loaded or used on this robot
-    │   ├── ChangedCodeError     the file of a pushed pattern is not what was pushed
+    │   ├── ChangedCodeError     the SHA-256 of a pushed pattern's code differs from its manifest
     │   ├── UnknownPatternError  no pattern has this name
     │   └── MissingSensorError   the platform lacks what a pattern or condition needs
     ├── DriverError      the robot's base cannot be reached or does not answer as it should
@@ -16,7 +16,8 @@
 
 Every message names what is wrong, where, what was expected and what to do, in one line.
 
-`CoreFault` stands beside it: it carries an error of the robot's own core past each `except`.
+`CoreFault` is outside this tree: it carries an error of the robot's core through
+`except Exception` and ends the daemon.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ class PluginError(SwarmError):
 
 
 class ChangedCodeError(PluginError):
-    """The file of a pushed pattern has another SHA-256 than its manifest."""
+    """The SHA-256 of a pushed pattern's code differs from its manifest."""
 
 
 class UnknownPatternError(PluginError):
@@ -78,11 +79,11 @@ class IdHeldError(NetworkError):
 
 
 class CoreFault(BaseException):
-    """An error of the robot's core, its cause; it ends the daemon, whatever called the core."""
+    """An error of the robot's core, kept as `__cause__`. It ends the daemon."""
 
 
 def fail_stop(function: Callable[P, R]) -> Callable[P, R]:
-    """The function of the robot's core, of which each error is raised as a `CoreFault`."""
+    """Decorate a function of the robot's core: its errors are raised as `CoreFault`."""
 
     @wraps(function)
     def run(*args: P.args, **kwargs: P.kwargs) -> R:

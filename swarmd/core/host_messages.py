@@ -21,7 +21,8 @@ from swarmd.core.messages import Refusal
 from swarmd.core.values import Inputs, Outputs, Platform, Scalar, TouchZone, Value
 
 MAX_SCAN_DELAY = 0.5
-"""Seconds beyond the platform's latency: the latest scans that a pattern may ask to drive with."""
+"""The largest `scan_delay` of a pattern: seconds by which scans may arrive later than the
+platform's latency."""
 
 Layers = tuple[tuple[str, Mapping[str, Value]], ...]
 ParamSources = Mapping[str, tuple[Scalar | None, str]]

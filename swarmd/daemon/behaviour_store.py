@@ -30,7 +30,10 @@ _PASSING = frozenset({Refusal.BUSY, Refusal.OVERTAKEN, Refusal.STALE_EPOCH})
 
 
 class BehaviourStore:
-    """Takes behaviours into `state`, one at a time; `drops` counts those of which that fails."""
+    """Takes behaviours into `state`, one at a time.
+
+    `drops` counts behaviours that raised an error.
+    """
 
     def __init__(self, state: BehaviourState, drops: DropCounter) -> None:
         self._state = state

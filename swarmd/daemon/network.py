@@ -84,7 +84,8 @@ class Network:
     """The network of the daemon `robot`; `instance` is that of this life of the daemon, in hex.
 
     `drops` counts what could not be read, handled or sent.
-    With an `identity` the swarm is secured; the file `stop_counters` then outlives the daemon.
+    With an `identity` the swarm is secured, and the daemon keeps its counters of stops in the file
+    `stop_counters`, which is then required.
     """
 
     def __init__(
@@ -98,7 +99,7 @@ class Network:
         body: Body | None = None,
         drops: DropCounter,
         identity: Identity | None = None,
-        stop_counters: Path | None = None,
+        stop_counters: Path | None,
     ) -> None:
         self._version = version
         self._body = body

@@ -27,14 +27,14 @@ from swarmd.network.signature import Flaw, Trust, generation_of
 from swarmd.security.identity import Identity
 
 HINT_PERIOD = 5.0  # s between two hints; of missing keys, for each robot and source
-MAX_LACKED = 4096
+MAX_MISSING_KEYS = 4096
 
 
 class Answers:
     """The keys of an operator or viewer at work.
 
     `on_newer_roster` takes the name, address and generation of a robot that may have a newer
-    roster, `on_lacking` the name and address of a robot of which this identity has no key.
+    roster, `on_missing_key` the name and address of a robot of which this identity has no key.
     `outdated`: the robots that were heard with an older roster. `unproven`: those without a key.
     Both have their addresses, and are not proven.
     """
@@ -44,14 +44,14 @@ class Answers:
         identity: Identity,
         lease: float,
         on_newer_roster: Callable[[str, Address, int], object] = lambda *_: None,
-        on_lacking: Callable[[str, Address], object] = lambda *_: None,
+        on_missing_key: Callable[[str, Address], object] = lambda *_: None,
     ) -> None:
         self._trust = Trust.of(identity)
         self._names = frozenset(identity.roster.robots)
         self._on_newer_roster = on_newer_roster
-        self._on_lacking = on_lacking
-        self._hint_at: dict[bool, float] = {}  # of robots of the own roster, and of others
-        self._lacked_at: dict[tuple[str, Address], float] = {}  # the last hints of missing keys
+        self._on_missing_key = on_missing_key
+        self._known_hint_at = self._unknown_hint_at = -1e9  # by robots of the own roster, by others
+        self._key_asked_at: dict[tuple[str, Address], float] = {}  # the last hints of missing keys
         # Its own questions are numbered by the operator, which notes them.
         self.liveness = Liveness(lease, lambda: 0)
         self.unproven: dict[str, Address] = {}
@@ -116,12 +116,12 @@ class Answers:
             return True
         if source is not None:
             self.unproven[robot] = source
-            if now - self._lacked_at.get((robot, source), -1e9) >= HINT_PERIOD:
-                self._lacked_at.pop((robot, source), None)
-                self._lacked_at[robot, source] = now
-                if len(self._lacked_at) > MAX_LACKED:
-                    del self._lacked_at[next(iter(self._lacked_at))]
-                self._on_lacking(robot, source)
+            if now - self._key_asked_at.get((robot, source), -1e9) >= HINT_PERIOD:
+                self._key_asked_at.pop((robot, source), None)
+                self._key_asked_at[robot, source] = now
+                if len(self._key_asked_at) > MAX_MISSING_KEYS:
+                    del self._key_asked_at[next(iter(self._key_asked_at))]
+                self._on_missing_key(robot, source)
         return False
 
     def _note_generation(
@@ -133,7 +133,10 @@ class Answers:
             self.outdated[body.robot] = source
         elif flaw is Flaw.NEWER:
             is_known = body.robot in self._names
-            if now - self._hint_at.get(is_known, -1e9) < HINT_PERIOD:
+            if now - (self._known_hint_at if is_known else self._unknown_hint_at) < HINT_PERIOD:
                 return
-            self._hint_at[is_known] = now
+            if is_known:
+                self._known_hint_at = now
+            else:
+                self._unknown_hint_at = now
             self._on_newer_roster(body.robot, source, generation_of(payload))

@@ -44,11 +44,10 @@ class DropCounter:
 
     @contextmanager
     def refusing(self, kind: str, refuse: Callable[[str], object] | None = None) -> Iterator[None]:
-        """Refuse, in place of raising, what came from the network and is handled in the block.
+        """Count and refuse errors of the handler in this block.
 
-        A CodecError counts as `<kind>:malformed`. Any other Exception is a fault of the handler: it
-        counts as `<kind>:failed`, and is logged at a limited rate. `refuse` gets the reason. A
-        `CoreFault` passes. Call it on the loop.
+        CodecError: `<kind>:malformed`. Any other Exception: `<kind>:failed`, logged at a limited
+        rate. `refuse` gets the reason. `CoreFault` passes. Loop only.
         """
         try:
             yield

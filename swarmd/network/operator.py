@@ -427,7 +427,7 @@ class Operator:
 
         rosters = self._rosters
         lease = self.settings.lease_seconds
-        return Answers(identity, lease, rosters.on_shown, rosters.on_lacking)
+        return Answers(identity, lease, rosters.on_shown, rosters.on_missing_key)
 
     def _new(self, kind: type[R], **fields: Any) -> R:
         if "reason" in fields:

@@ -13,7 +13,7 @@ from swarmd.network.datagram import Address
 from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity
 
-MAX_LACKING = 2048
+MAX_MISSING_KEYS = 2048
 CLOSING = "swarmd-closing"
 """The name of the threads that close sessions or take rosters: Python must not end before them."""
 
@@ -39,7 +39,7 @@ class RosterFollower:
         self._is_on = is_on
         self._updating: threading.Thread | None = None
         self.shown: tuple[str, Address, int] | None = None
-        self._lacking: set[tuple[str, Address]] = set()
+        self._missing: set[tuple[str, Address]] = set()
         self.notices: list[str] = []
 
     def on_shown(self, robot: str, address: Address, generation: int) -> None:
@@ -50,10 +50,10 @@ class RosterFollower:
         if self.shown is None or self._is_known(robot):
             self.shown = robot, address, generation
 
-    def on_lacking(self, robot: str, address: Address) -> None:
+    def on_missing_key(self, robot: str, address: Address) -> None:
         """A robot was heard whose key is missing."""
-        if len(self._lacking) < MAX_LACKING:
-            self._lacking.add((robot, address))
+        if len(self._missing) < MAX_MISSING_KEYS:
+            self._missing.add((robot, address))
 
     def update(self) -> None:
         """Take the roster that was shown and missing keys, if any; waits.
@@ -76,7 +76,7 @@ class RosterFollower:
 
         is_updating = self._updating is not None and self._updating.is_alive()
         is_due = self.shown is not None and self._is_known(self.shown[0])
-        if not is_updating and (is_due or self._lacking):
+        if not is_updating and (is_due or self._missing):
             self._updating = threading.Thread(target=run, name=CLOSING, daemon=True)
             self._updating.start()
 
@@ -90,11 +90,11 @@ class RosterFollower:
             shown = None
         elif shown is not None:
             self.shown = None
-        lacking = set()
-        while self._lacking:  # the carrier's thread may add to it
-            lacking.add(self._lacking.pop())
+        missing = set()
+        while self._missing:  # the carrier's thread may add to it
+            missing.add(self._missing.pop())
         identity, settings = self._operator.identity, self._operator.settings
-        if not (shown or lacking) or identity is None or not self._is_on:
+        if not (shown or missing) or identity is None or not self._is_on:
             return
         from swarmd.network.roster_update import pulled_keys, pulled_roster
 
@@ -104,6 +104,6 @@ class RosterFollower:
             if taken is not None:
                 self._operator.take_identity(taken)
                 return
-        found = pulled_keys(settings, identity, lacking) if lacking else None
+        found = pulled_keys(settings, identity, missing) if missing else None
         if found is not None:
             self._operator.take_identity(found)

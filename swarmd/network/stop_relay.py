@@ -8,8 +8,8 @@ after the operator sent its last copy, or until all named targets have acked. Ea
 at which the operator sent it, so that no copy that travels in a circle prolongs that. A robot hands
 on no stop that it would refuse itself.
 
-Acks travel back the same way: a robot hands those that it gets to whoever sent it the stop, with
-its own name as `via`.
+Acks travel back the same way: a robot hands those that it gets to the sender of the stop, with its
+own name as `via`.
 """
 
 from __future__ import annotations

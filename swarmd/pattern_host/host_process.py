@@ -53,10 +53,10 @@ def why_it_ended(code: int) -> str:
 
 @dataclass(frozen=True, slots=True)
 class HostSettings:
-    """Of each host: `printed`, the file into which it prints, and the folders of its sandbox.
+    """Settings of every host.
 
-    `readable`: those of plugins. `secret`: those that stay unreadable even below a folder from
-    which Python imports.
+    `printed`: the file descriptor for its output. `readable`, `secret`: folders of its sandbox, as
+    `swarmd.pattern_host.sandbox.confine` takes them.
     """
 
     printed: int

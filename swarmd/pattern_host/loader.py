@@ -57,8 +57,8 @@ class PatternLoader:
         """The class of that name.
 
         Raises PluginError if there is none or several, or if its declarations contradict each
-        other; ChangedCodeError if its code has not its digest; ConfigError if it is a mission whose
-        file has a fault.
+        other; ChangedCodeError if the SHA-256 of its code differs from its manifest; ConfigError if
+        it is a mission whose file has a fault.
         """
         if name not in self.origins:
             raise UnknownPatternError(unknown("pattern", name, self.origins))
@@ -123,7 +123,7 @@ def _sealed_copy(name: str, content: bytes) -> str:
 
 
 def _checked(content: bytes, path: Path, digest: bytes) -> bytes:
-    """The content of a file. ChangedCodeError if it has not this SHA-256."""
+    """The content of a file. ChangedCodeError if its SHA-256 differs from `digest`."""
     if hashlib.sha256(content).digest() != digest:
         raise ChangedCodeError(
             f"{path.name} was changed on the disk: its SHA-256 is not {digest.hex()[:8]}..;"
@@ -190,7 +190,7 @@ def _check_declarations(kind: type[Pattern[Any]]) -> None:
 def import_file(path: Path, digest: bytes = b"") -> ModuleType:
     """The file as a module, as it is now; PluginError, or what the file raises.
 
-    ChangedCodeError if it has not the SHA-256 `digest`; empty: any.
+    ChangedCodeError if the SHA-256 of the file differs from `digest`; empty: any.
     """
     name = f"swarmd_plugin_{path.stem}"
     loader = _UncachedLoader(name, str(path), digest)
@@ -214,7 +214,7 @@ class _UncachedLoader(SourceFileLoader):
         self._digest = digest
 
     def get_code(self, fullname: str) -> CodeType:
-        """The code of the file as it is now. ChangedCodeError if it has not its digest."""
+        """The code of the file as it is now. ChangedCodeError if its SHA-256 differs."""
         source = self.get_data(self.path)
         if self._digest:
             source = _checked(source, Path(self.path), self._digest)

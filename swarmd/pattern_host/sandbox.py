@@ -1,4 +1,4 @@
-"""Takes from this process what plugin code does not need: files, the network, other processes.
+"""Denies this process what plugin code does not need: files, the network, other processes.
 
 Landlock (kernel documentation, userspace-api/landlock) permits to read the Python installation, the
 import path and the folders that the daemon names, and to write nothing. A seccomp filter
@@ -123,7 +123,7 @@ _Instruction = tuple[int, int, int, int]
 
 
 def confine(readable: Iterable[Path] = (), secret: Iterable[Path] = ()) -> Sandbox:
-    """Confine this process, which has one thread; what holds from now on.
+    """Confine this single-threaded process. Returns what the kernel denies from now on.
 
     `readable`: files and folders of plugins. `secret`: folders that stay unreadable where they lie
     below a folder of the import path, or below one of `readable`.

@@ -3,7 +3,7 @@
 The daemon starts it with one end of a SOCK_SEQPACKET pair. It ends with the daemon, yields to it
 (nice 10, first for the out-of-memory killer) and may grow by 1 GB while it loads a pattern, by
 256 MB after that. Before it loads plugin code it confines itself (`swarmd.pattern_host.sandbox`)
-and sends what holds. It imports neither Zenoh nor asyncio.
+and reports what the kernel denies. It imports neither Zenoh nor asyncio.
 """
 
 from __future__ import annotations

@@ -135,7 +135,7 @@ class Protection:
         return () if self._monitor is None else self._monitor.findings
 
     def forget_findings(self, findings: Collection[str]) -> None:
-        """End these findings: they slow the robot no more, until they are found anew."""
+        """End these findings: they do not slow the robot until the monitor raises them again."""
         if self._monitor is not None:
             self._monitor.forget(findings)
 

@@ -212,7 +212,7 @@ class BindingRange:
         return self.for_fresh_scan(self.surface) + self._settings.others_speed * self.stale
 
     def for_sensor(self) -> float:
-        """The m from the sensor at which it must see an obstacle: one that is not seen is ignored.
+        """Distance in m from the sensor at which an obstacle must be visible.
 
         A ray may be half a sweep older than the middle of its scan.
         """

@@ -37,7 +37,7 @@ class RequestedCommand(Struct, frozen=True):
 
 
 class Wish(Struct, frozen=True):
-    """When a run was asked for, in s on the own clock, and by whom.
+    """When a run was asked for, in s on the own clock, and the name of the issuer.
 
     For a run of a goal that was found: when the goal was set. A reload with a new run counts from
     its request. A restart after a fault keeps the wish of the run. A stop that was issued before

@@ -166,7 +166,7 @@ def test_a_calibration_finds_weak_brakes_and_writes_them(swarm: str, tmp_path: P
     barrier = load_platform(str(file)).protection["barrier"]
     assert barrier["braking_linear"] < 0.7
     assert barrier["braking_angular"] < 2.8
-    assert "keeps: braked at" in error  # the calibration confirms it
+    assert "keeps the finding: braked at" in error  # the calibration confirms it
     ctl = [str(Path(sys.executable).with_name("swarmctl")), "reset", ROBOT]
     for words, kept in ([], True), (["--findings", "--reason", "a test"], False):
         done = subprocess.run(

@@ -119,7 +119,7 @@ def test_acks_count_with_the_proof_of_their_robot_alone(via: str, rig: Rig) -> N
 
 
 def test_nothing_of_a_robot_counts_without_its_key(keyring: Keyring) -> None:
-    """Any robot of the roster can make these in the name of one that was added later."""
+    """Any robot of the roster can make these in the name of a robot that was added later."""
     full = keyring.identity("anna")
     keys = replace(full.datagram_keys, answers={"r2": full.datagram_keys.answers["r2"]})
     lacking: list[tuple[str, Address]] = []
@@ -127,7 +127,7 @@ def test_nothing_of_a_robot_counts_without_its_key(keyring: Keyring) -> None:
     rig.answers = Answers(
         dataclasses.replace(full, datagram_keys=keys),
         3.0,
-        on_lacking=lambda *hint: lacking.append(hint),
+        on_missing_key=lambda *hint: lacking.append(hint),
     )
     rig.answers.liveness.note_echo(7, 0.0)
     proven = replace(ACK, proof=keyring.trust("r1").signer.proof(ACK, "anna"))
@@ -168,7 +168,7 @@ def test_a_robot_that_was_added_later_hides_no_robot_that_proves_a_newer_roster(
     following = Following(keyring.identity("anna"))
     rosters, pulled = RosterFollower(following, is_on=True), list[str]()
     rig = Rig(keyring)
-    rig.answers = Answers(keyring.identity("anna"), 3.0, rosters.on_shown, rosters.on_lacking)
+    rig.answers = Answers(keyring.identity("anna"), 3.0, rosters.on_shown, rosters.on_missing_key)
 
     def pull(settings: object, identity: Identity, robot: str, *_: object) -> tuple[None, str]:
         pulled.append(robot)

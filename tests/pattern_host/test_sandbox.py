@@ -134,7 +134,7 @@ class Place:
 
     @property
     def told(self) -> dict[str, object]:
-        """What the hostile code is told of it."""
+        """The fields of it that the hostile code gets."""
         return {
             "state": str(self.state),
             "key": str(self.key),

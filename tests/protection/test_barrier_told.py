@@ -197,7 +197,7 @@ def test_decision_names_the_rim_of_the_disc() -> None:
 
 
 class ToldSim(FilterSim):
-    """A robot that knows the one shape, a peer that its scan plane misses, only by what is told.
+    """A robot that knows the one shape, a peer that its scan plane misses, only by told obstacles.
 
     Every 0.1 s: with `is_sensed` its range and bearing, and a place in a shared frame, `place_age`
     s after it was measured: with `is_located` the true one, else `place`, where None tells nothing.

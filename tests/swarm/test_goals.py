@@ -86,7 +86,7 @@ def test_a_goal_with_on_join_run_is_joined_until_an_emergency_stop(swarm: Swarm)
 
 
 def test_a_daemon_that_restarts_does_not_end_the_run_that_followed_a_stop(swarm: Swarm) -> None:
-    """Robots hand the stop on for a minute; the one that restarts knows the age of no goal."""
+    """Robots hand the stop on for a minute; the robot that restarts knows the age of no goal."""
     bodies = {robot: swarm.body(robot) for robot in ("r1", "r2", "r3")}
     daemons = {robot: swarm.start(robot, body) for robot, body in bodies.items()}
     swarm.run_drive("--all")
