@@ -66,10 +66,19 @@ def open_folder(path: str | Path, within: int | None = None) -> Iterator[int]:
 
 
 def remove_whole(path: Path) -> None:
-    """Remove a folder with all that is in it, or the link at its place; errors are passed over."""
+    """Remove a folder with all that is in it, or the link at its place; errors are passed over.
+
+    The folder first becomes that of this process: its owner could add a file to it meanwhile.
+    """
     with suppress(OSError):
         if path.is_symlink():
             path.unlink()
+        folder = os.open(path, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        try:
+            os.fchown(folder, os.geteuid(), os.getegid())
+            os.fchmod(folder, 0o700)
+        finally:
+            os.close(folder)
     shutil.rmtree(path, ignore_errors=True)
 
 
