@@ -106,7 +106,7 @@ class FakeDaemon:
             version=self._version,
             drops=DropCounter(),
             identity=self._identity,
-            stop_counters=self._identity and self._identity.folder / "stops",
+            stop_counters=None if self._identity is None else self._identity.folder / "stops",
         )
         self._advancing = asyncio.create_task(self._advance())
         try:
