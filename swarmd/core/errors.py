@@ -54,7 +54,7 @@ class PluginError(SwarmError):
 
 
 class ChangedCodeError(PluginError):
-    """The file of a pushed pattern has another SHA-256 than its manifest."""
+    """The file of a pushed pattern is missing or has another SHA-256 than its manifest."""
 
 
 class UnknownPatternError(PluginError):
