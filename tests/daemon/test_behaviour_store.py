@@ -603,4 +603,5 @@ async def test_pushed_code_may_not_go_on_with_late_scans(rig: Rig, is_pushed: bo
     rig.origin("own" if is_pushed else "mine", generation=7)
     loaded = Loaded(7, 10.0, frozenset(), {}, scan_delay=0.5)
     granted = rig.runs.granted(loaded)
+    assert isinstance(granted, Loaded)
     assert (granted.scan_delay, granted.note != "") == ((0.0, True) if is_pushed else (0.5, False))

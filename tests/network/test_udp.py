@@ -248,7 +248,7 @@ def test_the_loop_is_told_of_each_datagram_until_the_carrier_is_closed(
         await asyncio.sleep(0)
 
     asyncio.run(main())
-    assert [payload for payload, _ in found] == [beacon(number) for number in range(300)]
+    assert [payload for payload, _, _ in found] == [beacon(number) for number in range(300)]
 
 
 def test_a_thread_tells_of_each_datagram_until_the_carrier_is_closed(peers: Peers) -> None:
@@ -260,7 +260,7 @@ def test_a_thread_tells_of_each_datagram_until_the_carrier_is_closed(peers: Peer
     deadline = time.monotonic() + 20.0
     while len(found) < 300 and time.monotonic() < deadline:
         time.sleep(0.001)
-    assert [payload for payload, _ in found] == [beacon(number) for number in range(300)]
+    assert [payload for payload, _, _ in found] == [beacon(number) for number in range(300)]
     b.close()
     b.close()
 
