@@ -9,7 +9,8 @@ from typing import Annotated
 
 from msgspec import Meta
 
-Seconds = Annotated[float, Meta(ge=0.0, le=1e9)]
+MAX_SECONDS = 1e9
+Seconds = Annotated[float, Meta(ge=0.0, le=MAX_SECONDS)]
 Speed = Annotated[float, Meta(ge=-100.0, le=100.0)]
 Count = Annotated[int, Meta(ge=0, le=2**53)]
 Rate = Annotated[float, Meta(ge=0.0, le=1e6)]

@@ -55,7 +55,7 @@ class PluginError(SwarmError):
 
 
 class ChangedCodeError(PluginError):
-    """The SHA-256 of a pushed pattern's code differs from its manifest."""
+    """The file of a pushed pattern is missing or has another SHA-256 than its manifest."""
 
 
 class UnknownPatternError(PluginError):

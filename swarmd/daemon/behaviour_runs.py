@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from msgspec.structs import replace
+
 from swarmd.core.behaviour import read_entry
-from swarmd.core.host_messages import Load
+from swarmd.core.errors import ChangedCodeError
+from swarmd.core.host_messages import HostEvent, Load, Loaded
 from swarmd.daemon.behaviour_state import BehaviourState
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
@@ -36,19 +39,24 @@ class CodeRuns:
     ) -> Mapping[str, Origin]:
         """The patterns for a load: the robot's own, and what was pushed.
 
-        A restart takes the code that the run began with; a trial takes the candidate.
+        A restart takes the code that the run began with; a trial takes the candidate. Raises
+        ChangedCodeError if the code of the pattern is damaged: nothing else of that name is loaded.
         """
         origins = dict(found)
+        candidate = self._state.candidate if is_trial else None
         for name, code in self._state.versions.items():
             version = code.current
             if load.is_restart and not is_trial:
                 version = self._state.pinned.get(name, version)
+            if version is None and code.is_damaged:
+                if name == load.pattern and candidate is None:
+                    raise ChangedCodeError(f"{code.fault}; push it again")
+                origins.pop(name, None)
             if version is None or not self._lay(origins, name, version, found):
                 continue
             if not is_trial:
                 self._note_load(load, name, version)
-        candidate = self._state.candidate
-        if is_trial and candidate is not None:
+        if candidate is not None:
             self._lay(origins, load.pattern, candidate.version, found)
         return origins
 
@@ -87,6 +95,17 @@ class CodeRuns:
         if loaded is None or code is None or code.current is None:
             return False
         return code.is_provisional and code.current.digest == loaded.digest
+
+    def granted(self, event: HostEvent) -> HostEvent:
+        """An event of the pattern host without what pushed code may not ask.
+
+        It may not go on with scans that hold other patterns: no configuration grants that by name.
+        """
+        if isinstance(event, Loaded) and event.scan_delay and event.generation in self._loads:
+            text = "its `scan_delay` does not count, since it was pushed"
+            note = f"{event.note}; {text}" if event.note else text
+            return replace(event, scan_delay=0.0, note=note)
+        return event
 
     def on_failed(self, failed: FailedCode) -> None:
         """Provisional code has failed: return to the version before. The robot stands already."""

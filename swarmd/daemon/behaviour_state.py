@@ -239,12 +239,14 @@ class BehaviourState:
             fault = "no operator of the roster has signed it"
             return PushedCode(current=before, failed=current, fault=fault)
         if current is not None and not self._is_whole(current):
-            return PushedCode(current=before, fault=f"{CHANGED}: {current.label}")
+            # No return to `before`: who runs the name wants the code that was pushed last.
+            fault = f"{CHANGED}: {current.label}"
+            return PushedCode(before=before, fault=fault, is_damaged=True)
         return replace(code, before=before)
 
     def _tell_of_changed_files(self, checked: Mapping[str, PushedCode]) -> None:
         for name, code in checked.items():
-            if code.fault.startswith(CHANGED) and code != self.versions.get(name):
+            if code.is_damaged and code != self.versions.get(name):
                 self.control.fault(f"{name}: {code.fault}")
 
     def _is_signed(self, version: Version) -> bool:

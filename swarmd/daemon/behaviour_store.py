@@ -138,8 +138,10 @@ class BehaviourStore:
         id = f"pull-{entry.manifest.digest.hex()[:12]}" if request is None else request.id
         is_rerun = request is not None and request.is_rerun
 
-        def refuse(text: str) -> None:
-            self._state.control.reply(self._refused(id, Refusal.PATTERN_FAILED, text))
+        def refuse(code: Code, text: str) -> None:
+            refusal = Refusal.PATTERN_FAILED if code is Code.REFUSED else None
+            reply = self._refused(id, Refusal.PATTERN_FAILED, text)
+            self._state.control.reply(replace(reply, code=code, refusal=refusal))
 
         with self._drops.refusing("control/push", refuse):
             fault = self._refusal_of(entry)  # again: it may have waited

@@ -16,6 +16,7 @@ from swarmd.core.behaviour import Entry, decode_table, encode_table
 from swarmd.core.clock import boottime
 from swarmd.core.codec import encode
 from swarmd.core.goal import generation_of
+from swarmd.core.messages import Code
 from swarmd.daemon.behaviour_state import BehaviourState
 from swarmd.daemon.behaviour_store import BehaviourStore
 from swarmd.network.bus import ZenohBus
@@ -143,7 +144,7 @@ class BehaviourSync:
                     return good, len(new), True
             return good, len(new), False
 
-        def refuse(text: str) -> None:
+        def refuse(code: Code, text: str) -> None:
             log.warning("%s: %s", robot, text)
 
         with self._drops.refusing(f"shared/{TABLE}", refuse):

@@ -476,7 +476,8 @@ class Daemon:
         for event in self._runner.events():
             kept = self._behaviours.on_event(event)
             if kept is not None:
-                self._carry_out(self._robot.on_host(kept, boottime()))
+                granted = self._code_runs.granted(kept)
+                self._carry_out(self._robot.on_host(granted, boottime()))
 
     @fail_stop
     def _carry_out(self, actions: Actions) -> None:

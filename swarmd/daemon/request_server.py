@@ -13,6 +13,7 @@ from functools import partial
 import msgspec
 
 from swarmd.core import codec
+from swarmd.core.bounds import MAX_SECONDS
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
@@ -54,6 +55,7 @@ class _Pending:
     answer: Callable[[Reply], None]
     source: Callable[[], str]
     is_relayed: bool = False
+    query: Query | None = None  # None: a datagram
 
 
 class RequestServer:
@@ -114,6 +116,8 @@ class RequestServer:
         is_repeat = self._keep(reply)
         with self._drops.refusing("control/reply"):
             pending.answer(reply)
+        # In a block of its own: what was carried out is audited also without its ack.
+        with self._drops.refusing("control/audit"):
             if is_audited and not is_repeat:
                 request = pending.request
                 what = describe_request(request)
@@ -138,12 +142,13 @@ class RequestServer:
         if targets is not None and self._robot not in targets:
             return
         request: StopRequest | EstopRequest
+        age = min(stop.age / 1000.0, MAX_SECONDS)
         if stop.verb == "stop":
             request = StopRequest(
                 id=stop.id,
                 operator=stop.operator or "unknown",
                 targets=targets,
-                age=stop.age / 1000.0,
+                age=age,
             )
         else:
             request = EstopRequest(
@@ -153,7 +158,7 @@ class RequestServer:
                 scope=stop.scope,
                 reason=stop.reason,
                 is_relayed=stop.hops > 0,
-                age=stop.age / 1000.0,
+                age=age,
             )
         self._pending[stop.id] = _Pending(request, answer, lambda: source, is_relayed=stop.hops > 0)
         self._on_request(request)
@@ -175,7 +180,10 @@ class RequestServer:
         else:
             # The newest query of an id gets the reply: the link of an older one may be closed.
             self._pending[request.id] = _Pending(
-                request, lambda reply: query.reply(encode(reply)), lambda: query.source
+                request,
+                lambda reply: query.reply(encode(reply)),
+                lambda: query.source,
+                query=query,
             )
             if isinstance(request, ForgetRequest):
                 self._forget(request)
@@ -199,8 +207,11 @@ class RequestServer:
             del self._replies[next(iter(self._replies))]
         return is_repeat
 
-    def _refuse(self, query: Query, text: str) -> None:
-        """Refuse a request that is malformed, of another version, or that cannot be handled."""
+    def _refuse(self, query: Query, code: Code, text: str) -> None:
+        """Refuse a request that is malformed or of another version, or tell that it has failed.
+
+        The reply is not kept if its id is that of another request that is pending or was answered.
+        """
         try:
             header = _header(query.payload)
         except CodecError:
@@ -208,23 +219,31 @@ class RequestServer:
         if not 0 < len(header.id) <= MAX_ID or self._robot not in (header.targets or ()):
             query.drop()
             return
-        self._pending.pop(header.id, None)
+        pending = self._pending.get(header.id)
+        if pending is not None and pending.query is query:  # its handler has failed
+            del self._pending[header.id]
+            pending = None
         verb = header.verb[:MAX_ID]
         operator = query.asker if self._is_secured else header.operator[:MAX_OPERATOR]
         version = codec.version_of(query.payload)
-        refusal, text = Refusal.INVALID_REQUEST, f"{verb}: {text}"
+        refusal = Refusal.INVALID_REQUEST if code is Code.REFUSED else None
+        text = f"{verb}: {text}"
         if version != codec.VERSION:
             refusal = Refusal.OTHER_VERSION
             text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
         reply = Reply(
             id=header.id,
             robot=self._robot,
-            code=Code.REFUSED,
+            code=code,
             refusal=refusal,
             text=text[:MAX_TEXT],
         )
-        query.reply(encode(reply))
-        if not self._keep(reply):
+        is_repeat = header.id in self._replies
+        if not is_repeat and pending is None:
+            self._keep(reply)
+        with self._drops.refusing("control/reply"):
+            query.reply(encode(reply))
+        if not is_repeat:
             count = len(header.targets or ())
             self._audit.record(verb, operator, query.source, reply, boottime(), targets=count)
 

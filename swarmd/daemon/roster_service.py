@@ -9,7 +9,6 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Coroutine
-from functools import partial
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.messages import Code, KeySummary, Refusal, Reply, RosterRequest
@@ -58,18 +57,21 @@ class RosterService:
     def answer(self, request: RosterRequest, reply: Callable[[Reply], None]) -> None:
         """Take the roster of a request; the reply follows when the robot stands."""
 
-        def answer(refusal: Refusal | None, text: str) -> None:
-            code = Code.APPLIED
-            if refusal is not None:
-                code = Code.FAILED if refusal is Refusal.NOT_WRITTEN else Code.REFUSED
+        def answer(code: Code, refusal: Refusal | None, text: str) -> None:
             reply(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text))
+
+        def refuse(code: Code, text: str) -> None:
+            answer(code, Refusal.INVALID_ROSTER if code is Code.REFUSED else None, text)
 
         async def run() -> None:
             shared = SharedRoster(request.roster, request.secret)
             certificate = request.certificates.get(self._robot, b"")
-            refuse = partial(answer, Refusal.INVALID_ROSTER)
             with self._drops.refusing("control/roster", refuse):
-                answer(*await self.take(shared, certificate))
+                refusal, text = await self.take(shared, certificate)
+                code = Code.APPLIED
+                if refusal is not None:
+                    code = Code.FAILED if refusal is Refusal.NOT_WRITTEN else Code.REFUSED
+                answer(code, refusal, text)
 
         self._start(run())
 
@@ -118,10 +120,10 @@ class RosterService:
         task.add_done_callback(self._tasks.discard)
 
     async def _take_pulled(self, blob: bytes) -> None:
-        def refuse(text: str, refusal: Refusal = Refusal.INVALID_ROSTER) -> None:
-            log.warning("the roster of a peer (%s): %s", refusal, text)
+        def refuse(code: Code, text: str) -> None:
+            log.warning("the roster of a peer (%s): %s", code, text)
 
         with self._drops.refusing("shared/roster", refuse):
             refusal, text = await self.take(read_shared(blob))
             if refusal is not None:
-                refuse(text, refusal)
+                log.warning("the roster of a peer (%s): %s", refusal, text)

@@ -34,5 +34,5 @@ class ThreadedAnswers:
         task.add_done_callback(self._tasks.discard)
 
     async def _run(self, name: str, answer: Callable[[bytes], bytes], query: Query) -> None:
-        with self._drops.refusing(f"control/{name}", lambda text: query.drop()):
+        with self._drops.refusing(f"control/{name}", lambda code, text: query.drop()):
             query.reply(await asyncio.to_thread(answer, query.payload))

@@ -69,7 +69,8 @@ class Pattern(ABC, Generic[P]):
       grant it. Requests of its parts do not count.
     - `scan_delay`: s beyond `scan.latency`, at most 0.5, up to which the robot goes on with late
       scans, where its platform allows less. Protection counts what is measured: the robot keeps
-      larger gaps. For patterns that measure the delay. Requests of its parts do not count.
+      larger gaps. For patterns that measure the delay. Requests of its parts, and of
+      pushed patterns, do not count.
     """
 
     params_type: ClassVar[type[Params]] = Params

@@ -154,7 +154,7 @@ class ZenohBus:
         self._queues.append(queue)
 
         def handle(query: Query) -> None:
-            with self.drops.refusing(kind, lambda text: query.drop()):
+            with self.drops.refusing(kind, lambda code, text: query.drop()):
                 handler(query)
 
         def on_query(query: zenoh.Query) -> None:

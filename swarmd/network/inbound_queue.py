@@ -17,6 +17,7 @@ from typing import Any
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
+from swarmd.core.messages import Code
 from swarmd.core.threads import hand_over
 from swarmd.core.token_bucket import TokenBucket
 
@@ -43,26 +44,29 @@ class DropCounter:
         self._faults = TokenBucket(FAULT_RATE, FAULT_BURST)
 
     @contextmanager
-    def refusing(self, kind: str, refuse: Callable[[str], object] | None = None) -> Iterator[None]:
+    def refusing(
+        self, kind: str, refuse: Callable[[Code, str], object] | None = None
+    ) -> Iterator[None]:
         """Count and refuse errors of the handler in this block.
 
         CodecError: `<kind>:malformed`. Any other Exception: `<kind>:failed`, logged at a limited
-        rate. `refuse` gets the reason. `CoreFault` passes. Loop only.
+        rate. `refuse` gets the code and the reason: FAILED for the latter, since a part may have
+        been carried out. `CoreFault` passes. Loop only.
         """
         try:
             yield
             return
         except CodecError as error:
-            text = str(error)
+            code, text = Code.REFUSED, str(error)
             self.add(f"{kind}:malformed")
         except Exception:
-            text = FAILED
+            code, text = Code.FAILED, FAILED
             self.add(f"{kind}:failed")
             if self._faults.take(1.0, boottime()):
                 log.exception("%s: refused, since its handler failed", kind)
         if refuse is not None:
             with self.refusing(kind):
-                refuse(text)
+                refuse(code, text)
 
     def add(self, kind: str) -> None:
         """Count a drop. Beyond MAX_KINDS kinds the later ones are counted together as `other`."""

@@ -251,7 +251,7 @@ def serve_shared(bus: ZenohBus, what: str, provider: Provider) -> None:
     tasks: dict[asyncio.Task[None], str] = {}
 
     async def answer(query: Query) -> None:
-        with bus.drops.refusing(f"{SHARED}/{what}", lambda text: query.drop()):
+        with bus.drops.refusing(f"{SHARED}/{what}", lambda code, text: query.drop()):
             query.reply(await asyncio.to_thread(_answer, provider, query.payload, query.asker))
 
     def on_query(query: Query) -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import threading
 from typing import Protocol
 
-from swarmd.core.errors import NetworkError
+from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.network.datagram import Address
 from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity
@@ -71,7 +71,7 @@ class RosterFollower:
         def run() -> None:
             try:
                 self._take()
-            except NetworkError as error:
+            except (NetworkError, ConfigError, OSError) as error:
                 self.notices.append(str(error))
 
         is_updating = self._updating is not None and self._updating.is_alive()

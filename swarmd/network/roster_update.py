@@ -64,7 +64,10 @@ def pulled_keys(
 
     `robots`: with the addresses at which they were heard, of which some may be false.
     """
-    found = asyncio.run(_pull_keys(settings, identity, robots))
+    try:
+        found = asyncio.run(_pull_keys(settings, identity, robots))
+    except OSError:  # no loop, such as without a free file: they are asked for again
+        return None
     return take_answers(identity, found) if found else None
 
 
@@ -90,7 +93,7 @@ async def _pull_keys(
                         timeout=PULL_TIMEOUT,
                     )
                 )
-            except (NetworkError, TimeoutError, CodecError):
+            except (NetworkError, TimeoutError, CodecError, ConfigError, OSError):
                 return
         key = None if shared.keys is None else shared.keys.answers.get(robot)
         if key is not None and len(key) == KEY_BYTES:

@@ -83,11 +83,10 @@ SHORT_WAIT = 0.2  # s since the sockets were empty below which the wait of a dat
 
 
 class Received(NamedTuple):
-    """A datagram, its source, whether it was sent to all, and for how many seconds it waited."""
+    """A datagram, its source, and for how many seconds it waited."""
 
     payload: bytes
     source: Address
-    by_group: bool
     waited: float
 
 
@@ -288,8 +287,7 @@ class UdpCarrier:
             source = self._admit(payload, name, listener.way, now)
             cost += _DROP_COST if source is None else _COST
             if source is not None:
-                by_group = listener.way is not _Way.UNICAST
-                found.append(Received(payload, source, by_group, waited))
+                found.append(Received(payload, source, waited))
         self._is_full = True
         return cost
 

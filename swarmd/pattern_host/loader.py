@@ -82,7 +82,7 @@ class PatternLoader:
 
     def _wheel(self, path: Path, digest: bytes) -> str:
         """The path of a sealed copy of a wheel, which has this digest."""
-        content = _checked(path.read_bytes(), path, digest)
+        content = _checked(path, digest)
         if digest not in self._wheels:
             self._wheels[digest] = _sealed_copy(path.name, content)
         return self._wheels[digest]
@@ -122,8 +122,14 @@ def _sealed_copy(name: str, content: bytes) -> str:
     return f"/proc/self/fd/{file}"
 
 
-def _checked(content: bytes, path: Path, digest: bytes) -> bytes:
-    """The content of a file. ChangedCodeError if its SHA-256 differs from `digest`."""
+def _checked(path: Path, digest: bytes) -> bytes:
+    """The content of a file. ChangedCodeError if it cannot be read or has not this SHA-256."""
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise ChangedCodeError(
+            f"{path.name} cannot be read ({error.strerror}); push it again"
+        ) from error
     if hashlib.sha256(content).digest() != digest:
         raise ChangedCodeError(
             f"{path.name} was changed on the disk: its SHA-256 is not {digest.hex()[:8]}..;"
@@ -215,7 +221,6 @@ class _UncachedLoader(SourceFileLoader):
 
     def get_code(self, fullname: str) -> CodeType:
         """The code of the file as it is now. ChangedCodeError if its SHA-256 differs."""
-        source = self.get_data(self.path)
-        if self._digest:
-            source = _checked(source, Path(self.path), self._digest)
+        path = Path(self.path)
+        source = _checked(path, self._digest) if self._digest else self.get_data(self.path)
         return self.source_to_code(source, self.path)

@@ -100,8 +100,10 @@ def main() -> None:
     try:
         platform = load_platform(args.platform)
         file = getattr(args, "file", None)
-        beside = None if file is None else file.resolve().parent
-        confine([one for one in (args.plugin_dir, beside) if one is not None], args.secret)
+        readable = [] if args.plugin_dir is None else [args.plugin_dir]
+        confine(
+            [*readable, *([] if file is None else [readable_beside(file.resolve())])], args.secret
+        )
         if args.verb == "check":
             _check_plugin(args.file.resolve(), frozenset(args.done), answer)
         elif args.verb == "describe":
@@ -111,6 +113,12 @@ def main() -> None:
         answer.send(end=True)
     except SwarmError as error:
         answer.send(error=str(error))
+
+
+def readable_beside(file: Path) -> Path:
+    """What the code of a file may read: its folder, or the file alone if that holds the home."""
+    home = Path.home().resolve()
+    return file if home.is_relative_to(file.parent) else file.parent
 
 
 # describe

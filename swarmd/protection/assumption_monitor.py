@@ -305,12 +305,10 @@ class AssumptionMonitor:
             return ""
         self._command = command
         measured, stamp = self._odometry.twist, self._odometry.stamp
-        linear, angular = self._linear, self._angular
-        if linear.on_command(command.linear, measured.linear, stamp):
-            return self._braked(linear)
-        if angular.on_command(command.angular, measured.angular, stamp):
-            return self._braked(angular)
-        return ""
+        return self._braked(
+            self._linear.on_command(command.linear, measured.linear, stamp),
+            self._angular.on_command(command.angular, measured.angular, stamp),
+        )
 
     def on_odometry(self, odometry: Odometry) -> str:
         """A reading arrived."""
@@ -330,14 +328,11 @@ class AssumptionMonitor:
         if dx or dy or turned:
             self._moved += math.hypot(dx, dy) + self._radius * abs(turned)
         self._ways.append((end, self._moved))
-        linear, angular = self._linear, self._angular
         middle = before.yaw + 0.5 * turned
         way = math.cos(middle) * dx + math.sin(middle) * dy
-        if linear.on_step(begin, end, way):
-            return self._braked(linear)
-        if angular.on_step(begin, end, turned):
-            return self._braked(angular)
-        return ""
+        return self._braked(
+            self._linear.on_step(begin, end, way), self._angular.on_step(begin, end, turned)
+        )
 
     def on_scan(self, stamp: float, gap: float | None, delay: float = 0.0) -> str:
         """A scan arrived, with its own stamp in s and the gap to its nearest return in m.
@@ -395,8 +390,10 @@ class AssumptionMonitor:
             ways.popleft()
         return ways[0][1] if ways else self._moved
 
-    def _braked(self, brake: _Brake) -> str:
-        return self._reduced(brake.evidence)
+    def _braked(self, is_linear: bool, is_angular: bool) -> str:
+        """The event of the axes that have just violated their braking; empty without any."""
+        found = [self._linear.evidence] * is_linear + [self._angular.evidence] * is_angular
+        return self._reduced("; ".join(found)) if found else ""
 
     def _reduce(self) -> None:
         brakes = (brake.braking / brake.declared for brake in (self._linear, self._angular))

@@ -63,7 +63,8 @@ class PushedCode(Struct, frozen=True, kw_only=True):
 
     `before`: to which the robot returns while `current` is provisional. `failed`: the version that
     it returned from, or that did not pass its trial here, for the reason `fault`. `is_running`: a
-    run of the current version has begun and not ended.
+    run of the current version has begun and not ended. `is_damaged`: the files of the version that
+    was current are not what was pushed; nothing is current until that or another one is accepted.
     """
 
     current: Version | None = None
@@ -71,6 +72,7 @@ class PushedCode(Struct, frozen=True, kw_only=True):
     failed: Version | None = None
     fault: Line = ""
     is_running: bool = False
+    is_damaged: bool = False
 
     @property
     def is_provisional(self) -> bool:
@@ -99,7 +101,8 @@ class PushedCode(Struct, frozen=True, kw_only=True):
             kept = replace(now, signed=version.signed, label=version.label)
             return replace(self, current=kept, failed=None, fault="")
         # What was held is kept over several provisional versions: the robot returns to known code.
-        before = now if now is None or now.is_held or self.before is None else self.before
+        is_known = now is not None and (now.is_held or self.before is None)
+        before = now if is_known else self.before
         return PushedCode(current=version, before=before)
 
     def refuse(self, version: Version, fault: str) -> PushedCode:

@@ -20,7 +20,7 @@ from swarmd.cli.plugin_check import (
 )
 from swarmd.cli.swarmctl import cli, run_cli
 from swarmd.core.errors import PluginError, SwarmError
-from swarmd.pattern_host.plugin_inspector import LOADING, MIRRORED
+from swarmd.pattern_host.plugin_inspector import LOADING, MIRRORED, readable_beside
 from swarmd.plugins import pattern_names
 from swarmd.testing.pattern_contract import PatternContract
 
@@ -313,3 +313,16 @@ def test_a_file_that_writes_into_the_answer_is_still_checked(tmp_path: Path) -> 
 def test_a_child_that_does_not_begin_is_an_error(tmp_path: Path) -> None:
     with pytest.raises(PluginError, match=r"0\.001 s"):
         checked(tmp_path, 0.001)
+
+
+def test_a_check_reads_the_folder_of_the_file_and_never_the_home(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    home = tmp_path / "home" / "anna"
+    (home / "mine").mkdir(parents=True)
+    monkeypatch.setenv("HOME", str(home))
+    beside = {
+        file: readable_beside(file)
+        for file in (home / "own.py", home.parent / "own.py", home / "mine" / "own.py")
+    }
+    assert list(beside.values()) == [home / "own.py", home.parent / "own.py", home / "mine"]

@@ -23,7 +23,8 @@ from swarmd.core.behaviour import (
     read_entry,
 )
 from swarmd.core.clock import boottime
-from swarmd.core.host_messages import Load, LoadRefused, TrialDone
+from swarmd.core.errors import ChangedCodeError
+from swarmd.core.host_messages import Load, Loaded, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, PushRequest, Refusal, ReloadRequest, Reply
 from swarmd.daemon import behaviour_state
 from swarmd.daemon.behaviour_files import BehaviourFiles
@@ -265,9 +266,9 @@ async def test_code_that_a_host_found_changed_is_missing_until_it_is_pushed_agai
     Path(rig.origin()).write_bytes(b"something else")
     refused = LoadRefused(1, "own was changed", Refusal.CHANGED_CODE)
     assert rig.store.on_event(refused) is refused
-    async with asyncio.timeout(20.0):
-        while rig.origin():
-            await asyncio.sleep(0.005)
+    await happens(lambda: rig.standing() == "missing")
+    with pytest.raises(ChangedCodeError):
+        rig.origin()
     (listed,) = rig.state.report().behaviours
     assert (listed.standing, listed.digest, "changed" in listed.text) == ("missing", "", True)
     assert len(rig.control.faults) == 1
@@ -286,7 +287,8 @@ async def test_code_that_was_damaged_on_the_disk_is_not_loaded(rig: Rig) -> None
     await rig.push()
     Path(rig.origin()).write_bytes(b"something else")
     await rig.start()
-    assert rig.origin() == ""
+    with pytest.raises(ChangedCodeError):
+        rig.origin()
     assert any("damaged" in text for text in rig.control.faults)
     (wanted,) = rig.state.missing()  # another robot may have it
     rig.store.take(wanted, CODE, "r2")
@@ -545,3 +547,61 @@ async def test_a_table_with_false_signatures_costs_one_check(
     assert puller.asked == ["r2"]
     assert len(checked) == 1
     assert rig.state.table == ()
+
+
+async def test_a_fault_of_the_store_is_a_failure_and_no_refusal_of_the_code(
+    rig: Rig, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def prune(kept: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(rig.files, "prune", prune)
+    reply = await rig.push()
+    assert (reply.code, reply.refusal) == (Code.FAILED, None)
+
+
+@pytest.mark.parametrize("replaces", [False, True])
+async def test_a_run_of_changed_code_is_refused_and_no_older_version_runs(
+    rig: Rig, replaces: bool
+) -> None:
+    """Nor a pattern of the robot that the code replaced, also after a restart."""
+    if replaces:
+        rig.control.own["own"] = Origin("mine.py", "plugin_dir", is_file=True)
+    newer = CODE + b"# new\n"
+    await rig.push(replaces=replaces)
+    old = rig.origin()
+    await rig.push(newer, replaces=replaces)
+    Path(rig.origin(generation=2)).unlink()
+    rig.store.on_event(LoadRefused(2, "own was removed", Refusal.CHANGED_CODE))
+    await happens(lambda: rig.standing() == "missing")
+    for _ in range(2):
+        with pytest.raises(ChangedCodeError):
+            rig.origin(generation=3)
+        await rig.start()
+        if replaces:
+            rig.control.own["own"] = Origin("mine.py", "plugin_dir", is_file=True)
+    assert (await rig.push(newer, replaces=replaces)).code is Code.APPLIED
+    assert Path(rig.origin(generation=4)).read_bytes() == newer
+    rig.runs.on_failed(FailedCode(4, "ZeroDivisionError"))
+    assert rig.origin(generation=5) == old  # which the damage did not touch
+
+
+async def test_a_mission_finds_no_other_part_in_place_of_changed_code(rig: Rig) -> None:
+    mine = Origin("mine.py", "plugin_dir", is_file=True)
+    rig.control.own["own"] = rig.control.own["mission"] = mine
+    await rig.push(replaces=True)
+    Path(rig.origin()).unlink()
+    await rig.state.check_again()
+    load = Load(2, "mission", (), "r1", PLATFORM, 0)
+    assert set(rig.runs.overlay(rig.control.own, load, False)) == {"mission"}
+
+
+@pytest.mark.parametrize("is_pushed", [True, False])
+async def test_pushed_code_may_not_go_on_with_late_scans(rig: Rig, is_pushed: bool) -> None:
+    rig.control.own["mine"] = Origin("mine.py", "plugin_dir", is_file=True)
+    await rig.push()
+    rig.origin("own" if is_pushed else "mine", generation=7)
+    loaded = Loaded(7, 10.0, frozenset(), {}, scan_delay=0.5)
+    granted = rig.runs.granted(loaded)
+    assert isinstance(granted, Loaded)
+    assert (granted.scan_delay, granted.note != "") == ((0.0, True) if is_pushed else (0.5, False))

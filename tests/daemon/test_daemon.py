@@ -16,7 +16,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.files import write_whole
 from swarmd.core.goal import GoalRecord
-from swarmd.core.messages import Code, Epoch, LabelRequest, Refusal, Reply
+from swarmd.core.messages import Code, Epoch, LabelRequest, Reply
 from swarmd.core.values import Twist
 from swarmd.daemon import behaviour_files, goal_service
 from swarmd.daemon.daemon import Daemon
@@ -139,7 +139,7 @@ async def test_an_error_of_the_robot_in_a_reading_of_its_driver_ends_the_daemon(
     assert driver.sent[-1].is_zero
 
 
-async def test_an_error_beside_the_robot_refuses_the_request(
+async def test_an_error_beside_the_robot_fails_the_request(
     settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     stop = asyncio.Event()
@@ -152,9 +152,7 @@ async def test_an_error_beside_the_robot_refuses_the_request(
         stop.set()
 
     await run(daemon, stop, ask)
-    assert [(reply.code, reply.refusal) for reply in question.replies] == [
-        (Code.REFUSED, Refusal.INVALID_REQUEST)
-    ]
+    assert [(reply.code, reply.refusal) for reply in question.replies] == [(Code.FAILED, None)]
     assert daemon._drops.counts() == {"control/label:failed": 1}
 
 

@@ -6,9 +6,11 @@ from collections.abc import Callable
 from typing import Any
 
 import msgpack
+import msgspec
 import pytest
 
 from swarmd.core import codec
+from swarmd.core.bounds import Seconds
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.messages import (
     REQUEST_TYPES,
@@ -244,3 +246,80 @@ def test_each_request_gives_one_line_also_when_it_is_repeated() -> None:
     ]
     assert len(lines) == 3
     assert "refused (invalid_request)" in lines[2]
+
+
+def test_a_stop_is_audited_also_if_its_ack_cannot_be_sent() -> None:
+    lines: list[str] = []
+    server = server_of("tb3-01", lambda request: None, lines.append)
+
+    def unsent(reply: Reply) -> None:
+        raise OSError("the network is unreachable")
+
+    server.stop(Stop(id="s1", verb="stop", operator="anna"), "10.0.0.5", unsent)
+    server.reply(Reply(id="s1", robot="tb3-01", code=Code.APPLIED, text="zero"))
+    assert len(lines) == 1
+    assert "applied" in lines[0]
+
+
+def test_a_refusal_is_audited_also_if_it_cannot_be_sent() -> None:
+    lines: list[str] = []
+
+    class Closed(RecordingQuery):
+        def reply(self, payload: bytes) -> None:
+            raise RuntimeError("the session is closed")
+
+    server = server_of("tb3-01", lambda request: None, lines.append)
+    payload = raw(id="r1", operator="anna", verb="run", targets={"tb3-01": None})
+    server.handle("run", Closed(payload))
+    assert len(lines) == 1
+
+
+def test_a_query_that_cannot_be_read_takes_no_reply_of_another_request() -> None:
+    """Neither one that is pending nor one that is kept for repeats."""
+    stops: list[Reply] = []
+    server = server_of("tb3-01", lambda request: None)
+    payload = encode(run_request("r1"))
+    waiting, late = RecordingQuery(payload), RecordingQuery(payload)
+    server.handle("run", waiting)
+    server.stop(Stop(id="s1", verb="stop", operator="anna"), "10.0.0.5", stops.append)
+    junk = {
+        id: RecordingQuery(raw(id=id, operator="eve", verb="run", targets={"tb3-01": None}))
+        for id in ("r1", "s1")
+    }
+    replies = {id: Reply(id=id, robot="tb3-01", code=Code.APPLIED) for id in junk}
+    for id, query in junk.items():
+        server.handle("run", query)
+        server.reply(replies[id])
+        server.handle("run", query)
+    server.handle("run", late)
+    assert waiting.replies == late.replies == [replies["r1"]]
+    assert stops == [replies["s1"]]
+    for query in junk.values():
+        assert [one.refusal for one in query.replies] == [Refusal.INVALID_REQUEST] * 2
+
+
+def test_a_fault_of_the_handler_is_a_failure_and_no_refusal() -> None:
+    """The request may have been carried out in part; a repeat is not carried out again."""
+    taken: list[Request] = []
+
+    def fail(request: Request) -> None:
+        taken.append(request)
+        raise ZeroDivisionError
+
+    server = server_of("tb3-01", fail)
+    first, repeat = RecordingQuery(encode(run_request())), RecordingQuery(encode(run_request()))
+    server.handle("run", first)
+    server.handle("run", repeat)
+    assert [(one.code, one.refusal) for one in first.replies] == [(Code.FAILED, None)]
+    assert repeat.replies == first.replies
+    assert len(taken) == 1
+
+
+def test_the_age_of_a_stop_stays_within_that_of_a_request() -> None:
+    taken: list[Request] = []
+    server = server_of("tb3-01", taken.append)
+    server.stop(Stop(id="s1", verb="stop", operator="a", age=2**40), "10.0.0.5", lambda reply: None)
+    server.stop(Stop(id="e1", verb="estop", operator="a", age=2**40), "10.0.0.5", lambda _: None)
+    for request in taken:
+        assert isinstance(request, StopRequest | EstopRequest)
+        assert msgspec.convert(request.age, Seconds) > 3600.0

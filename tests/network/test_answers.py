@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
 
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core.errors import ConfigError
 from swarmd.network import roster_update
 from swarmd.network.answers import Answers
 from swarmd.network.datagram import (
@@ -225,3 +227,34 @@ def test_other_generations_are_hints_and_those_before_get_answers_that_they_can_
     newer = Rig(rig.keyring)
     assert newer.answers.admit(BEACON, old, ROBOT, 0.1) is None
     assert newer.answers.outdated == {"r1": ROBOT}
+
+
+@pytest.mark.parametrize("error", [OSError(24, "Too many open files"), ConfigError("no key file")])
+def test_keys_that_cannot_be_had_are_a_notice_and_no_fault_of_the_thread(
+    keyring: Keyring, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    def fail(*_: object) -> None:
+        raise error
+
+    rosters = RosterFollower(Following(keyring.identity("anna")), is_on=True)
+    for name in ("pulled_keys", "pulled_roster"):
+        monkeypatch.setattr(roster_update, name, fail)
+    faults: list[object] = []
+    monkeypatch.setattr(threading, "excepthook", faults.append)
+    rosters.on_lacking("r3", ROBOT)
+    rosters.begin()
+    assert rosters._updating is not None
+    rosters._updating.join(60.0)
+    assert (len(rosters.notices), faults) == (1, [])
+
+
+@pytest.mark.parametrize("error", [OSError(24, "Too many open files"), ConfigError("no key file")])
+def test_a_robot_whose_key_cannot_be_had_is_left_out(
+    keyring: Keyring, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    async def fail(*_: object, **__: object) -> bytes:
+        raise error
+
+    monkeypatch.setattr(roster_update, "pull", fail)
+    identity = keyring.identity("anna")
+    assert roster_update.pulled_keys(NetworkSettings(), identity, [("r3", ROBOT)]) is None

@@ -8,6 +8,7 @@ import threading
 import pytest
 
 from swarmd.core.errors import CodecError, CoreFault, fail_stop
+from swarmd.core.messages import Code
 from swarmd.network.inbound_queue import (
     BATCH,
     CAPACITY,
@@ -97,18 +98,19 @@ async def test_a_closed_queue_discards_its_calls_and_takes_no_more(queue: Inboun
 def test_what_a_handler_raises_is_counted_refused_and_logged_at_a_limited_rate(
     drops: DropCounter, caplog: pytest.LogCaptureFixture
 ) -> None:
-    reasons: list[str] = []
+    reasons: list[tuple[Code, str]] = []
     for error in (CodecError("not MessagePack"), *[ValueError("a bug")] * 100):
-        with drops.refusing("control/x", reasons.append):
+        with drops.refusing("control/x", lambda *reason: reasons.append(reason)):
             raise error
     assert drops.counts() == {"control/x:malformed": 1, "control/x:failed": 100}
-    assert (reasons[0], set(reasons[1:])) == ("not MessagePack", {FAILED})
+    assert reasons[0] == (Code.REFUSED, "not MessagePack")
+    assert set(reasons[1:]) == {(Code.FAILED, FAILED)}
     assert 1 <= len(caplog.records) <= 10
     assert caplog.records[0].exc_info is not None
 
 
 def test_a_refusal_that_raises_is_counted(drops: DropCounter) -> None:
-    with drops.refusing("control/x", lambda text: 1 // 0):
+    with drops.refusing("control/x", lambda code, text: 1 // 0):
         raise ValueError
     assert drops.counts() == {"control/x:failed": 2}
 

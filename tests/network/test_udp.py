@@ -62,12 +62,12 @@ def peers(settings: NetworkSettings, left: contextlib.ExitStack) -> Peers:
     return Peers(settings, left)
 
 
-def arrived(carrier: UdpCarrier, count: int = 1) -> list[tuple[bytes, Address, bool]]:
+def arrived(carrier: UdpCarrier, count: int = 1) -> list[tuple[bytes, Address]]:
     """What arrives until these many have, or nothing does for 10 s."""
-    found: list[tuple[bytes, Address, bool]] = []
+    found: list[tuple[bytes, Address]] = []
     deadline = time.monotonic() + 10.0
     while len(found) < count and time.monotonic() < deadline:
-        found += [one[:3] for one in carrier.receive()]
+        found += [one[:2] for one in carrier.receive()]
         time.sleep(0.001)
     return found
 
@@ -80,18 +80,18 @@ def test_what_is_sent_reaches_all_but_the_sender(peers: Peers) -> None:
     a, b, c = peers.open(), peers.open(), peers.open()
     a.send(beacon())
     for one in (b, c):
-        assert arrived(one) == [(beacon(), of(a), True)]
+        assert arrived(one) == [(beacon(), of(a))]
     b.send(beacon(1))
-    assert arrived(a) == [(beacon(1), of(b), True)]
+    assert arrived(a) == [(beacon(1), of(b))]
     assert a.unsent == 0
 
 
 def test_a_datagram_by_unicast_reaches_one(peers: Peers) -> None:
     a, b, c = peers.open(), peers.open(), peers.open()
     a.send_to(stop("s1"), of(b))
-    assert arrived(b) == [(stop("s1"), of(a), False)]
+    assert arrived(b) == [(stop("s1"), of(a))]
     a.send(beacon())
-    assert arrived(c) == [(beacon(), of(a), True)]
+    assert arrived(c) == [(beacon(), of(a))]
 
 
 def test_in_a_secured_swarm_only_confirmed_sources_get_copies(peers: Peers) -> None:
@@ -114,7 +114,7 @@ def test_other_swarms_and_junk_are_dropped_by_the_kernel(peers: Peers) -> None:
     solicit = pack(ANY_SWARM, Solicit(echo=1))
     other.send(solicit)
     other.send_to(beacon(), of(a))
-    assert {payload for payload, _, _ in arrived(a, 2)} == {solicit, beacon()}
+    assert {payload for payload, _ in arrived(a, 2)} == {solicit, beacon()}
     assert not a.dropped
 
 
@@ -123,12 +123,12 @@ def test_without_multicast_seeds_and_those_who_answer_hear(peers: Peers) -> None
     b = peers.open(multicast=False, seeds=(f"tcp/127.0.0.1:{a.port}",))
     c = peers.open()
     b.send(beacon())
-    assert arrived(a) == [(beacon(), of(b), False)]
+    assert arrived(a) == [(beacon(), of(b))]
     a.send(beacon(1))
-    assert arrived(b) == [(beacon(1), of(a), False)]
+    assert arrived(b) == [(beacon(1), of(a))]
     c.send(beacon(2))
     a.send_to(beacon(3), of(b))
-    assert [payload for payload, _, _ in arrived(b)] == [beacon(3)]
+    assert [payload for payload, _ in arrived(b)] == [beacon(3)]
 
 
 def test_an_operator_asks_and_stops_a_silent_seed_without_a_pause(peers: Peers) -> None:
@@ -137,7 +137,7 @@ def test_an_operator_asks_and_stops_a_silent_seed_without_a_pause(peers: Peers) 
     said = [stop("s1"), *(pack(TAG, Solicit(echo=echo)) for echo in range(3)), stop("s2"), beacon()]
     for payload in said:
         b.send(payload)
-    assert [payload for payload, _, _ in arrived(a, len(said))] == said
+    assert [payload for payload, _ in arrived(a, len(said))] == said
 
 
 def test_only_robots_of_the_swarm_get_copies(peers: Peers) -> None:
@@ -156,14 +156,14 @@ def test_only_robots_of_the_swarm_get_copies(peers: Peers) -> None:
 def test_a_seed_may_be_a_name(peers: Peers) -> None:
     a = peers.open(multicast=False)
     b = peers.open(multicast=False, seeds=(f"tcp/localhost:{a.port}",))
-    found: list[tuple[bytes, Address, bool]] = []
+    found: list[tuple[bytes, Address]] = []
     deadline = time.monotonic() + 20.0
     while not found and time.monotonic() < deadline:
         b._refresh_at = -1e9  # a look at the name's address is due
         b.send(beacon())
-        found += [one[:3] for one in a.receive()]
+        found += [one[:2] for one in a.receive()]
         time.sleep(0.01)
-    assert found[0] == (beacon(), of(b), False)
+    assert found[0] == (beacon(), of(b))
 
 
 def test_a_datagram_tells_for_how_long_it_waited_here(peers: Peers) -> None:
@@ -185,9 +185,9 @@ def test_a_copy_by_another_way_is_dropped_and_a_repeat_by_the_same_is_not(peers:
         a.send(stop("s"))
         a.send_to(stop("s"), of(b))
     a.send_to(beacon(), of(b))
-    found = [payload for payload, _, _ in arrived(b, 3)]
+    found = [payload for payload, _ in arrived(b, 3)]
     while beacon() not in found:
-        found += [payload for payload, _, _ in arrived(b)]
+        found += [payload for payload, _ in arrived(b)]
     assert found.count(stop("s")) == 2
 
 
@@ -236,7 +236,7 @@ def test_the_loop_is_told_of_each_datagram_until_the_carrier_is_closed(
     peers: Peers, until: Until
 ) -> None:
     a, b = peers.open(), peers.open()
-    found: list[tuple[bytes, Address, bool]] = []
+    found: list[tuple[bytes, Address]] = []
 
     async def main() -> None:
         b.attach(asyncio.get_running_loop(), lambda *one: found.append(one))
@@ -253,7 +253,7 @@ def test_the_loop_is_told_of_each_datagram_until_the_carrier_is_closed(
 
 def test_a_thread_tells_of_each_datagram_until_the_carrier_is_closed(peers: Peers) -> None:
     a, b = peers.open(), peers.open()
-    found: list[tuple[bytes, Address, bool]] = []
+    found: list[tuple[bytes, Address]] = []
     b.start_thread(lambda *one: found.append(one))
     for number in range(300):
         a.send(beacon(number))
@@ -269,7 +269,7 @@ def test_rejoining_is_harmless(peers: Peers) -> None:
     a, b = peers.open(), peers.open()
     b.rejoin()
     a.send(beacon())
-    assert arrived(b) == [(beacon(), of(a), True)]
+    assert arrived(b) == [(beacon(), of(a))]
 
 
 # Floods
@@ -290,7 +290,7 @@ def test_the_kernel_drops_by_the_rules(peers: Peers) -> None:
         for number, one in enumerate((loud, quiet)):
             one.send_to(beacon(number), of(a))
             one.send(stop(f"s{number}"))
-        found = [(payload, source) for payload, source, _ in arrived(a, 2 + len(passing))]
+        found = arrived(a, 2 + len(passing))
         assert {stop("s0"), stop("s1")} <= {payload for payload, _ in found}
         beacons = {
             name
@@ -318,7 +318,7 @@ def test_the_kernel_thins_stops_of_one_source_or_of_all(peers: Peers) -> None:
         quiet.send_to(last, of(a))
         found: list[bytes] = []
         while last not in found:
-            found += [payload for payload, _, _ in arrived(a)]
+            found += [payload for payload, _ in arrived(a)]
         from_loud = sum(b"loud" in payload for payload in found)
         from_quiet = sum(b"quiet" in payload for payload in found)
         assert 10 <= from_loud <= 100

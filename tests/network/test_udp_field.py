@@ -66,13 +66,13 @@ class Host:
     def send_to(self, payload: bytes, address: Address) -> None:
         self.do(lambda: self.carrier.send_to(payload, address))
 
-    def hear(self, *wanted: bytes) -> list[tuple[bytes, Address, bool]]:
+    def hear(self, *wanted: bytes) -> list[tuple[bytes, Address]]:
         """What arrives until all that is wanted has; AssertionError after 10 s."""
-        found: list[tuple[bytes, Address, bool]] = []
+        found: list[tuple[bytes, Address]] = []
         deadline = time.monotonic() + 10.0
-        while not set(wanted) <= {payload for payload, _, _ in found}:
+        while not set(wanted) <= {payload for payload, _ in found}:
             assert time.monotonic() < deadline, found
-            found += [one[:3] for one in self.do(self.carrier.receive)]
+            found += [one[:2] for one in self.do(self.carrier.receive)]
         return found
 
     def close(self) -> None:
@@ -120,10 +120,10 @@ def test_each_datagram_arrives_once_by_whatever_way(hosts: tuple[Host, Host]) ->
     a.send_to(beacon(2), (b.address, b.carrier.port))
     source = (a.address, a.carrier.port)
     assert sorted(b.hear(beacon(2))) == sorted(
-        [(beacon(1), source, True), (stop("s"), source, True), (beacon(2), source, False)]
+        [(beacon(1), source), (stop("s"), source), (beacon(2), source)]
     )
     b.send(beacon(3))
-    assert a.hear(beacon(3)) == [(beacon(3), (b.address, b.carrier.port), True)]  # not its own
+    assert a.hear(beacon(3)) == [(beacon(3), (b.address, b.carrier.port))]  # not its own
 
 
 def test_broadcast_reaches_those_whom_multicast_does_not(hosts: tuple[Host, Host]) -> None:
@@ -138,7 +138,7 @@ def test_broadcast_reaches_those_whom_multicast_does_not(hosts: tuple[Host, Host
     for number in range(3, 3 + BEACONS_A_BROADCAST):  # a hears b by multicast
         a.send(beacon(number))
     a.send(stop("s"))
-    found = [payload for payload, _, _ in b.hear(stop("s"))]
+    found = [payload for payload, _ in b.hear(stop("s"))]
     assert len(found) == 2, found  # the stop, and one of the five
     b.send(beacon(20))
     a.hear(beacon(20))
@@ -153,7 +153,7 @@ def test_hosts_with_and_without_ipv4_hear_each_other(hosts: tuple[Host, Host]) -
     a.open()
     b.open()
     b.send(beacon(1))
-    ((_, (host, port), _),) = a.hear(beacon(1))
+    ((_, (host, port)),) = a.hear(beacon(1))
     assert host.startswith("fe80::")
     assert int(host.partition("%")[2]) == a.carrier._index
     a.send(beacon(2))
@@ -179,7 +179,7 @@ def test_copies_by_ipv6_end_after_those_without_ipv4(hosts: tuple[Host, Host]) -
         one.now += 3.0
         one.send(beacon(2))
         found = other.hear(beacon(2))
-        assert [source[0] for _, source, _ in found if ":" in source[0]] == []
+        assert [source[0] for _, source in found if ":" in source[0]] == []
 
 
 def test_an_address_that_changes_needs_no_new_socket(hosts: tuple[Host, Host]) -> None:
@@ -189,7 +189,7 @@ def test_an_address_that_changes_needs_no_new_socket(hosts: tuple[Host, Host]) -
     a.ip("-4 addr flush dev radio", "addr add 10.70.0.9/24 dev radio")
     a.now += 2.0
     a.send(beacon(1))
-    assert ("10.70.0.9", a.carrier.port) in [source for _, source, _ in b.hear(beacon(1))]
+    assert ("10.70.0.9", a.carrier.port) in [source for _, source in b.hear(beacon(1))]
     b.send_to(beacon(2), ("10.70.0.9", a.carrier.port))
     a.hear(beacon(2))
     b.send(beacon(3))
@@ -225,7 +225,6 @@ def test_a_solicit_reaches_a_host_by_unicast_from_an_ephemeral_port(
     b.open()
     solicit = pack(TAG, Solicit(echo=7))
     a.send_to(solicit, (b.address, b.carrier.port))
-    ((_, source, by_group),) = b.hear(solicit)
-    assert not by_group
+    ((_, source),) = b.hear(solicit)
     b.send_to(beacon(1), source)
-    assert a.hear(beacon(1))[0][2] is False
+    a.hear(beacon(1))

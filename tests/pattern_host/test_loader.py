@@ -135,3 +135,10 @@ def test_a_wheel_is_imported_from_the_copy_that_was_compared(tmp_path: Path) -> 
     assert Path(copy).read_bytes() == wheel(1)
     with pytest.raises(PermissionError), open(copy, "r+b", buffering=0) as sealed:
         sealed.write(wheel(2))
+
+
+@pytest.mark.usefixtures("path")
+@pytest.mark.parametrize("kind", ["py", "whl"])
+def test_pushed_code_that_was_removed_is_changed_code(tmp_path: Path, kind: str) -> None:
+    with pytest.raises(ChangedCodeError, match="push it again"):
+        load(PatternLoader({}), tmp_path / f"own.{kind}", bytes(range(32)))

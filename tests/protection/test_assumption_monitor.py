@@ -302,3 +302,31 @@ def test_other_modes_assume_nothing() -> None:
     protection.observe(empty_scan(load_platform("thymio"), 0, 0.0), context)
     decision = protection.decide(Twist(0.1), context, is_running=True, hold=None)
     assert decision.speed_share == 1.0
+
+
+def test_both_axes_are_judged_also_if_they_fail_at_once() -> None:
+    monitor = AssumptionMonitor(BURGER)
+
+    class Weak:
+        """A brake that finds a violation in each stop."""
+
+        declared, braking = 1.0, 0.5
+
+        def __init__(self, evidence: str) -> None:
+            self.evidence = evidence
+            self.calls: list[float] = []
+
+        def on_command(self, command: float, speed: float, stamp: float) -> bool:
+            self.calls.append(command)
+            return True
+
+        def on_step(self, begin: float, end: float, way: float) -> bool:
+            self.calls.append(way)
+            return True
+
+    axes = Weak("linear"), Weak("angular")
+    monitor._linear, monitor._angular = axes  # type: ignore[assignment]
+    events = [monitor.on_command(Twist(0.1, 0.2))]
+    events += [monitor.on_odometry(Odometry(n, Pose(0.1 * n), Twist())) for n in (0.0, 1.0)]
+    assert [len(one.calls) for one in axes] == [2, 2]
+    assert [("linear" in text, "angular" in text) for text in events if text] == [(True, True)] * 2
