@@ -241,7 +241,7 @@ def test_keys_that_cannot_be_had_are_a_notice_and_no_fault_of_the_thread(
         monkeypatch.setattr(roster_update, name, fail)
     faults: list[object] = []
     monkeypatch.setattr(threading, "excepthook", faults.append)
-    rosters.on_lacking("r3", ROBOT)
+    rosters.on_missing_key("r3", ROBOT)
     rosters.begin()
     assert rosters._updating is not None
     rosters._updating.join(60.0)
