@@ -236,7 +236,7 @@ def test_the_loop_is_told_of_each_datagram_until_the_carrier_is_closed(
     peers: Peers, until: Until
 ) -> None:
     a, b = peers.open(), peers.open()
-    found: list[tuple[bytes, Address]] = []
+    found: list[tuple[bytes, Address, float]] = []
 
     async def main() -> None:
         b.attach(asyncio.get_running_loop(), lambda *one: found.append(one))
@@ -253,7 +253,7 @@ def test_the_loop_is_told_of_each_datagram_until_the_carrier_is_closed(
 
 def test_a_thread_tells_of_each_datagram_until_the_carrier_is_closed(peers: Peers) -> None:
     a, b = peers.open(), peers.open()
-    found: list[tuple[bytes, Address]] = []
+    found: list[tuple[bytes, Address, float]] = []
     b.start_thread(lambda *one: found.append(one))
     for number in range(300):
         a.send(beacon(number))
