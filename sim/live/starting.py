@@ -61,8 +61,8 @@ def await_robots(operator: Operator, fleet: Fleet) -> MembersView:
 def know_each_other(view: MembersView, robots: Sequence[str], all_hear_all: bool) -> bool:
     """True if each of `robots`, which have answered, is a neighbor of its own neighbors.
 
-    With `all_hear_all` all must be neighbors. Before that a robot would not hear another one that
-    starts with it. Statuses list so many neighbors only; of a larger swarm it is True.
+    With `all_hear_all` all must be neighbors: else two robots that start together would not hear
+    each other. Statuses list so many neighbors only; of a larger swarm it is True.
     """
     if len(robots) > MAX_NEIGHBORS:
         return True

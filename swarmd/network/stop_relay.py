@@ -151,8 +151,8 @@ class StopRelay:
             others = [address for address in relayed.sources if address != source]
             origin: bytes | None = None
             if ack.refusal == REPLAYED:  # the operator repeats the stop for this robot
-                # With a new origin each time. One that was handed on travels in circles if it is
-                # handed on again.
+                # Each refusal may have a new origin. A refusal that robots hand on again and again
+                # travels in circles.
                 origin = relayed.stop.origin
                 if not ack.via:
                     sends += [(handed, address) for address in others]

@@ -210,7 +210,7 @@ class Peers:
     def told(self, now: float) -> tuple[ToldObstacle, ...]:
         """The near peers that are told and not seen for certain: not there, or in a blind zone.
 
-        A peer with a place from each source is told twice.
+        A peer with a place from each source appears twice.
         """
         if not (self._sensed or self._located):
             return ()

@@ -275,7 +275,7 @@ def test_a_refusal_is_audited_also_if_it_cannot_be_sent() -> None:
 
 
 def test_a_query_that_cannot_be_read_takes_no_reply_of_another_request() -> None:
-    """Neither one that is pending nor one that is kept for repeats."""
+    """The other request may be pending, or its reply kept for repeats."""
     stops: list[Reply] = []
     server = server_of("tb3-01", lambda request: None)
     payload = encode(run_request("r1"))

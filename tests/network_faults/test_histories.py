@@ -49,7 +49,7 @@ class RealHistory:
         self.latched: set[str] = set()
 
     def carry_out(self, one: HistoryStep) -> None:
-        """Wait, check who moves, and let the step happen."""
+        """Wait, check which robots move, and let the step happen."""
         threading.Event().wait(one.gap)
         self.check_standing()
         if one.name in COMMANDS:
