@@ -9,7 +9,7 @@ from typing import Any
 import yaml
 from msgspec import to_builtins
 
-from swarmd.core.values import Platform, Sweep
+from swarmd.core.values import Platform, ScanSpec, Sweep
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import DaemonSettings
 
@@ -55,23 +55,11 @@ def _flow(value: object) -> str:
 
 
 def _platform(platform: Platform) -> Mapping[str, Any]:
-    scan = platform.scan
     return {
         "limits": to_builtins(platform.limits),
         "footprint": platform.footprint.tolist(),
-        "scan": {
-            "rays": len(scan.bearings),
-            "rate": scan.rate,
-            "range_min": scan.range_min,
-            "range_max": scan.range_max,
-            "offset": list(scan.offset),
-            "max_gap_deg": round(math.degrees(scan.max_gap), 6),
-            "zero": scan.zero,
-            "noisy": scan.is_noisy,
-            "near": scan.near,
-            "latency": scan.latency,
-            "sweep": None if scan.sweep is None else _sweep(scan.sweep),
-        },
+        "scan": _scan(platform.scan),
+        "ranges": None if platform.ranges is None else _scan(platform.ranges),
         "heights": None if platform.heights is None else to_builtins(platform.heights),
         "provides": sorted(platform.provides),
         "protection": dict(platform.protection),
@@ -80,7 +68,25 @@ def _platform(platform: Platform) -> Mapping[str, Any]:
     }
 
 
-def _sweep(sweep: Sweep) -> Mapping[str, Any]:
+def _scan(scan: ScanSpec) -> Mapping[str, Any]:
+    return {
+        "rays": len(scan.bearings),
+        "rate": scan.rate,
+        "range_min": scan.range_min,
+        "range_max": scan.range_max,
+        "offset": list(scan.offset),
+        "max_gap_deg": round(math.degrees(scan.max_gap), 6),
+        "zero": scan.zero,
+        "noisy": scan.is_noisy,
+        "near": scan.near,
+        "latency": scan.latency,
+        "sweep": "measured" if scan.measures_sweep else _sweep(scan.sweep),
+    }
+
+
+def _sweep(sweep: Sweep | None) -> Mapping[str, Any] | None:
+    if sweep is None:
+        return None
     return {
         "start_deg": round(math.degrees(sweep.start), 6),
         "direction": "ccw" if sweep.direction > 0.0 else "cw",

@@ -22,7 +22,9 @@ from swarmd.core.values import (
 )
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts
 from swarmd.protection.decision import DecisionContext
+from swarmd.robot.hazard_holds import HazardHolds
 from swarmd.robot.peers import Peers
+from swarmd.robot.range_ring import RangeRing
 from swarmd.sensing.conditioning import ScanConditioner
 from swarmd.sensing.deskew import Deskewer
 from swarmd.sensing.scan_delay import ScanDelay
@@ -44,7 +46,7 @@ class _Received:
 
 
 class Sensors:
-    """Scan, odometry, neighbours, readings, messages and state of the driver, with their ages.
+    """Scans, odometry, neighbours, readings, messages and state of the driver, with their ages.
 
     All times are in s on the robot's monotonic clock and come with each call.
     """
@@ -64,7 +66,9 @@ class Sensors:
         self._conditioner = ScanConditioner(platform.scan, guesses_near=guesses_near)
         self.scan_delay = ScanDelay(platform.scan)
         self.permitted_delay = 0.0  # s of late scans with which the running pattern goes on
-        self._deskewer = Deskewer(platform.scan)
+        self._deskewer = Deskewer(platform.scan, self.scan_delay.sweep)
+        ring = platform.ranges
+        self._ring = None if ring is None else RangeRing(platform, ring)
         self._scan_at: float | None = None
         self._problem: Reason | None = None
         self._odometry_at: float | None = None
@@ -78,6 +82,7 @@ class Sensors:
         self._renewals = 0.0
         self._neighbors_at = 0.0
         self.peers = Peers(platform, accepts, tells_pose=tells_pose)
+        self.hazards = HazardHolds()
         self._inbox: deque[_Received] = deque()
         self._inbox_bytes = 0
         self.overflowed = 0
@@ -92,9 +97,8 @@ class Sensors:
 
     def on_scan(self, scan: Scan, now: float) -> bool:
         """Take in a driver's scan; True if it is a new, valid one."""
-        at = self._odometry_at
-        is_fresh = at is not None and now - at <= ODOMETRY_TIMEOUT
-        conditioned = self._conditioner.take(scan, self.odometry if is_fresh else None, now)
+        odometry = self._fresh_odometry(now)
+        conditioned = self._conditioner.take(scan, odometry, now)
         self._context = None
         if isinstance(conditioned, Reason):
             self._problem = conditioned
@@ -104,9 +108,19 @@ class Sensors:
         self._problem = None if self._scan_at == now else Reason.INVALID_SCAN
         self._scan_times.append(now)
         self._is_new_scan = True
-        odometry_age = self.odometry_age(now) if is_fresh else None
+        odometry_age = None if odometry is None else self.odometry_age(now)
         self.scan = self._deskewer.deskew(conditioned, now, odometry_age, self.scan_delay.added)
         return True
+
+    def on_ranges(self, scan: Scan, now: float) -> None:
+        """Take in a scan of the platform's ring of range sensors; ignored without a ring."""
+        self._context = None
+        if self._ring is not None:
+            self._ring.on_scan(scan, self._fresh_odometry(now), now)
+
+    def _fresh_odometry(self, now: float) -> Odometry | None:
+        at = self._odometry_at
+        return self.odometry if at is not None and now - at <= ODOMETRY_TIMEOUT else None
 
     @property
     def blind_text(self) -> str:
@@ -145,10 +159,8 @@ class Sensors:
 
     def on_pose(self, pose: SharedPose, now: float) -> None:
         """Take in the own pose in a shared frame."""
-        at, odometry = self._odometry_at, self.odometry
-        is_fresh = odometry is not None and at is not None and now - at <= ODOMETRY_TIMEOUT
-        twist = odometry.twist if is_fresh and odometry is not None else None
-        self.peers.on_pose(pose, twist, now)
+        odometry = self._fresh_odometry(now)
+        self.peers.on_pose(pose, None if odometry is None else odometry.twist, now)
 
     def on_place(self, place: PeerPlace, now: float) -> None:
         """Take in where a peer is in a shared frame."""
@@ -236,6 +248,7 @@ class Sensors:
                 None if odometry_at is None else now - odometry_at,
                 self.scan_delay.added,
                 told=self.peers.told(now),
+                near=() if self._ring is None else self._ring.obstacles(now),
             )
         return context
 
@@ -252,6 +265,8 @@ class Sensors:
             return Reason.DRIVER_LOST
         if self.driver_hold is not None:
             return self.driver_hold
+        if self.hazards.holds(now):
+            return Reason.HAZARD
         age = self.scan_age(now)
         if age is None:
             return self._problem or Reason.NO_SCAN
@@ -261,6 +276,8 @@ class Sensors:
             return Reason.LATE_SCAN
         if age > self._longest_age():
             return self._problem or Reason.STALE_SCAN
+        if self._ring is not None and (reason := self._ring.hold(now)) is not None:
+            return reason
         if self._needs_odometry and (
             self._odometry_at is None or now - self._odometry_at > ODOMETRY_TIMEOUT
         ):
@@ -276,10 +293,15 @@ class Sensors:
         return min(due, self.peers.hold_due_at())
 
     def stale_at(self) -> float | None:
-        """The time at which the present scan becomes too old; None before the first."""
+        """The time at which the present scan, or that of the ring, becomes too old.
+
+        None before the first.
+        """
         if self._scan_at is None:
             return None
-        return self._scan_at + self._longest_age()
+        stale_at = self._scan_at + self._longest_age()
+        ring_at = None if self._ring is None else self._ring.stale_at
+        return stale_at if ring_at is None else min(stale_at, ring_at)
 
     def _longest_age(self) -> float:
         """The age in s beyond which a scan is stale: age and delay count together.
@@ -308,6 +330,7 @@ class Sensors:
             neighbors=self.neighbors(now),
             messages=messages,
             readings=self.readings,
+            ranges=None if self._ring is None else self._ring.scan,
         )
         self._is_new_scan = False
         return inputs

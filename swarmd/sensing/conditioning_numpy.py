@@ -16,6 +16,7 @@ from swarmd.core.values import Array, ScanSpec
 from swarmd.sensing.rays_numpy import nearest_bearings
 
 BLIND_SHARE = 0.1  # of the rays: this many far returns do not vanish from one scan to the next
+BLIND_RETURNS = 8  # fewer than this many far returns may vanish: those of a ring of few sensors
 NEAR_MARGIN = 0.10  # m above range_min: an LDS ray this near may turn into a zero
 NEAR_SECTOR = math.radians(3.0)  # beside a near ray in which zeros may mean near
 NEAR_MEMORY = 1.0  # s for which a near ray explains zeros
@@ -119,7 +120,7 @@ class RayMemory:
             is_far = (raw > spec.range_min + NEAR_MARGIN) & (raw < 0.8 * spec.range_max)
             self._far_returns = int(np.count_nonzero(is_far))
             return False
-        return self._far_returns >= BLIND_SHARE * len(raw)
+        return self._far_returns >= max(BLIND_SHARE * len(raw), BLIND_RETURNS)
 
     def _lost_since(self, raw: Array, unknown: Mask, memory: _KnownRays, now: float) -> float:
         """The latest time from which on no sector wider than `max_gap` is unknown.

@@ -11,12 +11,14 @@ before fill it. A robot that turns with the sensor measures a sector twice, and 
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Scan, ScanSpec, Sweep
 from swarmd.sensing import deskew_numpy
+from swarmd.sensing.measured_sweep import MeasuredSweep
 from swarmd.sensing.odometry_history import OdometryHistory, relative
 
 AT_REST = 5e-4
@@ -29,13 +31,16 @@ class Deskewer:
     """De-skews the conditioned scans of one sensor. Times in s.
 
     The returned scan has `ages` and `newest_age`. The ages are those of the driver, else those of
-    the platform's `sweep`; without either the scan is returned as it is. Without odometry that
-    reaches back over the whole scan the rays stay where they were measured, and the ages alone say
-    how old each one is. At rest the scan keeps its bearings, the same object.
+    the platform's `sweep`; without either the scan is returned as it is. With `measured` the ages
+    are those of the measured sweep; while the sweep is not known, the rays stay where they were
+    measured, the scan has the time of its mean ray, and each ray counts as old as the oldest one
+    may be. Without odometry that reaches back over the whole scan the rays stay where they were
+    measured, and the ages alone say how old each one is. At rest the scan keeps its bearings, the
+    same object.
     """
 
-    def __init__(self, spec: ScanSpec) -> None:
-        self._spec = spec
+    def __init__(self, spec: ScanSpec, measured: MeasuredSweep | None = None) -> None:
+        self._spec, self._measured = spec, measured
         self._limits = *spec.offset, spec.range_min, spec.range_max
         self._history = OdometryHistory()
         self._rays: _Rays | None = None
@@ -56,6 +61,13 @@ class Deskewer:
         `odometry_age`: s since the last reading arrived; None without a fresh one. `delay`: s by
         which the scan is older than the platform's `latency` says.
         """
+        if self._measured is not None:
+            ages, is_known = self._measured.ages(scan), self._measured.order is not None
+            scan = replace(scan, ages=ages, newest_age=self._spec.latency)
+            if not is_known:
+                self._last, self._last_at = scan, now - self._spec.latency - delay
+                self._filled = 0
+                return scan
         rays = self._rays_of(scan)
         if rays is None:
             return scan

@@ -17,6 +17,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Collection, Iterable
+from dataclasses import replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ import numpy as np
 
 from swarmd.core.messages import DelayFigure, ScanDelaySummary
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.sensing.measured_sweep import Headings, MeasuredSweep
 
 TOLERANCE = 0.01
 """Seconds beyond the declared latency that count as none: the clocks of a tick resolve no less."""
@@ -71,12 +73,14 @@ class ScanDelay:
     age of the last scan by its stamp; 0 within TOLERANCE of the declared one. `is_late`: it exceeds
     the platform's `max_scan_delay`, until it falls below 0.8 of that. `restarts` counts how often
     stamps jumped, so that the clock of odometry or scan was set: stamps then count anew, and what
-    was added before is not taken back until they tell the delay again.
+    was added before is not taken back until they tell the delay again. `sweep`: None if the
+    platform tells how the sensor measures its rays.
     """
 
     def __init__(self, spec: ScanSpec) -> None:
         self._latency, self._bound = spec.latency, spec.max_scan_delay
         self._stamps, self._turns = _Stamps(spec), _Turns()
+        self.sweep = MeasuredSweep(spec) if spec.measures_sweep else None
         self.added = self._added_before = 0.0
         self.is_late = False
         self.restarts = 0
@@ -92,6 +96,8 @@ class ScanDelay:
         offset, latency, bound = self._stamps.offset, self._latency, self._bound
         if self._stamps.goes_back(scan.stamp, now):
             self._restart()
+        if self.sweep is not None:
+            scan = self._swept(scan, now, offset)
         stamps = self._stamps.on_scan(scan, now)
         if offset < math.inf:
             self._turns.on_scan(scan, now - offset, now)
@@ -109,10 +115,26 @@ class ScanDelay:
         self.added = added if added > TOLERANCE else 0.0
         self.is_late = self.added > (_CLEARS * bound if self.is_late else bound)
 
+    def _swept(self, scan: Scan, now: float, offset: float) -> Scan:
+        """The scan with the ages that turns tell, if they do."""
+        sweep, turns = self.sweep, self._turns
+        assert sweep is not None
+        headings = turns.headings()
+        if offset < math.inf and len(headings.times):
+            measured = self._stamps.figure(now).delay if turns.delay is None else turns.delay
+            delay = self._latency if measured is None else measured
+            before = sweep.order
+            sweep.on_scan(scan, now - offset, delay, headings, turns.pose)
+            if sweep.order != before:
+                self._stamps.forget_scans()  # the time from a stamp to the mean ray is another one
+        return scan if sweep.order is None else replace(scan, ages=sweep.ages(scan))
+
     def _restart(self) -> None:
         self.restarts += 1
         self._added_before = self.added
         self._turns.forget_headings()
+        if self.sweep is not None:
+            self.sweep.forget_scans()
 
     def summary(self, now: float) -> ScanDelaySummary:
         """The figures of both methods, for the status."""
@@ -121,6 +143,7 @@ class ScanDelay:
             added=self.added,
             bound=self._bound,
             figures=(self._stamps.figure(now), self._turns.figure(now)),
+            sweep=None if self.sweep is None else self.sweep.figure(),
         )
 
 
@@ -201,6 +224,10 @@ class _Stamps:
             self._lowest = lag
         self.offset = self._lowest if self._lowest < self._before else self._before
         return is_set
+
+    def forget_scans(self) -> None:
+        """Tell the delay by the scans that come."""
+        self._ages.clear()
 
     def goes_back(self, stamp: float, now: float) -> bool:
         """Take in the stamp of a scan; true if its clock was set back."""
@@ -330,6 +357,16 @@ class _Turns:
         """The clock of odometry was set."""
         self._first = self._end = 0
         self._stamp, self._last = -math.inf, None
+
+    @property
+    def pose(self) -> Pose:
+        """The last pose by odometry."""
+        return self._odometry.pose
+
+    def headings(self) -> Headings:
+        """A copy of the headings kept."""
+        kept = slice(self._first, self._end)
+        return Headings(self._times[kept].copy(), self._yaws[kept].copy())
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Keep a heading."""

@@ -30,6 +30,7 @@ from cython.cimports.libc.string import memcmp
 
 from swarmd.core.values import Scan
 from swarmd.sensing.conditioning_numpy import (
+    BLIND_RETURNS,
     BLIND_SHARE,
     NEAR_MARGIN,
     NEAR_MEMORY,
@@ -49,6 +50,7 @@ _PI = cython.declare(cython.double, math.pi)
 _TURN = cython.declare(cython.double, 2.0 * math.pi)
 _UNSEEN = cython.declare(cython.double, UNSEEN)
 _MAX_LAYOUTS = cython.declare(cython.int, 8)
+_BLIND_RETURNS = cython.declare(cython.double, BLIND_RETURNS)
 _BLIND_SHARE = cython.declare(cython.double, BLIND_SHARE)
 _NEAR_MEMORY = cython.declare(cython.double, NEAR_MEMORY)
 _NEAR_SECTOR = cython.declare(cython.double, NEAR_SECTOR + 1e-9)
@@ -741,7 +743,8 @@ class RayMemory:
         if has_return:
             self._far_returns = far
             return False
-        return self._far_returns >= _BLIND_SHARE * raw.shape[0]
+        least: cython.double = max(_BLIND_SHARE * raw.shape[0], _BLIND_RETURNS)
+        return self._far_returns >= least
 
     @cython.cfunc
     def _turned(self, yaw: cython.double) -> cython.double:

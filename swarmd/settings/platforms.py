@@ -85,7 +85,8 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     - `near`: `lost` if an object nearer than `range_min` looks like no object.
     - `latency`: mean age of its rays in s when a scan arrives; None: half a scan period, as of a
       rotating lidar. Too low: protection acts on where obstacles were.
-    - `sweep`: how a rotating sensor turns; None: it measures all rays at once.
+    - `sweep`: how a rotating sensor turns; None: it measures all rays at once; measured: the robot
+      finds out while it turns, and until then takes each ray for as old as the oldest.
     """
 
     rays: Annotated[int, Meta(ge=1, le=10_000)] | None = None
@@ -100,7 +101,7 @@ class ScanSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True)
     max_gap_deg: Annotated[float, Meta(gt=0.0, le=180.0)] = 12.0
     near: Literal["reported", "lost"] = "reported"
     latency: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
-    sweep: SweepSection | None = None
+    sweep: SweepSection | Literal["measured"] | None = "measured"
 
 
 class HeightsSection(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -130,6 +131,9 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     """The keys of a platform's file.
 
     - `extends`: a platform or file; this file then holds only what differs.
+    - `ranges`: a ring of further range sensors, for what the lidar does not see, with the keys of
+      `scan`. Without fresh values of it the robot is held. None: the ranges of a driver are the
+      scan.
     - `footprint`: convex outline in m, counter-clockwise. Too small: collisions; too large: the
       robot stops earlier and does not fit through gaps that it could pass.
     - `provides`: what patterns may need. Patterns that need more are refused.
@@ -150,6 +154,7 @@ class PlatformFile(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     drivers: dict[str, Options] = {}
     heights: HeightsSection | None = None
     body: dict[str, Annotated[float, Meta(ge=-1e6, le=1e6)]] = {}
+    ranges: ScanSection | None = None
 
 
 def platform_names() -> tuple[str, ...]:
@@ -210,10 +215,11 @@ def _check_scan(scan: ScanSection, keys: Keys) -> Iterator[Fault]:
         text = f"{fault}; expected one of the two: a number of rays, or a list of bearings"
         yield fault_at((*keys, "rays"), text)
     if scan.range_min >= scan.range_max:
-        text = f"is {scan.range_min:g}; expected less than scan.range_max ({scan.range_max:g})"
+        section = keys[-1]
+        text = f"is {scan.range_min:g}; expected less than {section}.range_max ({scan.range_max:g})"
         yield fault_at((*keys, "range_min"), text)
     if scan.near == "lost" and scan.zero == "too_close":
-        text = "is lost, but scan.zero is too_close; expected reported, or another zero"
+        text = f"is lost, but {keys[-1]}.zero is too_close; expected reported, or another zero"
         yield fault_at((*keys, "near"), text)
 
 
@@ -243,6 +249,7 @@ def _check_file(file: PlatformFile) -> Iterator[Fault]:
         yield fault_at(("footprint",), text)
         return
     yield from _check_ranges(file)
+    yield from _check_ring(file)
     if file.protection.mode == "barrier":
         lacks = ""
         if file.protection.barrier is None:
@@ -281,15 +288,33 @@ def _check_ranges(file: PlatformFile) -> Iterator[Fault]:
         yield fault_at(("protection", "mode"), text)
 
 
+def _check_ring(file: PlatformFile) -> Iterator[Fault]:
+    """A ring is measured at once, and nothing remembers what is in its blind zone."""
+    ring = file.ranges
+    if ring is None:
+        if "ranges" in file.provides:
+            yield fault_at(("provides",), "names ranges; expected the section ranges with it")
+        return
+    if ring.near == "lost":
+        yield fault_at(("ranges", "near"), "is lost; expected reported: only scan may lose it")
+    if isinstance(ring.sweep, SweepSection):
+        yield fault_at(("ranges", "sweep"), "is given; expected none: a ring does not rotate")
+    yield from _check_rate(_spec(ring), "ranges")
+
+
+def _check_rate(spec: ScanSpec, section: str) -> Iterator[Fault]:
+    if spec.stale_after < 1.5 / spec.rate:
+        text = (
+            f"is {spec.rate:g}; expected at least {1.5 / spec.stale_after:g}: a scan older than"
+            f" {spec.stale_after:g} s holds the robot"
+        )
+        yield fault_at((section, "rate"), text)
+
+
 def _check_sight(platform: Platform) -> Iterator[Fault]:
     """The sensor must see early and far enough to stop; only mode `barrier` says how far."""
     scan, limits, barrier = platform.scan, platform.limits, barrier_settings(platform)
-    if scan.stale_after < 1.5 / scan.rate:
-        text = (
-            f"is {scan.rate:g}; expected at least {1.5 / scan.stale_after:g}: a scan older than"
-            f" {scan.stale_after:g} s holds the robot"
-        )
-        yield fault_at(("scan", "rate"), text)
+    yield from _check_rate(scan, "scan")
     if barrier is None:
         return
 
@@ -355,25 +380,30 @@ def _sweep(section: SweepSection, rate: float) -> Sweep:
     )
 
 
+def _spec(scan: ScanSection) -> ScanSpec:
+    return ScanSpec(
+        bearings=_bearings(scan),
+        rate=scan.rate,
+        range_min=scan.range_min,
+        range_max=scan.range_max,
+        offset=scan.offset,
+        max_gap=math.radians(scan.max_gap_deg),
+        zero=scan.zero,
+        is_noisy=scan.noisy,
+        near=scan.near,
+        latency=0.5 / scan.rate if scan.latency is None else scan.latency,
+        sweep=_sweep(scan.sweep, scan.rate) if isinstance(scan.sweep, SweepSection) else None,
+        measures_sweep=scan.sweep == "measured",
+    )
+
+
 def _platform(name: str, file: PlatformFile) -> Platform:
-    scan, protection = file.scan, file.protection
+    protection = file.protection
     return Platform(
         name=name,
         limits=Limits(**to_builtins(file.limits)),
         footprint=np.array(file.footprint, dtype=np.float64),
-        scan=ScanSpec(
-            bearings=_bearings(scan),
-            rate=scan.rate,
-            range_min=scan.range_min,
-            range_max=scan.range_max,
-            offset=scan.offset,
-            max_gap=math.radians(scan.max_gap_deg),
-            zero=scan.zero,
-            is_noisy=scan.noisy,
-            near=scan.near,
-            latency=0.5 / scan.rate if scan.latency is None else scan.latency,
-            sweep=None if scan.sweep is None else _sweep(scan.sweep, scan.rate),
-        ),
+        scan=_spec(file.scan),
         provides=frozenset(file.provides),
         protection={
             "mode": protection.mode,
@@ -386,4 +416,5 @@ def _platform(name: str, file: PlatformFile) -> Platform:
         drivers=cast(Mapping[str, Mapping[str, Value]], file.drivers),
         heights=None if file.heights is None else Heights(**to_builtins(file.heights)),
         body=file.body,
+        ranges=None if file.ranges is None else replace(_spec(file.ranges), measures_sweep=False),
     )

@@ -104,6 +104,25 @@ def test_zeros_beside_near_rays_count_as_near_unless_in_barrier(mode: Mode) -> N
     assert np.isneginf(senses.scan.ranges[97:104]).all() == (mode != "barrier")
 
 
+@pytest.mark.parametrize("has_claim", [True, False])
+def test_rays_count_as_old_as_the_oldest_while_their_order_is_not_known(has_claim: bool) -> None:
+    """A Waffle Pi without its sweep: latency 0.1 s, and half of a scan of 0.2 s."""
+    platform = load_platform("waffle_pi")
+    scan = replace(platform.scan, sweep=None, measures_sweep=True)
+    senses = Sensors(replace(platform, scan=scan))
+    count = len(scan.bearings)
+    ages = np.linspace(0.2, 0.0, count) if has_claim else None
+    for tick in range(60):  # it turns at 1 rad/s
+        now = 0.05 * tick
+        senses.on_odometry(Odometry(now, Pose(0.0, 0.0, now), Twist(0.0, 1.0)), now)
+    assert senses.on_scan(replace(empty_scan(platform, 1, 2.8), ages=ages), 3.0)
+    assert senses.scan is not None
+    assert senses.scan.newest_age == 0.1
+    np.testing.assert_allclose(senses.scan.bearings, scan.bearings)
+    assert senses.scan.ages is not None
+    np.testing.assert_allclose(senses.scan.ages, np.full(count, 0.1), atol=1e-3)
+
+
 def test_step_gets_the_last_scan_and_odometry(senses: Sensors) -> None:
     odometry = Odometry(1.0, Pose(1.0, 2.0, 0.5), Twist(0.1))
     senses.on_odometry(odometry, 10.0)

@@ -325,6 +325,18 @@ def test_an_lds_02_variant_changes_only_the_sensor(name: str) -> None:
     assert variant.scan.zero == "lds"
 
 
+@pytest.mark.parametrize(
+    ("scan", "is_measured"),
+    [({}, True), ({"sweep": "measured"}, True), ({"sweep": None}, False), ({"sweep": {}}, False)],
+)
+def test_sweep_that_the_platform_does_not_tell_is_measured(
+    folder: Path, scan: dict[str, Any], is_measured: bool
+) -> None:
+    spec = load_platform(write(folder, {**GOOD, "scan": {**GOOD["scan"], **scan}})).scan
+    assert spec.measures_sweep is is_measured
+    assert (spec.sweep is None) is (scan != {"sweep": {}})
+
+
 def test_bearings_may_be_given_one_by_one(folder: Path) -> None:
     data = with_value("scan.bearings_deg", [40, 0, -40, 190])
     del data["scan"]["rays"]
@@ -333,3 +345,52 @@ def test_bearings_may_be_given_one_by_one(folder: Path) -> None:
     data["scan"]["first_bearing_deg"] = 10.0
     bearings = load_platform(write(folder, data)).scan.bearings
     assert np.degrees(bearings) == pytest.approx([50.0, 10.0, -30.0, -160.0])
+
+
+ROOT = Path(__file__).resolve().parents[2]
+RING = {"bearings_deg": [60, 0, -60], "rate": 20.0, "range_min": 0.05, "range_max": 0.5}
+
+
+def test_the_ring_of_the_documentation_loads_and_fits_its_topics(tmp_path: Path) -> None:
+    text = (ROOT / "docs" / "configuration.md").read_text()
+    (block,) = [one for one in re.findall(r"```yaml\n(.*?)```", text, re.S) if "\nranges:" in one]
+    (tmp_path / "ring.yaml").write_text(block)
+    platform, burger = load_platform("ring.yaml", tmp_path), load_platform("burger")
+    assert platform.ranges is not None
+    assert np.degrees(platform.ranges.bearings).tolist() == pytest.approx([60, 30, 0, -30, -60])
+    assert (platform.ranges.latency, platform.ranges.is_noisy) == (0.025, False)
+    assert platform.scan.range_max == burger.scan.range_max
+    options = platform.drivers["ros2dds"]["ranges"]
+    assert list(options.values()) == [60, 30, 0, -30, -60]  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("changes", "subject"),
+    [
+        ({"near": "lost"}, "ranges.near is lost"),
+        ({"sweep": {"direction": "cw"}}, "ranges.sweep is given"),
+        ({"rate": 1.0}, "ranges.rate is 1"),
+        ({"range_max": 0.05}, "less than ranges.range_max"),
+        ({"rays": 3}, "ranges.rays is 3 beside bearings_deg"),
+        ({"colour": 1}, "ranges"),
+    ],
+)
+def test_a_wrong_ring_is_refused_in_one_line(
+    folder: Path, changes: dict[str, Any], subject: str
+) -> None:
+    data = {"extends": "burger", "ranges": {**RING, **changes}}
+    with pytest.raises(ConfigError, match=re.escape(subject)) as caught:
+        load_platform(write(folder, data))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_variant_may_leave_the_ring_out(folder: Path) -> None:
+    write(folder, {"extends": "burger", "ranges": RING}, "ring.yaml")
+    assert load_platform(write(folder, {"extends": "ring.yaml", "ranges": None})).ranges is None
+
+
+def test_a_platform_without_a_ring_cannot_provide_its_ranges(folder: Path) -> None:
+    data = {"extends": "burger", "provides": ["scan", "ranges", "odometry"]}
+    with pytest.raises(ConfigError, match=r"provides names ranges"):
+        load_platform(write(folder, data))
+    assert "ranges" in load_platform(write(folder, {**data, "ranges": RING})).provides

@@ -1,0 +1,74 @@
+"""What a check tells of the scans of a sensor."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from swarmd.core.values import Scan, ScanSpec
+from swarmd.drivers.scan_content import ENOUGH_SCANS, ScanContent
+from swarmd.settings.platforms import load_platform
+
+SPEC = load_platform("burger").scan
+NEAR = load_platform("thymio").scan
+RAYS = 8
+BEARINGS = np.linspace(-math.pi, math.pi, RAYS, endpoint=False)
+
+
+def content(
+    *scans: list[float], spec: ScanSpec = SPEC, repeated: int = ENOUGH_SCANS
+) -> ScanContent:
+    """Scans of `RAYS` rays, one after the other, as often as that."""
+    made = ScanContent(spec)
+    for seq in range(repeated * len(scans)):
+        ranges = np.array(scans[seq % len(scans)], np.float64)
+        made.take(Scan(seq, 0.2 * seq, ranges, BEARINGS, spec.range_min, spec.range_max))
+    return made
+
+
+def test_tells_returns_the_nearest_and_whether_scans_differ() -> None:
+    half = [1.0, 0.5, 3.0, 3.4, math.inf, 0.0, 9.0, math.nan]
+    differ = content(*([(1.0 + 0.01 * k) * one for one in half] for k in range(5)), repeated=1)
+    assert differ.text == "8 rays, 38 % with a return, the nearest at 0.52 m, scans differ"
+    same = content(half)
+    assert same.text == "8 rays, 50 % with a return, the nearest at 0.50 m, scans are identical"
+    assert "scans" not in content(half, repeated=1).text, "of one scan"
+    assert "too close to measure" in content([-math.inf] * RAYS).text
+    assert ScanContent(SPEC).text == ""
+
+
+@pytest.mark.parametrize(
+    ("ranges", "changes", "fault"),
+    [
+        ([0.0] * RAYS, {}, "are 0"),
+        ([0.0] * RAYS, {"is_noisy": False}, "are 0"),
+        ([math.inf] * RAYS, {}, "within 3.5 m"),
+        ([math.nan, 0.0] * (RAYS // 2), {}, "within 3.5 m"),
+        ([math.inf] * RAYS, {"range_max": 0.2}, ""),
+        ([-math.inf] * RAYS, {"is_noisy": False}, ""),
+        ([1.0] * RAYS, {}, "frozen_scan"),
+        ([1.0] * RAYS, {"is_noisy": False}, ""),
+        ([1.0] + [math.inf] * (RAYS - 1), {}, ""),
+    ],
+)
+def test_what_no_sensor_measures_is_a_fault(
+    ranges: list[float], changes: dict[str, object], fault: str
+) -> None:
+    found = content(ranges, spec=replace(SPEC, **changes)).fault  # type: ignore[arg-type]
+    assert bool(found) == bool(fault)
+    assert fault in found
+
+
+def test_a_sensor_that_repeats_an_earlier_scan_is_frozen_as_conditioning_says() -> None:
+    one, two = [1.0] * RAYS, [1.1] * RAYS
+    assert content(one, two, repeated=3).fault
+    assert not content(one, repeated=ENOUGH_SCANS - 1).fault, "two of a kind come of some drivers"
+    assert not content(one, one, two, two, *([0.1 * k] * RAYS for k in range(12, 20))).fault
+
+
+def test_a_near_sensor_needs_no_return() -> None:
+    assert not content([math.inf] * RAYS, spec=NEAR).fault
+    assert content([0.0] * RAYS, spec=NEAR).fault
