@@ -11,11 +11,13 @@ from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
+import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.hazard import Hazard
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, Sink
@@ -42,11 +44,28 @@ class _BaseState:
 
 
 @dataclass(frozen=True, slots=True)
+class _Hazards:
+    """The hazards that the base sensed."""
+
+    value: tuple[Hazard, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Ring:
+    """A scan of the ring of range sensors."""
+
+    scan: Scan
+
+
+_Entry: TypeAlias = Input | _BaseState | _Hazards | _Ring
+
+
+@dataclass(frozen=True, slots=True)
 class _Recording:
     """Inputs with their times in s since the first one. `fault`: what is missing or damaged."""
 
     about: Mapping[str, str]
-    entries: tuple[tuple[float, Input | _BaseState], ...]
+    entries: tuple[tuple[float, _Entry], ...]
     fault: str
 
     @property
@@ -119,7 +138,12 @@ class ReplayDriver:
         names = ", ".join(about.get(key, "unknown") for key in ("platform", "driver"))
         text = f"{recording.duration:.1f} s of {about.get('robot', 'an unknown robot')} ({names})"
         findings = [Finding("recording", True, f"{text}, {recording.fault or 'whole'}")]
-        needed = (("scan", Scan, True), ("odometry", Odometry, True), ("neighbors", tuple, False))
+        needed = (
+            ("scan", Scan, True),
+            ("ranges", _Ring, False),
+            ("odometry", Odometry, True),
+            ("neighbors", tuple, False),
+        )
         for name, kind, is_needed in needed:
             count = kinds[kind]
             rate = f"{count} at {count / length:.1f} Hz"
@@ -137,15 +161,21 @@ class ReplayDriver:
             await asyncio.sleep(max(begin + at / speed - loop.time(), 0.0))
             self._deliver(sink, value, shift, rounds * self._after)
 
-    def _deliver(self, sink: Sink, value: Input | _BaseState, shift: float, ahead: int) -> None:
+    def _deliver(self, sink: Sink, value: _Entry, shift: float, ahead: int) -> None:
+        if isinstance(value, _Hazards):
+            sink.hazards(value.value)
+            return
         if isinstance(value, _BaseState):
             if value.is_up:
                 self._connect(sink)
             else:
                 self._lose(sink, f"as recorded: {value.text}")
             return
+        if isinstance(value, _Ring):
+            sink.ranges(_shifted(value.scan, shift, ahead))
+            return
         if isinstance(value, Scan):
-            value = replace(value, seq=value.seq + ahead, stamp=value.stamp + shift)
+            value = _shifted(value, shift, ahead)
         elif isinstance(value, Odometry):
             value = Odometry(value.stamp + shift, value.pose, value.twist)
         deliver(sink, value)
@@ -163,6 +193,10 @@ class ReplayDriver:
     def _take(self, twist: Twist) -> None:
         self._commands["zero" if twist.is_zero else "moving"] += 1
         self.taken.append(twist)
+
+
+def _shifted(scan: Scan, shift: float, ahead: int) -> Scan:
+    return replace(scan, seq=scan.seq + ahead, stamp=scan.stamp + shift)
 
 
 def _named(name: str) -> Path:
@@ -203,28 +237,39 @@ def _read(path: Path) -> _Recording:
 
 def _inputs(
     path: Path, recorded: list[RecordedMessage]
-) -> Iterator[tuple[RecordedMessage, Input | _BaseState]]:
-    geometry: Any = None
+) -> Iterator[tuple[RecordedMessage, _Entry]]:
+    geometry: dict[str, Any] = {}
     for one in recorded:
-        if one.topic not in (*_READERS, "/scan", "/scan/geometry"):
+        topic = one.topic.removesuffix("/geometry")
+        if topic not in (*_READERS, "/scan", "/ranges"):
             continue
         try:
             message = messages.deserialize(one.kind, one.payload)
+            read = _READERS[one.topic](message) if one.topic in _READERS else None
         except CodecError as error:
             raise ConfigError(f"{path}: {one.topic}: {error}; record it again") from error
-        if one.topic == "/scan/geometry":
-            geometry = message
-        elif one.topic == "/scan":
-            yield one, messages.scan_of(message, one.sequence, geometry)
-        else:
-            yield one, _READERS[one.topic](message)
+        if one.topic != topic:
+            geometry[topic] = message
+        elif topic in ("/scan", "/ranges"):
+            scan = messages.scan_of(message, one.sequence, geometry.get(topic))
+            yield one, scan if topic == "/scan" else _Ring(scan)
+        elif read is not None:
+            yield one, read
 
 
-_READERS: Mapping[str, Callable[[Any], Input | _BaseState]] = {
+def _hazards(json: bytes) -> tuple[Hazard, ...]:
+    try:
+        return msgspec.json.decode(json, type=tuple[Hazard, ...])
+    except msgspec.MsgspecError as error:
+        raise CodecError(f"no hazards: {error}") from error
+
+
+_READERS: Mapping[str, Callable[[Any], _Entry]] = {
     "/odometry": messages.odometry_of,
     "/neighbors": messages.neighbors_of,
     "/pose": messages.pose_of,
     "/readings": messages.readings_of,
+    "/hazards": lambda message: _Hazards(_hazards(message.json.encode())),
     "/driver": lambda message: _BaseState(message.is_up, message.text),
 }
 
@@ -233,6 +278,8 @@ def _extent(recording: _Recording) -> tuple[int, float]:
     """The sequence after its last scan's, and the span of its stamps in s."""
     sequences, stamps = [0], []
     for _, value in recording.entries:
+        if isinstance(value, _Ring):
+            value = value.scan
         if isinstance(value, Scan):
             sequences.append(value.seq + 1)
         if isinstance(value, Scan | Odometry):

@@ -14,11 +14,12 @@ from msgspec import Struct
 from swarmd.core import keys
 from swarmd.core.errors import CodecError
 from swarmd.core.threads import hand_over
-from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
+from swarmd.core.values import ZERO, Odometry, Platform, Scan, ScanSpec, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
 from swarmd.driver_api.hw_codec import (
     INPUTS,
+    check_measures,
     decode_input,
     decode_messages,
     deliver,
@@ -26,6 +27,7 @@ from swarmd.driver_api.hw_codec import (
     encode_message,
 )
 from swarmd.drivers.latest_samples import LatestSamples
+from swarmd.drivers.scan_content import ENOUGH_SCANS, ScanContent
 from swarmd.drivers.scan_delay import scan_delay_finding
 from swarmd.network.session import (
     PROMPT_OPTIONS,
@@ -61,6 +63,7 @@ class SimulatedDriver:
     ) -> None:
         """Not connected yet. Options: `SimulatedOptions`."""
         self._robot, self._swarm, self._platform = robot, swarm, platform
+        check_measures(platform)
         chosen = Layered(("driver simulated", options)).build(SimulatedOptions)
         self._endpoint, self.carries_messages = chosen.endpoint, chosen.radio
         parse_endpoint(self._endpoint, "driver simulated: endpoint is ", DEFAULT_ENDPOINT)
@@ -114,11 +117,11 @@ class SimulatedDriver:
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """Whether scans and odometry arrive and commands have a subscriber; moves nothing."""
-        seen = _CheckSink()
+        seen = _CheckSink(self._platform.scan)
         task = asyncio.create_task(self.run(seen))
         try:
             async with asyncio.timeout(seconds):
-                while not (seen.scans and seen.odometries):
+                while not (len(seen.scans) >= ENOUGH_SCANS and seen.odometries):
                     await asyncio.sleep(_WATCH_PERIOD)
         except TimeoutError:
             pass  # the findings name what is missing
@@ -136,17 +139,19 @@ class SimulatedDriver:
     def _findings(self, seen: _CheckSink, is_taken: bool) -> tuple[Finding, ...]:
         hint = "start the world first (swarmctl sim up), or correct driver_options.endpoint"
         missing = f"none from {self._robot} of swarm {self._swarm} at {self._endpoint}; {hint}"
-        scan, scans = seen.last_scan, seen.scans
+        content, scans = seen.content, seen.scans
         has_odometry = bool(seen.odometries)
-        rays = f"the platform has {len(self._platform.scan.bearings)}"
+        arrives = f"{content.text}; the platform has {len(self._platform.scan.bearings)} rays"
         taken = "has a subscriber" if is_taken else f"no simulated robot takes commands; {hint}"
         return (
             Finding(
-                "scan", scan is not None, f"{len(scan.ranges)} rays, {rays}" if scan else missing
+                "scan",
+                content.last is not None and not content.fault,
+                content.fault or (arrives if content.last is not None else missing),
             ),
             Finding("odometry", has_odometry, "arrives" if has_odometry else missing),
             Finding("cmd_vel", is_taken, taken),
-            scan_delay_finding(scans, seen.odometries, scan, self._platform.scan),
+            scan_delay_finding(scans, seen.odometries, content.last, self._platform.scan),
         )
 
     def _key(self, name: str) -> str:
@@ -206,16 +211,16 @@ class SimulatedZeroSender:
 
 
 class _CheckSink(NullSink):
-    """A sink that keeps the last scan, and arrivals and stamps of scans and odometry."""
+    """A sink that keeps what scans show, and arrivals and stamps of scans and odometry."""
 
-    def __init__(self) -> None:
-        self.last_scan: Scan | None = None
+    def __init__(self, spec: ScanSpec) -> None:
+        self.content = ScanContent(spec)
         self.scans: list[tuple[float, float]] = []
         self.odometries: list[tuple[float, float]] = []
 
     def scan(self, scan: Scan) -> None:
         """Keep it and its stamp."""
-        self.last_scan = scan
+        self.content.take(scan)
         self.scans.append((monotonic(), scan.stamp))
 
     def odometry(self, odometry: Odometry) -> None:

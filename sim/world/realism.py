@@ -141,14 +141,15 @@ def realism_of(value: str | Mapping[str, Any], source: str = "realism") -> Reali
 def configured(platform: Platform, realism: Realism) -> Platform:
     """The platform as its robots are configured.
 
-    Without scan noise, repeated scans do not mean a frozen sensor; without rolling scans, all rays
-    are measured at once.
+    Without scan noise, repeated scans do not mean a frozen sensor; without rolling scans or a
+    sweep, all rays are measured at once.
     """
     lidar = realism.lidar
     scan = replace(
         platform.scan,
         is_noisy=platform.scan.is_noisy and lidar.differs_each_time,
         sweep=platform.scan.sweep if lidar.rolling else None,
+        measures_sweep=False,
     )
     return replace(platform, scan=scan)
 

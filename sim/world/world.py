@@ -14,6 +14,7 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
+from swarmd.driver_api.hw_codec import check_measures
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.base_dynamics import Bases
@@ -62,6 +63,8 @@ class World:
         if starts.shape != (n, 3):
             raise ConfigError(f"{n} robots, but start poses of shape {starts.shape}")
         self.ids, self.platforms = tuple(robots), tuple(robots.values())
+        for platform in self.platforms:
+            check_measures(platform)
         self.arena, self.dt = arena, dt
         self.model = bodies.build_model(robots, arena, dt)
         self.data = mujoco.MjData(self.model)
@@ -215,7 +218,8 @@ class World:
         spec = self.platforms[robot].scan
         seq = self._seq[robot]
         self._seq[robot] += 1
-        if ages is None and spec.sweep is not None:  # all at once, whatever the platform says
+        is_rolling = spec.sweep is not None or spec.measures_sweep  # by the platform
+        if ages is None and is_rolling:
             ages = self._at_once[robot]
         return Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max, ages)
 

@@ -408,8 +408,10 @@ class Calibration(Pattern[CalibrationParams]):
         ages = np.array(self._ages) - self._offset
         found["odometry_age"] = mean_of(ages.tolist(), "no odometry")
         if late.is_measured and self._scan is not None and self._scan.ages is not None:
-            # The pose of a scan is that of its newest ray, its delay the mean age of its rays.
-            late = late._replace(value=late.value + float(self._scan.ages.mean()))
+            # The pose of a scan is that of its newest ray, its delay the mean age of its rays. All
+            # ages are equal while their order is not known: then the pose is that of the mean ray.
+            ages_of_rays = self._scan.ages - self._scan.ages.min()
+            late = late._replace(value=late.value + float(ages_of_rays.mean()))
         found["scan_delay"] = late._replace(assumed=self._spec.latency)
         self._report = {
             "state": figures.DONE,

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import NamedTuple
 
 from swarmd.calibration.figures import NAMES, Figure
+from swarmd.core.messages import SweepFigure
 
 # A limit is lowered if the base drives slower than commanded by more than this share.
 _SLOWER = 0.03
@@ -20,8 +21,8 @@ class Setting(NamedTuple):
     """
 
     key: str
-    value: float
-    assumed: float
+    value: float | str
+    assumed: float | str
     text: str
     is_safe: bool
 
@@ -40,10 +41,13 @@ def rows(figures: Mapping[str, Figure]) -> list[tuple[str, str, str, str, str]]:
     return [_row(*NAMES[name], figures[name]) for name in NAMES]
 
 
-def settings(figures: Mapping[str, Figure], drove: tuple[float, float]) -> list[Setting]:
+def settings(
+    figures: Mapping[str, Figure], drove: tuple[float, float], sweep: SweepFigure | None = None
+) -> list[Setting]:
     """The settings that follow, two deviations to the safe side.
 
-    `drove`: the fastest speeds that were commanded, in m/s and rad/s.
+    `drove`: the fastest speeds that were commanded, in m/s and rad/s. `sweep`: as measured; None if
+    the present file gives it.
     """
     found = []
     for word, speed in zip(("linear", "angular"), drove, strict=True):
@@ -61,6 +65,11 @@ def settings(figures: Mapping[str, Figure], drove: tuple[float, float]) -> list[
         text = f"{_text(late)}, and 2 sd"
         is_safe = value >= late.assumed
         found.append(Setting("scan.latency", value, late.assumed, text, is_safe))
+    if sweep is not None and sweep.direction:
+        way = f"{{start_deg: {sweep.start_deg:g}, direction: {sweep.direction}"
+        value_of = f"{way}, duration: {sweep.duration:.3g}}}" if sweep.duration else "null"
+        text = f"measured in {sweep.samples} pairs of scans"
+        found.append(Setting("scan.sweep", value_of, "measured", text, True))
     if margin.is_measured and margin.value > margin.assumed:
         text = "for a response after more than 0.05 s: see the reaction delays"
         found.append(
@@ -133,7 +142,9 @@ def _text(figure: Figure) -> str:
     return f"{_number(figure.value)} +- {_number(figure.spread)} ({figure.samples})"
 
 
-def _number(value: float) -> str:
+def _number(value: float | str) -> str:
+    if isinstance(value, str):
+        return value
     return f"{value + 0.0:.3g}" if abs(value) >= 0.0005 else "0"
 
 

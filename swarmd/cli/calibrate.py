@@ -94,7 +94,7 @@ def calibrate(
         _confirm(robot, status.platform, side, yes)
         report, status = _measure(operator, robot, {"floor": side, "repeats": repeats})
         _end_findings(operator, robot, status, report)
-        _show(options, robot, status.platform, report, write)
+        _show(options, robot, status, report, write)
 
 
 def _check_file(write: Path | None) -> None:
@@ -282,19 +282,20 @@ def _stop(operator: Operator, robot: str) -> None:
 def _show(
     options: CommonOptions,
     robot: str,
-    platform: str,
+    status: Status,
     report: Mapping[str, object],
     write: Path | None,
 ) -> None:
     from swarmd.calibration.report import figures_of, platform_file, rows, settings
     from swarmd.settings.platforms import platform_names
 
+    platform, delay = status.platform, status.scan_delay
     try:
         figures = figures_of(report)
         linear, angular = map(float, str(report.get("drove")).split())
     except ValueError as error:
         raise Failure(f"{robot} has another version of the calibration: {error}", FAILED) from None
-    chosen = settings(figures, (linear, angular))
+    chosen = settings(figures, (linear, angular), None if delay is None else delay.sweep)
     extends = platform if platform in platform_names() else f"./{platform}.yaml"
     day = datetime.date.today().isoformat()
     text = platform_file(robot, extends, day, figures, chosen)

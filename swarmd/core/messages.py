@@ -78,6 +78,8 @@ class Reason(StrEnum):
     INVALID_SCAN = "invalid_scan"
     STALE_SCAN = "stale_scan"
     SCAN_CONFLICT = "two_scan_sources"
+    BASE_CONFLICT = "two_bases"
+    HAZARD = "hazard"  # the base reports one, or its hazards are not heard: core/hazard.py
     FROZEN_SCAN = "frozen_scan"
     LATE_SCAN = "late_scan"
     STALE_ODOMETRY = "stale_odometry"
@@ -504,16 +506,43 @@ class DelayFigure(Struct, frozen=True, kw_only=True):
         )
 
 
+class SweepFigure(Struct, frozen=True, kw_only=True):
+    """How a sensor measures its rays, found out in `samples` pairs of scans while it turned.
+
+    `direction`: ccw or cw, from bearing `start_deg` on, one turn in `duration` s; "at once" for all
+    rays of one instant; empty: not known, for the reason in `text`.
+    """
+
+    direction: Word = ""
+    start_deg: float = 0.0
+    duration: Seconds = 0.0
+    samples: Count = 0
+    text: Line = ""
+
+    @property
+    def line(self) -> str:
+        """The sweep with its samples, or why it is not known."""
+        pairs = f"measured in {self.samples} pairs of scans"
+        if not self.direction:
+            return f"direction not known: {self.text}; returns are not de-skewed"
+        if not self.duration:
+            return f"all rays at once, {pairs}" if self.samples else "all rays at once, by driver"
+        way = f"{self.direction} from {self.start_deg:g} deg in {self.duration:.3g} s"
+        return f"{way}, {pairs}"
+
+
 class ScanDelaySummary(Struct, frozen=True, kw_only=True):
     """The delay of scans: declared by the platform, and measured. In s.
 
-    `added`: what protection counts beyond `declared`. Beyond `bound` it holds the robot.
+    `added`: what protection counts beyond `declared`. Beyond `bound` it holds the robot. `sweep`:
+    None if the platform gives it.
     """
 
     declared: Seconds
     added: Seconds
     bound: Seconds
     figures: tuple[DelayFigure, ...] = ()
+    sweep: SweepFigure | None = None
 
 
 class NarrowestPassage(Struct, frozen=True):
@@ -632,8 +661,9 @@ class Status(Struct, frozen=True, kw_only=True):
     of the daemon's package. `kernels`: which code decides, see `describe_kernels`. `body`: what its
     beacons tell of it. `peers`: those that it may not see, or that are faster than it assumes.
     `passage`: what protection lets it through; None if its mode has no such width. `findings`: the
-    violated assumptions for which it drives slower, each with its evidence. `goal`: None
-    before the robot has seen any. `keys`: None in an insecure swarm.
+    violated assumptions for which it drives slower, each with its evidence. `not_following`: how
+    its base does not follow its commands. `goal`: None before the robot has seen any. `keys`: None
+    in an insecure swarm.
     """
 
     robot: Name
@@ -668,6 +698,7 @@ class Status(Struct, frozen=True, kw_only=True):
     peers: tuple[PeerFinding, ...] = ()
     passage: NarrowestPassage | None = None
     findings: tuple[Line, ...] = ()
+    not_following: Line = ""
     neighbors: tuple[Name, ...] = ()
     recording: RecordingSummary | None = None
     goal: GoalStatus | None = None

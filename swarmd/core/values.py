@@ -84,7 +84,8 @@ class Scan:
     the sensor's own clock, which need not be that of other stamps. `ages` (n,) s: how much older
     than the newest ray each ray is. None: the driver does not know (raw scan), or all are of one
     instant (conditioned scan). `newest_age`: s that the newest ray of a conditioned scan was old on
-    arrival, by the platform's `latency`; None for a raw scan.
+    arrival, by the platform's `latency`; None for a raw scan. While the order of the rays is not
+    known, both count from the mean ray: each age is that by which a ray may be older.
     """
 
     seq: int
@@ -239,7 +240,8 @@ class ScanSpec:
     or lds (the rule of the LDS family in `sensing/conditioning.py`). `is_noisy`: identical scans
     reveal a frozen sensor. `near`: whether the sensor reports returns nearer than `range_min`, or
     loses them as if there were none. `latency`: mean age of the rays in s when a scan arrives.
-    `sweep`: None if all rays are measured at once.
+    `sweep`: None if all rays are measured at once, and if the robot `measures_sweep`: the ages of
+    rays by their driver then tell the duration of a scan only, or that all are of one instant.
     """
 
     bearings: Array
@@ -253,6 +255,7 @@ class ScanSpec:
     near: Literal["reported", "lost"] = "reported"
     latency: float = 0.0
     sweep: Sweep | None = None
+    measures_sweep: bool = False
 
     @property
     def stale_after(self) -> float:
@@ -295,7 +298,8 @@ class Platform:
     `protection` holds the settings of the arbiter: `mode`, the values of the potential field's
     preset in force, and those of `barrier` and `stop_zone` under these names (None: not given).
     `patterns`: parameters by pattern name. `drivers`: options by driver name. `heights`: None if
-    they are not known. `body`: values for the simulated robot (mass, wheel base ...).
+    they are not known. `body`: values for the simulated robot (mass, wheel base ...). `ranges`: a
+    ring of further range sensors, for what `scan` does not see; None without one.
     """
 
     name: str
@@ -308,10 +312,12 @@ class Platform:
     drivers: Mapping[str, Mapping[str, Value]] = field(default_factory=dict)
     heights: Heights | None = None
     body: Mapping[str, float] = field(default_factory=dict)
+    ranges: ScanSpec | None = None
 
 
 _INPUTS = (
     "scan",
+    "ranges",
     "odometry",
     "neighbors",
     "neighbors.distance",
@@ -333,7 +339,9 @@ class Inputs(Struct, frozen=True, eq=False, array_like=True):
 
     `now` is in s on the robot's monotonic clock, `dt` the time since the last step (0 at the
     first). `scan` is the latest conditioned scan (None before the first); `is_new_scan` is true
-    once for each scan. `messages` are those received since the last step.
+    once for each scan. `messages` are those received since the last step. `ranges` is the latest
+    conditioned scan of the platform's ring of range sensors, measured from the ring's own offset
+    (None without a ring, or before its first scan).
     """
 
     now: float
@@ -344,6 +352,7 @@ class Inputs(Struct, frozen=True, eq=False, array_like=True):
     neighbors: tuple[Neighbor, ...] = ()
     messages: tuple[Message, ...] = ()
     readings: Mapping[str, float] = {}
+    ranges: Scan | None = None
 
 
 class Outputs(Struct, frozen=True, array_like=True):

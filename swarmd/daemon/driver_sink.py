@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from swarmd.core.clock import boottime
 from swarmd.core.codec import decode_value
 from swarmd.core.errors import CodecError
+from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose
 from swarmd.daemon.neighbor_selection import NeighborSelection
@@ -39,6 +40,10 @@ class DriverSink:
         """A scan as measured."""
         self._carry_out(self._robot.on_scan(scan, boottime()))
 
+    def ranges(self, scan: Scan) -> None:
+        """A scan of the ring of range sensors, as measured."""
+        self._carry_out(self._robot.on_ranges(scan, boottime()))
+
     def odometry(self, odometry: Odometry) -> None:
         """A measured pose and twist."""
         self._robot.on_odometry(odometry, boottime())
@@ -57,6 +62,10 @@ class DriverSink:
     def readings(self, values: Mapping[str, float]) -> None:
         """Scalar sensors by name."""
         self._robot.on_readings(values)
+
+    def hazards(self, hazards: tuple[Hazard, ...]) -> None:
+        """All hazards that the base senses now."""
+        self._carry_out(self._robot.on_hazards(hazards, boottime()))
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
         """A pattern's message that the base's radio received."""

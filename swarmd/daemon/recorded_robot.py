@@ -7,6 +7,7 @@ from typing import Any
 
 from swarmd.core.errors import fail_stop
 from swarmd.core.goal import Goal
+from swarmd.core.hazard import Hazard
 from swarmd.core.host_messages import HostEvent, Stepped
 from swarmd.core.messages import Body, Latch, Reason, Request, Status
 from swarmd.core.values import (
@@ -41,6 +42,12 @@ class RecordedRobot(Robot):
         """A raw scan arrived."""
         self._recorder.scan(scan, now)
         return self._decided("scan", now, super().on_scan(scan, now))
+
+    @fail_stop
+    def on_ranges(self, scan: Scan, now: float) -> Actions:
+        """A raw scan of the ring of range sensors arrived."""
+        self._recorder.scan(scan, now, "/ranges")
+        return self._decided("ranges", now, super().on_ranges(scan, now))
 
     @fail_stop
     def on_odometry(self, odometry: Odometry, now: float) -> None:
@@ -78,6 +85,13 @@ class RecordedRobot(Robot):
         """Scalar sensor readings by name."""
         self._recorder.latest("readings", frames.ReadingsEntry(self._last_tick, dict(readings)))
         super().on_readings(readings)
+
+    @fail_stop
+    def on_hazards(self, hazards: tuple[Hazard, ...], now: float) -> Actions:
+        """All hazards that the base senses now."""
+        entry = frames.TextEntry(now, "/hazards", frames.as_json(hazards))
+        self._recorder.latest("hazards", entry)
+        return self._decided("hazards", now, super().on_hazards(hazards, now))
 
     @fail_stop
     def on_message(self, sender: str, name: str, value: Value, now: float) -> bool:

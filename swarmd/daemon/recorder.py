@@ -76,7 +76,7 @@ class Recorder:
         self._ending: list[_Process] = []
         self._entries: list[frames.Entry] = []
         self._latest: dict[str, frames.Entry] = {}
-        self._scan: Scan | None = None
+        self._scans: dict[str, Scan] = {}  # the last one by topic
         self._flush_at = 0.0
         self._reported_at = -DROPS_PERIOD
         self._unreported = self._unrecorded = 0
@@ -103,7 +103,7 @@ class Recorder:
         one = self._open = _Process()
         self._loop.add_reader(one.socket, self._on_report, one)
         self._loop.add_reader(one.pidfd, self._on_end, one)
-        self._scan, self._entries = None, []
+        self._scans, self._entries = {}, []
         self.dropped = self._unreported = self._unrecorded = 0
         self.fault = ""
         self.report = frames.RecorderReport("", 0)
@@ -136,11 +136,11 @@ class Recorder:
                 one.process.kill()
             self._on_end(one)
 
-    def scan(self, scan: Scan, now: float) -> None:
-        """A scan as the driver gave it."""
+    def scan(self, scan: Scan, now: float, topic: str = "/scan") -> None:
+        """A scan as the driver gave it, of the lidar or of the ring of range sensors."""
         if self._open is not None:
-            entry = frames.scan_entry(scan, now, self._scan)
-            self._scan = scan
+            entry = frames.scan_entry(scan, now, self._scans.get(topic), topic)
+            self._scans[topic] = scan
             self.add(entry)
 
     def latest(self, what: str, entry: frames.Entry) -> None:
@@ -205,7 +205,7 @@ class Recorder:
         return frames.encode_entry(frames.DroppedEntry(boottime(), self._unrecorded))
 
     def _drop(self, count: int) -> None:
-        self._scan = None  # the directions of rays may have been among them
+        self._scans = {}  # the directions of rays may have been among them
         self.dropped += count
         self._unreported += count
         self._unrecorded += count

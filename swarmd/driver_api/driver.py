@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Platform, Scan, SharedPose, Twist, Value
 
@@ -30,6 +31,9 @@ class Sink(Protocol):
     def scan(self, scan: Scan) -> None:
         """A scan as the sensor gave it; the core conditions it."""
 
+    def ranges(self, scan: Scan) -> None:
+        """A scan of the platform's section `ranges`, as its sensors gave it."""
+
     def odometry(self, odometry: Odometry) -> None:
         """A measured pose and twist."""
 
@@ -41,6 +45,13 @@ class Sink(Protocol):
 
     def readings(self, values: Mapping[str, float]) -> None:
         """All scalar sensors by name; NaN: the sensor is known, and has no fresh value."""
+
+    def hazards(self, hazards: tuple[Hazard, ...]) -> None:
+        """All hazards that the base senses now, on each change; empty: none.
+
+        Never called: the base has none, or does not tell. A driver that no longer hears of hazards
+        while its base is connected tells NOT_HEARD.
+        """
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
         """A pattern's message that the base's own radio received; see `MessageCarrier`."""
@@ -96,7 +107,7 @@ class ZeroSender(Protocol):
 
     It lives in the watchdog's process (`watchdog.py`), which has no event loop. A sender whose
     `open` may return before it is connected also has `is_connected`; while that is false the
-    daemon's commands are zero.
+    daemon's commands are zero. A sender that a driver's `zero_hint` concerns has `take_hint(hint)`.
     """
 
     def open(self) -> None:
@@ -111,7 +122,12 @@ class ZeroSender(Protocol):
 
 @runtime_checkable
 class ZeroSenderProvider(Protocol):
-    """What a driver also offers if its base may lack a command timeout."""
+    """What a driver also offers if its base may lack a command timeout.
+
+    A driver that finds out what zero its base understands tells that in the attribute `zero_hint`,
+    a word of at most 15 ASCII characters, empty while it is unknown. Each tick carries it to the
+    watchdog, where it outlives the daemon.
+    """
 
     def zero_sender(self) -> ZeroSenderSpec | None:
         """How the watchdog sends zero to this base.
@@ -164,4 +180,6 @@ class NullSink:
     def _ignore(self, *args: Any, **kwargs: Any) -> None:
         pass
 
-    scan = odometry = neighbors = pose = readings = message = state = dropped = _ignore
+    scan = ranges = odometry = neighbors = pose = readings = hazards = message = state = dropped = (
+        _ignore
+    )

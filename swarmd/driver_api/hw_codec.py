@@ -16,12 +16,13 @@ from msgspec import Meta, Struct
 
 from swarmd.core.bounds import Count, Metres, Name, Seconds, Speed, Word
 from swarmd.core.codec import MAX_MESSAGE, MAX_SENSOR_PAYLOAD, Decoder, encode
-from swarmd.core.errors import CodecError
+from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.values import (
     MAX_TOLD_DISTANCE,
     Array,
     Neighbor,
     Odometry,
+    Platform,
     Pose,
     Scan,
     ScanSpec,
@@ -137,6 +138,15 @@ _readings = Decoder(ReadingsWire)
 _command = Decoder(CommandWire)
 _message = Decoder(MessageWire)
 _messages = Decoder(MessagesWire, MAX_SENSOR_PAYLOAD)
+
+
+def check_measures(platform: Platform) -> None:
+    """ConfigError if a simulated base does not measure all that a robot of the platform needs."""
+    if platform.ranges is not None:
+        raise ConfigError(
+            f"platform {platform.name}: a simulated base does not measure ranges, and the robot"
+            " would be held without them; expected ranges: null, in a file that extends this one"
+        )
 
 
 def encode_scan(scan: Scan) -> bytes:

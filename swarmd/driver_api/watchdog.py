@@ -38,6 +38,8 @@ TICK_TIMEOUT = 0.4
 MIN_ZERO_TIME = 2.0
 """Seconds for which zeros are sent, however soon the daemon is back."""
 ZERO_PERIOD = 0.05
+MAX_HINT = 15
+"""Characters of the hint for the sender that may follow a tick."""
 
 TICK, FAREWELL = b"t", b"f"
 READY, FAULT = b"r", b"e"
@@ -143,6 +145,7 @@ class Watchdog:
         self._tie = -1 if tie is None else _pidfd(tie)
         self._is_sending = False
         self._was_connected = True
+        self._hint = b""
         self._next = 0.0
         self._faults = 0
         self._is_asked = False
@@ -198,18 +201,25 @@ class Watchdog:
     def _read_ticks(self) -> None:
         while True:
             try:
-                frame = self._daemon.recv(16)
+                frame = self._daemon.recv(1 + MAX_HINT)
             except BlockingIOError:
                 return
             except OSError:
                 frame = b""
-            if frame == TICK:
+            if frame.startswith(TICK):
+                self._take_hint(frame[1:])
                 self._timer.tick(boottime())
                 self._answer(TICK if self._may_move() else ZEROS)
                 continue
             self._timer.close(boottime())
             self._is_asked |= frame == FAREWELL
             return
+
+    def _take_hint(self, hint: bytes) -> None:
+        take_hint = getattr(self._sender, "take_hint", None)
+        if hint and hint != self._hint and take_hint is not None:
+            self._hint = hint
+            take_hint(hint.decode(errors="replace"))
 
     def _may_move(self) -> bool:
         is_connected = bool(getattr(self._sender, "is_connected", True))

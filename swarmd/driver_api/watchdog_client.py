@@ -75,8 +75,8 @@ class WatchdogProcess:
         """Wait until it is lost; the reason."""
         return await asyncio.shield(self._lost)
 
-    def feed(self) -> None:
-        """Send a tick; never blocks."""
+    def feed(self, hint: str = "") -> None:
+        """Send a tick with a hint for the zero sender, see `ZeroSenderProvider`; never blocks."""
         now = boottime()
         if now - self._fed_at < _FEED_PERIOD:
             return
@@ -91,7 +91,7 @@ class WatchdogProcess:
                 self._lose(f"has not answered for {ANSWER_TIMEOUT:g} s")
         self._unanswered_since = self._unanswered_since or now
         with contextlib.suppress(OSError):  # full or gone: it does not answer
-            self._socket.send(TICK)
+            self._socket.send(TICK + hint.encode())
 
     def close(self) -> None:
         """Say farewell: it sends zeros for the rest of the 2 s and ends."""
@@ -189,7 +189,7 @@ class WatchedDriver:
     ) -> None:
         """Feed the watchdog and pass a command on: zero if it requires that, dropped without it."""
         if self._watchdog is not None:
-            self._watchdog.feed()
+            self._watchdog.feed(getattr(self.wrapped, "zero_hint", ""))
             command = ZERO if self._watchdog.requires_zero else twist
             self.wrapped.send(command, scan_seq, requested_scan_seq, is_stopped=is_stopped)
 

@@ -60,7 +60,7 @@ class Pattern(ABC, Generic[P]):
     Class attributes:
 
     - `params_type`: the struct of its parameters.
-    - `needs`: what the robot must sense, of scan, odometry, neighbors, neighbors.distance,
+    - `needs`: what the robot must sense, of scan, ranges, odometry, neighbors, neighbors.distance,
       neighbors.bearing, neighbors.heading and reading:<name>.
     - `channels`: its message channels, each with the type of its values.
     - `rate`: steps a second.
@@ -124,5 +124,7 @@ def _is_missing(word: str, inputs: Inputs) -> bool:
     """True if the scan or reading that `word` of `needs` names is not among the inputs."""
     if word == "scan":
         return inputs.scan is None
+    if word == "ranges":
+        return inputs.ranges is None
     kind, _, name = word.partition(":")
     return kind == "reading" and name not in inputs.readings

@@ -18,6 +18,7 @@ from swarmd.protection.assumption_monitor import AssumptionMonitor
 from swarmd.protection.barrier import Barrier
 from swarmd.protection.compiled_barrier import CompiledBarrier, make_barrier
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, ModeDecision, Permit
+from swarmd.protection.following import FollowingMonitor
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import Off, PotentialField, StopZone
 from swarmd.protection.recovery import Clearance, Recovery
@@ -25,6 +26,7 @@ from swarmd.protection.recovery import Clearance, Recovery
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
 _STOPPED = ModeDecision(ZERO, is_active=False)
 _ZERO_TOLERANCE = 1e-9  # m/s or rad/s: what rounding leaves of a zero command
+_NO_POINTS = np.empty((0, 2))
 
 
 class Arbiter(Protocol):
@@ -87,12 +89,14 @@ class Protection:
         self._geometry = ScanGeometry(platform.scan)
         # Of the modes only barrier assumes anything.
         self._monitor = AssumptionMonitor(platform) if self._arbiter.mode == "barrier" else None
+        self._following = FollowingMonitor(platform)
         self._latency = platform.scan.latency
         self._is_running = False
         self.events: list[str] = []
         self._scan_seq = -1
         self._min_gap: float | None = None
         self._scan: Scan | None = None
+        self._near = _NO_POINTS  # returns of the ring, m in the base frame
         self._safe = ZERO
         self._allowed = ZERO  # the safe command before `speed_share`
         self._requested: Twist | None = None
@@ -128,6 +132,13 @@ class Protection:
         """Compare what mode barrier assumes of the base with its measured motion."""
         if self._monitor is not None:
             self._log(self._monitor.on_odometry(odometry))
+        if self._is_running:
+            self._following.on_odometry(odometry)
+
+    @property
+    def not_following(self) -> str:
+        """How the base of a running robot does not follow the safe commands; empty if it does."""
+        return self._following.text
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -163,8 +174,11 @@ class Protection:
             if requested is not None and requested.is_finite:
                 self._wanted = self._limits.clip(requested)
         wanted = judged = self._wanted
+        self._near = context.near_points if context.near else _NO_POINTS
         if is_running and hold is None and context.scan_age is None:
             hold = Reason.NO_SCAN
+        if not is_running or hold is Reason.DRIVER_LOST or permit.touch is not None:
+            self._following.reset()  # what a robot may touch may stop it
         if not is_running or hold is not None:
             if recovery is not None:
                 recovery.reset()
@@ -197,10 +211,11 @@ class Protection:
         return last
 
     def _points(self) -> Array:
-        """(k, 2) returns of the last scan within the lookahead, in the base frame in m."""
+        """(k, 2) returns of the scan within the lookahead, and of the ring, base frame, m."""
         if self._scan is None or self._recovery is None:
-            return np.empty((0, 2))
-        return self._geometry.points(self._scan, self._recovery.lookahead)
+            return _NO_POINTS
+        points = self._geometry.points(self._scan, self._recovery.lookahead)
+        return np.concatenate((points, self._near)) if len(self._near) else points
 
     def _decision(
         self,
@@ -217,7 +232,12 @@ class Protection:
             if share < 1.0:  # the constraints are convex and hold for zero, so also for a share
                 safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
             self._log(monitor.on_command(safe))
+        self._following.on_command(safe)
         self._safe, self._context = safe, None
+        gap = self._min_gap
+        if len(self._near):
+            beside = float(self._footprint.gaps(self._near).min())
+            gap = beside if gap is None else min(gap, beside)
         return Decision(
             self._arbiter.mode,
             wanted,
@@ -225,7 +245,7 @@ class Protection:
             reason,
             decision.is_active or share < 1.0,
             decision.rows,
-            self._min_gap,
+            gap,
             context.scan_age,
             self._scan_seq,
             recovery is not None and recovery.is_active,

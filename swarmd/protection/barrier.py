@@ -173,7 +173,9 @@ class Barrier:
         reserve = settings.side_reserve
         reserve = SIDE_RESERVE * settings.others_speed if reserve is None else reserve
         self._side_reserve = reserve if settings.responsibility == "passive" else 0.0
-        self._may_creep = settings.responsibility == "passive" and settings.keep_out is None
+        # Where a disc may touch the robot is not known well enough to creep past it.
+        self._may_creep = platform.ranges is None and settings.keep_out is None
+        self._may_creep &= settings.responsibility == "passive"
         self._obstacles, self._taken_at, self._taken = _NO_OBSTACLES, Pose(), -math.inf
         self._lag, self._clock_resets = 0.0, 0
         self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
@@ -443,7 +445,7 @@ class Barrier:
         radius = self._radius
         return [
             one
-            for one in context.told
+            for one in context.told + context.near
             if not math.hypot(one.x, one.y) - one.radius - radius
             > self._binding_range.for_age(one.age + REACTION_TIME)
         ]

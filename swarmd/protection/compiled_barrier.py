@@ -109,8 +109,9 @@ class CompiledBarrier(Barrier):
             self._record(odometry)
         if touch is not self._touch:
             self._grant(touch)
-        if context.told != self._told:
-            self._told = context.told
+        told = context.told + context.near if context.near else context.told
+        if told != self._told:
+            self._told = told
             table = [(one.x, one.y, one.radius, one.age) for one in self._told]
             self._kernel.set_told(np.array(table, np.float64).reshape(-1, 4))
         if requested.lateral == 0.0:

@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+import numpy as np
 from msgspec import Struct
 
 from swarmd.core.messages import LimitingObstacle, Reason
-from swarmd.core.values import Odometry, TouchZone, Twist
+from swarmd.core.values import Array, Odometry, TouchZone, Twist
 
 
 class ToldObstacle(Struct, frozen=True, array_like=True):
-    """A disc that the robot is told of, by range and bearing or in a shared frame.
+    """A disc beside those of the lidar scan: a told place of a peer, or a return of the range ring.
 
     Its centre `x`, `y` in m in the base frame `age` s before the decision, when its place was
     measured; `radius` in m, the error of the place included.
@@ -26,7 +27,7 @@ class DecisionContext(Struct, frozen=True):
 
     `scan_age` and `odometry_age` in s since arrival; None: none has arrived. `scan_delay` in s: how
     much later than the platform's `latency` scans arrive, as measured. `told`: obstacles that
-    others tell of.
+    others tell of. `near`: returns of the platform's ring of range sensors.
     """
 
     now: float
@@ -35,6 +36,12 @@ class DecisionContext(Struct, frozen=True):
     odometry_age: float | None = None
     scan_delay: float = 0.0
     told: tuple[ToldObstacle, ...] = ()
+    near: tuple[ToldObstacle, ...] = ()
+
+    @property
+    def near_points(self) -> Array:
+        """(k, 2) the returns of the ring, in the base frame in m."""
+        return np.array([(one.x, one.y) for one in self.near], np.float64).reshape(-1, 2)
 
 
 class Permit(Struct, frozen=True):

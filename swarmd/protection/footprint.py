@@ -146,7 +146,10 @@ class Footprint:
             return 0.0, float(scan.bearings[scan.ranges.argmin()])
         inner, outer = self.circles(geometry.offset)
         within = max(max(nearest, scan.range_min) - inner, 0.0) + outer
-        points = geometry.points(scan, within)
+        return self.nearest_point(geometry.points(scan, within))
+
+    def nearest_point(self, points: Array) -> tuple[float, float]:
+        """Gap in m and bearing in rad, from the axle, of the nearest of points (n, 2); n > 0."""
         gaps = self.gaps(points)
         index = int(gaps.argmin())
         x, y = points[index].tolist()

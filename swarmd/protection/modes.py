@@ -9,12 +9,14 @@ import msgspec
 import numpy as np
 
 from swarmd.core.messages import LimitingObstacle
-from swarmd.core.values import ZERO, Platform, Scan, TouchZone, Twist
+from swarmd.core.values import ZERO, Array, Platform, Scan, TouchZone, Twist
 from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import StopZoneSettings
 from swarmd.sensing.potential_field import field_twist, potential_field
+
+_LEAST_LENGTH = 1e-9  # of a field: a shorter one has no direction
 
 
 class Off:
@@ -44,7 +46,9 @@ class PotentialField:
     Source: Kaiser et al., ICRA 2022, section III. More than `rays` returns within `threshold` m of
     the lidar suppress the pattern's command, and a repulsive potential field drives instead, at
     full speed. Our deviations: a return below range_min counts as one at range_min (in the original
-    it counts as free), and the arbiter clips the command to the limits.
+    it counts as free), and the arbiter clips the command to the limits. A return of a ring of range
+    sensors is rare and near: one is enough, its field has no forward bias, and the two fields have
+    equal weight.
     """
 
     mode = "potential_field"
@@ -55,6 +59,7 @@ class PotentialField:
         self._threshold = float(settings["threshold"])
         self._rays = int(settings["rays"])
         self._forward_bias = float(settings["forward_bias"])
+        self._vector: Array | None = None
         self._evasion: Twist | None = None
 
     def clearance(self, speed: float) -> None:
@@ -70,18 +75,39 @@ class PotentialField:
             bias=self._forward_bias,
             ray_threshold=self._rays,
         )
-        if field.is_alone:
-            self._evasion = None
-            return
-        self._evasion = field_twist(field.vector, self._limits.linear, self._limits.angular)
+        self._vector = self._evasion = None
+        if not field.is_alone:
+            self._vector = field.vector
+            self._evasion = self._twist(field.vector)
 
     def decide(
         self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """The evading command if there is one, else the requested command."""
-        if self._evasion is None:
+        evasion = self._evasion_of_ring(context.near_points) if context.near else self._evasion
+        if evasion is None:
             return ModeDecision(requested, is_active=False)
-        return ModeDecision(self._evasion, is_active=True)
+        return ModeDecision(evasion, is_active=True)
+
+    def _evasion_of_ring(self, points: Array) -> Twist | None:
+        """The evading command for returns (k, 2) of the ring, and for those of the scan."""
+        field = potential_field(
+            np.hypot(*points.T),
+            np.arctan2(points[:, 1], points[:, 0]),
+            range_max=self._threshold,
+            range_min=0.0,
+            bias=0.0,
+            ray_threshold=0,
+        )
+        if field.is_alone:
+            return self._evasion
+        vectors = [field.vector] if self._vector is None else [field.vector, self._vector]
+        lengths = [max(float(np.hypot(*vector)), _LEAST_LENGTH) for vector in vectors]
+        shares = [vector / length for vector, length in zip(vectors, lengths, strict=True)]
+        return self._twist(np.sum(shares, axis=0))
+
+    def _twist(self, vector: Array) -> Twist:
+        return field_twist(vector, self._limits.linear, self._limits.angular)
 
 
 class StopZone:
@@ -114,10 +140,13 @@ class StopZone:
         self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """The requested command, a share of it, or zero."""
-        settings = self._settings
-        if self._nearest is None or requested.is_zero:
+        settings, nearest = self._settings, self._nearest
+        if context.near:
+            beside = self._outline.nearest_point(context.near_points)
+            nearest = beside if nearest is None else min(nearest, beside)
+        if nearest is None or requested.is_zero:
             return ModeDecision(requested, is_active=False)
-        gap, bearing = self._nearest
+        gap, bearing = nearest
         if gap <= settings.stop:
             return ModeDecision(ZERO, is_active=True, rows=(LimitingObstacle(bearing, gap, 0.0),))
         if gap > settings.slow:

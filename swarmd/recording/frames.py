@@ -47,13 +47,14 @@ class Begin(Struct, frozen=True, array_like=True, tag="begin"):
 
 
 class ScanEntry(Struct, frozen=True, array_like=True, tag="scan"):
-    """A scan as the driver gave it."""
+    """A scan as the driver gave it, on topic `/scan`, or `/ranges` for the ring's."""
 
     at: float
     seq: int
     stamp: float
     ranges: bytes
     geometry: ScanGeometry | None
+    topic: str = "/scan"
 
 
 class ScanGeometry(Struct, frozen=True, array_like=True):
@@ -250,11 +251,11 @@ def decode_host(data: bytes) -> HostEvent:
         raise CodecError(f"not an event of a pattern host: {error}") from error
 
 
-def scan_entry(scan: Scan, at: float, last: Scan | None) -> ScanEntry:
-    """The entry of a scan; `last`: the scan before it, whose geometry need not be repeated."""
+def scan_entry(scan: Scan, at: float, last: Scan | None, topic: str = "/scan") -> ScanEntry:
+    """The entry of a scan; `last`: that before it on the topic, whose geometry may still hold."""
     same = last is not None and has_geometry_of(scan, last)
     geometry = None if same else _geometry(scan)
-    return ScanEntry(at, scan.seq, scan.stamp, scan.ranges.tobytes(), geometry)
+    return ScanEntry(at, scan.seq, scan.stamp, scan.ranges.tobytes(), geometry, topic)
 
 
 def has_geometry_of(scan: Scan, other: Scan) -> bool:

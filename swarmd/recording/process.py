@@ -22,7 +22,8 @@ from swarmd.recording.cdr import Message
 from swarmd.recording.writer import CHUNK_TIME, RecordingWriter
 
 REPORT_PERIOD = 1.0
-GEOMETRY = "/scan/geometry"
+GEOMETRY = "/geometry"
+"""Ends the topic of the directions and ages of a scan's rays, after that of the scan."""
 
 
 class Converter:
@@ -32,14 +33,14 @@ class Converter:
         self._begin = begin
         wall, boot = round(begin.wall * 1e9), round(begin.at * 1e9)
         self._offset = wall - boot
-        self._geometry: frames.ScanGeometry | None = None
+        self._geometry: dict[str, frames.ScanGeometry] = {}
         self._robot = begin.about.get("robot", "")
         self.writer = RecordingWriter(
             Path(begin.folder),
             begin.name,
             {**begin.about, "wall_ns": str(wall), "boot_ns": str(boot)},
             limits=begin.limits,
-            latched=frozenset({GEOMETRY}),
+            latched=frozenset({f"/scan{GEOMETRY}", f"/ranges{GEOMETRY}"}),
         )
 
     def ns(self, at: float) -> int:
@@ -57,15 +58,15 @@ class Converter:
             self.writer.add(topic, message, self.ns(entry.at))
 
     def _scan(self, entry: frames.ScanEntry) -> None:
-        at = self.ns(entry.at)
+        at, topic = self.ns(entry.at), entry.topic
         if entry.geometry is not None:
-            self._geometry = entry.geometry
-        if self._geometry is None:
+            self._geometry[topic] = entry.geometry
+        if topic not in self._geometry:
             return
-        scan = frames.scan_of(entry, self._geometry)
+        scan = frames.scan_of(entry, self._geometry[topic])
         if entry.geometry is not None:
-            self.writer.add(GEOMETRY, messages.geometry_message(scan), at)
-        self.writer.add("/scan", messages.scan_message(scan), at, scan.seq)
+            self.writer.add(topic + GEOMETRY, messages.geometry_message(scan), at)
+        self.writer.add(topic, messages.scan_message(scan), at, scan.seq)
 
     def _message(self, entry: frames.Entry) -> tuple[str, Message] | None:
         stamp = 1e-9 * self.ns(entry.at)

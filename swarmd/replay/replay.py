@@ -16,6 +16,7 @@ import msgspec
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.goal import Goal
+from swarmd.core.hazard import Hazard
 from swarmd.core.host_messages import (
     HostEvent,
     KillHost,
@@ -42,7 +43,15 @@ TOLERANCE = 1e-6
 """m/s and rad/s: two commands that differ by less are equal."""
 
 _SKIPPED = frozenset(
-    {"/scan/geometry", "/command/requested", "/status", "/event", "/clock/pair", "/dropped"}
+    {
+        "/scan/geometry",
+        "/ranges/geometry",
+        "/command/requested",
+        "/status",
+        "/event",
+        "/clock/pair",
+        "/dropped",
+    }
 )
 
 
@@ -120,7 +129,7 @@ class Replay:
         self._origins = origins
         self._executor = PatternExecutor(self._loader)
         self._steps: deque[SentEvent] = deque()
-        self._geometry: Any = None
+        self._geometry: dict[str, Any] = {}
         self._begin: float | None = None
         self._actions: Actions | None = None
         self._notes: dict[str, None] = {}
@@ -168,8 +177,10 @@ class Replay:
         return Parity(self.safe, self.requested, last, tuple(self._notes))
 
     def _take(self, one: RecordedMessage, now: float) -> None:
-        if one.topic == "/scan/geometry":
-            self._geometry = messages.deserialize(one.kind, one.payload)
+        if one.topic.endswith("/geometry"):
+            self._geometry[one.topic.removesuffix("/geometry")] = messages.deserialize(
+                one.kind, one.payload
+            )
         if one.topic == "/dropped":
             at = now - (self._begin or now)
             self._note(f"at {at:.3f} s entries were dropped; commands after it may differ")
@@ -185,9 +196,10 @@ class Replay:
 
     def _input(self, one: RecordedMessage, message: Any, now: float) -> None:
         robot, topic = self._robot, one.topic
-        if topic == "/scan":
-            scan: Scan = messages.scan_of(message, one.sequence, self._geometry)
-            self._carry_out(robot.on_scan(scan, now))
+        if topic in ("/scan", "/ranges"):
+            scan: Scan = messages.scan_of(message, one.sequence, self._geometry.get(topic))
+            take = robot.on_scan if topic == "/scan" else robot.on_ranges
+            self._carry_out(take(scan, now))
         elif topic == "/odometry":
             robot.on_odometry(messages.odometry_of(message), now)
         elif topic == "/neighbors":
@@ -215,6 +227,8 @@ class Replay:
         robot, decode = self._robot, msgspec.json.decode
         if topic == "/peers":
             robot.on_peers(decode(text, type=dict[str, Body | None]), now)
+        elif topic == "/hazards":
+            self._carry_out(robot.on_hazards(decode(text, type=tuple[Hazard, ...]), now))
         elif topic == "/peer_place":
             robot.on_peer_place(decode(text, type=PeerPlace), now)
         elif topic == "/request":

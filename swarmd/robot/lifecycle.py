@@ -473,6 +473,19 @@ class Lifecycle:
             return
         self.end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
 
+    def on_hazard(self, text: str, effects: Effects) -> None:
+        """A hazard with which no run may go on or begin: a person holds the robot.
+
+        The run or load ends, earlier epochs become stale, and no goal that was set before starts
+        the robot again.
+        """
+        run = self.pattern_run
+        if run.running is None and run.loading is None:
+            return
+        self.raise_revision(f"a hazard: {text}")
+        self.end(Trigger.HAZARD, Reason.HAZARD, text, effects)
+        self.goals.bar(effects.now)
+
     def on_network_changed(self, text: str, effects: Effects) -> None:
         """The daemon speaks on another network: earlier epochs become stale and the run ends."""
         self.raise_revision("a change of the network")
@@ -510,8 +523,11 @@ class Lifecycle:
         due, lease_ends = self.pattern_run.lifecycle_due_at(), self.goals.lease_ends
         return due if lease_ends is None else min(due, lease_ends)
 
-    def advance(self, hold: Reason | None, effects: Effects) -> Reason | None:
-        """Act on all deadlines that have passed; returns the present hold, if any."""
+    def advance(self, hold: Reason | None, effects: Effects, hold_text: str = "") -> Reason | None:
+        """Act on all deadlines that have passed; returns the present hold, if any.
+
+        `hold_text`: more on the hold, for the detail of a run that it ends.
+        """
         run, now = self.pattern_run, effects.now
         loading = run.loading
         if loading is not None and loading.loaded is not None:
@@ -538,7 +554,7 @@ class Lifecycle:
             self.raise_revision(f"the end of the run lease of {own.goal.issuer}")
             self.end(Trigger.STOP, Reason.LEASE_ENDED, text, effects)
             return None
-        return self._present_hold(hold, effects)
+        return self._present_hold(hold, effects, hold_text)
 
     def _end_silent_host(self, effects: Effects) -> None:
         """End a host that hangs in a step; a load that waits behind it gets a fresh host."""
@@ -551,7 +567,7 @@ class Lifecycle:
         run.loading = replace(run.loading, since=effects.now)
         effects.command_host(structs.replace(self._load, is_fresh=True))
 
-    def _present_hold(self, hold: Reason | None, effects: Effects) -> Reason | None:
+    def _present_hold(self, hold: Reason | None, effects: Effects, hold_text: str) -> Reason | None:
         if hold is None and self.pattern_run.is_restarting:
             hold = Reason.PATTERN_RESTARTING
         if hold is None and self.pattern_run.is_expired(effects.now):
@@ -562,7 +578,7 @@ class Lifecycle:
         elif self.hold_since is None:
             self.hold_since = effects.now
         elif effects.now - self.hold_since >= MAX_HOLD_TIME:
-            text = f"for {MAX_HOLD_TIME:.0f} s"
+            text = hold_text or f"for {MAX_HOLD_TIME:.0f} s"
             if hold is Reason.PATTERN_RESTARTING:
                 text += f", last: {self._last_fault}"
             self.end(Trigger.HOLD_LASTED, hold, text, effects)

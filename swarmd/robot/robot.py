@@ -12,6 +12,7 @@ from collections.abc import Collection, Mapping
 from msgspec.structs import astuple
 
 from swarmd.core.goal import Goal, GoalRecord, HeldGoal
+from swarmd.core.hazard import Hazard
 from swarmd.core.host_messages import HostEvent, Step, TrialDone
 from swarmd.core.messages import Body, Epoch, Latch, Motion, Reason, Request, State, Status
 from swarmd.core.values import (
@@ -74,6 +75,7 @@ class Robot:
         # `_due_at`, too. Odometry, neighbours, readings and messages reset neither.
         self._due_at = -math.inf  # s; before it only a step or the status can be due
         self._quiet_until = -math.inf  # s; before it nothing is due: a tick only decides
+        self._is_off_command = False  # the base does not follow its commands
         self._hold: Reason | None = Reason.NO_SCAN  # that of the last event
         self._is_status_due = True  # the lifecycle may have changed since the last look at it
         self._settled: Actions  # those of the last event but a quiet tick
@@ -193,6 +195,13 @@ class Robot:
             self._log_protection(now)
         return self._settle(effects)
 
+    def on_ranges(self, scan: Scan, now: float) -> Actions:
+        """A raw scan of the platform's ring of range sensors arrived."""
+        effects = self._begin(now)
+        effects.is_routine = True
+        self._sensors.on_ranges(scan, now)
+        return self._settle(effects)
+
     def on_odometry(self, odometry: Odometry, now: float) -> None:
         """A measured pose and twist arrived."""
         restarts = self._sensors.scan_delay.restarts
@@ -201,6 +210,7 @@ class Robot:
         if self._sensors.odometry is odometry:
             self._protection.on_odometry(odometry)
             self._log_protection(now)
+            self._log_following(now)
 
     def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
         """The present neighbours: from the driver if it provides them, else all members."""
@@ -231,6 +241,17 @@ class Robot:
     def on_readings(self, readings: Mapping[str, float]) -> None:
         """Scalar sensor readings by name; NaN for one without a fresh value."""
         self._sensors.on_readings(readings)
+
+    def on_hazards(self, hazards: tuple[Hazard, ...], now: float) -> Actions:
+        """All hazards that the base senses now; see `HazardHolds`."""
+        effects, holds = self._begin(now), self._sensors.hazards
+        before = holds.present
+        holds.take(hazards, now)
+        if before != holds.present:
+            text = ", ".join(one.text for one in holds.present) or "none any more"
+            self._events.log("hazards", f"hazards: {text}", now)
+            self._events.advance(now)
+        return self._settle(effects)
 
     def on_message(self, sender: str, name: str, value: Value, now: float) -> bool:
         """A message on `<pattern>/<channel>` arrived; False if its sender is no neighbour.
@@ -380,8 +401,9 @@ class Robot:
 
     def status(self, now: float) -> Status:
         """The status at `now`."""
-        findings = self._protection.findings
-        return make_status(self._lifecycle, self._sensors, self.decision, self._duty, now, findings)
+        return make_status(
+            self._lifecycle, self._sensors, self.decision, self._duty, now, self._protection
+        )
 
     def motion(self, now: float) -> Motion | None:
         """How it moves, for viewers; None before the first odometry."""
@@ -422,9 +444,12 @@ class Robot:
         permit = NO_PERMIT if run.running is None else run.running.permit
         self._sensors.permitted_delay = permit.scan_delay
         hold = self._sensors.hold(now)
+        hazards = self._sensors.hazards.text(now) if hold is Reason.HAZARD else ""
+        if self._sensors.hazards.ends_run:
+            lifecycle.on_hazard(self._sensors.hazards.text(now), effects)
         if hold is not None or now >= self._due_at or not effects.is_routine:
             self._requests.advance(effects)
-            hold = lifecycle.advance(hold, effects)
+            hold = lifecycle.advance(hold, effects, hazards)
             self._is_status_due, self._due_at = True, -math.inf
         self._quiet_until, self._hold = -math.inf, hold
         decision = self.decision = self._decide(hold, now)
@@ -477,6 +502,14 @@ class Robot:
         events = self._protection.events
         while events:
             self._lifecycle.log(events.pop(0), now)
+
+    def _log_following(self, now: float) -> None:
+        text = self._protection.not_following
+        if bool(text) != self._is_off_command:
+            self._is_off_command = bool(text)
+            if text or self.is_running:
+                self._events.log("following", text or "the base follows its commands again", now)
+                self._events.advance(now)
 
     def _decide(self, hold: Reason | None, now: float) -> Decision:
         running, context = self._run.running, self._sensors.context(now)
@@ -531,6 +564,7 @@ class Robot:
             None if loading is None else loading.generation,
             tuple(lifecycle.latches.held),
             self._sensors.is_driver_up,
+            self._sensors.hazards.present,
         )
         if current == self._published and now - self._published_at < STATUS_PERIOD:
             return None

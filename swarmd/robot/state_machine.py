@@ -15,6 +15,8 @@
 | LOAD_FAILED | a load fails or times out; a restart is refused        | load_failed          |
 | STALL       | the daemon's loop was late by STALL_TIMEOUT, unless    | loop_stalled         |
 |             | the robot is idle and loads and tries nothing          |                      |
+| HAZARD      | a wheel drop, or the base is lifted, while the robot   | hazard               |
+|             | runs or loads                                          |                      |
 | NETWORK     | the network that the daemon speaks on has changed      | network_changed      |
 |             | the daemon takes a roster                              | roster_changed       |
 | ESTOP       | an estop request; the latch of a peer; a latch on disk | estop                |
@@ -43,6 +45,7 @@ class Trigger(StrEnum):
     HOLD_LASTED = "hold_lasted"
     LOAD_FAILED = "load_failed"
     STALL = "stall"
+    HAZARD = "hazard"
     NETWORK = "network"
     ESTOP = "estop"
     FAULT = "fault"
@@ -60,6 +63,7 @@ TRANSITIONS: Mapping[Trigger, Mapping[State, State]] = MappingProxyType(
         Trigger.HOLD_LASTED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.LOAD_FAILED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.STALL: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.HAZARD: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.NETWORK: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
         Trigger.ESTOP: {_I: _E, _R: _E, _S: _E, _E: _E, _F: _E},
         Trigger.FAULT: {_I: _F, _R: _F, _S: _F, _E: _E, _F: _F},
@@ -94,7 +98,7 @@ class StateMachine:
 _RENEWS: Mapping[State, tuple[Trigger, ...]] = MappingProxyType(
     {
         _R: (Trigger.RUN,),
-        _S: (Trigger.STOP, Trigger.STALL),
+        _S: (Trigger.STOP, Trigger.STALL, Trigger.HAZARD),
         _E: (Trigger.ESTOP,),
         _F: (Trigger.FAULT,),
     }

@@ -11,6 +11,7 @@ import msgspec
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.messages import DecisionSummary, Health, Param, Reason, Status
 from swarmd.core.values import Scalar
+from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import Decision
 from swarmd.robot.lifecycle import Lifecycle
 from swarmd.robot.pattern_run import Loading
@@ -45,12 +46,15 @@ def make_status(
     decision: Decision,
     duty: DutyCycle,
     now: float,
-    findings: tuple[str, ...],
+    protection: Protection,
 ) -> Status:
     """The status at `now`; the daemon adds the health of its own loop."""
     identity, settings = lifecycle.identity, lifecycle.identity.settings
     machine, running = lifecycle.state_machine, lifecycle.pattern_run.running
     loading = lifecycle.pattern_run.loading
+    reason, detail = status_reason(lifecycle, decision), machine.detail
+    if reason is Reason.HAZARD and lifecycle.is_running:
+        detail = sensors.hazards.text(now)[:MAX_VALUE]
     values = {} if running is None else running.values
     dropped = {
         "msg:inbox_full": sensors.overflowed,
@@ -66,8 +70,8 @@ def make_status(
         profile=settings.profile,
         is_secured=settings.is_secured,
         state=machine.state,
-        reason=status_reason(lifecycle, decision),
-        detail=machine.detail if loading is None else _loading_text(loading, now),
+        reason=reason,
+        detail=detail if loading is None else _loading_text(loading, now),
         pattern=None if running is None else running.pattern,
         generation=lifecycle.pattern_run.generation,
         since=max(now - machine.since, 0.0),
@@ -95,7 +99,8 @@ def make_status(
         body=sensors.peers.own,
         peers=sensors.peers.findings(now)[:MAX_PEERS],
         passage=identity.passage,
-        findings=findings,
+        findings=protection.findings,
+        not_following=protection.not_following,
         neighbors=tuple(one.id for one in sensors.neighbors(now)[:MAX_NEIGHBORS]),
         goal=lifecycle.goals.status(now),
     )

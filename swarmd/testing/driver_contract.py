@@ -29,6 +29,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.messages import Reason
 from swarmd.core.values import (
     ZERO,
@@ -91,6 +92,14 @@ class ScriptedRig(Protocol):
 
 
 @runtime_checkable
+class RingRig(Protocol):
+    """A rig whose platform has the section `ranges`, and whose base has such sensors."""
+
+    def publish_ranges(self, ranges: Array) -> None:
+        """Make these sensors publish (n,) m, with the next stamp; n as in the platform's file."""
+
+
+@runtime_checkable
 class DetachableRig(Protocol):
     """A rig whose base can be taken away with all its links."""
 
@@ -101,15 +110,28 @@ class DetachableRig(Protocol):
         """Bring the base back at the same address, silent."""
 
 
+@runtime_checkable
+class HazardRig(Protocol):
+    """A rig whose base tells of one hazard."""
+
+    hazard: Hazard
+    hazard_options: Mapping[str, Value]  # with which a driver hears of it
+
+    def publish_hazard(self, *, is_present: bool) -> None:
+        """Make the base tell whether it senses the hazard; nothing else."""
+
+
 @dataclass(slots=True)
 class CollectingSink:
     """A sink that records everything."""
 
     scans: list[Scan] = field(default_factory=list)
+    rings: list[Scan] = field(default_factory=list)
     odometries: list[Odometry] = field(default_factory=list)
     neighborhoods: list[tuple[Neighbor, ...]] = field(default_factory=list)
     poses: list[SharedPose] = field(default_factory=list)
     values: list[Mapping[str, float]] = field(default_factory=list)
+    dangers: list[tuple[Hazard, ...]] = field(default_factory=list)
     messages: list[tuple[str, str, bytes]] = field(default_factory=list)
     states: list[tuple[bool, str]] = field(default_factory=list)
     hold: Reason | None = None
@@ -129,6 +151,12 @@ class CollectingSink:
         self.order.append("scan")
         self.threads.add(threading.get_ident())
 
+    def ranges(self, scan: Scan) -> None:
+        """Record a scan of the ring of range sensors."""
+        self.rings.append(scan)
+        self.order.append("ranges")
+        self.threads.add(threading.get_ident())
+
     def odometry(self, odometry: Odometry) -> None:
         """Record an odometry."""
         self.odometries.append(odometry)
@@ -146,6 +174,11 @@ class CollectingSink:
     def readings(self, values: Mapping[str, float]) -> None:
         """Record scalar sensors."""
         self.values.append(values)
+
+    def hazards(self, hazards: tuple[Hazard, ...]) -> None:
+        """Record the present hazards."""
+        self.dangers.append(hazards)
+        self.order.append("hazards")
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
         """Record a message that the base's radio received."""
@@ -376,6 +409,32 @@ class DriverContract:
         harness.driver.send(Twist(0.1), 5, 5)
         assert (await harness.command()).is_zero
 
+    def test_a_hazard_is_told_and_its_end_and_its_silence(self) -> None:
+        """A driver that hears nothing of hazards says so: the robot is held."""
+        rig = self.rig()
+        if not isinstance(rig, HazardRig):
+            rig.close()
+            pytest.skip("this rig is no HazardRig")
+
+        async def story(harness: DriverHarness) -> None:
+            dangers, order = harness.sink.dangers, harness.sink.order
+            await harness.until(lambda: "scan" in order, publishing=True)
+            assert order.index("up") < order.index("hazards") < order.index("scan")
+            assert [one.kind for one in dangers[0]] == [HazardKind.NOT_HEARD]
+
+            def is_told(hazards: tuple[Hazard, ...], *, is_present: bool) -> bool:
+                rig.publish_hazard(is_present=is_present)
+                return dangers[-1] == hazards
+
+            for _ in range(2):
+                present = partial(is_told, (rig.hazard,), is_present=True)
+                await harness.until(present, publishing=True)
+                await harness.until(partial(is_told, (), is_present=False), publishing=True)
+            await harness.until(lambda: dangers[-1] == dangers[0], publishing=True)
+            assert harness.sink.is_up
+
+        play(rig, story, connected=True, **rig.hazard_options)
+
     @_connected
     async def test_garbage_is_counted_and_survived(self, harness: DriverHarness) -> None:
         """No bytes from outside end a driver or hide what follows them."""
@@ -420,6 +479,34 @@ class DriverContract:
             assert scan.bearings.shape == ranges.shape
             off = np.abs((scan.bearings - wanted + np.pi) % (2.0 * np.pi) - np.pi)
             assert off.max() < 1e-3
+
+    @_connected
+    async def test_a_ring_of_range_sensors_is_a_scan_of_its_own(
+        self, harness: DriverHarness
+    ) -> None:
+        """It comes to `ranges`, advances, and changes no scan of the lidar."""
+        rig, sink, spec = harness.rig, harness.sink, harness.rig.platform.ranges
+        if spec is None or not isinstance(rig, RingRig):
+            pytest.skip("this rig is no RingRig")
+        ranges = np.linspace(spec.range_min, spec.range_max, len(spec.bearings))
+        ranges[-1] = np.inf
+
+        def has_come() -> bool:
+            rig.publish_ranges(ranges)
+            whole = (scan for scan in sink.rings if np.allclose(scan.ranges, ranges, rtol=1e-6))
+            return sum(1 for _ in whole) >= 3
+
+        await harness.until(has_come)
+        for scan in sink.rings:
+            assert scan.ranges.shape == ranges.shape
+            off = (scan.bearings - spec.bearings + np.pi) % (2.0 * np.pi) - np.pi
+            assert np.abs(off).max() < 1e-3
+            assert (scan.range_min, scan.range_max) == (spec.range_min, spec.range_max)
+        for before, after in itertools.pairwise(sink.rings):
+            assert after.seq > before.seq
+            assert after.stamp > before.stamp
+        assert all(len(scan.ranges) != len(ranges) for scan in sink.scans)
+        assert sink.threads == {threading.get_ident()}
 
     @pytest.mark.parametrize(("rate", "seconds"), [(1.0, 3.2), (50.0, 1.0)])
     def test_slow_and_fast_sensors_are_not_lost(self, rate: float, seconds: float) -> None:

@@ -122,6 +122,7 @@ class Subject:
                 neighbors=(Neighbor("robot-2", 0.1, 1.0, 0.5, 0.2), Neighbor("robot-3", 0.2)),
                 messages=_messages(pattern, index),
                 readings=readings,
+                ranges=scan if "ranges" in pattern.needs else None,
             )
 
     def _find(self, name: str) -> type[Pattern[Any]]:

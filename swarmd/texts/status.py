@@ -126,6 +126,7 @@ def _protection(status: Status) -> list[tuple[str, str]]:
         ("passes", NOTHING if status.passage is None else passage_text(status.passage)),
         *_scan_delay(status.scan_delay),
         *zip(("slowed by", *[""] * len(status.findings)), status.findings, strict=False),
+        *([("base", status.not_following)] if status.not_following else []),
         ("active for", f"{decision.duty:.0%} of {decision.decisions} decisions since run"),
     ]
 
@@ -136,7 +137,8 @@ def _scan_delay(delay: ScanDelaySummary | None) -> list[tuple[str, str]]:
     used = seconds(delay.declared + delay.added)
     most = seconds(delay.declared + delay.bound)
     text = f"declared {seconds(delay.declared)}, used {used}, hold beyond {most}"
-    return [("scan delay", text), *(("", figure.line) for figure in delay.figures)]
+    sweep = [] if delay.sweep is None else [("scan sweep", delay.sweep.line)]
+    return [("scan delay", text), *(("", figure.line) for figure in delay.figures), *sweep]
 
 
 def _parameters(status: Status) -> list[tuple[str, str]]:

@@ -34,6 +34,8 @@ SENTENCES = {
     Reason.STALE_SCAN: "its last scan is too old{age}; check the lidar and the driver{driver}",
     Reason.FROZEN_SCAN: "its scans repeat{detail}; check the lidar",
     Reason.SCAN_CONFLICT: "more than one node publishes its scan{detail}{driver}; end all but one",
+    Reason.BASE_CONFLICT: "its driver reaches more than one base{detail}{driver}; end all but one",
+    Reason.HAZARD: "a hazard of its base{detail}; look at the robot",
     Reason.LATE_SCAN: "its scans arrive {late} later than the platform's scan.latency; shorten the"
     " way of the scans, or correct the platform: `swarmctl calibrate {robot}` measures it",
     Reason.STALE_ODOMETRY: "its odometry is too old{detail}; check the driver{driver}",
@@ -53,6 +55,8 @@ _LASTING_HOLDS = {
     Reason.STALE_SCAN: "scans stopped arriving",
     Reason.FROZEN_SCAN: "its scans repeated",
     Reason.SCAN_CONFLICT: "more than one node published its scan",
+    Reason.BASE_CONFLICT: "its driver reached more than one base",
+    Reason.HAZARD: "its base reported a hazard, or its hazards were not heard",
     Reason.LATE_SCAN: "its scans arrived too late",
     Reason.STALE_ODOMETRY: "odometry stopped arriving",
     Reason.COMMAND_EXPIRED: "the pattern stopped sending commands",

@@ -9,6 +9,8 @@ import pytest
 
 from swarmd.calibration.figures import NAMES, Figure
 from swarmd.calibration.report import figures_of, platform_file, rows, settings
+from swarmd.core.messages import SweepFigure
+from swarmd.core.values import Sweep
 from swarmd.settings.settings import load_platform
 
 GOOD = {
@@ -52,6 +54,30 @@ def test_what_is_less_careful_is_left_to_the_user(tmp_path: Path) -> None:
     commented = [line for line in text.splitlines() if line.startswith("#     braking_")]
     assert len(commented) == 2
     assert "braking_linear: 1.5 " in commented[0]  # mean less 2 sd
+
+
+@pytest.mark.parametrize(
+    ("found", "sweep", "measures"),
+    [
+        (SweepFigure(text="too few turns"), None, True),
+        (SweepFigure(direction="at once", samples=20), None, False),
+        (
+            SweepFigure(direction="cw", start_deg=-90.0, duration=0.1, samples=20),
+            Sweep(-0.5 * math.pi, -1.0, 0.1),
+            False,
+        ),
+    ],
+)
+def test_measured_sweep_is_written(
+    tmp_path: Path, found: SweepFigure, sweep: Sweep | None, measures: bool
+) -> None:
+    (tmp_path / "open.yaml").write_text(
+        "description: x\nextends: burger\nscan: {sweep: measured}\n"
+    )
+    text = platform_file("r01", "./open.yaml", "2026-01-01", GOOD, settings(GOOD, DROVE, found))
+    (tmp_path / "mine.yaml").write_text(text)
+    scan = load_platform(str(tmp_path / "mine.yaml")).scan
+    assert (scan.sweep, scan.measures_sweep) == (sweep, measures)
 
 
 def test_what_is_more_careful_is_set(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from swarmd.core.values import Twist
 from swarmd.driver_api import watchdog as watchdog
 from swarmd.driver_api import watchdog_client as guarded
 from swarmd.driver_api.driver import Finding, Sink, ZeroSenderSpec
-from swarmd.driver_api.watchdog import FAREWELL, FAULT, READY, TICK, ZEROS, Watchdog
+from swarmd.driver_api.watchdog import FAREWELL, FAULT, MAX_HINT, READY, TICK, ZEROS, Watchdog
 from swarmd.driver_api.watchdog_client import WatchdogProcess, WatchedDriver
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink
 
@@ -149,6 +149,7 @@ class Sender:
     def __init__(self, clock: Clock, faults: int = 0) -> None:
         self.is_connected = True
         self.at: list[float] = []
+        self.hints: list[str] = []
         self._clock, self._faults = clock, faults
 
     def open(self) -> None: ...
@@ -158,6 +159,9 @@ class Sender:
         if self._faults:
             self._faults -= 1
             raise OSError("no route to the robot")
+
+    def take_hint(self, hint: str) -> None:
+        self.hints.append(hint)
 
     def close(self) -> None: ...
 
@@ -241,6 +245,18 @@ def test_as_long_as_it_is_not_connected_the_daemon_is_to_say_zero(
         assert received(daemon[0]) == [answer]
 
 
+def test_a_tick_hands_the_drivers_hint_to_the_sender_which_keeps_it(
+    clock: Clock, daemon: tuple[socket.socket, socket.socket]
+) -> None:
+    sender = Sender(clock)
+    mine = Watchdog(daemon[1], sender, None, None)
+    for hint in (b"", b"Twist", b"Twist", b"", b"TwistStamped", b"x" * 40):
+        daemon[0].send(TICK + hint)
+        mine._read_ticks()
+        assert received(daemon[0])[-1] == TICK
+    assert sender.hints == ["Twist", "TwistStamped", "x" * MAX_HINT]
+
+
 def test_only_a_watchdog_with_a_silent_daemon_is_relieved(
     clock: Clock, daemon: tuple[socket.socket, socket.socket], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -309,7 +325,7 @@ class Process:
     async def lost(self) -> str:
         return await self.end
 
-    def feed(self) -> None:
+    def feed(self, hint: str = "") -> None:
         self.story.append("fed")
 
     def close(self) -> None:

@@ -11,16 +11,26 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.messages import Reason
 from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver, NullSink
 from swarmd.drivers.replay import ReplayDriver
-from swarmd.recording.frames import Begin, DriverEntry, NeighborsEntry, OdometryEntry, scan_entry
+from swarmd.recording.frames import (
+    Begin,
+    DriverEntry,
+    NeighborsEntry,
+    OdometryEntry,
+    TextEntry,
+    as_json,
+    scan_entry,
+)
 from swarmd.recording.limits import FileLimits
 from swarmd.recording.process import Converter
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import CollectingSink, DriverContract, running_driver
 from tests.support import hand_clock as handclock
+from tests.support.range_ring import ring_scan
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan
@@ -46,6 +56,7 @@ def record(
     *,
     lost_at: float | None = None,
     neighbors: tuple[Neighbor, ...] = (),
+    hazards: tuple[Hazard, ...] = (),
 ) -> Path:
     """A recording with a scan and an odometry at each of these times, in s, without waiting."""
     converter = Converter(Begin(0.0, str(folder), "a", HEAD, 1e9, FileLimits()))
@@ -60,6 +71,8 @@ def record(
         converter.add(OdometryEntry(time, odometry(seq)))
         if neighbors:
             converter.add(NeighborsEntry(time, neighbors))
+        if hazards:
+            converter.add(TextEntry(time, "/hazards", as_json(hazards)))
     converter.writer.close()
     assert converter.writer.path is not None
     return converter.writer.path
@@ -111,6 +124,35 @@ class TestContract(DriverContract):
         unwell = [finding for finding in findings if not finding.is_well]
         assert [finding.subject for finding in unwell] == ["scan", "odometry"]
         assert all("record a robot that has it" in finding.text for finding in unwell)
+
+
+def test_the_scans_of_a_ring_are_played_apart_from_those_of_the_lidar(tmp_path: Path) -> None:
+    converter = Converter(Begin(0.0, str(tmp_path), "a", HEAD, 1e9, FileLimits()))
+    last: dict[str, Scan] = {}
+    for seq in range(3):
+        near = ring_scan(seq, 0.2 * seq, {0.0: 0.25, 30.0: 0.5 + 0.125 * seq})
+        for topic, one in (("/scan", scan(3 * seq)), ("/ranges", near)):
+            converter.add(scan_entry(one, 0.05 * seq, last.get(topic), topic))
+            last[topic] = one
+        converter.add(OdometryEntry(0.05 * seq, odometry(seq)))
+    converter.writer.close()
+    assert converter.writer.path is not None
+    found = played(converter.writer.path, 3)
+    assert [len(one.ranges) for one in found.scans] == [360] * 3
+    assert [one.seq for one in found.rings] == [0, 1, 2]
+    for seq, one in enumerate(found.rings):
+        wanted = ring_scan(seq, 0.2 * seq, {0.0: 0.25, 30.0: 0.5 + 0.125 * seq})
+        assert one.ranges.tolist() == wanted.ranges.tolist()
+        assert one.bearings.tolist() == wanted.bearings.tolist()
+        assert one.stamp == pytest.approx(wanted.stamp)
+        assert (one.range_min, one.range_max) == (wanted.range_min, wanted.range_max)
+    (line,) = [
+        finding
+        for finding in asyncio.run(make(converter.writer.path).check(1.0))
+        if finding.subject == "ranges"
+    ]
+    assert line.is_well
+    assert line.text.startswith("3 at")
 
 
 @pytest.mark.parametrize("name", ["", "~unknown-user/x.rec", "x\0.rec", "/"])
@@ -273,3 +315,15 @@ def test_a_replay_that_is_behind_leaves_the_loop_to_others(tmp_path: Path) -> No
 
     handclock.run(story())
     assert before[-1] > 50, "other tasks ran in between"
+
+
+def test_hazards_are_played(tmp_path: Path) -> None:
+    hazards = (Hazard(HazardKind.BUMP, "front left"), Hazard(HazardKind.LIFTED))
+    path = record(tmp_path / "a", [0.0, 0.2], hazards=hazards)
+    assert played(path, 2).dangers == [hazards, hazards]
+
+
+def test_malformed_hazards_are_refused_before_the_start(tmp_path: Path) -> None:
+    path = record(tmp_path / "a", [0.0], hazards=("boom",))  # type: ignore[arg-type]  # on purpose
+    with pytest.raises(ConfigError, match="/hazards"):
+        make(path)

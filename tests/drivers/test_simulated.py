@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import asyncio
+import itertools
 from collections.abc import Awaitable, Callable, Mapping, Sequence
 
 import numpy as np
@@ -10,7 +12,7 @@ import zenoh
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist, Value
-from swarmd.driver_api.driver import ZeroSenderSpec, message_carrier
+from swarmd.driver_api.driver import Finding, ZeroSenderSpec, message_carrier
 from swarmd.driver_api.hw_codec import (
     INPUTS,
     MessageWire,
@@ -27,9 +29,12 @@ from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing import driver_contract
 from swarmd.testing.driver_contract import (
+    POLL_PERIOD,
+    TIMEOUT,
     DriverContract,
     DriverHarness,
 )
+from tests.support.range_ring import with_ring
 
 PLATFORM = load_platform("burger")
 SPEC = PLATFORM.scan
@@ -105,8 +110,8 @@ class TestContract(DriverContract):
         return Body()
 
 
-def scan(seq: int) -> Scan:
-    ranges = np.full(360, 1.5)
+def scan(seq: int, noise: float = 0.001) -> Scan:
+    ranges = np.full(360, 1.5) + noise * (seq % 100)
     ranges[:3] = (np.inf, -np.inf, np.nan)
     return Scan(seq, 0.2 * seq, ranges, SPEC.bearings, SPEC.range_min, SPEC.range_max)
 
@@ -174,6 +179,39 @@ def test_a_command_carries_the_scans_it_is_based_on() -> None:
 def test_unknown_options_are_refused(options: Mapping[str, Value], complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
         SimulatedDriver(swarm="s", robot="r", platform=PLATFORM, options=options)
+
+
+def test_check_tells_what_scans_show_and_fails_for_a_frozen_sensor() -> None:
+    def checked(noise: float) -> Finding:
+        body = Body()
+
+        async def run() -> tuple[Finding, ...]:
+            checking = asyncio.create_task(body.make({}).check(TIMEOUT))
+            for seq in itertools.count():
+                body.publish_odometry()
+                body.publish_scan(scan(seq, noise))
+                await asyncio.sleep(POLL_PERIOD)
+                if checking.done():
+                    return checking.result()
+            raise AssertionError
+
+        found = {finding.subject: finding for finding in asyncio.run(run())}["scan"]
+        body.close()
+        return found
+
+    differing = checked(0.001)
+    assert differing.is_well
+    assert "360 rays, 99 % with a return, the nearest at 1.5" in differing.text
+    assert "scans differ" in differing.text
+    frozen = checked(0.0)
+    assert not frozen.is_well
+    assert "scan.noisy" in frozen.text
+
+
+def test_a_platform_with_a_ring_is_refused() -> None:
+    """The robot would be held for ever: a simulated base does not measure it."""
+    with pytest.raises(ConfigError, match="ranges: null"):
+        SimulatedDriver(swarm="s", robot="r", platform=with_ring(PLATFORM), options={})
 
 
 def test_the_radio_of_the_world_carries_messages_in_their_order() -> None:

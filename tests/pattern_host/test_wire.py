@@ -41,6 +41,7 @@ from swarmd.pattern_host.wire import (
     encode_event,
 )
 from swarmd.settings.settings import load_platform
+from tests.support.range_ring import ring_scan
 
 PLATFORM = load_platform("jackal")
 SPEC = PLATFORM.scan
@@ -72,6 +73,9 @@ def test_a_load_arrives_whole() -> None:
     assert got.platform.scan.stale_after == SPEC.stale_after
 
 
+RING = ring_scan(3, 1.5, {0.0: 0.25, 30.0: -math.inf})
+
+
 def test_inputs_arrive_bit_by_bit() -> None:
     inputs = Inputs(
         now=5.0,
@@ -82,6 +86,7 @@ def test_inputs_arrive_bit_by_bit() -> None:
         neighbors=(Neighbor("tb3-02", 0.5, 1.0, None, None),),
         messages=(Message("tb3-02", "opinion", {"k": [1, None, b"x"]}, 0.1),),
         readings={"light": 3.0},
+        ranges=RING,
     )
     got = decode_command(encode_command(Step(2, inputs)))
     assert isinstance(got, Step)
@@ -95,6 +100,10 @@ def test_inputs_arrive_bit_by_bit() -> None:
         assert np.array_equal(mine, sent)
         assert mine.dtype == np.float64
         assert not mine.flags.writeable  # as where patterns run inline
+    ring = got.inputs.ranges
+    assert ring is not None
+    assert ring.ranges.tolist() == RING.ranges.tolist()
+    assert ring.bearings.tolist() == RING.bearings.tolist()
     for name in ("now", "dt", "is_new_scan", "odometry", "neighbors", "messages", "readings"):
         assert getattr(got.inputs, name) == getattr(inputs, name)
 

@@ -181,7 +181,8 @@ class Pair:
         odometry = None
         if asked.which is not None:
             odometry = self.readings[max(asked.which, -len(self.readings))]
-        context = DecisionContext(self.now, asked.after, odometry, asked.age, told=asked.told)
+        told, near = asked.told[:1], asked.told[1:]  # from others, and from a ring
+        context = DecisionContext(self.now, asked.after, odometry, asked.age, told=told, near=near)
         limits = self.platform.limits
         for v, w, aside in asked.requests:
             requested = Twist(v * limits.linear, w * limits.angular, aside * limits.lateral)

@@ -13,9 +13,10 @@ import pytest
 from msgspec import structs
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import PatternFailed
 from swarmd.core.messages import Latch, State
-from swarmd.core.values import Scan
+from swarmd.core.values import Platform, Scan
 from swarmd.daemon.recorded_robot import RecordedRobot
 from swarmd.daemon.recorder import Recorder
 from swarmd.kit.behavior import Pattern
@@ -31,6 +32,7 @@ from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.replay.replay import Parity, recordings_of, repeat, total
 from swarmd.robot.latches import LatchRecord
 from swarmd.testing.scans import empty_scan
+from tests.support.range_ring import ring_scan, with_ring
 from tests.support.robot_harness import RobotHarness
 
 PATTERNS: Mapping[str, type[Pattern[Any]]] = {"drive": Drive, "random_walk": RandomWalk}
@@ -49,8 +51,8 @@ class FileRecorder(Recorder):
     def is_on(self) -> bool:
         return self._converter is not None
 
-    def scan(self, scan: Scan, now: float) -> None:
-        self.add(frames.scan_entry(scan, now, None))
+    def scan(self, scan: Scan, now: float, topic: str = "/scan") -> None:
+        self.add(frames.scan_entry(scan, now, None, topic))
 
     def text(self, topic: str, value: object, now: float) -> None:
         self.add(frames.TextEntry(now, topic, frames.as_json(value)))
@@ -87,7 +89,7 @@ def head_at(robot: RobotHarness) -> RecordingHead:
         seed=1,
         version="",
         kernels="",
-        platform=robot.platform,
+        platform=robot.robot.platform,
         labels=(),
         layers={},
         touch={},
@@ -102,10 +104,16 @@ def head_at(robot: RobotHarness) -> RecordingHead:
 class Story:
     """A robot between obstacles that come nearer, and its recorder."""
 
-    def __init__(self, folder: Path, latches: Mapping[str, Latch] | None = None) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        latches: Mapping[str, Latch] | None = None,
+        *,
+        has_ring: bool = False,
+    ) -> None:
         self.recorder = FileRecorder(folder)
         record = LatchRecord(held=dict(latches or {}))
-        make = partial(RecordedRobot, recorder=self.recorder)
+        make = partial(_recorded, recorder=self.recorder, has_ring=has_ring)
         self.provisional: set[int] = set()
         self.robot = RobotHarness(
             patterns=PATTERNS,
@@ -119,6 +127,11 @@ class Story:
         scan = empty_scan(self.robot.platform, seq, now)
         ahead = np.abs(np.angle(np.exp(1j * scan.bearings))) < 0.4
         distance = 0.4 + 0.3 * np.cos(now)
+        robot = self.robot.robot
+        if robot.platform.ranges is not None:
+            near = float(np.float32(0.3 + 0.2 * np.cos(3.0 * now)))
+            ring = ring_scan(seq, now, {0.0: near, 60.0: 0.125})
+            self.robot.carry_out(robot.on_ranges(ring, now))
         return replace(scan, ranges=np.where(ahead, np.float32(distance), scan.ranges))
 
     def run(self, pattern: str, seconds: float = 3.0, **params: float) -> None:
@@ -128,6 +141,12 @@ class Story:
 
     def replayed(self) -> Parity:
         return repeat([self.recorder.finish()], ORIGINS)[1]
+
+
+def _recorded(
+    id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any
+) -> RecordedRobot:
+    return RecordedRobot(id, with_ring(platform) if has_ring else platform, *args, **kwargs)
 
 
 def assert_equal(parity: Parity, least: int) -> None:
@@ -152,6 +171,15 @@ def test_a_change_of_pattern_parameters_and_an_estop_are_repeated(tmp_path: Path
     story.robot.advance(0.5)
     story.run("drive", speed=0.15)
     assert_equal(story.replayed(), 300)
+
+
+def test_a_run_of_a_robot_with_a_ring_is_repeated(tmp_path: Path) -> None:
+    story = Story(tmp_path, has_ring=True)
+    story.recorder.begin(story.robot)
+    story.robot.advance(1.0)
+    story.run("drive", 6.0, speed=0.15)
+    assert {True, False} == {twist.is_zero for _, twist in story.robot.commands}
+    assert_equal(story.replayed(), 150)
 
 
 def test_a_recording_that_begins_after_earlier_runs_and_a_latch_is_repeated(
@@ -239,3 +267,30 @@ def test_two_lives_of_a_daemon_are_repeated_one_after_the_other(tmp_path: Path) 
     parts = recordings_of(files)
     assert [len(part) for part in parts] == [1, 1]
     assert_equal(total(repeat(part, ORIGINS)[1] for part in parts), 160)
+
+
+def test_hazards_are_repeated(tmp_path: Path) -> None:
+    story = Story(tmp_path)
+    robot = story.robot
+
+    def tell(*hazards: Hazard) -> None:
+        robot.carry_out(robot.robot.on_hazards(hazards, robot.now))
+
+    tell(Hazard(HazardKind.CLIFF))  # before the recording, which begins with it
+    story.recorder.begin(robot)
+    robot.advance(1.0)
+    tell()
+    robot.advance(0.2)
+    story.run("drive", speed=0.1)
+    tell(Hazard(HazardKind.BUMP, "front left"), Hazard(HazardKind.STALL))
+    robot.advance(0.7)
+    tell()
+    robot.advance(1.5)
+    assert not robot.twist.is_zero
+    tell(Hazard(HazardKind.LIFTED))
+    robot.advance(0.5)
+    assert robot.robot.state is State.STOPPED
+    tell()
+    robot.advance(1.0)
+    story.run("drive", speed=0.15)
+    assert_equal(story.replayed(), 150)

@@ -11,6 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from swarmd.core.clock import TICK
+from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import (
     HostDied,
     HostEvent,
@@ -244,6 +245,9 @@ def happen(pair: Pair, what: str, which: int) -> None:
         pair.do(lambda robot: robot.on_network_changed("moved", now))
     elif what == "roster":
         pair.do(lambda robot: robot.on_roster("new", now, is_revoked=which % 8 == 0))
+    elif what == "hazards":
+        hazards = (Hazard(tuple(HazardKind)[which % 6], "front"),) if which % 4 == 0 else ()
+        pair.do(lambda robot: robot.on_hazards(hazards, now))
     else:
         for robot in robots:
             robot.on_neighbors((Neighbor("n", 0.0),), now)
@@ -255,6 +259,7 @@ WEIGHTS = {
     "live": 6, "tick": 6, "scan": 4, "odometry": 4, "host": 4, "inputs": 1, "run": 4,
     "answering": 2, "stop": 1, "estop": 1, "reset": 1, "param": 2, "reload": 2, "driver": 1,
     "latches": 1, "duplicate": 1, "network": 1, "roster": 1,
+    "hazards": 2,
 }  # fmt: skip
 PAUSES = (0.0, 0.0, 0.01, 0.02, 0.03, TICK, 0.0999995, 0.1, 0.2999995, 0.3, 0.5, 1.0, 1.01, 2.5)
 

@@ -15,6 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from swarmd.core.errors import CodecError
+from swarmd.core.hazard import Hazard
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, Twist
 from swarmd.driver_api.driver import Finding, Sink
 from tests.support.wire import SPEC, Good
@@ -55,6 +56,33 @@ class QueuesCommands(Good):
         super().reconnect(sink)
         if self.late is not None:
             self.put(self.late)
+
+
+class TakesSilenceForNoHazard(Good):
+    bumper_silence = 1e9
+
+
+class NeverTellsTheEndOfAHazard(Good):
+    def tell(self, sink: Sink, hazards: tuple[Hazard, ...]) -> None:
+        if hazards:
+            super().tell(sink, hazards)
+
+
+class TellsHazardsAfterTheFirstScan(Good):
+    def reconnect(self, sink: Sink) -> None:
+        has_hazards, self.has_hazards = self.has_hazards, False
+        super().reconnect(sink)
+        self.has_hazards = has_hazards
+
+
+class DeliversTheRingAsScan(Good):
+    def on_ranges(self, sink: Sink, scan: Scan) -> None:
+        sink.scan(scan)
+
+
+class RepeatsTheStampOfTheRing(Good):
+    def on_ranges(self, sink: Sink, scan: Scan) -> None:
+        sink.ranges(replace(scan, stamp=1.0))
 
 
 class DropsCommandsOfStoppedRobots(Good):

@@ -4,20 +4,25 @@ from __future__ import annotations
 
 import asyncio
 import contextlib
+import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
 from swarmd.core.errors import CodecError, ConfigError, unknown
-from swarmd.core.values import ZERO, Odometry, Pose, Scan, Twist, Value
+from swarmd.core.hazard import Hazard, HazardKind
+from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist, Value
 from swarmd.driver_api.driver import Driver, Finding, Sink
 from swarmd.driver_api.hw_codec import decode_odometry, decode_scan, encode_odometry, encode_scan
-from swarmd.settings.platforms import load_platform
+from tests.support.range_ring import with_ring
 
-PLATFORM = load_platform("burger")
+PLATFORM = with_ring("burger")
 SPEC = PLATFORM.scan
+assert PLATFORM.ranges is not None
+RING = PLATFORM.ranges
 SILENCE = 0.5
+NOT_HEARD = Hazard(HazardKind.NOT_HEARD, "bumper")
 Hearer = Callable[[str, bytes], None]
 
 
@@ -25,6 +30,8 @@ class Wire:
     """A base within this process, spoken to in bytes: a rig."""
 
     platform = PLATFORM
+    hazard = Hazard(HazardKind.BUMP, "front")
+    hazard_options: Mapping[str, Value] = {"hazards": True}
 
     def __init__(self, kind: type[Good]) -> None:
         self._kind = kind
@@ -49,10 +56,18 @@ class Wire:
     def publish_scan(self, scan: Scan) -> None:
         self._emit("scan", encode_scan(scan))
 
+    def publish_ranges(self, ranges: Array) -> None:
+        self._spoken += 1
+        scan = Scan(self._spoken, 0.1 * self._spoken, ranges, RING.bearings, 0.1, 99.0)
+        self._emit("ranges", encode_scan(scan))
+
     def publish_odometry(self) -> None:
         self._spoken += 1
         odometry = Odometry(0.1 * self._spoken, Pose(), Twist(0.1))
         self._emit("odometry", encode_odometry(odometry))
+
+    def publish_hazard(self, *, is_present: bool) -> None:
+        self._emit("bumper", bytes([is_present]))
 
     def publish_garbage(self) -> None:
         whole = encode_scan(Scan(1, 0.1, np.full(360, 1.5), SPEC.bearings, 0.1, 3.5))
@@ -83,11 +98,15 @@ class Good:
 
     is_simulated = False
     silence = SILENCE
+    bumper_silence = 0.3
 
     def __init__(self, wire: Wire, options: Mapping[str, Value]) -> None:
-        for name in options:
+        for name in options.keys() - {"hazards"}:
             self.refuse(name)
+        self.has_hazards = "hazards" in options
         self.wire = wire
+        self.bumped_at = -math.inf
+        self.told: tuple[Hazard, ...] | None = None
         self.fault: Exception | None = None
         self.heard_at = 0.0
         self.is_up = self.has_sent = False
@@ -118,6 +137,8 @@ class Good:
             await asyncio.sleep(0.02)
             if self.is_up and time.monotonic() - self.heard_at > self.silence:
                 self.fall(sink)
+            if self.has_hazards and time.monotonic() - self.bumped_at > self.bumper_silence:
+                self.tell(sink, (NOT_HEARD,))
         raise self.fault
 
     def leave(self, error: BaseException) -> None:
@@ -130,23 +151,39 @@ class Good:
             self.put(ZERO)
         sink.state(False, "nothing heard for a while")
 
+    def tell(self, sink: Sink, hazards: tuple[Hazard, ...]) -> None:
+        if self.is_up and self.has_hazards and hazards != self.told:
+            self.told = hazards
+            sink.hazards(hazards)
+
     def hear(self, sink: Sink, name: str, payload: bytes) -> None:
+        if name == "bumper":
+            self.bumped_at = time.monotonic()
+            self.tell(sink, (Wire.hazard,) if payload[0] else ())
+            return
         try:
             heard = self.decode(name, payload)
         except CodecError:
             sink.dropped(name)
             return
         self.reconnect(sink)
-        self.deliver(sink, heard)
+        if name == "ranges" and isinstance(heard, Scan):
+            self.on_ranges(sink, heard)
+        else:
+            self.deliver(sink, heard)
 
     def reconnect(self, sink: Sink) -> None:
         self.heard_at = time.monotonic()
         if not self.is_up:
             self.is_up = self.owes_zero = True
             sink.state(True, "there")
+            self.told = None
+            self.tell(sink, (NOT_HEARD,))
 
     def decode(self, name: str, payload: bytes) -> Scan | Odometry:
-        return decode_scan(payload, SPEC) if name == "scan" else decode_odometry(payload)
+        if name == "odometry":
+            return decode_odometry(payload)
+        return decode_scan(payload, SPEC if name == "scan" else RING)
 
     def deliver(self, sink: Sink, heard: Scan | Odometry) -> None:
         if isinstance(heard, Scan):
@@ -156,6 +193,9 @@ class Good:
 
     def on_scan(self, sink: Sink, scan: Scan) -> None:
         sink.scan(scan)
+
+    def on_ranges(self, sink: Sink, scan: Scan) -> None:
+        sink.ranges(scan)
 
     def on_odometry(self, sink: Sink, odometry: Odometry) -> None:
         sink.odometry(odometry)

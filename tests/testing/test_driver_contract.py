@@ -60,6 +60,15 @@ BROKEN: dict[str, tuple[type[Good], ...]] = {
     "odometry_is_finite": (*broken.WRONG_ODOMETRY,),
     "check_finds": (broken.SendsDuringCheck, broken.NEVER_WELL),
     "check_of_a_silent": (broken.ALWAYS_WELL, broken.NO_REASON),
+    "a_hazard_is_told": (
+        broken.TakesSilenceForNoHazard,
+        broken.NeverTellsTheEndOfAHazard,
+        broken.TellsHazardsAfterTheFirstScan,
+    ),
+    "a_ring_of_range_sensors": (
+        broken.DeliversTheRingAsScan,
+        broken.RepeatsTheStampOfTheRing,
+    ),
     "a_stopped_robot": (broken.DropsCommandsOfStoppedRobots,),
     "an_unknown_option": (broken.AcceptsAnyOption,),
 }

@@ -14,6 +14,7 @@ from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.geometry import transform
 from swarmd.sim.world.realism import IDEAL, REALISTIC, Realism
 from swarmd.sim.world.world import World
+from tests.support.range_ring import with_ring
 
 FIELD = Arena(40.0, 40.0)
 PLATFORMS = ("burger", "waffle_pi", "jackal")
@@ -306,6 +307,11 @@ def test_a_platform_without_a_body_is_refused_with_the_key_that_is_missing() -> 
     )
     with pytest.raises(ConfigError, match=r"burger: body\.mass"):
         World({"a": bodiless}, FIELD, np.zeros((1, 3)))
+
+
+def test_a_platform_with_a_ring_of_range_sensors_is_refused() -> None:
+    with pytest.raises(ConfigError, match="ranges: null"):
+        World({"a": with_ring("burger")}, FIELD, np.zeros((1, 3)))
 
 
 def test_as_many_poses_as_robots_are_wanted() -> None:

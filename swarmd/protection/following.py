@@ -1,0 +1,152 @@
+"""Compares the motion of a base with its commands, which a base may refuse or change. Pure.
+
+Two models bound the speed of a base that follows its commands: a fast base has the speed of any
+command of the last WINDOW, and a slow base responds DELAY late with a quarter of the declared
+braking. A base does not follow its commands if its speed is outside these bounds for MIN_DURATION,
+by more than SLIP times the commanded speed.
+
+The comparison changes no motion: a reflex, a stuck wheel and another node that drives look alike.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import msgspec
+
+from swarmd.core.values import ZERO, Odometry, Platform, Twist
+from swarmd.protection.settings import BarrierSettings
+
+MIN_DURATION = 0.7
+"""Seconds for which the speed must be outside the bounds."""
+WINDOW = 1.0
+"""Seconds for which a command counts for the fast base."""
+DELAY = 0.3
+"""Seconds after a command at which the slow base begins to respond."""
+SLIP = 0.5
+"""Share of the commanded speed by which the speed may be outside the bounds."""
+
+_LEAST = 0.05, 0.25  # m/s and rad/s: slower commands may not overcome the friction of a base
+_BRAKING = 1.0, 3.0  # m/s2 and rad/s2 where the platform declares none
+_SLOW = 0.25  # share of the declared braking
+_MAX_PERIOD = 0.3  # s between two readings
+_MIN_READINGS = 4
+_UNITS = "m/s", "rad/s"
+_WHY = "a reflex of the base, a stuck wheel, or another node drives"
+
+
+class _Axis:
+    """Commands and motion of one axis; times are stamps of odometry in s."""
+
+    def __init__(self, least: float, acceleration: float, unit: str) -> None:
+        self._least, self._acceleration, self._unit = least, acceleration, unit
+        self._commands = deque[tuple[float, float]]()  # stamps since which a command holds
+        self.reset(0.0, -math.inf)
+
+    def reset(self, command: float, stamp: float) -> None:
+        """Begin again; for WINDOW, the base may be at any speed."""
+        self._commands.clear()
+        self._commands.append((stamp, command))
+        self._slow, self._begun = command, stamp
+        self._off_since, self._readings = math.inf, 0
+        self.text = ""
+
+    def on_command(self, command: float, stamp: float) -> None:
+        """The command changes after the reading at `stamp`."""
+        if command != self._commands[-1][1]:
+            self._commands.append((stamp, command))
+
+    def on_reading(self, period: float, stamp: float, speeds: tuple[float, float]) -> None:
+        """The base moved at one of these speeds, by its twist and by its pose, for `period` s."""
+        commands = self._commands
+        while len(commands) > 1 and commands[1][0] <= stamp - WINDOW:
+            commands.popleft()
+        # Commands have the stamp of the reading before, and hold from the end of a period on.
+        begin = stamp - DELAY - 2.0 * period
+        late = next((c for at, c in reversed(commands) if at <= begin), commands[0][1])
+        step = self._acceleration * period
+        self._slow += min(max(late - self._slow, -step), step)
+        values = [self._slow, *(command for _, command in commands)]
+        low, high = min(values), max(values)
+        allowed = max(self._least, SLIP * max(abs(low), abs(high)))
+        measured = min(speeds, key=lambda speed: max(low - speed, speed - high))
+        is_off = not low - allowed <= measured <= high + allowed
+        if not is_off or stamp - self._begun < WINDOW:
+            self._off_since, self._readings, self.text = math.inf, 0, ""
+            return
+        self._off_since = min(self._off_since, stamp - period)
+        self._readings += 1
+        duration = stamp - self._off_since
+        if duration >= MIN_DURATION - 1e-9 and self._readings >= _MIN_READINGS:
+            moves = f"{measured:.2f} {self._unit}"
+            self.text = (
+                f"the base does not follow: commanded {commands[-1][1]:.2f} {self._unit}, moves"
+                f" {moves} since {duration:.1f} s: {_WHY}"
+            )
+
+
+class FollowingMonitor:
+    """Watches whether the base of one robot follows its safe commands while it runs.
+
+    `text`: how it does not; empty while it does.
+    """
+
+    def __init__(self, platform: Platform) -> None:
+        braking, given = _BRAKING, platform.protection.get("barrier")
+        if given is not None:
+            settings = msgspec.convert(given, BarrierSettings)
+            braking = settings.braking_linear, settings.braking_angular
+        slow = (_SLOW * one for one in braking)
+        self._axes = tuple(map(_Axis, _LEAST, slow, _UNITS))
+        self._command = ZERO
+        self._odometry: Odometry | None = None
+
+    @property
+    def text(self) -> str:
+        """How the base does not follow: the first axis that is off."""
+        return next((axis.text for axis in self._axes if axis.text), "")
+
+    def reset(self) -> None:
+        """Drop the last command and reading, as for a robot that does not run."""
+        if self._odometry is None:
+            return
+        self._odometry, self._command = None, ZERO
+        for axis in self._axes:
+            axis.text = ""
+
+    def on_command(self, command: Twist) -> None:
+        """The safe command that the driver gets."""
+        if command is self._command:
+            return
+        self._command = command
+        if self._odometry is not None:
+            for axis, value in zip(self._axes, _of(command), strict=True):
+                axis.on_command(value, self._odometry.stamp)
+
+    def on_odometry(self, odometry: Odometry) -> None:
+        """A reading arrived."""
+        last, self._odometry = self._odometry, odometry
+        if last is not None and odometry.stamp == last.stamp:
+            return
+        if (
+            last is None
+            or not 0.0 < odometry.stamp - last.stamp <= _MAX_PERIOD
+            or odometry.jumps_from(last)
+        ):
+            for axis, value in zip(self._axes, _of(self._command), strict=True):
+                axis.reset(value, odometry.stamp)
+            return
+        period = odometry.stamp - last.stamp
+        here, there = odometry.pose, last.pose
+        turned = math.remainder(here.yaw - there.yaw, math.tau)
+        yaw = there.yaw + 0.5 * turned
+        way = math.cos(yaw) * (here.x - there.x) + math.sin(yaw) * (here.y - there.y)
+        twist = odometry.twist
+        speeds = (twist.linear, way / period), (twist.angular, turned / period)
+        for axis, both in zip(self._axes, speeds, strict=True):
+            axis.on_reading(period, odometry.stamp, both)
+
+
+def _of(command: Twist) -> tuple[float, float]:
+    return command.linear, command.angular

@@ -1,0 +1,204 @@
+"""A base that refuses or changes commands is noticed; a base that follows slowly is not."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from random import Random
+
+import pytest
+
+from swarmd.core.values import ZERO, Odometry, Platform, Pose, TouchZone, Twist
+from swarmd.protection.arbiter import Protection
+from swarmd.protection.decision import DecisionContext, Permit
+from swarmd.protection.following import MIN_DURATION, WINDOW, FollowingMonitor
+from swarmd.settings.platforms import load_platform, platform_names
+from swarmd.testing.scans import empty_scan
+from tests.support.robot_harness import RobotHarness
+from tests.support.stub_patterns import PATTERNS
+
+BURGER = load_platform("burger")
+Motion = Callable[[float], Twist]
+
+
+def rides(
+    command: Motion,
+    moves: Callable[[float, Twist], Twist] = lambda time, twist: twist,
+    *,
+    seconds: float = 6.0,
+    rate: float = 20.0,
+    delay: float = 0.04,
+    acceleration: tuple[float, float] = (2.5, 3.2),
+    platform: Platform = BURGER,
+    has_twist: bool = True,
+    noise: float = 0.02,
+) -> list[tuple[float, str]]:
+    """The texts of a ride, each with its time in s.
+
+    The base responds `delay` s late with this acceleration in m/s2 and rad/s2; `moves` gives what
+    it does in place of that, by time.
+    """
+    monitor, chance, found = FollowingMonitor(platform), Random(1), list[tuple[float, str]]()
+    line = [ZERO] * max(round(delay / 0.01), 1)
+    v = w = x = y = yaw = 0.0
+    for step in range(round(seconds / 0.01)):
+        now = 0.01 * step
+        if step % 5 == 0:
+            monitor.on_command(command(now))
+            line.append(command(now))
+        else:
+            line.append(line[-1])
+        to = line.pop(0)
+        v += min(max(to.linear - v, -0.01 * acceleration[0]), 0.01 * acceleration[0])
+        w += min(max(to.angular - w, -0.01 * acceleration[1]), 0.01 * acceleration[1])
+        seen = moves(now, Twist(v, w))
+        x, y = x + 0.01 * seen.linear * math.cos(yaw), y + 0.01 * seen.linear * math.sin(yaw)
+        yaw = math.remainder(yaw + 0.01 * seen.angular, math.tau)
+        if step % round(100 / rate) == 0:
+            a, b = (1.0 + noise * chance.gauss(0.0, 1.0) for _ in range(2))
+            twist = Twist(seen.linear * a, seen.angular * b) if has_twist else ZERO
+            monitor.on_odometry(Odometry(now, Pose(x, y, yaw), twist))
+            if monitor.text:
+                found.append((now, monitor.text))
+    return found
+
+
+def ahead(time: float) -> Twist:
+    return Twist(0.15)
+
+
+def turning(time: float) -> Twist:
+    return Twist(0.0, 1.0)
+
+
+def reflex(begin: float, motion: Twist) -> Callable[[float, Twist], Twist]:
+    """The base does this for 1.5 s from `begin` on."""
+    return lambda time, twist: motion if begin <= time < begin + 1.5 else twist
+
+
+@pytest.mark.parametrize("command", [ahead, turning])
+@pytest.mark.parametrize("share", [0.0, -0.5])
+def test_a_base_that_refuses_or_reverses_a_command_is_noticed(
+    command: Motion, share: float
+) -> None:
+    wanted = command(0.0)
+    does = Twist(share * wanted.linear, share * wanted.angular)
+    found = rides(command, reflex(3.0, does), noise=0.0)
+    assert 3.0 + MIN_DURATION - 0.1 <= found[0][0] <= 3.0 + MIN_DURATION + 0.1
+    assert found[-1][0] < 4.6  # it follows again
+
+
+def test_a_base_that_never_starts_is_noticed() -> None:
+    found = rides(ahead, lambda time, twist: ZERO)
+    assert found[0][0] < 2.5
+    assert "commanded 0.15 m/s, moves 0.00 m/s" in found[0][1]
+
+
+def test_a_base_that_moves_although_zero_is_commanded_is_noticed() -> None:
+    found = rides(lambda time: Twist(0.15 if time < 2.0 else 0.0), reflex(4.0, Twist(-0.1)))
+    assert 4.6 <= found[0][0] <= 4.9
+    assert "commanded 0.00 m/s, moves -0.10 m/s since 0." in found[0][1]
+
+
+def test_another_node_that_turns_the_base_is_noticed() -> None:
+    found = rides(ahead, reflex(3.0, Twist(0.15, 0.8)))
+    assert "rad/s" in found[0][1]
+
+
+def to_and_fro(time: float) -> Twist:
+    return Twist(0.2 if time % 3.0 < 1.5 else -0.2, math.copysign(1.5, math.sin(2.0 * time)))
+
+
+def restless(time: float) -> Twist:
+    chance = Random(round(time / 0.3))
+    return Twist(chance.uniform(-0.2, 0.22), chance.uniform(-2.0, 2.0))
+
+
+def waves(time: float) -> Twist:
+    return Twist(0.2 * math.sin(3.0 * time), 2.0 * math.sin(2.0 * time))
+
+
+@pytest.mark.parametrize("command", [ahead, turning, to_and_fro, restless, waves])
+@pytest.mark.parametrize("delay", [0.04, 0.3])
+@pytest.mark.parametrize("acceleration", [(0.26, 0.8), (1.0, 3.0), (10.0, 30.0)])
+@pytest.mark.parametrize("rate", [5.0, 50.0])
+def test_a_slow_or_late_base_is_none_that_does_not_follow(
+    command: Motion, delay: float, acceleration: tuple[float, float], rate: float
+) -> None:
+    found = rides(
+        command, seconds=30.0, delay=delay, acceleration=acceleration, rate=rate, noise=0.05
+    )
+    assert not found
+
+
+@pytest.mark.parametrize("share", [0.6, 1.3])
+def test_slip_is_none(share: float) -> None:
+    def slips(time: float, twist: Twist) -> Twist:
+        return Twist(share * twist.linear, share * twist.angular)
+
+    assert not rides(to_and_fro, slips, seconds=20.0)
+
+
+def test_creeping_commands_that_friction_eats_are_none() -> None:
+    assert not rides(lambda time: Twist(0.04, 0.2), lambda time, twist: ZERO)
+
+
+def test_odometry_without_a_twist_is_judged_by_its_pose() -> None:
+    assert not rides(to_and_fro, seconds=15.0, has_twist=False)
+    assert rides(ahead, reflex(3.0, Twist(-0.1)), has_twist=False)
+
+
+def test_a_push_that_is_shorter_than_the_time_is_none() -> None:
+    def pushed(time: float, twist: Twist) -> Twist:
+        return Twist(-0.2) if 3.0 <= time < 3.0 + MIN_DURATION - 0.15 else twist
+
+    assert not rides(ahead, pushed)
+
+
+def test_a_robot_that_does_not_run_is_not_judged() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.odometry = Twist(0.3)  # a person pushes it
+    harness.advance(5.0)
+    assert not harness.status.not_following
+
+
+@pytest.mark.parametrize(("touch", "is_named"), [(None, True), (TouchZone(0.0, 0.5, 0.1), False)])
+def test_what_a_robot_may_touch_may_stop_it(touch: TouchZone | None, is_named: bool) -> None:
+    protection = Protection(BURGER)
+    for step in range(80):
+        now = 0.05 * step
+        context = DecisionContext(now, 0.0, Odometry(now, Pose(), ZERO), 0.0)
+        protection.observe(empty_scan(BURGER, step, now), context)
+        protection.decide(
+            Twist(0.1), context, is_running=True, hold=None, permit=Permit(touch=touch)
+        )
+        protection.on_odometry(Odometry(now, Pose(), ZERO))
+    assert bool(protection.not_following) is is_named
+
+
+def test_the_status_and_one_event_name_it_and_motion_goes_on() -> None:
+    harness = RobotHarness(patterns=PATTERNS)
+    harness.odometry = Twist(0.2)
+    harness.advance(1.0)
+    harness.ask("run", pattern="forward")
+    harness.advance(2.0)
+    assert not harness.status.not_following
+    harness.odometry = Twist(-0.05)
+    harness.advance(MIN_DURATION + 0.1)
+    text = harness.status.not_following
+    assert "commanded 0.20 m/s" in text
+    assert harness.twist == Twist(0.2)
+    assert [one.text for one in harness.status.events].count(text) <= 1
+    harness.odometry = Twist(0.2)
+    harness.advance(WINDOW)
+    assert not harness.status.not_following
+    assert sum("follow" in one.text for one in harness.status.events) == 2
+
+
+@pytest.mark.parametrize("name", platform_names())
+def test_every_platform_is_watched(name: str) -> None:
+    platform = load_platform(name)
+    top = min(platform.limits.linear, 0.5)
+    found = rides(lambda time: Twist(top), reflex(8.0, ZERO), seconds=12.0, platform=platform)
+    assert found
+    assert found[0][0] >= 8.0
