@@ -21,6 +21,9 @@ MAX_PAYLOAD = 256 * 1024
 DISTROS = (Stores.ROS2_HUMBLE, Stores.ROS2_IRON, Stores.ROS2_JAZZY, Stores.ROS2_KILTED,
            Stores.ROS2_LYRICAL)  # fmt: skip
 
+STORE = "__typestore__"
+"""The attribute by which the class of a type from a `.msg` file knows its store."""
+
 M = TypeVar("M")
 
 
@@ -32,7 +35,7 @@ def decode(kind: type[M], payload: bytes) -> M:
     if len(payload) > MAX_PAYLOAD:
         raise CodecError(f"{len(payload)} bytes; expected at most {MAX_PAYLOAD}")
     try:
-        return cast(M, store().deserialize_cdr(payload, name_of(kind)))
+        return cast(M, store_of(kind).deserialize_cdr(payload, name_of(kind)))
     except SerdeError as error:
         if cast(Any, kind) is Range:
             with suppress(SerdeError):
@@ -42,13 +45,14 @@ def decode(kind: type[M], payload: bytes) -> M:
 
 def encode(message: object) -> bytes:
     """The bytes of a message, little-endian."""
-    return bytes(store().serialize_cdr(message, name_of(type(message)), little_endian=True))
+    kind = type(message)
+    return bytes(store_of(kind).serialize_cdr(message, name_of(kind), little_endian=True))
 
 
 def warm(*kinds: type) -> None:
     """Build the readers and writers of these types now: the first use takes milliseconds."""
     for kind in kinds:
-        store().get_msgdef(name_of(kind))
+        store_of(kind).get_msgdef(name_of(kind))
 
 
 def name_of(kind: type) -> str:
@@ -59,15 +63,21 @@ def name_of(kind: type) -> str:
 
 def type_hash(kind: type) -> str:
     """The hash of the type's newest definition, such as `RIHS01_64c1...` (REP 2016)."""
-    return str(store().hash_rihs01(name_of(kind)))
+    return str(store_of(kind).hash_rihs01(name_of(kind)))
 
 
 @lru_cache(maxsize=32)
 def known_hashes(kind: type) -> frozenset[str]:
-    """The hashes that the type has in any distribution from Humble on."""
+    """The hashes that the type has in any distribution from Humble on, or by its `.msg` file."""
     name = name_of(kind)
-    known = (store(distro) for distro in DISTROS)
+    known = (store_of(kind, distro) for distro in DISTROS)
     return frozenset(one.hash_rihs01(name) for one in known if name in one.types)
+
+
+def store_of(kind: type, distro: Stores = Stores.ROS2_JAZZY) -> Typestore:
+    """What has the definition of a type: for one from a `.msg` file, the store that read it."""
+    own: Typestore | None = getattr(kind, STORE, None)
+    return own or store(distro)
 
 
 @lru_cache(maxsize=len(Stores))

@@ -5,47 +5,41 @@ Both ROS: a `Middleware` names the tools, and the graph is the topics that other
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Iterator
-from dataclasses import dataclass
+import math
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from typing import Protocol
 
 from swarmd.core.messages import Reason
 from swarmd.core.values import Scan, ScanSpec
 from swarmd.driver_api.driver import Finding
+from swarmd.drivers.ros.endpoints import Endpoint, is_listener, nodes_of
+from swarmd.drivers.ros.foreign_commands import ForeignCommands
+from swarmd.drivers.ros.namespaces import Candidates, Namespaces
+from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.topic_stats import TopicStats
+from swarmd.drivers.scan_content import ScanContent
 from swarmd.drivers.scan_delay import scan_delay_finding
 from swarmd.sensing.conditioning import ScanConditioner
 
 LAST_WORD = "docs/robots/last_word.md"
 ENOUGH_MESSAGES = 5
 MIN_CHECK_TIME = 1.0
+MAX_RATE, MIN_GAPS = 1.5, 7
+"""Scans more often than this multiple of their declared rate are those of two; by so many gaps."""
 
 _MAX_LISTED = 4
 _COMMAND_OPTIONS = {"Twist": "cmd_vel_type: twist", "TwistStamped": "cmd_vel_type: twist_stamped"}
 
 
 @dataclass(frozen=True, slots=True)
-class Endpoint:
-    """One end of a topic, as it is announced: a publisher or a subscription.
+class Conflict:
+    """Why a robot must not move although its base is connected, and the next step."""
 
-    `topic` such as `/tb3_01/scan`, `type` such as `sensor_msgs/msg/LaserScan`; `domain` is None and
-    `node` empty where the announcement does not tell them. `zid` is the Zenoh session that
-    announced it; empty in ROS 1.
-    """
-
-    is_publisher: bool
-    topic: str
-    type: str
-    zid: str = ""
-    domain: int | None = None
-    node: str = ""
-
-    @property
-    def owner(self) -> str:
-        """The node; without one, the bridge that announces the endpoint."""
-        return self.node or f"a node behind bridge {self.zid[:8]}"
+    reason: Reason
+    text: str
 
 
 class Middleware(Protocol):
@@ -55,7 +49,8 @@ class Middleware(Protocol):
     option that says where it listens. `silent` says that the hub announces no topic, and the next
     step. `silent_topic` says what to look at when an announced topic carries no messages; it ends
     in a command to which the topic's name is appended. `topic_info` is the command that names the
-    publishers of a topic.
+    publishers of a topic. `lease`: seconds after which a node that died has been forgotten, and
+    `crashed` what follows for a crashed node that is back.
     """
 
     hub: str
@@ -64,6 +59,8 @@ class Middleware(Protocol):
     silent: str
     silent_topic: str
     topic_info: str
+    crashed: str
+    lease: float
     domain: int | None
 
     def type_name(self, message_type: type) -> str:
@@ -72,10 +69,17 @@ class Middleware(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Graph:
-    """The endpoints that other nodes announce, in the words of their middleware."""
+    """The endpoints that other nodes announce, in the words of their middleware.
+
+    `options` name this robot's topics, of which those in `heard` carried messages. `now`: the time
+    in s on the clock of `Endpoint.since`.
+    """
 
     middleware: Middleware
     endpoints: Collection[Endpoint] = ()
+    options: TopicOptions = field(default_factory=TopicOptions)
+    heard: Collection[str] = ()
+    now: float = math.inf
 
     def publishers(self, topic: str) -> list[Endpoint]:
         """The publishers of a topic in the driver's domain."""
@@ -85,27 +89,29 @@ class Graph:
         """The subscribers of a topic in the driver's domain."""
         return [end for end in self._here(is_publisher=False) if end.topic == topic]
 
+    def bases(self, topic: str) -> list[Endpoint]:
+        """The subscribers of a topic of commands that may move something: no listeners."""
+        return [end for end in self.subscribers(topic) if not self._is_listener(end)]
+
     def silence(self, stats: TopicStats) -> str:
         """Why no message arrives on a topic."""
         middleware, topic = self.middleware, stats.topic
-        wanted, option = middleware.type_name(stats.message_type), f"driver_options.{stats.option}"
-        announced = [end for end in self.endpoints if end.is_publisher]
+        wanted = middleware.type_name(stats.message_type)
+        announced = [end for end in self.endpoints if end.is_publisher and end.is_routed]
         here = self._here(is_publisher=True)
         types = sorted({end.type for end in here if end.topic == topic})
+        if wanted in types and stats.is_never_stale:
+            return f"{topic} is announced and not latched: no value before its next change"
         if wanted in types:
             return f"{topic} is announced but silent; {middleware.silent_topic} {topic}"
         if types:
+            option = f"driver_options.{stats.option}"
             return f"{topic} carries {', '.join(types)}; expected {wanted}: correct {option}"
+        if unrouted := self._unrouted(topic, is_publisher=True):
+            return unrouted
         domains = _domains(end for end in announced if (end.topic, end.type) == (topic, wanted))
         if here and not domains:
-            alike = {end.topic for end in here if end.type == wanted}
-            if alike:
-                return (
-                    f"no {topic}, but {listed(_nearest_first(topic, alike))} of that type; correct"
-                    f" driver_options.namespace or {option}"
-                )
-            names = sorted({end.topic for end in here})
-            return f"no {topic} among {listed(names)}; start the sensor, or correct {option}"
+            return self._missing(stats, here)
         domains = domains or _domains(announced)
         if domains:
             what = topic if here else "topic"
@@ -114,6 +120,38 @@ class Graph:
                 " correct driver_options.domain"
             )
         return f"no {topic}, and {middleware.hub} {middleware.silent}"
+
+    def _missing(self, stats: TopicStats, here: Collection[Endpoint]) -> str:
+        """Why no node publishes a topic, where others are published."""
+        topic, option = stats.topic, f"driver_options.{stats.option}"
+        if stats.count:
+            return f"no {topic} any more, which was heard before; start its node again"
+        wanted = self.middleware.type_name(stats.message_type)
+        spaces = self._namespaces()
+        found = spaces.candidates({end.topic for end in here if end.type == wanted})
+        if found.topics:
+            return (
+                f"no {topic}, but {listed(_nearest_first(topic, found.topics))} of that type;"
+                f" correct driver_options.namespace or {option}"
+            )
+        if found.namespaces:
+            return f"no {topic}; {self._which(spaces, found, option)}"
+        names = sorted({end.topic for end in here if not spaces.is_of_another_robot(end.topic)})
+        among = f" among {listed(names)}" if names else ""
+        return f"no {topic}{among}; start the sensor, or correct {option}"
+
+    def _which(self, spaces: Namespaces, found: Candidates, option: str) -> str:
+        """Ask for this robot's namespace where several are in use, or others than its own."""
+        names = listed(found.namespaces)
+        if spaces.own:
+            return (
+                f"nothing of namespace {spaces.own} is there: start this robot's nodes; if it has"
+                f" another namespace, correct driver_options.namespace (in use: {names})"
+            )
+        return (
+            f"more than one namespace is in use: {names}; set driver_options.namespace to this"
+            f" robot's own, or correct {option}"
+        )
 
     def unreadable(self, stats: TopicStats) -> str:
         """Why the messages of a topic cannot be used."""
@@ -125,7 +163,7 @@ class Graph:
             f" publishes it: {self._info(stats.topic)}"
         )
 
-    def unreliable(self, stats: TopicStats) -> str:
+    def unreliable(self, stats: TopicStats, spec: ScanSpec) -> str:
         """Why the messages of a topic cannot be relied on; empty if they can."""
         topic = stats.topic
         if not stats.stamps_advance():
@@ -133,48 +171,195 @@ class Graph:
                 f"{topic}: messages come, all with the stamp {stats.stamps[-1]:.12g}; look at the"
                 " sensor, which is frozen, or at its publisher, which fills in none"
             )
-        return self.rival(stats)
+        return self.second_publisher(stats, spec)
 
-    def rival(self, stats: TopicStats) -> str:
+    def conflict(self, topics: Iterable[TopicStats], spec: ScanSpec) -> Conflict | None:
+        """Why the robot must not move: a second base, or a second source; None without a sign."""
+        stats = [one for one in topics if one.is_needed]
+        is_alive = any(too_fast(one, spec) for one in stats)
+        bases = self._several_nodes(
+            self.bases(self.command_topic), f"take {self.command_topic}", is_alive=is_alive
+        )
+        if bases:
+            bases += "; name those that only listen in driver_options.cmd_vel_listeners"
+            return Conflict(Reason.BASE_CONFLICT, bases)
+        for one in stats:
+            if text := self.second_publisher(one, spec):
+                return Conflict(Reason.SCAN_CONFLICT if one.is_scan else Reason.BASE_CONFLICT, text)
+        return None
+
+    def second_publisher(self, stats: TopicStats, spec: ScanSpec) -> str:
         """Why more than one node seems to publish a needed topic; empty without a sign of that."""
         topic, publishers = stats.topic, self.publishers(stats.topic)
-        if len(publishers) > 1 and stats.is_needed:
-            owners = listed(sorted({end.owner for end in publishers}))
+        if not stats.is_needed:
+            return ""
+        fast, bridges = too_fast(stats, spec), {end.zid for end in publishers}
+        if several := self._several_nodes(publishers, f"publish {topic}", is_alive=bool(fast)):
+            return several
+        if len(bridges) > 1:
             return (
-                f"{len(publishers)} publish {topic}: {owners}; end all but one, or give each robot"
-                " a namespace"
+                f"{len(bridges)} bridges hand on what {publishers[0].owner} publishes on {topic}:"
+                " they are in one domain; end all but one, or give each robot a domain"
             )
         if stats.stamps_go_back():
+            alone = publishers[0].node if len(publishers) == 1 else ""
+            cause = f"only {alone} publishes it: a clock was set" if alone else "two publish it"
             return (
-                f"the stamps of {topic} go back again and again: two publish it, or a clock is"
-                f" being set; look at {self._info(topic)}"
+                f"the stamps of {topic} go back again and again: {cause}"
+                f"{'' if alone else ', or a clock was set'}; look at {self._info(topic)}"
+            )
+        if fast and not (publishers and publishers[0].node):
+            return (  # without the rate: a text that varies would be news again and again
+                f"{topic} comes more than {MAX_RATE:g} times as often as the platform's scan.rate"
+                f" of {spec.rate:g} Hz: two publish it, or correct scan.rate; look at"
+                f" {self._info(topic)}"
             )
         return ""
 
-    def no_subscriber(self, topic: str, command_type: type, *, has_subscriber: bool) -> str:
+    def qualities(self, topic: str, *, is_publisher: bool) -> list[str]:
+        """The qualities of service that the ends of a topic announce, each once."""
+        ends = self._here(is_publisher=is_publisher)
+        return sorted({end.quality for end in ends if end.topic == topic and end.quality})
+
+    def is_reliable(self, topic: str) -> bool:
+        """True if each known publisher of a topic is reliable."""
+        ends = self.publishers(topic)
+        return bool(ends) and all(end.quality.startswith("reliable") for end in ends)
+
+    def nodes(self, topic: str) -> list[str]:
+        """The nodes that publish a topic, as far as they are known."""
+        return sorted({end.node for end in self.publishers(topic) if end.node})
+
+    def command_type(self, topic: str, allowed: Sequence[type]) -> type | None:
+        """The type in which a base gets its commands; None if it is not known, or not one type.
+
+        `allowed`: the classes of messages that the options allow; a single one needs no base.
+        """
+        if len(allowed) == 1:
+            return allowed[0]
+        types = {end.type for end in self.bases(topic)}
+        wanted = [kind for kind in allowed if self.middleware.type_name(kind) in types]
+        return wanted[0] if len(wanted) == 1 else None
+
+    def no_subscriber(self, topic: str, allowed: Sequence[type], *, has_subscriber: bool) -> str:
         """Why no base receives the commands; empty if one does.
 
-        `has_subscriber`: whether any node subscribes to the commands, announced or not.
+        `allowed`: the classes of messages that the options allow. `has_subscriber`: whether any
+        node subscribes to the commands, announced or not.
         """
-        wanted = self.middleware.type_name(command_type)
-        here = self._here(is_publisher=False)
-        types = sorted({end.type for end in here if end.topic == topic})
-        if types and wanted not in types:
+        names = [self.middleware.type_name(kind) for kind in allowed]
+        bases = self.bases(topic)
+        types = sorted({end.type for end in bases})
+        if types and not set(names) & set(types):
             option = _COMMAND_OPTIONS.get(_short(types[0]), "cmd_vel, or cmd_vel_type")
-            return f"{topic} wants {listed(types)}, not {wanted}; set driver_options.{option}"
-        if types or has_subscriber:
-            return ""
-        alike = sorted({end.topic for end in here if _short(end.type) in _COMMAND_OPTIONS})
-        if alike:
             return (
-                f"no node subscribes to {topic}, but to {listed(alike)}; correct"
-                " driver_options.namespace or driver_options.cmd_vel"
+                f"{topic} wants {listed(types)}, not {' or '.join(names)}; set"
+                f" driver_options.{option}"
             )
-        return f"no node subscribes to {topic}; start the base, or correct driver_options.cmd_vel"
+        if not types and (listening := [end.owner for end in self.subscribers(topic)]):
+            only = listed(sorted(set(listening)))
+            return f"only {only} takes {topic}, which moves nothing; start the base"
+        unrouted = self._unrouted(topic, is_publisher=False)
+        if unrouted and not types:
+            return unrouted
+        if self.command_type(topic, allowed) is not None and (types or has_subscriber):
+            return ""
+        if types:
+            wants = listed(sorted(f"{end.owner} wants {end.type}" for end in bases))
+            return (
+                f"the type of commands on {topic} is not clear: {wants}; end one of them, or set"
+                " driver_options.cmd_vel_type"
+            )
+        if has_subscriber:
+            return (
+                f"a node subscribes to {topic}, and nothing announces the type that it wants; set"
+                " driver_options.cmd_vel_type"
+            )
+        return self._no_base(topic)
+
+    def _no_base(self, topic: str) -> str:
+        """No node subscribes to the commands: where a base may be."""
+        here = self._here(is_publisher=False)
+        spaces, option = self._namespaces(), "driver_options.cmd_vel"
+        found = spaces.candidates(
+            {end.topic for end in here if _short(end.type) in _COMMAND_OPTIONS}
+        )
+        if found.topics:
+            return (
+                f"no node subscribes to {topic}, but to {listed(sorted(found.topics))}; correct"
+                f" driver_options.namespace or {option}"
+            )
+        if found.namespaces:
+            return f"no node subscribes to {topic}; {self._which(spaces, found, option)}"
+        return f"no node subscribes to {topic}; start the base, or correct {option}"
+
+    @property
+    def command_topic(self) -> str:
+        """The full name of the topic of commands."""
+        return self.options.topic(self.options.cmd_vel)
+
+    def listeners(self) -> list[str]:
+        """The nodes that take the commands and move nothing, by name."""
+        ends = self.subscribers(self.command_topic)
+        return sorted({end.node for end in ends if self._is_listener(end)})
+
+    def _is_listener(self, end: Endpoint) -> bool:
+        return bool(end.node) and is_listener(end.node, self.options.cmd_vel_listeners)
+
+    def _several_nodes(self, ends: Collection[Endpoint], what: str, *, is_alive: bool) -> str:
+        """Why these ends are those of more than one node; empty if they are not.
+
+        `is_alive`: of two nodes of one name both are known to live.
+        """
+        nodes = [*nodes_of(ends).values()]
+        names = sorted({end.owner for end in nodes})
+        remedy = "give each robot a namespace or a domain of its own"
+        if len(nodes) < 2:
+            return ""
+        if len(names) > 1:
+            return f"{len(nodes)} nodes {what}: {listed(names)}; end all but one, or {remedy}"
+        age = self.now - max(end.since for end in nodes)
+        if is_alive or age > self.middleware.lease:
+            return (
+                f"{len(nodes)} living nodes named {names[0]} {what}, of several robots: end all but"
+                f" one, or {remedy}"
+            )
+        return (
+            f"{len(nodes)} nodes named {names[0]} {what}: it crashed and is back"
+            f" ({self.middleware.crashed}), or two robots have it: {remedy}"
+        )
+
+    def _unrouted(self, topic: str, *, is_publisher: bool) -> str:
+        """A bridge lists a node with the topic, and does not announce it; empty otherwise."""
+        names = sorted(
+            {
+                end.owner
+                for end in self.endpoints
+                if not end.is_routed
+                and (end.is_publisher, end.topic) == (is_publisher, topic)
+                and not (not is_publisher and self._is_listener(end))
+            }
+        )
+        if not names:
+            return ""
+        does, hub = "publishes" if is_publisher else "takes", self.middleware.hub
+        return (
+            f"{listed(names)} {does} {topic}, but {hub} does not hand it on: start that again, or"
+            " look at what it allows"
+        )
+
+    def _namespaces(self) -> Namespaces:
+        domain = self.middleware.domain
+        ends = (end for end in self.endpoints if end.domain == domain and end.is_routed)
+        return Namespaces(self.options, ends, self.heard)
 
     def _here(self, *, is_publisher: bool) -> list[Endpoint]:
         domain = self.middleware.domain
-        return [e for e in self.endpoints if e.is_publisher is is_publisher and e.domain == domain]
+        return [
+            end
+            for end in self.endpoints
+            if end.is_publisher is is_publisher and end.domain == domain and end.is_routed
+        ]
 
     def _info(self, topic: str) -> str:
         return f"{self.middleware.topic_info} {topic}"
@@ -199,26 +384,42 @@ def incomplete(stats: TopicStats, scan: Scan, spec: ScanSpec) -> str:
     )
 
 
-def too_slow(stats: TopicStats, spec: ScanSpec) -> str:
+def too_slow(stats: TopicStats, content: ScanContent) -> str:
     """Why scans come too rarely for the platform; empty if they do not."""
-    rate = stats.rate()
+    rate, spec = stats.rate(), content.spec
     if not 0.0 < rate * spec.slowest_period < 1.0:
         return ""
     return (
-        f"{stats.topic} comes at {rate:.1f} Hz; the platform's scan.rate is {spec.rate:g}, so the"
-        " robot would stop for old scans now and then: correct one of them"
+        f"{stats.topic} comes at {rate:.1f} Hz; the platform's {content.section}.rate is"
+        f" {spec.rate:g}, so the robot would stop for old scans now and then: correct one of them"
     )
 
 
-def scan_conflict(graph: Graph, topics: Iterable[TopicStats]) -> str:
-    """Why the scans seem to come from more than one node; empty without a sign of that."""
-    return next(filter(None, (graph.rival(stats) for stats in topics if stats.is_scan)), "")
+def too_fast(stats: TopicStats, spec: ScanSpec) -> str:
+    """Why scans come too often for one sensor; empty if they do not.
+
+    By arrivals and by stamps: late messages arrive together, and those of one sensor keep its pace.
+    """
+    (by_stamp, by_clock), gaps = stats.elapsed(), len(stats.times) - 1
+    most = MAX_RATE * spec.rate * max(by_stamp, by_clock)
+    if stats.option != "scan" or gaps < MIN_GAPS or by_stamp <= 0.0 or gaps <= most:
+        return ""
+    return (
+        f"{stats.topic} comes at {stats.rate():.1f} Hz; the platform's scan.rate is {spec.rate:g}"
+    )
 
 
-def driven_by_others(topic: str, publishers: Iterable[str] = (), *, is_heard: bool = True) -> str:
-    """Another node publishes commands. `publishers`: the nodes, where they are known.
+def driven_by_others(
+    topic: str,
+    publishers: Iterable[str] = (),
+    *,
+    is_heard: bool = True,
+    nodes: Iterable[str] = (),
+) -> str:
+    """Another node publishes commands.
 
-    `is_heard`: commands of theirs have been heard.
+    `publishers`: the nodes, where their registration counts already; `is_heard`: their commands
+    have been heard. `nodes`: where only commands count, the publishers that are known.
     """
     names = listed(publishers)
     if names:
@@ -227,10 +428,38 @@ def driven_by_others(topic: str, publishers: Iterable[str] = (), *, is_heard: bo
             f" {names}; end that node, or set driver_options.shared_cmd_vel if the base has a"
             " multiplexer"
         )
+    known = listed(nodes)
     return (
-        f"someone else drives: commands on {topic} that are not this driver's; stop what publishes"
-        " them, and this driver takes over 2 s later"
+        f"someone else drives: commands on {topic} that are not this driver's"
+        f"{f', published by {known}' if known else ''}; stop what publishes them, and this driver"
+        " takes over 2 s later"
     )
+
+
+def unlisted(middleware: Middleware) -> str:
+    """The hub does not name the nodes that have a topic."""
+    return (
+        f"{middleware.hub} does not list its nodes: it is not known whether a second base takes the"
+        f" commands; look at {middleware.topic_info} on the robot"
+    )
+
+
+def driven_by_action(action: str, nodes: Iterable[str], cancel: str) -> str:
+    """A goal of an action moves the base. `cancel`: the command that ends it."""
+    names = listed(nodes)
+    return (
+        f"someone else drives: action {action}{f' of {names}' if names else ''} has a goal, which"
+        f" zeros do not end; cancel it ({cancel}), and this driver takes over 2 s later"
+    )
+
+
+def driven(foreign: ForeignCommands, graph: Graph, now: float) -> str:
+    """Why the base belongs to another node now; empty if it does not."""
+    topic = foreign.source(now)
+    action = foreign.actions.get(topic, "")
+    if action:
+        return driven_by_action(action, graph.nodes(topic), foreign.protocol.cancel.format(action))
+    return driven_by_others(topic, nodes=graph.nodes(topic)) if topic else ""
 
 
 def unconnected(topic: str, nodes: Iterable[str]) -> str:
@@ -253,10 +482,12 @@ def has_enough(subscriptions: Subscriptions, elapsed: float) -> bool:
 class Report:
     """What a driver found out about its robot during a check.
 
-    `connection_fault` is empty if the hub answers. `has_subscriber`: whether any node subscribes to
-    the commands. `foreign_commands`: commands of other nodes that arrived. `is_exclusive`: whether
-    another publisher of commands is a fault although it publishes nothing. `now`: the time in s on
-    the clock of arrivals.
+    `connection_fault` is empty if the hub answers. `command_types`: the classes of messages that
+    commands may have. `has_subscriber`: whether any node subscribes to the commands. `foreign`:
+    what other nodes command. `is_exclusive`: whether another publisher of commands is a fault
+    although it publishes nothing. `unpassed`: by topic, why its messages do not pass the hub.
+    `unlisted`: why it is not known which nodes have a topic; empty if it is. `now`: the time in s
+    on the clock of arrivals.
     """
 
     graph: Graph
@@ -265,12 +496,14 @@ class Report:
     subscriptions: Subscriptions
     spec: ScanSpec
     cmd_vel: str
-    command_type: type
+    command_types: Sequence[type]
     has_subscriber: bool
-    foreign_commands: int = 0
+    foreign: ForeignCommands
     foreign_publishers: Collection[str] = ()
     now: float
     is_exclusive: bool = False
+    unpassed: Mapping[str, str] = field(default_factory=dict)
+    unlisted: str = ""
 
     def findings(self) -> tuple[Finding, ...]:
         """One line each: hub, topics, the subscriber of commands, who has the last word on them."""
@@ -282,31 +515,43 @@ class Report:
         middleware = self.graph.middleware
         yield Finding("connection", True, f"{middleware.hub} at {self.endpoint}")
         for stats in self.subscriptions.topics.values():
-            is_named = stats.is_reading or stats.name in ("imu", "battery")
+            is_named = stats.goes_stale or stats.name in ("imu", "battery")
             if stats.is_needed or stats.count or is_named:
                 yield self._topic(stats)
+            for name in stats.further:
+                yield replace(self._topic(stats, is_entry=True), subject=name)
+        ring = self.subscriptions.contents.get("ranges")
+        if ring is not None and ring.last is not None:
+            yield Finding("ranges", not ring.fault, ring.fault or ring.text)
         fault = self.graph.no_subscriber(
-            self.cmd_vel, self.command_type, has_subscriber=self.has_subscriber
+            self.cmd_vel, self.command_types, has_subscriber=self.has_subscriber
         )
+        conflict = self.graph.conflict(self.subscriptions.topics.values(), self.spec)
+        if conflict is not None and conflict.reason is Reason.BASE_CONFLICT:
+            fault = fault or conflict.text
         yield self._scan_delay()
         sweep = self.subscriptions.sweep_finding()
         if sweep is not None:
             yield sweep
-        well = f"{self.cmd_vel} ({middleware.type_name(self.command_type)}) has a subscriber"
-        yield Finding("cmd_vel", not fault, fault or well)
+        fault = fault or self.unpassed.get(self.cmd_vel, "")
+        yield Finding("cmd_vel", not fault, fault or self._subscriber())
+        if self.unlisted:
+            yield Finding("nodes", True, self.unlisted, is_measured=False)
         yield self._last_word()
 
     def _scan_delay(self) -> Finding:
         topics = self.subscriptions.topics
-        scans = [pair for stats in topics.values() if stats.is_scan for pair in stats.pairs]
+        option = "scan" if "scan" in topics else "ranges"
+        scans = [pair for one in topics.values() if one.option == option for pair in one.pairs]
         return scan_delay_finding(
             scans, topics["odometry"].pairs, self.subscriptions.scan, self.spec
         )
 
-    def _topic(self, stats: TopicStats) -> Finding:
-        fault = self._fault(stats)
+    def _topic(self, stats: TopicStats, *, is_entry: bool = False) -> Finding:
+        """One topic. `is_entry`: for an entry of `readings` or `hazards` that shares it."""
+        fault, goes_stale = self._fault(stats), stats.goes_stale or is_entry
         if fault:
-            is_fault = stats.is_needed or stats.is_reading or stats.count or stats.faults
+            is_fault = stats.is_needed or goes_stale or stats.count or stats.faults
             text = fault if is_fault else f"no message, and not needed to drive: {fault}"
             return Finding(stats.name, not is_fault, text)
         by_stamp, by_clock = stats.elapsed()
@@ -314,11 +559,13 @@ class Report:
         rate = f"{stats.rate():.1f} Hz" if stats.rate() else ""
         clock = f"stamps advanced by {by_stamp:.1f} s in {by_clock:.1f} s" if rate else ""
         age = self.now - stats.last_arrival()
-        if stats.is_reading and age > stats.stale_after:
+        if goes_stale and age > stats.stale_after:
             text = f"{stats.topic}: the last message is {age:.1f} s old, stale after"
             return Finding(stats.name, False, f"{text} {stats.stale_after:g} s; look at the sensor")
-        clock = f"{age:.1f} s ago" if stats.is_reading else clock
-        details = ", ".join(part for part in (rate, stats.summary, clock) if part)
+        clock = f"{age:.1f} s ago" if goes_stale else clock
+        content = self.subscriptions.contents["scan"].text if stats.name == "scan" else ""
+        details = ", ".join(part for part in (rate, content, stats.summary, clock) if part)
+        kind = ", ".join((kind, *self.graph.qualities(stats.topic, is_publisher=True)))
         return Finding(stats.name, True, f"{stats.topic} ({kind}): {details}".rstrip(": "))
 
     def _fault(self, stats: TopicStats) -> str:
@@ -326,36 +573,80 @@ class Report:
         if stats.faults:
             return self.graph.unreadable(stats)
         if not stats.count:
-            return self.graph.silence(stats)
-        fault = self.graph.unreliable(stats)
+            return self.unpassed.get(stats.topic) or self.graph.silence(stats)
+        fault = self.graph.unreliable(stats, self.spec)
         if fault or not stats.is_needed or stats.name == "odometry":
             return fault
-        scan = self.subscriptions.scan
-        return too_slow(stats, self.spec) or (incomplete(stats, scan, self.spec) if scan else "")
+        content = self.subscriptions.contents[stats.option]
+        fast = too_fast(stats, self.spec)
+        fault = f"{fast}; correct it, or look for a second publisher" if fast else ""
+        fault = fault or too_slow(stats, content)
+        if not fault and stats.name == "scan" and content.fault:
+            fault = f"{stats.topic}: {content.fault}"
+        scan = content.last
+        return fault or (incomplete(stats, scan, content.spec) if scan else "")
+
+    def _subscriber(self) -> str:
+        kind = self.graph.command_type(self.cmd_vel, self.command_types)
+        assert kind is not None  # otherwise there is a fault
+        qualities = self.graph.qualities(self.cmd_vel, is_publisher=False)
+        details = ", ".join((self.graph.middleware.type_name(kind), *qualities))
+        names = listed(sorted({end.node for end in self.graph.bases(self.cmd_vel) if end.node}))
+        listening = listed(self.graph.listeners())
+        beside = f" ({listening} only listens)" if listening else ""
+        return f"{self.cmd_vel} ({details}) has a subscriber{names and ': '}{names}{beside}"
 
     def _last_word(self) -> Finding:
         """Who else may command the base, and how swarmd gets the last word."""
         topic, names = self.cmd_vel, sorted(self.foreign_publishers)
-        if self.foreign_commands:
-            return Finding(
-                "last_word",
-                False,
-                f"{self.foreign_commands} commands of another node on {topic}; stop what publishes"
-                f" them, or give swarmd the last word ({LAST_WORD}), unless it is this robot's own"
-                " daemon or watchdog",
-            )
+        fault = self._heard()
+        if fault:
+            return Finding("last_word", False, fault)
         if names and self.is_exclusive:
             return Finding("last_word", False, driven_by_others(topic, names, is_heard=False))
-        takers = [end.node for end in self.graph.subscribers(topic)]
-        mux = listed(sorted({node for node in takers if "mux" in node}))
+        nodes = {end.node for end in self.graph.subscribers(topic)}
+        mux = listed(sorted(node for node in nodes if "mux" in node))
         how = f": give swarmd the highest priority there ({LAST_WORD})" if mux else ""
-        if names:
+        silent = {other: self._owners(other) for other in self.foreign.topics[1:]}
+        silent = {other: owners for other, owners in {topic: names, **silent}.items() if owners}
+        if silent:
             how = how or f"; then it has the last word, not swarmd ({LAST_WORD})"
-            text = f"{listed(names)} may publish {topic} too, but does not now"
-            return Finding("last_word", True, f"{text}; {mux} takes it{how}" if mux else text + how)
-        if mux:
-            return Finding("last_word", True, f"{mux} takes {topic}{how}")
-        return Finding("last_word", True, f"no other node publishes {topic}")
+            text = ", ".join(f"{listed(who)} may publish {other}" for other, who in silent.items())
+            text = f"{text} too, but does not now"
+            text = f"{text}; {mux} takes {topic}{how}" if mux else text + how
+        elif mux:
+            text = f"{mux} takes {topic}{how}"
+        else:
+            text = f"no other node publishes {listed(self.foreign.topics)}"
+        return Finding("last_word", True, text + self._actions())
+
+    def _heard(self) -> str:
+        """The commands and goals of other nodes; empty without one."""
+        goal = self.foreign.source(self.now)
+        if goal in self.foreign.actions:
+            return driven(self.foreign, self.graph, self.now)
+        heard = [
+            f"{count} commands of another node on {topic}"
+            for topic, count in self.foreign.counts.items()
+        ]
+        if not heard:
+            return ""
+        return (
+            f"{listed(heard)}; stop what publishes them, or give swarmd"
+            f" the last word ({LAST_WORD}), unless it is this robot's own daemon or watchdog"
+        )
+
+    def _actions(self) -> str:
+        """Which of the actions that may drive is served."""
+        text = ""
+        for status, action in self.foreign.actions.items():
+            owners = self._owners(status)
+            served = f"action {action} of {listed(owners)} has no goal"
+            text += f"; {served}" if owners else f"; no node serves action {action}"
+        return text
+
+    def _owners(self, topic: str) -> list[str]:
+        return sorted({end.owner for end in self.graph.publishers(topic)})
 
 
 def listed(names: Iterable[str]) -> str:

@@ -25,7 +25,8 @@ _MAX_PERIODS = 1.5  # a scan takes no longer than that many periods
 _MAX_SWEEP_ERROR = 0.2  # of the duration: an LDS turns at 5 Hz within a tenth
 _TURNS = {True: "counter-clockwise", False: "clockwise"}
 _ROUNDING = 1e-9  # of a covariance
-_PER_CENT = 100.0  # TurtleBot3 gives its battery's percentage in per cent, not as a share of 1
+_FULL = {"share": 1.0, "percent": 100.0}  # what a full battery's percentage is
+_MAX_CHARGE = 1.2  # full ones are told up to 1.17 times full (OpenCR's firmware for ROS 2, 12.6 V)
 
 
 def stamp_of(stamp: ros.Time) -> float:
@@ -44,8 +45,8 @@ def scan_of(
     """The scan with bearings in the base frame, of a sensor whose zero points to `yaw` rad.
 
     A sensor that is upside down turns the other way round. The ages of the rays are those of the
-    platform's `sweep`; without one `time_increment` gives them, as far as it is possible. Raises
-    CodecError if the angles are no scan of at most one turn.
+    platform; if it lets the sweep be measured, `time_increment` tells the duration of a scan, as
+    far as it is possible. Raises CodecError if the angles are no scan of at most one turn.
     """
     count, first, step = len(message.ranges), message.angle_min, message.angle_increment
     span = step * max(count - 1, 0)
@@ -54,16 +55,19 @@ def scan_of(
     if not (abs(first) <= _MAX_FIRST_ANGLE and abs(span) <= _MAX_SPAN):  # false for NaN too
         raise CodecError(f"rays from {first:g} rad over {span:g} rad; expected one turn at most")
     side = -1.0 if is_upside_down else 1.0
+    with np.errstate(invalid="ignore"):  # numpy warns of a signalling NaN
+        ranges = message.ranges.astype(np.float64)
     return Scan(
         seq,
         stamp_of(message.header.stamp),
-        message.ranges.astype(np.float64),
+        ranges,
         _bearings(yaw + side * first, side * step, count),
         spec.range_min,
         spec.range_max,
-        # Both drivers of TurtleBot3's lidars give a positive time_increment for rays in falling
-        # order of time, and hls_lfcd_lds_driver one 18 times too short: the platform knows better.
-        _ages(message.time_increment, count, 1.0 / spec.rate) if spec.sweep is None else None,
+        # Both drivers of TurtleBot3's lidars, as rplidar_ros and sllidar_ros2, give a positive
+        # time_increment for rays in falling order of time, and hls_lfcd_lds_driver one 18 times too
+        # short: the platform knows better, or the core measures the order.
+        _ages(message.time_increment, count, 1.0 / spec.rate) if spec.measures_sweep else None,
     )
 
 
@@ -75,12 +79,17 @@ def sweep_finding(message: ros.LaserScan, spec: ScanSpec, *, is_upside_down: boo
     is_rising = (step > 0.0) == (message.angle_increment > 0.0) != is_upside_down
     told = f"time_increment says {seconds:.3g} s a scan, {_TURNS[is_rising]}"
     sweep = spec.sweep
-    if sweep is None and is_told:
-        return Finding("scan sweep", True, f"{told}; the platform has no scan.sweep")
+    if not is_told:
+        told = f"time_increment of {step:g} s is impossible at {spec.rate:g} Hz"
+        told = "time_increment is 0" if step == 0.0 else told
+    if spec.measures_sweep:
+        doubt = ", but many drivers reverse their rays" if is_told else ""
+        text = f"direction not known: {told}{doubt}; the robot measures it while it turns, and each"
+        text += " ray counts as old as the oldest until then; or give the platform's scan.sweep"
+        return Finding("scan sweep", is_told or step == 0.0, text, is_measured=False)
     if sweep is None:
-        why = "is 0" if step == 0.0 else f"of {step:g} s is impossible at {spec.rate:g} Hz"
-        text = f"time_increment {why}, and the platform has no scan.sweep: all rays count as of"
-        return Finding("scan sweep", step == 0.0, f"{text} one instant")
+        text = f"the platform's scan.sweep is null: all rays count as of one instant; {told}"
+        return Finding("scan sweep", is_told or step == 0.0, text)
     own = f"the platform's scan.sweep is {sweep.duration:.3g} s, {_TURNS[sweep.direction > 0.0]}"
     if step == 0.0:
         return Finding("scan sweep", True, f"{own}; time_increment is 0")
@@ -149,13 +158,42 @@ def imu_readings(message: ros.Imu) -> dict[str, float]:
     return {"yaw": yaw_of(message.orientation)}
 
 
-def battery_readings(message: ros.BatteryState) -> dict[str, float]:
-    """`battery` as a share of 1 and `battery_voltage` in V; what is not measured is left out."""
-    share = message.percentage
-    if 1.0 < share < math.inf:
-        share = min(share / _PER_CENT, 1.0)
-    values = {"battery": share, "battery_voltage": message.voltage}
-    return {name: value for name, value in values.items() if 0.0 <= value < math.inf}
+def battery_readings(
+    message: ros.BatteryState,
+    volts: tuple[float, float] | None = None,
+    percentage: str | None = None,
+) -> dict[str, float]:
+    """`battery` as a share of 1 and `battery_voltage` in V; what is not measured is left out.
+
+    `battery` follows the voltage between those of an empty and a full pack, `volts`; else
+    `percentage` says what the message's own is: a `share` of 1, as sensor_msgs defines it, or
+    `percent`, as some drivers send it. Without either, or if the value contradicts it, there is no
+    `battery`.
+    """
+    voltage = message.voltage
+    if not 0.0 <= voltage < math.inf:  # false for NaN too
+        voltage = math.nan
+    if volts is not None:
+        share = max((voltage - volts[0]) / (volts[1] - volts[0]), 0.0)
+    else:
+        share = message.percentage / _FULL.get(percentage or "", math.nan)
+        share = share if 0.0 <= share <= _MAX_CHARGE else math.nan
+    values = {"battery": min(share, 1.0), "battery_voltage": voltage}
+    return {name: value for name, value in values.items() if not math.isnan(value)}
+
+
+def no_battery(
+    message: ros.BatteryState, volts: tuple[float, float] | None, percentage: str | None
+) -> str:
+    """Why a message gives no `battery`; empty if nothing is known of it."""
+    if volts is not None:
+        return ""
+    if percentage is None:
+        return "no battery: set driver_options.battery_volts or .battery_percentage"
+    value = message.percentage
+    if math.isnan(value):
+        return "no battery: its percentage is not measured; set driver_options.battery_volts"
+    return f"no battery: a percentage of {value:.3g} is no {percentage}"
 
 
 def twist_message(twist: Twist) -> ros.Twist:
@@ -185,20 +223,21 @@ def twist_of(message: Any) -> Twist:
     return Twist(twist.linear.x, twist.angular.z, twist.linear.y)
 
 
-class RangeRing:
+class RangeRingDecoder:
     """Several range sensors, each with its own topic, as one scan.
 
     A scan is complete when each sensor has sent a value since the last scan, or when one sends its
     second: sensors without a value are NaN, unknown. A value with the stamp of the one before does
-    not count. `bearings` (n,) rad; `distances` (n,) m from the scan's origin to each sensor are
-    added to its values.
+    not count; all rays count as of one instant. `bearings` (n,) rad; `distances` (n,) m from the
+    scan's origin to each sensor are added to its values.
     """
 
     def __init__(
         self, bearings: Sequence[float], distances: Sequence[float], spec: ScanSpec
     ) -> None:
         self._bearings = _wrapped(np.array(bearings, dtype=np.float64))
-        self._bearings.flags.writeable = False
+        self._at_once = np.zeros(len(self._bearings))
+        self._bearings.flags.writeable = self._at_once.flags.writeable = False
         self._distances, self._spec = tuple(distances), spec
         self._round: dict[int, ros.Range] = {}
         self._stamps: dict[int, float] = {}
@@ -216,15 +255,16 @@ class RangeRing:
         return self._close() if len(self._round) == len(self._bearings) else scan
 
     def _close(self) -> Scan:
-        ranges = np.full(len(self._bearings), np.nan)
+        ranges = np.full(len(self._bearings), np.nan, np.float32)  # as a recording keeps them
         for index, message in self._round.items():
             value = message.range
             ranges[index] = value if value == 0.0 else value + self._distances[index]
         stamp = max(stamp_of(message.header.stamp) for message in self._round.values())
         self._round = {}
         self._seq += 1
-        spec = self._spec
-        return Scan(self._seq, stamp, ranges, self._bearings, spec.range_min, spec.range_max)
+        values = ranges.astype(np.float64)
+        limits = self._spec.range_min, self._spec.range_max
+        return Scan(self._seq, stamp, values, self._bearings, *limits, self._at_once)
 
 
 @lru_cache(maxsize=8)

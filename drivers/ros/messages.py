@@ -26,6 +26,8 @@ LaserScan: TypeAlias = ros2_jazzy.sensor_msgs__msg__LaserScan
 Range: TypeAlias = ros2_jazzy.sensor_msgs__msg__Range
 Imu: TypeAlias = ros2_jazzy.sensor_msgs__msg__Imu
 BatteryState: TypeAlias = ros2_jazzy.sensor_msgs__msg__BatteryState
+GoalStatusArray: TypeAlias = ros2_jazzy.action_msgs__msg__GoalStatusArray
+ActionlibStatusArray: TypeAlias = ros2_jazzy.actionlib_msgs__msg__GoalStatusArray
 Odometry: TypeAlias = ros2_jazzy.nav_msgs__msg__Odometry
 
 

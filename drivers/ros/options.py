@@ -6,6 +6,7 @@ import math
 import os
 import re
 from collections.abc import Iterator, Mapping
+from functools import cached_property
 from typing import Annotated, Literal, TypeVar
 
 import msgspec
@@ -13,14 +14,23 @@ from msgspec import Meta, Struct
 from rosbags.typesys import Stores
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Value
+from swarmd.core.values import Platform, Value
+from swarmd.drivers.ros.cdr import name_of
+from swarmd.drivers.ros.message_types import MessageTypes
 from swarmd.drivers.ros.messages import (
+    BatteryState,
+    Imu,
+    LaserScan,
+    Odometry,
     PoseStamped,
     PoseWithCovarianceStamped,
+    Range,
     Twist,
     TwistStamped,
 )
+from swarmd.drivers.ros.topic_hazards import HazardOptions, TopicHazard, topic_hazard
 from swarmd.drivers.ros.topic_readings import ReadingOptions, TopicReading, topic_reading
+from swarmd.drivers.ros.topic_stats import HAZARD, READING
 from swarmd.network.settings import parse_endpoint
 from swarmd.settings.layered import Layered
 
@@ -28,6 +38,8 @@ DEFAULT_ENDPOINT = "tcp/127.0.0.1:7447"
 DEFAULT_MASTER = "http://127.0.0.1:11311"
 MAX_BEARING, MAX_OFFSET = 360.0, 10.0
 """Bounds of a range sensor's place in `ranges`: degrees, and m from the scan's origin."""
+
+MAX_VOLTS = 1000.0
 
 _NAME = re.compile(r"/?[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z0-9_]+)*")
 _MASTER = re.compile(r"http://[^/:]+:\d+/?")
@@ -37,46 +49,70 @@ Degrees = Annotated[float, Meta(ge=-360.0, le=360.0)]
 Name = Annotated[str, Meta(min_length=1, max_length=200)]
 
 
-class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True, dict=True):
     """The names and types of a robot's topics, and how its sensors are mounted.
 
     `namespace` precedes every topic that does not begin with a slash; `{robot}` in it is the
     robot's id, with `_` for `-`. `imu` and `battery` are subscribed to only if named; they become
-    the readings `yaw` in rad, `battery` (0 to 1) and `battery_voltage`. `ranges` makes one scan of
-    several `sensor_msgs/Range` in place of `scan`: topic to bearing in degrees, or to bearing and
-    the sensor's distance in m from the scan's origin. `scan_yaw_deg`: where the lidar's own zero
-    points, from the base's front to the left; `scan_upside_down`: the lidar hangs, and so turns the
-    other way round. `shared_pose`: a topic with the pose of the base's axle in a frame that all
-    robots share, of the class that `shared_pose_type` names; its errors are `shared_pose_error` m
-    and `shared_pose_error_deg`, or three standard deviations by the covariance, if that is more.
-    `cmd_vel_frame` is the frame of stamped commands. `readings`: numbers of any topics, by name.
+    the readings `yaw` in rad, `battery` (0 to 1) and `battery_voltage`. `battery` follows the
+    voltage between those of an empty and a full pack, `battery_volts`; else the message's
+    percentage, in the unit of `battery_percentage`; without both options there is no `battery`.
+    `ranges` makes one scan of several `sensor_msgs/Range`: beside `scan` if the platform has a
+    section `ranges`, else in place of it. Topic to bearing in degrees, or to bearing and the
+    sensor's distance in m from the offset of the section. `scan_yaw_deg`: where the lidar's own
+    zero points, from the base's front to the left; `scan_upside_down`: the lidar hangs, and so
+    turns the other way round. `shared_pose`: a topic with the pose of the base's axle in a frame
+    that all robots share, of the class that `shared_pose_type` names; its errors are
+    `shared_pose_error` m and `shared_pose_error_deg`, or three standard deviations by the
+    covariance, if that is more.
+    `cmd_vel_type`: the type of the commands, `auto` for that to which the base subscribes.
+    `cmd_vel_frame` is the frame of stamped commands. `other_commands` are further topics on which
+    the base takes commands, and `other_actions` are actions that move it: both are of other nodes.
+    `cmd_vel_listeners`: nodes that take the commands and move nothing, by name or pattern, such as
+    `ekf_*`. `readings`: numbers of any topics, by name.
+    `hazards`: what in which topics tells of a hazard, by name.
+    `message_path`: folders with the packages of a vendor's message types, as `.msg` files.
     """
 
     distro = Stores.ROS2_JAZZY
     """The definitions of the message types."""
 
     namespace: str = ""
-    scan: Name = "scan"
+    scan: Name | None = None
     odometry: Name = "odom"
     cmd_vel: Name = "cmd_vel"
     imu: Name | None = None
     battery: Name | None = None
+    battery_volts: tuple[float, float] | None = None
+    battery_percentage: Literal["share", "percent"] | None = None
     shared_pose: Name | None = None
     shared_pose_type: Literal["pose", "pose_with_covariance"] = "pose"
     shared_pose_error: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.05
     shared_pose_error_deg: Annotated[float, Meta(ge=0.0, le=90.0)] = 3.0
-    cmd_vel_type: Literal["twist", "twist_stamped"] = "twist"
+    cmd_vel_type: Literal["auto", "twist", "twist_stamped"] = "auto"
     cmd_vel_frame: Annotated[str, Meta(max_length=200)] = "base_link"
+    cmd_vel_listeners: tuple[Name, ...] = ()
+    other_commands: tuple[str, ...] = ()
+    other_actions: tuple[str, ...] = ()
     scan_yaw_deg: Degrees = 0.0
     scan_upside_down: bool = False
     # Unbounded here: msgspec 0.22 crashes on a union of a bounded number and a tuple of such.
     ranges: dict[str, float | tuple[float, float]] = {}
     readings: dict[str, ReadingOptions] = {}
+    hazards: dict[str, HazardOptions] = {}
+    message_path: str | tuple[str, ...] = ()
 
     @property
-    def command_type(self) -> type:
-        """The message class of the commands."""
-        return Twist if self.cmd_vel_type == "twist" else TwistStamped
+    def scan_topic(self) -> str:
+        """The name of the lidar's topic: `scan` where none is given."""
+        return self.scan or "scan"
+
+    @property
+    def command_types(self) -> tuple[type, ...]:
+        """The message classes that the commands may have: one, or all if the base decides."""
+        return {"twist": (Twist,), "twist_stamped": (TwistStamped,)}.get(
+            self.cmd_vel_type, (Twist, TwistStamped)
+        )
 
     @property
     def pose_type(self) -> type:
@@ -91,11 +127,26 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
             return f"/{name.strip('/')}"
         return f"/{namespace}/{name}"
 
+    @cached_property
+    def message_types(self) -> MessageTypes:
+        """The message types by name; ConfigError for a folder without them."""
+        path = self.message_path
+        return MessageTypes(self.distro, (path,) if isinstance(path, str) else path)
+
+    @cached_property
     def topic_readings(self) -> dict[str, TopicReading]:
         """The readings by name; ConfigError names the key that is wrong."""
         return {
-            name: topic_reading(name, one, self.topic(one.topic), self.distro)
+            name: topic_reading(name, one, self.topic(one.topic), self.message_types)
             for name, one in self.readings.items()
+        }
+
+    @cached_property
+    def topic_hazards(self) -> dict[str, TopicHazard]:
+        """The hazards by name; ConfigError names the key that is wrong."""
+        return {
+            name: topic_hazard(name, one, self.topic(one.topic), self.message_types)
+            for name, one in self.hazards.items()
         }
 
     def ring(self) -> tuple[tuple[str, float, float], ...]:
@@ -148,20 +199,50 @@ class Ros1Options(TopicOptions, frozen=True, kw_only=True, forbid_unknown_fields
 O = TypeVar("O", bound=TopicOptions)  # noqa: E741
 
 
-def read_options(kind: type[O], options: Mapping[str, Value], driver: str, robot: str) -> O:
-    """The options, `{robot}` filled in; ConfigError names the option that is wrong."""
+def read_options(
+    kind: type[O],
+    options: Mapping[str, Value],
+    driver: str,
+    robot: str,
+    platform: Platform | None = None,
+) -> O:
+    """The options, `{robot}` filled in; ConfigError names the option that is wrong.
+
+    `platform` None: whether the options fit it is not looked at.
+    """
     read = Layered((f"driver {driver}", options)).build(kind)
     own_name = re.sub(r"[^A-Za-z0-9_]", "_", robot)
     filled = msgspec.structs.replace(read, namespace=read.namespace.replace(_ROBOT, own_name))
     if isinstance(filled, RosOptions):
         parse_endpoint(filled.endpoint, f"driver {driver}: endpoint is ", DEFAULT_ENDPOINT)
-    for fault in _faults(filled):
+    unfit = () if platform is None else _ring_faults(filled, platform.ranges is not None)
+    for fault in (*unfit, *_faults(filled)):
         raise ConfigError(f"driver {driver}: {fault}")
     try:
-        filled.topic_readings()
+        _ = (
+            filled.message_types,
+            filled.topic_readings,
+            filled.topic_hazards,
+        )  # files are read once, here
     except ConfigError as error:
         raise ConfigError(f"driver {driver}: {error}") from None
     return filled
+
+
+def _ring_faults(options: TopicOptions, has_ring: bool) -> Iterator[str]:
+    if has_ring and not options.ranges:
+        yield "ranges is missing; expected the topics of the platform's section ranges"
+    if options.ranges and options.scan is not None and not has_ring:
+        yield (
+            f"scan is {options.scan!r} beside ranges; expected one of them, or the section ranges"
+            " in the platform's file, which describes the further sensors: then both are used"
+        )
+
+
+def of_commands(options: Mapping[str, Value]) -> dict[str, Value]:
+    """The options that a zero sender needs: it shall start although a `.msg` file has gone."""
+    of_sensors = "readings", "hazards", "message_path"
+    return {name: one for name, one in options.items() if name not in of_sensors}
 
 
 def _faults(options: TopicOptions) -> Iterator[str]:
@@ -177,18 +258,28 @@ def _faults(options: TopicOptions) -> Iterator[str]:
                 f"ranges.{sensor} is {place}; expected a bearing in degrees, or"
                 f" [bearing, distance] with 0 to {MAX_OFFSET:g} m"
             )
+    empty, full = options.battery_volts or (1.0, 2.0)
+    if not 0.0 < empty < full <= MAX_VOLTS:  # false for NaN too
+        yield (
+            f"battery_volts is [{empty:g}, {full:g}]; expected the volts of an empty and of a full"
+            f" pack, such as [11.0, 12.6], up to {MAX_VOLTS:g}"
+        )
     names = {
         "namespace": options.namespace.strip("/") or None,
-        "scan": options.scan,
+        "scan": options.scan if options.ranges else options.scan_topic,
         "odometry": options.odometry,
         "cmd_vel": options.cmd_vel,
         "imu": options.imu,
         "battery": options.battery,
         "shared_pose": options.shared_pose,
         **{f"ranges.{name}": name for name in options.ranges},
-        **{f"readings.{name}": one.topic for name, one in options.readings.items()},
+        **{f"{READING}{name}": one.topic for name, one in options.readings.items()},
+        **{f"{HAZARD}{name}": one.topic for name, one in options.hazards.items()},
+        **{f"other_commands[{n}]": name for n, name in enumerate(options.other_commands)},
+        **{f"other_actions[{n}]": name for n, name in enumerate(options.other_actions)},
     }
     owners: dict[str, str] = {}
+    types = _types(options)
     for option, name in names.items():
         if name is None:
             continue
@@ -197,18 +288,35 @@ def _faults(options: TopicOptions) -> Iterator[str]:
                 f"{option} is {name!r}; expected a ROS name such as tb3_01 or front/scan"
                 " (letters, digits, _ and /, a letter first)"
             )
-        if option == "namespace" or (option == "scan" and options.ranges):
+        if option == "namespace":
             continue
+        if option.startswith("other_actions"):
+            continue  # an action and a topic may have one name
         topic = options.topic(name)
-        owner = owners.setdefault(topic, option)  # a topic carries one type
-        if owner != option and not _share(options, owner, option):
+        owner = owners.setdefault(topic, option)
+        if owner == option:
+            continue
+        if owner not in types or not option.startswith((READING, HAZARD)):
             yield f"{owner} and {option} are both {topic}; expected a topic each"
+        elif types[owner] != types[option]:
+            kinds = f"{types[owner]} and {types[option]}"
+            yield f"{owner} and {option} are both {topic}, as {kinds}; expected one type"
 
 
-def _share(options: TopicOptions, one: str, other: str) -> bool:
-    """True for two readings of one topic that name the same type."""
-    kinds = {f"readings.{name}": reading.type for name, reading in options.readings.items()}
-    return one in kinds and kinds[one] == kinds.get(other)
+def _types(options: TopicOptions) -> dict[str, str]:
+    """The message type of each option that is a sensor's topic, such as `sensor_msgs/Imu`."""
+    kinds = {"scan": LaserScan, "odometry": Odometry, "imu": Imu, "battery": BatteryState}
+    kinds |= {
+        "shared_pose": options.pose_type,
+        **{f"ranges.{name}": Range for name in options.ranges},
+    }
+    return {
+        **{option: name_of(kind).replace("/msg/", "/") for option, kind in kinds.items()},
+        **{f"{READING}{name}": one.type.replace("/msg/", "/")
+           for name, one in options.readings.items()},
+        **{f"{HAZARD}{name}": one.type.replace("/msg/", "/")
+           for name, one in options.hazards.items()},
+    }  # fmt: skip
 
 
 def _place(place: float | tuple[float, float]) -> tuple[float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
@@ -20,8 +20,10 @@ from swarmd.drivers.ros.messages import (
     Range,
 )
 from swarmd.drivers.ros.options import TopicOptions
-from swarmd.drivers.ros.topic_readings import Readings
-from swarmd.drivers.ros.topic_stats import READING, TopicStats
+from swarmd.drivers.ros.topic_hazards import Hazards, TopicHazard
+from swarmd.drivers.ros.topic_readings import BATTERY, IMU, Readings, TopicReading
+from swarmd.drivers.ros.topic_stats import HAZARD, READING, TopicStats
+from swarmd.drivers.scan_content import ScanContent
 
 Deliver = Callable[[Sink], None]
 Decode = Callable[[type, bytes], Any]
@@ -34,7 +36,8 @@ class Subscriptions:
     """Reads a robot's topics. A driver makes one for each run: scan sequences begin again with it.
 
     `topics`: the statistics of each topic by its name in this driver, such as `scan`.
-    `last_arrival`: of a scan, a range or odometry. `scan`: the last one, None before the first.
+    `last_arrival`: of a scan, a range or odometry. `contents`: what the scans show, by the option
+    that names their topics.
     """
 
     def __init__(
@@ -45,55 +48,117 @@ class Subscriptions:
         self._yaw = math.radians(options.scan_yaw_deg)
         self._is_upside_down = options.scan_upside_down
         self._pose_errors = options.shared_pose_error, math.radians(options.shared_pose_error_deg)
+        self._battery = options.battery_volts, options.battery_percentage
         self._scan_seq = 0
-        self.scan: Scan | None = None
+        ring_spec, section = platform.ranges, "ranges"
+        if ring_spec is None:
+            ring_spec, section = platform.scan, "scan"
+        self.contents: dict[str, ScanContent] = {}
+        if platform.ranges is not None or not options.ranges:
+            self.contents["scan"] = ScanContent(platform.scan)
+        if options.ranges:
+            self.contents["ranges"] = ScanContent(ring_spec, section)
         self._laser: LaserScan | None = None
         self.last_arrival = -math.inf
-        readings = options.topic_readings()
+        readings = options.topic_readings
         self._readings = Readings(readings)
-        self._readings_of: dict[str, list[str]] = {}
-        for name, reading in readings.items():
-            self._readings_of.setdefault(reading.topic, []).append(name)
+        self._readings_of: dict[str, list[TopicReading]] = {}
+        for reading in readings.values():
+            self._readings_of.setdefault(reading.topic, []).append(reading)
+        self._hazards = Hazards(options.topic_hazards)
+        self._hazards_of: dict[str, list[TopicHazard]] = {}
+        for hazard in options.topic_hazards.values():
+            self._hazards_of.setdefault(hazard.topic, []).append(hazard)
         ring = options.ring()
-        self._ring = from_ros.RangeRing(
-            [bearing for _, bearing, _ in ring], [away for _, _, away in ring], platform.scan
+        self._ring = from_ros.RangeRingDecoder(
+            [bearing for _, bearing, _ in ring],
+            [away for _, _, away in ring],
+            ring_spec,
         )
         self._ring_index = {_range_name(name): index for index, (name, _, _) in enumerate(ring)}
         self.topics: Mapping[str, TopicStats] = {
-            stats.name: stats for stats in _topics(options, platform)
+            stats.name: stats for stats in _topics(options, platform, "scan" in self.contents)
         }
 
-    def read(self, name: str, payload: bytes, now: float) -> Deliver:
-        """Decode one message; how to deliver it once the base is connected. Raises CodecError."""
+    def read(self, name: str, payload: bytes, now: float, *, is_kept: bool = False) -> Deliver:
+        """Decode one message; how to deliver it once the base is connected. Raises CodecError.
+
+        `is_kept`: an earlier message of a topic of `kept_topics`, which was asked for.
+        """
         stats = self.topics[name]
         message = self._decode(stats.message_type, payload)
-        if stats.is_reading:
-            return self._read_readings(stats, message, now)
-        stamp = from_ros.stamp_of(message.header.stamp)
-        deliver, summary = self._value(stats, message, now)
-        stats.record(now, stamp, summary)
-        if stats.message_type in _SIGNS_OF_LIFE:
-            self.last_arrival = now
-        return deliver
-
-    def _read_readings(self, stats: TopicStats, message: Any, now: float) -> Deliver:
-        """The readings of a message; a message that repeats a stamp is as old as its first copy.
-
-        Standard messages have no stamp, and many publishers fill in none: then the arrival counts.
-        """
         header = getattr(message, "header", None)
         stamp = 0.0 if header is None else from_ros.stamp_of(header.stamp)
-        summary = stats.summary
-        if not (stamp and stats.stamps and stamp == stats.stamps[-1]):
-            names = self._readings_of[stats.topic]
-            summary = ", ".join(self._readings.take(name, message, now) for name in names)
-        stats.record(now, stamp or now, summary)
-        return self._deliver_readings(now)
+        told = self._take_extras(stats, message, stamp, now, is_kept)
+        if is_kept:
+            stamp = stats.stamps[-1] if stats.stamps else stamp
+        if stats.goes_stale:
+            stats.record(now, stamp or now, told or stats.summary)
+            return self._deliver_extras(now)
+        if is_kept:  # nothing moves by what is late
+            return self._deliver_extras(now)
+        deliver, summary = self._value(stats, message, now)
+        stats.record(now, stamp, ", ".join(filter(None, (summary, told))))
+        if stats.message_type in _SIGNS_OF_LIFE:
+            self.last_arrival = now
+        return partial(_deliver_all, (deliver, self._deliver_extras(now))) if told else deliver
 
-    def stale_readings(self, now: float) -> Deliver | None:
-        """How to deliver that a reading has become stale; None without news."""
+    def _take_extras(
+        self, stats: TopicStats, message: Any, stamp: float, now: float, is_kept: bool
+    ) -> str:
+        """Take in the readings and hazards of a message; they as text, empty without any.
+
+        A message that repeats a stamp is as old as its first copy. Standard messages have no stamp,
+        and many publishers fill in none: then the arrival counts.
+        """
+        is_copy = bool(stamp and stats.stamps and stamp == stats.stamps[-1])
+        taken = [
+            self._readings.take(reading.name, message, now, is_kept=is_kept)
+            for reading in self._readings_of.get(stats.topic, ())
+            if reading.is_never_stale or not (is_copy or is_kept)
+        ]
+        taken += [
+            self._hazards.take(hazard.name, message, now, is_kept=is_kept)
+            for hazard in self._hazards_of.get(stats.topic, ())
+            if hazard.is_never_stale or not (is_copy or is_kept)
+        ]
+        return ", ".join(taken)
+
+    @property
+    def kept_topics(self) -> dict[str, TopicStats]:
+        """By full name the topics whose last message counts until the next one."""
+        return {
+            stats.topic: stats
+            for stats in self.topics.values()
+            if any(reading.is_never_stale for reading in self._readings_of.get(stats.topic, ()))
+            or any(hazard.is_never_stale for hazard in self._hazards_of.get(stats.topic, ()))
+        }
+
+    def forget(self, topic: str | None = None) -> None:
+        """Drop values that never become stale, of one topic or of all: a message may be missed."""
+        self._readings.forget(topic)
+        self._hazards.forget(topic)
+
+    def readings(self, now: float) -> Deliver:
+        """How to deliver all readings, as of a base that is connected now."""
+        return self._deliver_readings(now) if self._readings.are_any else lambda sink: None
+
+    def deliver_all(self, sink: Sink, now: float) -> None:
+        """Deliver all readings and hazards to the sink, as of a base that is connected now."""
+        self.readings(now)(sink)
+        self._hazards.tell(sink, now, again=True)
+
+    def deliver_changes(self, sink: Sink, now: float) -> None:
+        """Deliver the readings and hazards that changed without a message, as by silence."""
         changed = self._readings.changed(now)
-        return None if changed is None else lambda sink: sink.readings(changed)
+        if changed is not None:
+            sink.readings(changed)
+        self._hazards.tell(sink, now)
+
+    def silent_hazards(self, now: float) -> tuple[TopicStats, ...]:
+        """The topics of hazards that are silent for too long: the robot is held."""
+        silent = {hazard.place for hazard in self._hazards.silent(now)}
+        return tuple(stats for stats in self.topics.values() if stats.topic in silent)
 
     def silent(self, now: float, timeout: float) -> tuple[TopicStats, ...]:
         """The needed topics without a message for longer than `timeout` s."""
@@ -102,6 +167,11 @@ class Subscriptions:
             for stats in self.topics.values()
             if stats.is_needed and now - stats.last_arrival() > timeout
         )
+
+    @property
+    def scan(self) -> Scan | None:
+        """The last scan of the lidar, or of what replaces it; None before the first."""
+        return (self.contents.get("scan") or self.contents["ranges"]).last
 
     def sweep_finding(self) -> Finding | None:
         """How the rays of the last scan follow one another; None without a scan of one message."""
@@ -113,42 +183,61 @@ class Subscriptions:
         if stats.message_type is LaserScan:
             self._scan_seq += 1
             self._laser = message
-            self.scan = scan = from_ros.scan_of(
+            scan = from_ros.scan_of(
                 message, self._scan_seq, self._spec, self._yaw, is_upside_down=self._is_upside_down
             )
-            return partial(_deliver_scan, scan), f"{len(scan.ranges)} rays"
+            self.contents["scan"].take(scan)
+            return lambda sink: sink.scan(scan), ""
         if stats.message_type is Range:
             whole = self._ring.take(self._ring_index[stats.name], message)
-            self.scan = whole or self.scan
-            return partial(_deliver_scan, whole), f"{message.range:.3g} m"
+            if whole is not None:
+                self.contents["ranges"].take(whole)
+            is_scan = "scan" not in self.contents
+            return partial(_deliver_ring, whole, is_scan), f"{message.range:.3g} m"
         if stats.message_type is Odometry:
             odometry = from_ros.odometry_of(message)
             return lambda sink: sink.odometry(odometry), ""
         if stats.message_type in (PoseStamped, PoseWithCovarianceStamped):
             pose = from_ros.shared_pose_of(message, *self._pose_errors)
             return lambda sink: sink.pose(pose), f"frame {pose.frame}"
-        is_imu = stats.message_type is Imu
-        values = (from_ros.imu_readings if is_imu else from_ros.battery_readings)(message)
-        self._readings.take_own(values)
-        summary = ", ".join(f"{name} {value:.3g}" for name, value in values.items())
-        return self._deliver_readings(now), summary
+        if stats.message_type is Imu:
+            names, values, lacks = IMU, from_ros.imu_readings(message), ""
+        else:
+            names = BATTERY
+            values = from_ros.battery_readings(message, *self._battery)
+            lacks = "" if "battery" in values else from_ros.no_battery(message, *self._battery)
+        self._readings.take_own(names, values)
+        told = [f"{name} {value:.3g}" for name, value in values.items()]
+        return self._deliver_readings(now), ", ".join(filter(None, (*told, lacks)))
+
+    def _deliver_extras(self, now: float) -> Deliver:
+        parts = [self._deliver_readings(now)] if self._readings.are_any else []
+        return partial(_deliver_all, (*parts, partial(self._hazards.tell, now=now)))
 
     def _deliver_readings(self, now: float) -> Deliver:
         values = self._readings.at(now)
         return lambda sink: sink.readings(values)
 
 
-def _deliver_scan(scan: Scan | None, sink: Sink) -> None:
+def _deliver_all(parts: Iterable[Deliver], sink: Sink) -> None:
+    for deliver in parts:
+        deliver(sink)
+
+
+def _deliver_ring(scan: Scan | None, is_scan: bool, sink: Sink) -> None:
     if scan is not None:
-        sink.scan(scan)
+        (sink.scan if is_scan else sink.ranges)(scan)
 
 
-def _topics(options: TopicOptions, platform: Platform) -> list[TopicStats]:
+def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[TopicStats]:
     topic = options.topic
     found = [
         TopicStats(_range_name(name), "ranges", topic(name), Range, is_needed=True)
         for name in options.ranges
-    ] or [TopicStats("scan", "scan", topic(options.scan), LaserScan, is_needed=True)]
+    ]
+    if has_lidar:
+        scan = TopicStats("scan", "scan", topic(options.scan_topic), LaserScan, is_needed=True)
+        found.insert(0, scan)
     needs_odometry = "odometry" in platform.provides
     found.append(
         TopicStats("odometry", "odometry", topic(options.odometry), Odometry, needs_odometry)
@@ -160,13 +249,17 @@ def _topics(options: TopicOptions, platform: Platform) -> list[TopicStats]:
     ):
         if given is not None:
             found.append(TopicStats(name, name, topic(given), message_type))
-    of_readings: dict[str, TopicStats] = {}
-    for reading in options.topic_readings().values():
-        name = f"{READING}{reading.name}"
-        one = TopicStats(name, name, reading.topic, reading.message_type)
-        one.stale_after = reading.stale_after
-        of_readings.setdefault(reading.topic, one)
-    return [*found, *of_readings.values()]
+    by_topic = {stats.topic: stats for stats in found}
+    extras: dict[str, TopicReading | TopicHazard] = {
+        **{f"{READING}{name}": one for name, one in options.topic_readings.items()},
+        **{f"{HAZARD}{name}": one for name, one in options.topic_hazards.items()},
+    }
+    for name, extra in extras.items():
+        own = TopicStats(name, name, extra.topic, extra.message_type)
+        stats = by_topic.setdefault(extra.topic, own)  # one subscription a topic
+        stats.further += [] if stats is own else [name]
+        stats.stale_after = min(stats.stale_after, extra.stale_after)
+    return list(by_topic.values())
 
 
 def _range_name(topic: str) -> str:

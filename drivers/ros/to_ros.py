@@ -30,7 +30,7 @@ class LaserScanEncoder:
     def __init__(self, options: RosOptions, platform: Platform) -> None:
         """ConfigError if the platform's rays are not evenly spread."""
         self._spec = platform.scan
-        self.topics = ((options.topic(options.scan), ros.LaserScan),)
+        self.topics = ((options.topic(options.scan_topic), ros.LaserScan),)
         first, step = _evenly(platform)
         side = -1.0 if options.scan_upside_down else 1.0
         self._first, self._step = side * (first - math.radians(options.scan_yaw_deg)), side * step
@@ -86,7 +86,8 @@ class RangeRingEncoder:
 
 def scan_encoder(options: RosOptions, platform: Platform) -> LaserScanEncoder | RangeRingEncoder:
     """The encoder that suits a robot's options."""
-    return (RangeRingEncoder if options.ranges else LaserScanEncoder)(options, platform)
+    replaces_scan = options.ranges and platform.ranges is None
+    return (RangeRingEncoder if replaces_scan else LaserScanEncoder)(options, platform)
 
 
 def _time_increment(scan: Scan) -> float:

@@ -3,118 +3,163 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from operator import attrgetter, itemgetter
+from typing import Annotated, Any, Literal
 
 from msgspec import Meta, Struct
 from rosbags.interfaces import Nodetype
-from rosbags.typesys import Stores
+from rosbags.typesys.base import normalize_fieldname
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.drivers.ros.cdr import store
+from swarmd.drivers.ros.cdr import name_of
+from swarmd.drivers.ros.message_types import MessageTypes
 
-_OWN = ("yaw", "battery", "battery_voltage")
-_NUMBERS = ("bool", "float", "int", "uint")
-Path = tuple[str | int, ...]
+IMU: tuple[str, ...] = ("yaw",)
+BATTERY: tuple[str, ...] = ("battery", "battery_voltage")
+"""The readings of the options `imu` and `battery`."""
+
+_OWN = (*IMU, *BATTERY)
+_TEXTS = ("string", "wstring", "wchar")
+_LENGTH = "length"
+Step = Callable[[Any], Any]
+
+StaleAfter = Annotated[float, Meta(ge=0.1, le=3600.0)] | Literal["never"]
+Text = Annotated[str, Meta(min_length=1, max_length=200)]
 
 
 class ReadingOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
     """One entry of the option `readings`.
 
     `field`: the place of the number in a message of `type`: names and indices between dots, such as
-    `vector.x` or `data.0`. `unit` is for people. `stale_after`: s without a message after which the
-    reading has no value.
+    `vector.x` or `data.0`; `length` behind a list is its number of items. `unit` is for people.
+    `stale_after`: s without a message after which the reading has no value; `never`: for a topic
+    that is published on change, whose last message counts while its publisher is there.
     """
 
-    topic: Annotated[str, Meta(min_length=1, max_length=200)]
+    topic: Text
     type: Annotated[str, Meta(min_length=3, max_length=200)]
-    field: Annotated[str, Meta(min_length=1, max_length=200)] = "data"
+    field: Text = "data"
     unit: Annotated[str, Meta(max_length=32)] = ""
-    stale_after: Annotated[float, Meta(ge=0.1, le=3600.0)] = 1.0
+    stale_after: StaleAfter = 1.0
 
 
 @dataclass(frozen=True, slots=True)
 class TopicReading:
-    """A reading `name` that messages of `message_type` carry at `path`."""
+    """A reading `name` that messages of `message_type` carry; the steps of `path` lead to it.
+
+    `stale_after` s: infinite for a reading that holds until the next message.
+    """
 
     name: str
     topic: str
     message_type: type
-    path: Path
+    path: tuple[Step, ...]
     unit: str
     stale_after: float
 
+    @property
+    def is_never_stale(self) -> bool:
+        """True if the last message counts until the next one."""
+        return self.stale_after == math.inf
+
     def value(self, message: Any) -> float:
         """The number in a message; NaN if it is not finite, or beyond the end of a list."""
-        found = message
         try:
-            for step in self.path:
-                found = found[step] if isinstance(step, int) else getattr(found, step)
+            number = float(value_at(message, self.path))
         except IndexError:
             return math.nan
-        number = float(found)
         return number if math.isfinite(number) else math.nan
 
 
-def topic_reading(name: str, options: ReadingOptions, topic: str, distro: Stores) -> TopicReading:
-    """The reading of an entry; ConfigError names the key that is wrong.
-
-    `topic` is the full name. `distro` has the definitions of the message types.
-    """
-    known = store(distro)
+def topic_reading(
+    name: str, options: ReadingOptions, topic: str, types: MessageTypes
+) -> TopicReading:
+    """The reading of an entry; ConfigError names the key that is wrong. `topic`: its full name."""
     where = f"readings.{name}"
     if not name.isidentifier() or len(name) > 63:
         raise ConfigError(f"{where}: expected a name of at most 63 letters, digits and _")
     if name in _OWN:
         raise ConfigError(f"{where}: options imu and battery give {', '.join(_OWN)}; rename it")
-    full = _full_name(options.type)
-    if full not in known.types:
-        names = [one.replace("/msg/", "/") for one in known.types]
-        fault = unknown("message type", options.type.replace("/msg/", "/"), names)
-        raise ConfigError(f"{where}.type: {fault}")
-    path = tuple(int(s) if s.isdecimal() else s for s in options.field.split("."))
-    if fault := _field_fault(known.fielddefs, full, path):
-        raise ConfigError(f"{where}.field is {options.field!r}: {fault}")
-    kind: type = known.types[full]
-    return TopicReading(name, topic, kind, path, options.unit, options.stale_after)
+    try:
+        kind = types.kind(options.type)
+    except ConfigError as error:
+        raise ConfigError(f"{where}.type: {error}") from None
+    try:
+        path = number_path(types, kind, options.field)
+    except ConfigError as error:
+        raise ConfigError(f"{where}.field is {options.field!r}: {error}") from None
+    return TopicReading(name, topic, kind, path, options.unit, seconds(options.stale_after))
 
 
-def _full_name(type_name: str) -> str:
-    """`sensor_msgs/msg/Temperature` for `sensor_msgs/Temperature`."""
-    package, _, rest = type_name.partition("/")
-    return f"{package}/msg/{rest.removeprefix('msg/')}"
+def seconds(stale_after: float | Literal["never"]) -> float:
+    """The option `stale_after` in s; infinite for `never`."""
+    return math.inf if stale_after == "never" else stale_after
 
 
-def _field_fault(fielddefs: Mapping[str, Any], type_name: str, path: Path) -> str:
-    """Why there is no number at the path; empty if there is one."""
-    kind: Any = (Nodetype.NAME, type_name)
+def number_path(types: MessageTypes, message_type: type, field: str) -> tuple[Step, ...]:
+    """The steps to a number in messages of a type; ConfigError if the field is no number."""
+    steps, node = path_of(types, message_type, field)
+    if fault := _end_fault(types.fielddefs, *node):
+        raise ConfigError(fault)
+    is_octet = node[1][0] == "byte" and not types.is_ros1
+    return (*steps, _octet) if is_octet else steps
+
+
+def path_of(
+    types: MessageTypes, message_type: type, field: str
+) -> tuple[tuple[Step, ...], tuple[Any, Any]]:
+    """The steps to a field in messages of a type, and rosbags' node of the field's type.
+
+    ConfigError if there is no such field.
+    """
+    steps: list[Step] = []
+    node: tuple[Any, Any] = (Nodetype.NAME, name_of(message_type))
+    for part in field.split("."):
+        step, node = _step(types.fielddefs, *node, part)
+        steps.append(step)
+    return tuple(steps), node
+
+
+def value_at(message: Any, path: Sequence[Step]) -> Any:
+    """The value of a message's field by the steps of `path_of`; IndexError beyond a list's end."""
     for step in path:
-        node, detail = kind
-        if node is Nodetype.NAME:
-            fields = dict(fielddefs[detail][1])
-            if step not in fields:
-                return unknown(f"field of {detail.replace('/msg/', '/')}", str(step), fields)
-            kind = fields[step]
-        elif node is Nodetype.BASE or not isinstance(step, int):
-            wanted = "nothing below a number" if node is Nodetype.BASE else "an index, such as .0"
-            return f"expected {wanted}, not {step!r}"
-        elif node is Nodetype.ARRAY and step >= detail[1]:
-            return f"expected an index below {detail[1]}, not {step}"
-        else:
-            kind = detail[0]
-    return _end_fault(fielddefs, kind)
+        message = step(message)
+    return message
 
 
-def _end_fault(fielddefs: Mapping[str, Any], kind: Any) -> str:
-    node, detail = kind
+def _step(fielddefs: Mapping[str, Any], node: Any, detail: Any, part: str) -> tuple[Step, Any]:
+    """What leads from a value of a type to a part of it, and the part's type."""
+    if node is Nodetype.NAME:
+        fields = dict(fielddefs[detail][1])
+        if part not in fields:
+            raise ConfigError(unknown(f"field of {detail.replace('/msg/', '/')}", part, fields))
+        return attrgetter(normalize_fieldname(part)), fields[part]
+    if node is Nodetype.BASE:
+        raise ConfigError(f"expected nothing below a number, not {part!r}")
+    if part == _LENGTH:
+        return len, (Nodetype.BASE, ("uint32", 0))
+    if not part.isdecimal():
+        raise ConfigError(f"expected an index, such as .0, or {_LENGTH}, not {part!r}")
+    index = int(part)
+    if node is Nodetype.ARRAY and index >= detail[1]:
+        raise ConfigError(f"expected an index below {detail[1]}, not {index}")
+    return itemgetter(index), detail[0]
+
+
+def _end_fault(fielddefs: Mapping[str, Any], node: Any, detail: Any) -> str:
     if node is Nodetype.NAME:
         names = [name for name, _ in fielddefs[detail][1]]
         return f"a {detail.replace('/msg/', '/')}, not a number; add one of {', '.join(names)}"
     if node is not Nodetype.BASE:
-        return "a list, not a number; add an index, such as .0"
-    is_number = str(detail[0]).startswith(_NUMBERS)
-    return "" if is_number else f"a {detail[0]}; expected a number"
+        return f"a list, not a number; add an index, such as .0, or .{_LENGTH}"
+    return f"a {detail[0]}; expected a number" if detail[0] in _TEXTS else ""
+
+
+def _octet(value: int) -> int:
+    """A `byte` of ROS 2, which rosbags reads as it is in ROS 1: with a sign."""
+    return int(value) & 0xFF
 
 
 class Readings:
@@ -125,32 +170,60 @@ class Readings:
         self._own: dict[str, float] = {}
         self._values: dict[str, tuple[float, float]] = {}  # value and arrival
         self._stale = frozenset[str]()
+        self._has_news = False
 
-    def take_own(self, values: Mapping[str, float]) -> None:
-        """Take in values of the options `imu` and `battery`, which do not become stale."""
-        self._own = {**self._own, **values}
+    @property
+    def are_any(self) -> bool:
+        """False for a robot without readings."""
+        return bool(self._readings or self._own)
 
-    def take(self, name: str, message: Any, now: float) -> str:
-        """Take in a message that carries a reading; the value as text."""
+    def take_own(self, names: Collection[str], values: Mapping[str, float]) -> None:
+        """Take in what a message of `imu` or `battery` gives of `names`; it is never stale."""
+        self._own = {n: v for n, v in self._own.items() if n not in names} | {**values}
+
+    def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
+        """Take in a message that carries a reading; the value as text.
+
+        `is_kept`: an earlier message that was asked for; it counts if none is known.
+        """
         reading = self._readings[name]
         value = reading.value(message)
+        self._has_news = True
+        if is_kept and name in self._values:
+            return self._text(reading, self._values[name][0])
         if math.isnan(value):
+            if reading.is_never_stale:
+                self._values.pop(name, None)
             return f"{name} has no finite value"
         self._values[name] = value, now
-        return f"{name} {value:.4g} {reading.unit}".rstrip()
+        return self._text(reading, value)
+
+    def forget(self, topic: str | None = None) -> None:
+        """Drop values that never become stale, of a topic: a message may be missed.
+
+        Without a topic: of all topics, and the values that do not become stale.
+        """
+        self._own = {} if topic is None else self._own
+        for name, reading in self._readings.items():
+            if reading.is_never_stale and topic in (None, reading.topic):
+                self._values.pop(name, None)
 
     def at(self, now: float) -> dict[str, float]:
         """All readings; NaN for each without a value that is fresh enough."""
         stale = frozenset(self._stale_at(now))
-        self._stale = stale
+        self._stale, self._has_news = stale, False
         fresh = {n: v for n, (v, _) in self._values.items() if n not in stale}
         return {**self._own, **fresh, **dict.fromkeys(sorted(stale), math.nan)}
 
     def changed(self, now: float) -> dict[str, float] | None:
-        """All readings, if one has become stale since the last look; else None."""
-        return None if frozenset(self._stale_at(now)) == self._stale else self.at(now)
+        """All readings, if one has come or become stale since `at`; else None."""
+        has_news = self._has_news or frozenset(self._stale_at(now)) != self._stale
+        return self.at(now) if has_news else None
 
     def _stale_at(self, now: float) -> Iterator[str]:
         for name, reading in self._readings.items():
-            if now - self._values.get(name, (0.0, -math.inf))[1] > reading.stale_after:
+            if name not in self._values or now - self._values[name][1] > reading.stale_after:
                 yield name
+
+    def _text(self, reading: TopicReading, value: float) -> str:
+        return f"{reading.name} {value:.4g} {reading.unit}".rstrip()

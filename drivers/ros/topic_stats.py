@@ -16,6 +16,9 @@ SETBACK_WINDOW = 10.0
 READING = "readings."
 """Begins the option of a reading."""
 
+HAZARD = "hazards."
+"""Begins the option of a hazard."""
+
 _STAMP_WINDOW = 8  # messages over which stamps must advance; some sensors publish one stamp twice
 
 
@@ -26,7 +29,7 @@ class TopicStats:
     `topic` is the full name and `option` the driver option that names it. `times` are arrivals in
     s on the loop's clock and `stamps` those of the sender. Both begin again when stamps go back, as
     they do when a robot restarts; `setbacks` holds the last two times of that. `stale_after` s: of
-    a reading.
+    a reading or hazard. `further`: the entries of `readings` and `hazards` that share the topic.
     """
 
     name: str
@@ -43,6 +46,7 @@ class TopicStats:
     fault_at: float = -math.inf
     faults: int = 0
     stale_after: float = math.inf
+    further: list[str] = field(default_factory=list)
 
     def record(self, now: float, stamp: float, summary: str = "") -> None:
         """Count a message that could be read; `summary` describes its content briefly."""
@@ -84,6 +88,21 @@ class TopicStats:
     def is_reading(self) -> bool:
         """True for a topic of the option `readings`."""
         return self.option.startswith(READING)
+
+    @property
+    def is_hazard(self) -> bool:
+        """True for a topic of the option `hazards`."""
+        return self.option.startswith(HAZARD)
+
+    @property
+    def goes_stale(self) -> bool:
+        """True for readings and hazards, which have a `stale_after`."""
+        return self.is_reading or self.is_hazard
+
+    @property
+    def is_never_stale(self) -> bool:
+        """True for readings and hazards whose last message counts until the next one."""
+        return self.goes_stale and self.stale_after == math.inf
 
     @property
     def is_scan(self) -> bool:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.values import Scan, Value
+from swarmd.core.values import Array, Scan, Value
 from swarmd.driver_api.driver import Finding
 from swarmd.drivers.ros import messages
-from swarmd.drivers.ros.diagnosis import Endpoint, Graph, Middleware, Report, has_enough
+from swarmd.drivers.ros.diagnosis import Graph, Middleware, Report, has_enough
+from swarmd.drivers.ros.endpoints import Endpoint
+from swarmd.drivers.ros.foreign_commands import ROS2_ACTIONS, ForeignCommands
 from swarmd.drivers.ros.options import Ros1Options, TopicOptions, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.topic_stats import TopicStats
@@ -23,19 +25,29 @@ from swarmd.drivers.ros1.serialization import type_name
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.rmw_zenoh import RmwZenoh
 from swarmd.settings.platforms import load_platform
+from tests.support.range_ring import with_ring
 
 BURGER = load_platform("burger")
+SPEC = BURGER.scan
+RANGES = np.full(360, 1.0)
 STEADY = [(0.2 * i, 50.0 + 0.2 * i) for i in range(6)]
 both = pytest.mark.parametrize("middleware", [Ros1(), Ros2Dds()], ids=["ros1", "ros2"])
 
 
 def received(
-    scans: Iterable[tuple[float, float]] = STEADY, odometries: int = 5, **options: Any
+    scans: Iterable[tuple[float, float]] = STEADY,
+    odometries: int = 5,
+    *,
+    ranges: Array = RANGES,
+    noise: float = 0.001,
+    **options: Any,
 ) -> Subscriptions:
-    """Scans with these arrivals and stamps."""
+    """Scans with these arrivals and stamps, each `noise` m farther than the one before."""
     made = Subscriptions(TopicOptions(**options), BURGER)
-    for now, stamp in scans:
-        made.topics["scan"].record(now, stamp, "360 rays")
+    for seq, (now, stamp) in enumerate(scans):
+        made.topics["scan"].record(now, stamp)
+        given = SPEC.bearings, SPEC.range_min, SPEC.range_max
+        made.contents["scan"].take(Scan(seq, stamp, ranges + noise * seq, *given))
     for count in range(odometries):
         made.topics["odometry"].record(0.1 * count, 0.1 * count)
     return made
@@ -47,6 +59,8 @@ def found(
     graph: Iterable[Endpoint] = (),
     *,
     has_subscriber: bool = True,
+    foreign: ForeignCommands | None = None,
+    command_types: Sequence[type] = (messages.Twist,),
     **others: Any,
 ) -> dict[str, Finding]:
     report = Report(
@@ -55,7 +69,8 @@ def found(
         subscriptions=subscriptions,
         spec=BURGER.scan,
         cmd_vel="/cmd_vel",
-        command_type=messages.Twist,
+        command_types=command_types,
+        foreign=foreign or ForeignCommands(TopicOptions(), ROS2_ACTIONS),
         has_subscriber=has_subscriber,
         now=0.0,
         **others,
@@ -71,7 +86,60 @@ def end(middleware: Middleware, kind: type, topic: str, *, is_publisher: bool) -
 def test_a_robot_whose_topics_arrive_has_no_faults(middleware: Middleware) -> None:
     well = found(middleware, received())
     assert all(finding.is_well for finding in well.values())
-    assert "5.0 Hz, 360 rays, stamps advanced by 1.0 s in 1.0 s" in well["scan"].text
+    told = "360 rays, 100 % with a return, the nearest at 1.00 m, scans differ"
+    assert f"5.0 Hz, {told}, stamps advanced by 1.0 s in 1.0 s" in well["scan"].text
+
+
+@both
+@pytest.mark.parametrize(
+    ("ranges", "noise", "part"),
+    [
+        (0.0 * RANGES, 0.0, "360 ranges are 0; look at"),
+        (np.inf * RANGES, 0.0, "none of 360 rays has a return within 3.5 m; hold"),
+        (RANGES, 0.0, "scans are identical"),
+    ],
+    ids=["zeros", "no return", "identical"],
+)
+def test_scans_that_no_sensor_measures_are_a_fault(
+    middleware: Middleware, ranges: Array, noise: float, part: str
+) -> None:
+    scan = found(middleware, received(ranges=ranges, noise=noise))["scan"]
+    assert not scan.is_well
+    assert "/scan: " in scan.text
+    assert part in scan.text
+
+
+@both
+def test_a_lidar_and_a_ring_have_a_line_each(middleware: Middleware) -> None:
+    """A ring that is too slow for its own section, and a lidar that is frozen, are told apart."""
+    options = TopicOptions(ranges={"a": 0.0, "b": 90.0})
+    subscriptions = Subscriptions(options, with_ring(BURGER))
+    for seq, (now, stamp) in enumerate(STEADY):
+        for topic in ("scan", "ranges.a", "ranges.b"):
+            subscriptions.topics[topic].record(now, stamp)
+        given = SPEC.bearings, SPEC.range_min, SPEC.range_max
+        subscriptions.contents["scan"].take(Scan(seq, stamp, RANGES, *given))
+        near = np.array([0.5 + 0.01 * seq, np.inf])
+        ring = Scan(seq, stamp, near, np.array([0.0, 1.6]), 0.05, 1.0)
+        subscriptions.contents["ranges"].take(ring)
+    lines = found(middleware, subscriptions)
+    assert "scan.noisy" in lines["scan"].text
+    assert not lines["ranges.a"].is_well
+    assert "the platform's ranges.rate is 20" in lines["ranges.a"].text
+    assert lines["ranges"].is_well
+
+
+@both
+def test_a_ring_has_a_line_of_its_own(middleware: Middleware) -> None:
+    subscriptions = Subscriptions(TopicOptions(ranges={"a": 0.0, "b": 90.0}), BURGER)
+    spec = BURGER.scan
+    for seq in range(4):
+        ranges = np.array([0.5 + 0.01 * seq, np.inf])
+        scan = Scan(seq, 0.2 * seq, ranges, np.array([0.0, 1.6]), spec.range_min, spec.range_max)
+        subscriptions.contents["ranges"].take(scan)
+    line = found(middleware, subscriptions)["ranges"]
+    assert line.is_well
+    assert line.text == "2 rays, 50 % with a return, the nearest at 0.53 m, scans differ"
 
 
 def test_silent_topic_names_the_domain_that_has_it() -> None:
@@ -115,11 +183,9 @@ def test_scans_below_half_the_rate_of_the_platform_are_too_slow(
 
 @pytest.mark.parametrize(("unseen", "is_well"), [(0, True), (30, False), (360, False)])
 def test_a_scan_that_leaves_too_much_unseen_is_a_fault(unseen: int, is_well: bool) -> None:
-    subscriptions, spec = received(), BURGER.scan
-    ranges = np.full(360, 1.0)
+    ranges = RANGES.copy()
     ranges[:unseen] = np.nan
-    subscriptions.scan = Scan(1, 1.0, ranges, spec.bearings, spec.range_min, spec.range_max)
-    assert found(Ros1(), subscriptions)["scan"].is_well is is_well
+    assert found(Ros1(), received(ranges=ranges))["scan"].is_well is is_well
 
 
 @both
@@ -130,6 +196,33 @@ def test_an_optional_topic_without_messages_is_reported_and_no_fault(
     battery = found(middleware, subscriptions)["battery"]
     assert battery.is_well
     assert "/battery_state" in battery.text
+
+
+@both
+def test_a_topic_that_was_silent_since_its_last_change_is_told_apart(
+    middleware: Middleware,
+) -> None:
+    kind = Subscriptions(TopicOptions(), BURGER).topics["scan"].message_type
+    for stale_after, subject in (("never", "not latched"), (1.0, "silent")):
+        entry = {"topic": "dock", "type": "sensor_msgs/LaserScan", "field": "range_max"}
+        read = read_options(
+            Ros1Options, {"readings": {"x": {**entry, "stale_after": stale_after}}}, "ros1", "r"
+        )
+        stats = Subscriptions(read, BURGER).topics["readings.x"]
+        ends = [end(middleware, kind, "/dock", is_publisher=True)]
+        assert subject in Graph(middleware=middleware, endpoints=ends).silence(stats)
+
+
+@both
+@pytest.mark.parametrize(("nodes", "subject"), [(1, "/node publishes it: a clock"), (0, "two")])
+def test_a_clock_that_was_set_is_no_second_publisher(
+    middleware: Middleware, nodes: int, subject: str
+) -> None:
+    setback = [(0.0, 50.0), (0.2, 50.2), (0.4, 49.0), (0.6, 49.2), (0.8, 48.0)]
+    ends = [end(middleware, messages.LaserScan, "/scan", is_publisher=True)] * nodes
+    scan = found(middleware, received(setback), ends)["scan"]
+    assert not scan.is_well
+    assert subject in scan.text
 
 
 @both
@@ -159,15 +252,20 @@ def test_a_topic_of_another_type_is_a_fault(middleware: Middleware) -> None:
 
 @both
 def test_two_publishers_of_a_needed_topic_are_a_fault(middleware: Middleware) -> None:
-    ends = [end(middleware, messages.LaserScan, "/scan", is_publisher=True)] * 2
-    assert not found(middleware, received(), ends)["scan"].is_well
+    one = end(middleware, messages.LaserScan, "/scan", is_publisher=True)
+    other = dataclasses.replace(one, node="/other")
+    text = found(middleware, received(), [one, other])["scan"].text
+    assert text.startswith("2 nodes publish /scan: /node, /other; ")
+    assert found(middleware, received(), [one, one])["scan"].is_well, "listed twice"
 
 
 @both
 def test_commands_of_another_node_are_a_fault_and_a_publisher_is_named(
     middleware: Middleware,
 ) -> None:
-    assert not found(middleware, received(), foreign_commands=1)["last_word"].is_well
+    heard = ForeignCommands(TopicOptions(), ROS2_ACTIONS)
+    heard.take_command("/cmd_vel", bytes(52), (), 0.0)
+    assert not found(middleware, received(), foreign=heard)["last_word"].is_well
     others: dict[str, Any] = {"foreign_publishers": ["/teleop"]}
     silent = found(middleware, received(), **others)["last_word"]
     assert silent.is_well
@@ -209,6 +307,42 @@ def test_a_base_that_gets_no_command_is_a_fault(
     finding = found(middleware, received(), ends, has_subscriber=has_subscriber)["cmd_vel"]
     assert finding.is_well is not bool(subject)
     assert subject in finding.text
+
+
+STAMPED_TOO = (messages.Twist, messages.TwistStamped)
+
+
+@both
+@pytest.mark.parametrize("kind", STAMPED_TOO)
+def test_the_type_of_commands_is_that_of_the_base(middleware: Middleware, kind: type) -> None:
+    base = dataclasses.replace(
+        end(middleware, kind, "/cmd_vel", is_publisher=False), quality="best effort"
+    )
+    other = end(middleware, messages.Twist, "/cmd_vel_stamped", is_publisher=False)
+    line = found(middleware, received(), [base, other], command_types=STAMPED_TOO)["cmd_vel"]
+    assert line.is_well
+    assert f"({middleware.type_name(kind)}, best effort)" in line.text
+
+
+@both
+@pytest.mark.parametrize(
+    ("kinds", "has_subscriber", "words"),
+    [
+        (STAMPED_TOO, True, "is not clear: /node wants"),
+        ((messages.Imu,), True, "wants"),
+        ((), True, "nothing announces the type"),
+        ((), False, "no node subscribes"),
+    ],
+)
+def test_without_one_type_that_the_base_wants_there_is_no_command(
+    middleware: Middleware, kinds: Sequence[type], has_subscriber: bool, words: str
+) -> None:
+    ends = [end(middleware, kind, "/cmd_vel", is_publisher=False) for kind in kinds]
+    graph = Graph(middleware=middleware, endpoints=ends)
+    assert graph.command_type("/cmd_vel", STAMPED_TOO) is None
+    text = graph.no_subscriber("/cmd_vel", STAMPED_TOO, has_subscriber=has_subscriber)
+    assert words in text
+    assert "cmd_vel" in text
 
 
 def test_a_check_has_enough_after_a_second_and_5_messages_a_needed_topic() -> None:
@@ -270,8 +404,9 @@ def test_another_md5_sum_of_the_same_name_is_another_type() -> None:
 
 @pytest.mark.parametrize("kind", ["", "*", "geometry_msgs/Twist"])
 def test_a_listener_whose_type_is_unknown_counts_as_right(kind: str) -> None:
-    graph = master_graph(replace(MASTER, connected=0, wants={"/base": kind})).graph()
-    assert not graph.no_subscriber("/cmd_vel", messages.Twist, has_subscriber=True)
+    state = replace(MASTER, connected=0, wants={"/base": kind})
+    graph = master_graph(state, cmd_vel_type="twist").graph()
+    assert not graph.no_subscriber("/cmd_vel", [messages.Twist], has_subscriber=True)
 
 
 def test_another_publisher_of_commands_blocks_unless_it_is_permitted() -> None:

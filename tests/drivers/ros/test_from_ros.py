@@ -126,19 +126,59 @@ def test_imu_gives_yaw_unless_it_has_no_orientation() -> None:
     assert conversion.imu_readings(read(messages.Imu, message)) == {}
 
 
+PACK = (11.0, 12.6)
+
+
 @pytest.mark.parametrize(
-    ("percentage", "wanted"), [(0.75, 0.75), (75.0, 0.75), (1.0, 1.0), (113.0, 1.0)]
-)
-def test_battery_is_a_share_of_one(percentage: float, wanted: float) -> None:
-    message = dds.BatteryState(voltage=11.5, percentage=percentage)
-    values = conversion.battery_readings(read(messages.BatteryState, message))
+    ("voltage", "percentage", "wanted"),
+    [
+        (12.6, 1.135, 1.0), (12.0, 1.081, 0.625), (11.0, 0.99, 0.0), (10.8, 0.97, 0.0),
+        (12.7, math.nan, 1.0), (11.8, 0.0, 0.5),
+    ],
+)  # fmt: skip
+def test_a_battery_follows_the_voltage_of_its_pack(
+    voltage: float, percentage: float, wanted: float
+) -> None:
+    """The firmware of a TurtleBot3 with ROS 1 sends voltage / 11.1 as percentage."""
+    message = dds.BatteryState(voltage=voltage, percentage=percentage)
+    values = conversion.battery_readings(read(messages.BatteryState, message), PACK, "share")
+    assert values["battery"] == pytest.approx(wanted, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("stated", "percentage", "wanted"),
+    [
+        ("share", 0.75, 0.75), ("share", 1.0, 1.0), ("percent", 75.0, 0.75),
+        ("percent", 0.75, 0.0075), ("percent", 116.7, 1.0),
+    ],
+)  # fmt: skip
+def test_a_percentage_is_what_the_platform_says(
+    stated: str, percentage: float, wanted: float
+) -> None:
+    message = read(messages.BatteryState, dds.BatteryState(voltage=11.5, percentage=percentage))
+    values = conversion.battery_readings(message, None, stated)
     assert values == {"battery": pytest.approx(wanted), "battery_voltage": pytest.approx(11.5)}
 
 
-def test_what_a_battery_does_not_measure_is_left_out() -> None:
+@pytest.mark.parametrize(
+    ("stated", "percentage", "word"),
+    [
+        (None, 0.75, "battery_percentage"), (None, 75.0, "battery_volts"), ("share", 75.0, "75"),
+        ("percent", math.nan, "not measured"), ("share", -1.0, "-1"),
+    ],
+)  # fmt: skip
+def test_a_percentage_is_never_guessed(stated: str | None, percentage: float, word: str) -> None:
+    message = read(messages.BatteryState, dds.BatteryState(voltage=11.5, percentage=percentage))
+    assert conversion.battery_readings(message, None, stated) == {"battery_voltage": 11.5}
+    assert word in conversion.no_battery(message, None, stated)
+
+
+@pytest.mark.parametrize("pack", [None, PACK])
+def test_what_a_battery_does_not_measure_is_left_out(pack: tuple[float, float] | None) -> None:
     for unknown in (math.nan, math.inf, -1.0):
         message = dds.BatteryState(voltage=unknown, percentage=unknown)
-        assert conversion.battery_readings(read(messages.BatteryState, message)) == {}
+        found = conversion.battery_readings(read(messages.BatteryState, message), pack, "share")
+        assert found == {}
 
 
 def test_commands_are_those_of_the_second_library() -> None:
@@ -153,11 +193,11 @@ def test_commands_are_those_of_the_second_library() -> None:
     assert conversion.twist_of(conversion.twist_message(twist)) == twist
 
 
-class TestRangeRing:
+class TestRangeRingDecoder:
     bearings = tuple(np.radians([-40.0, -20.0, 0.0, 20.0, 40.0, 150.0, -150.0]))
 
-    def ring(self, distance: float = 0.0) -> conversion.RangeRing:
-        return conversion.RangeRing(self.bearings, [distance] * 7, SPEC)
+    def ring(self, distance: float = 0.0) -> conversion.RangeRingDecoder:
+        return conversion.RangeRingDecoder(self.bearings, [distance] * 7, SPEC)
 
     def value(self, stamp: float, metres: float) -> messages.Range:
         message = dds.Range(header=dds.stamped(stamp), range=metres)
@@ -224,7 +264,7 @@ def test_a_twist_that_is_not_finite_is_refused(field: str) -> None:
         conversion.odometry_of(read(messages.Odometry, message))
 
 
-WITHOUT_SWEEP = replace(SPEC, rate=5.0, sweep=None)
+WITHOUT_SWEEP = replace(SPEC, rate=5.0, sweep=None, measures_sweep=True)
 SWEEP = Sweep(start=0.0, direction=-1.0, duration=0.2)
 STEP = 0.05  # s, of four rays in 0.2 s
 
@@ -256,8 +296,9 @@ def test_time_increment_gives_the_ages_of_the_rays(step: float, ages: list[float
 
 
 def test_the_sweep_of_the_platform_counts_more_than_time_increment() -> None:
-    spec = replace(WITHOUT_SWEEP, sweep=SWEEP)
-    assert conversion.scan_of(laser(STEP), 7, spec).ages is None
+    for sweep in SWEEP, None:
+        spec = replace(WITHOUT_SWEEP, sweep=sweep, measures_sweep=False)
+        assert conversion.scan_of(laser(STEP), 7, spec).ages is None
 
 
 @pytest.mark.parametrize(
@@ -267,15 +308,24 @@ def test_the_sweep_of_the_platform_counts_more_than_time_increment() -> None:
         (STEP, 1.5, SWEEP, True, "and counts; time_increment says 0.2 s a scan, counter-clockwise"),
         (STEP / 18, -1.5, SWEEP, True, "and counts; time_increment says 0.0111 s a scan"),
         (0.0, 1.5, SWEEP, True, "time_increment is 0"),
-        (STEP, 1.5, None, True, "0.2 s a scan, counter-clockwise; the platform has no scan.sweep"),
-        (0.0, 1.5, None, True, "all rays count as of one instant"),
+        (STEP, 1.5, None, True, "all rays count as of one instant; time_increment says 0.2 s"),
+        (0.0, 1.5, None, True, "all rays count as of one instant; time_increment is 0"),
         (7.0, 1.5, None, False, "of 7 s is impossible at 5 Hz"),
     ],
 )
 def test_check_compares_time_increment_with_the_sweep_of_the_platform(
     step: float, increment: float, sweep: Sweep | None, is_well: bool, text: str
 ) -> None:
-    spec = replace(WITHOUT_SWEEP, sweep=sweep)
+    spec = replace(WITHOUT_SWEEP, sweep=sweep, measures_sweep=False)
     finding = conversion.sweep_finding(laser(step, increment), spec, is_upside_down=False)
     assert finding.is_well is is_well
     assert text in finding.text
+
+
+@pytest.mark.parametrize(("step", "is_well"), [(STEP, True), (0.0, True), (7.0, False)])
+def test_check_calls_the_direction_not_known_without_a_sweep_of_the_platform(
+    step: float, is_well: bool
+) -> None:
+    finding = conversion.sweep_finding(laser(step), WITHOUT_SWEEP, is_upside_down=False)
+    assert (finding.is_well, finding.is_measured) == (is_well, False)
+    assert "not known" in finding.text

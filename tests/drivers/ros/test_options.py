@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.values import Value
+from swarmd.core.values import Platform, Value
 from swarmd.drivers.ros.options import (
     DEFAULT_ENDPOINT,
     RmwOptions,
@@ -22,6 +22,7 @@ from swarmd.drivers.ros2.session import open_session
 from swarmd.network.settings import FIELD_PORT
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform, platform_names
+from tests.support.range_ring import with_ring
 
 ReadAny = Callable[[Mapping[str, Value]], TopicOptions]
 
@@ -40,7 +41,7 @@ both = pytest.mark.parametrize("read_any", [read, read_ros1], ids=["rmw_zenoh", 
 def test_defaults_are_those_of_a_bridge_on_this_machine() -> None:
     options = read_options(RosOptions, {}, "ros2dds", "r")
     assert options.endpoint == "tcp/127.0.0.1:7447"
-    assert options.topic(options.scan) == "/scan"
+    assert options.topic(options.scan_topic) == "/scan"
 
 
 def test_the_default_endpoint_is_not_the_port_of_the_field_profile() -> None:
@@ -92,7 +93,15 @@ def test_a_ring_of_ranges_is_by_topic() -> None:
         ({"ranges": {"a": [0.0]}}, "ranges"),
         ({"ranges": {"a": "far"}}, "ranges.a"),
         ({"namespace": "a", "imu": "/a/odom"}, "odometry and imu"),
+        ({"battery_volts": [12.6, 11.0]}, "battery_volts"),
+        ({"battery_volts": [math.nan, 11.0]}, "battery_volts"),
+        ({"battery_volts": 12.6}, "battery_volts"),
+        ({"battery_percentage": "volts"}, "battery_percentage"),
         ({"cmd_vel": "scan"}, "scan and cmd_vel"),
+        ({"other_commands": ["a b"]}, "other_commands[0] is"),
+        ({"other_commands": ["x", "cmd_vel"]}, "cmd_vel and other_commands[1]"),
+        ({"other_actions": ["dock it"]}, "other_actions[0] is"),
+        ({"scan": "a", "ranges": {"a": 1.0}}, "scan and ranges.a"),
         ({"ranges": {"ir": 0, "/ir": 90}}, "ranges.ir and ranges./ir"),
     ],
 )
@@ -123,7 +132,25 @@ def test_a_wrong_place_is_named(
         read_any(options)
 
 
-@pytest.mark.parametrize("name", platform_names())
+@both
+def test_scan_beside_ranges_needs_a_platform_that_describes_both(read_any: ReadAny) -> None:
+    def reading(platform: Platform, **options: Value) -> None:
+        read_options(type(read_any({})), options, "ros", "r", platform)
+
+    burger, ring = load_platform("burger"), with_ring("burger")
+    reading(ring, scan="scan", ranges={"a": 1.0})
+    reading(ring, ranges={"a": 1.0})
+    reading(burger, scan="scan")
+    reading(burger, ranges={"a": 1.0})
+    with pytest.raises(ConfigError, match="beside ranges"):
+        reading(burger, scan="scan", ranges={"a": 1.0})
+    with pytest.raises(ConfigError, match="ranges is missing"):
+        reading(ring, scan="scan")
+
+
+@pytest.mark.parametrize(
+    "name", [name for name in platform_names() if "ros1" in load_platform(name).drivers]
+)
 def test_the_ros_1_options_of_every_platform_are_valid(name: str) -> None:
     given = load_platform(name).drivers["ros1"]
     assert given["command_timeout"]

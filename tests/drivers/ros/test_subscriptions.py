@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from contextlib import suppress
 from typing import Any
 
@@ -19,8 +20,9 @@ from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
 from tests.support import ros2_types as dds
 from tests.support.examples import examples
+from tests.support.range_ring import with_ring
 
-OPTIONS = RosOptions(imu="imu", battery="battery", shared_pose="pose")
+OPTIONS = RosOptions(imu="imu", battery="battery", battery_percentage="share", shared_pose="pose")
 COVARIANT = RosOptions(shared_pose="/mocap/pose", shared_pose_type="pose_with_covariance")
 RING = RosOptions(ranges={"a": 0.0, "b": (90.0, 0.1)})
 singles, doubles = st.floats(width=32), st.floats()
@@ -123,6 +125,28 @@ def test_a_ring_replaces_the_scan() -> None:
     assert sink.scans[0].ranges.tolist() == pytest.approx([0.5, 0.35])
 
 
+def test_a_lidar_and_a_ring_are_two_scans_of_a_platform_that_has_both() -> None:
+    platform = with_ring(robots.PLATFORM)
+    subscriptions, sink = Subscriptions(RING, platform), CollectingSink()
+    assert [one for one in subscriptions.topics if one != "odometry"] == [
+        "scan",
+        "ranges.a",
+        "ranges.b",
+    ]
+    subscriptions.read("scan", robots.scan(1.0).serialize(), 0.0)(sink)
+    for name, metres in (("ranges.a", 0.5), ("ranges.b", 0.25)):
+        message = dds.OlderRange(header=dds.stamped(1.0), range=metres)
+        subscriptions.read(name, message.serialize(), 0.0)(sink)
+    assert [len(scan.ranges) for scan in sink.scans] == [360]
+    (ring,) = sink.rings
+    assert ring.ranges.tolist() == np.array([0.5, 0.35], np.float32).tolist()
+    assert ring.bearings.tolist() == pytest.approx([0.0, math.pi / 2.0])
+    assert platform.ranges is not None
+    assert (ring.range_min, ring.range_max) == (0.05, 1.0)
+    assert sink.scans[0].range_max == platform.scan.range_max
+    assert subscriptions.scan is sink.scans[0]
+
+
 def test_readings_of_several_sensors_are_delivered_together() -> None:
     subscriptions, sink = Subscriptions(OPTIONS, robots.PLATFORM), CollectingSink()
     subscriptions.read("imu", dds.Imu().serialize(), 0.0)(sink)
@@ -143,3 +167,29 @@ def test_a_topic_is_silent_after_more_than_the_timeout() -> None:
         subscriptions.read(name, message.serialize(), 10.0)
     assert not subscriptions.silent(12.0, 2.0)
     assert len(subscriptions.silent(12.001, 2.0)) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "subject"),
+    [
+        (RosOptions(battery="battery"), "battery_volts"),
+        (RosOptions(battery="battery", battery_percentage="share"), "71"),
+    ],
+)
+def test_a_check_says_why_a_battery_has_no_share(options: RosOptions, subject: str) -> None:
+    subscriptions = Subscriptions(options, robots.PLATFORM)
+    message = dds.BatteryState(voltage=12.0, percentage=71.0)
+    subscriptions.read("battery", message.serialize(), 1.0)
+    assert "battery_voltage 12" in subscriptions.topics["battery"].summary
+    assert subject in subscriptions.topics["battery"].summary
+
+
+def test_a_signalling_nan_of_a_scan_is_unknown() -> None:
+    """numpy warns of it where it becomes a quiet one; warnings are errors here."""
+    subscriptions = Subscriptions(RosOptions(), robots.PLATFORM)
+    payload = robots.scan(1.0, [2.0, math.nan, 3.0]).serialize()
+    signalling = payload.replace(struct.pack("<f", math.nan), b"\x01\x00\xa0\x7f")
+    assert signalling != payload
+    sink = CollectingSink()
+    subscriptions.read("scan", signalling, 1.0)(sink)
+    np.testing.assert_array_equal(sink.scans[-1].ranges, [2.0, math.nan, 3.0])

@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from typing import Any
 
 import pytest
 
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.values import Value
+from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.options import Ros1Options, RosOptions, TopicOptions, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros1 import serialization
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
 from tests.support import ros2_types as dds
+from tests.support.vendor_messages import PACKAGE, vendor_folder
 
 TEMPERATURE: dict[str, Value] = {
     "topic": "/temp",
@@ -48,6 +52,8 @@ def values(subscriptions: Subscriptions, name: str, message: Any, now: float) ->
         ({"field": "header"}, "readings.heat.field"),
         ({"field": "header.frame_id"}, "readings.heat.field"),
         ({"field": "temperature.x"}, "readings.heat.field"),
+        ({"field": "temperature.length"}, "readings.heat.field"),
+        ({"type": "std_msgs/Float32MultiArray", "field": "data.lenght"}, "length"),
         ({"type": "std_msgs/Float32MultiArray"}, "readings.heat.field"),
         ({"type": "sensor_msgs/Imu", "field": "orientation_covariance.9"}, "below 9"),
         ({"type": "sensor_msgs/Imu", "field": "orientation_covariance"}, "index"),
@@ -84,6 +90,11 @@ def test_a_name_that_no_pattern_could_need_is_refused(name: str) -> None:
         ("sensor_msgs/Imu", "orientation_covariance.8",
          dds.Imu(orientation_covariance=[0.0] * 8 + [3.0]), 3.0),
         ("sensor_msgs/Joy", "axes.1", dds.Joy(axes=[0.0, 0.5]), 0.5),
+        ("sensor_msgs/Joy", "axes.length", dds.Joy(axes=[0.0, 0.5]), 2.0),
+        ("sensor_msgs/Joy", "axes.length", dds.Joy(), 0.0),
+        ("std_msgs/Byte", "data", dds.Byte(data=200), 200.0),
+        ("std_msgs/ByteMultiArray", "data.1", dds.ByteMultiArray(data=[1, 200]), 200.0),
+        ("std_msgs/Char", "data", dds.Char(data=200), 200.0),
     ],
 )  # fmt: skip
 def test_the_field_of_a_message_is_the_reading(
@@ -105,6 +116,29 @@ def test_a_message_without_a_finite_value_gives_none(kind: str, field: str, mess
     assert math.isnan(values(subscribed(one=entry), "readings.one", message, 1.0)["one"])
 
 
+def test_a_byte_of_ros1_has_a_sign() -> None:
+    entry: dict[str, Value] = {"topic": "x", "type": "std_msgs/Byte"}
+    read = read_options(Ros1Options, {"readings": {"one": entry}}, "ros1", "r")
+    reading = read.topic_readings["one"]
+    assert reading.value(serialization.decode(reading.message_type, b"\xc8")) == -56.0
+
+
+def test_the_number_of_hazards_in_a_vendors_message_is_a_reading(tmp_path: Path) -> None:
+    entries: dict[str, Value] = {
+        name: {"topic": "hazards", "type": f"{PACKAGE}/HazardDetectionVector", "field": field}
+        for name, field in (("count", "detections.length"), ("first", "detections.0.type"))
+    }
+    given: dict[str, Value] = {"readings": entries, "message_path": str(vendor_folder(tmp_path))}
+    subscriptions = Subscriptions(read_options(RosOptions, given, "ros2dds", "r"), robots.PLATFORM)
+    types = read_options(RosOptions, given, "ros2dds", "r").message_types
+    header = types.kind("std_msgs/Header")(types.kind("builtin_interfaces/Time")(1, 0), "base")
+    hazard = types.kind(f"{PACKAGE}/HazardDetection")(header=header, type=4)
+    message = types.kind(f"{PACKAGE}/HazardDetectionVector")(header=header, detections=[hazard] * 2)
+    sink = CollectingSink()
+    subscriptions.read("readings.count", cdr.encode(message), 1.0)(sink)
+    assert sink.values[-1] == {"count": 2.0, "first": 4.0}
+
+
 def test_two_readings_come_from_one_topic() -> None:
     variance = {**TEMPERATURE, "field": "variance"}
     both = subscribed(heat=TEMPERATURE, spread=variance)
@@ -119,10 +153,9 @@ def test_a_silent_topic_becomes_stale_and_comes_back() -> None:
     sink = CollectingSink()
 
     def looked(now: float) -> bool:
-        news = subscriptions.stale_readings(now)
-        if news is not None:
-            news(sink)
-        return news is not None
+        before = len(sink.values)
+        subscriptions.deliver_changes(sink, now)
+        return len(sink.values) > before
 
     assert looked(0.0)  # never heard
     assert math.isnan(sink.values[-1]["heat"])
@@ -149,10 +182,154 @@ def test_a_message_that_repeats_its_stamp_is_as_old_as_the_first() -> None:
 
 def test_a_battery_stays_beside_a_stale_reading() -> None:
     read = read_options(
-        RosOptions, {"battery": "power", "readings": {"heat": TEMPERATURE}}, "ros2dds", "r"
+        RosOptions,
+        {"battery": "power", "battery_percentage": "share", "readings": {"heat": TEMPERATURE}},
+        "ros2dds",
+        "r",
     )
     subscriptions = Subscriptions(read, robots.PLATFORM)
     battery = dds.BatteryState(voltage=12.0, percentage=0.5)
     found = values(subscriptions, "battery", battery, 1.0)
     assert found["battery"] == 0.5
     assert math.isnan(found["heat"])
+
+
+DOCKED: dict[str, Value] = {"topic": "/dock", "type": "std_msgs/Bool", "stale_after": "never"}
+
+
+def docked(subscriptions: Subscriptions, now: float) -> float:
+    """What a base that is connected at `now` gets."""
+    sink = CollectingSink()
+    subscriptions.deliver_all(sink, now)
+    return sink.values[-1]["docked"]
+
+
+def heard(subscriptions: Subscriptions, is_docked: bool, now: float, *, is_kept: bool) -> None:
+    payload = dds.Bool(data=is_docked).serialize()
+    subscriptions.read("readings.docked", payload, now, is_kept=is_kept)
+
+
+def test_a_reading_that_holds_is_never_stale() -> None:
+    subscriptions = subscribed(docked=DOCKED)
+    assert math.isnan(docked(subscriptions, 0.0))
+    heard(subscriptions, True, 1.0, is_kept=False)
+    assert docked(subscriptions, 1e6) == 1.0
+    subscriptions.forget()
+    assert math.isnan(docked(subscriptions, 1e6))
+
+
+def test_a_message_of_a_cache_does_not_replace_a_newer_one() -> None:
+    subscriptions = subscribed(docked=DOCKED)
+    heard(subscriptions, False, 1.0, is_kept=True)
+    assert docked(subscriptions, 1.0) == 0.0
+    heard(subscriptions, True, 2.0, is_kept=False)
+    heard(subscriptions, False, 2.1, is_kept=True)
+    assert docked(subscriptions, 3.0) == 1.0
+
+
+def test_a_message_without_a_value_ends_what_holds() -> None:
+    entry = {**TEMPERATURE, "stale_after": "never"}
+    subscriptions = subscribed(heat=entry)
+    warm, none = dds.Temperature(temperature=20.0), dds.Temperature(temperature=math.nan)
+    assert values(subscriptions, "readings.heat", warm, 1.0) == {"heat": 20.0}
+    assert math.isnan(values(subscriptions, "readings.heat", none, 2.0)["heat"])
+
+
+def test_a_reading_of_a_dropped_delivery_is_told_at_the_next_look() -> None:
+    """The driver delivers nothing before its base is connected."""
+    subscriptions = subscribed(docked=DOCKED)
+    sink = CollectingSink()
+    subscriptions.deliver_all(sink, 0.0)
+    heard(subscriptions, True, 1.0, is_kept=False)
+    subscriptions.deliver_all(sink, 2.0)
+    assert sink.values[-1] == {"docked": 1.0}
+
+
+BATTERY: dict[str, Value] = {"topic": "power", "type": "sensor_msgs/BatteryState"}
+IMU: dict[str, Value] = {"topic": "imu", "type": "sensor_msgs/msg/Imu"}
+
+
+def test_an_option_and_readings_of_one_topic_are_read_from_one_message() -> None:
+    given: dict[str, Value] = {
+        "battery": "power",
+        "readings": {"current": {**BATTERY, "field": "current"},
+                     "cell": {**BATTERY, "topic": "/power", "field": "cell_voltage.1"}},
+    }  # fmt: skip
+    subscriptions = Subscriptions(read_options(RosOptions, given, "ros2dds", "r"), robots.PLATFORM)
+    assert [stats.topic for stats in subscriptions.topics.values()].count("/power") == 1
+    message = dds.BatteryState(voltage=12.0, current=-0.5, cell_voltage=[4.0, 3.9])
+    found = values(subscriptions, "battery", message, 1.0)
+    assert found == pytest.approx({"battery_voltage": 12.0, "current": -0.5, "cell": 3.9})
+    assert "current -0.5" in subscriptions.topics["battery"].summary
+    sink = CollectingSink()
+    subscriptions.deliver_changes(sink, 3.0)
+    assert sink.values
+
+
+def test_a_reading_of_the_odometry_comes_with_it() -> None:
+    entry: dict[str, Value] = {
+        "topic": "odom", "type": "nav_msgs/Odometry", "field": "twist.twist.linear.x"
+    }  # fmt: skip
+    subscriptions, sink = subscribed(speed=entry), CollectingSink()
+    payload = robots.odometry(1.0, speed=0.25).serialize()
+    subscriptions.read("odometry", payload, 1.0)(sink)
+    assert sink.values == [{"speed": 0.25}]
+    assert len(sink.odometries) == 1
+    assert subscriptions.last_arrival == 1.0
+
+
+def test_a_reading_is_heard_although_the_option_cannot_read_the_message() -> None:
+    """Many sensors without an orientation leave it zero, which is no rotation."""
+    given: dict[str, Value] = {
+        "imu": "imu", "readings": {"yaw_rate": {**IMU, "field": "angular_velocity.z"}}
+    }  # fmt: skip
+    subscriptions = Subscriptions(read_options(RosOptions, given, "ros2dds", "r"), robots.PLATFORM)
+    message = dds.Imu(angular_velocity=dds.Vector3(z=0.5), orientation=dds.Quaternion(w=0.0))
+    with pytest.raises(CodecError):
+        subscriptions.read("imu", message.serialize(), 1.0)
+    sink = CollectingSink()
+    subscriptions.deliver_changes(sink, 1.1)
+    assert sink.values == [{"yaw_rate": 0.5}]
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        {"imu": "power", "readings": {"current": {**BATTERY, "field": "current"}}},
+        {"readings": {"a": {**BATTERY, "field": "current"}, "b": {**IMU, "topic": "power",
+                                                              "field": "angular_velocity.z"}}},
+        {"imu": "power", "battery": "power"},
+        {"readings": {"a": {**IMU, "topic": "cmd_vel", "field": "angular_velocity.z"}}},
+        {"readings": {"a": {"topic": "cmd_vel", "type": "geometry_msgs/Twist",
+                            "field": "linear.x"}}},
+    ],
+)  # fmt: skip
+def test_two_types_of_one_topic_are_one_line(given: dict[str, Value]) -> None:
+    with pytest.raises(ConfigError) as caught:
+        read_options(RosOptions, given, "ros2dds", "r")
+    assert "are both /" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("value", [0, "ever", True, 1e9])
+def test_a_time_that_is_none_is_refused(value: Value) -> None:
+    with pytest.raises(ConfigError):
+        options(docked={**DOCKED, "stale_after": value})
+
+
+@pytest.mark.parametrize("name", ["scan", "odometry"])
+def test_what_is_late_is_a_reading_and_moves_nothing(name: str) -> None:
+    """A cache may be asked for a topic that is also the scan's or the odometry's."""
+    entry: dict[str, Value] = {
+        "scan": {"topic": "scan", "type": "sensor_msgs/LaserScan", "field": "range_max"},
+        "odometry": {"topic": "odom", "type": "nav_msgs/Odometry", "field": "pose.pose.position.x"},
+    }  # fmt: skip
+    made = {"scan": robots.scan(5.0), "odometry": robots.odometry(5.0)}
+    subscriptions, sink = subscribed(late={**entry[name], "stale_after": "never"}), CollectingSink()  # type: ignore[dict-item]
+    subscriptions.read(name, made[name].serialize(), 1.0, is_kept=True)(sink)
+    assert set(sink.values[-1]) == {"late"}
+    assert math.isfinite(sink.values[-1]["late"])
+    assert not sink.scans
+    assert not sink.odometries
+    assert subscriptions.last_arrival == -math.inf
+    assert subscriptions.topics[name].count == 0

@@ -1,0 +1,89 @@
+"""Which announced topics may be this robot's under another name, or another robot's. Pure.
+
+A wrong proposal drives another robot. A namespace is another robot's if it has a scan, an odometry
+or a base, and this robot has its own; with a namespace set, all beside it are.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Collection, Iterable
+from dataclasses import dataclass
+
+from swarmd.drivers.ros.endpoints import Endpoint
+from swarmd.drivers.ros.options import TopicOptions
+
+_KINDS = {
+    (True, "LaserScan"): "scan",
+    (True, "Range"): "scan",
+    (True, "Odometry"): "odometry",
+    (False, "Twist"): "cmd_vel",
+    (False, "TwistStamped"): "cmd_vel",
+}
+_WHOLE = 2  # kinds that make a namespace a robot
+
+
+@dataclass(frozen=True, slots=True)
+class Candidates:
+    """`topics` may be this robot's. `namespaces`: several robots', or not this robot's own."""
+
+    topics: tuple[str, ...] = ()
+    namespaces: tuple[str, ...] = ()
+
+
+class Namespaces:
+    """The namespaces of some endpoints, beside the one of this robot.
+
+    `heard`: this robot's topics that carried messages.
+    """
+
+    def __init__(
+        self, options: TopicOptions, ends: Iterable[Endpoint], heard: Collection[str] = ()
+    ) -> None:
+        """Endpoints of one domain."""
+        named = dict.fromkeys(options.ranges, "scan")
+        named[options.scan_topic] = "scan"
+        named |= {options.odometry: "odometry", options.cmd_vel: "cmd_vel"}
+        self._names = [name.strip("/") for name in named]
+        self.own = options.topic("_")[:-2]
+        self._kinds = defaultdict[str, set[str]](set)
+        own = {options.topic(name): kind for name, kind in named.items()}
+        self._own_kinds = {kind for topic, kind in own.items() if topic in heard}
+        self._is_there = bool(self._own_kinds)
+        for end in ends:
+            self._is_there |= end.topic.startswith(f"{self.own}/")
+            kind = _KINDS.get((end.is_publisher, end.type.rpartition("/")[2]))
+            if kind is not None and own.get(end.topic) == kind:
+                self._own_kinds.add(kind)
+            elif kind is not None:
+                self._kinds[self.of(end.topic)].add(kind)
+
+    def of(self, topic: str) -> str:
+        """The namespace of a topic, such as `/tb3_01` of `/tb3_01/scan`; empty for the root."""
+        for name in self._names:
+            if topic.endswith(f"/{name}"):
+                return topic[: -len(name) - 1]
+        return topic.rpartition("/")[0]
+
+    def is_of_another_robot(self, topic: str) -> bool:
+        """True if a topic is another robot's, or may be."""
+        space = self.of(topic)
+        if self.own:
+            return not f"{space}/".startswith(f"{self.own}/")
+        return bool(space and self._kinds[space] & self._own_kinds)
+
+    def candidates(self, alike: Collection[str]) -> Candidates:
+        """The topics that may be this robot's, of those with the type of a missing topic."""
+        topics = tuple(topic for topic in alike if not self.is_of_another_robot(topic))
+        if self.own:
+            others = () if self._is_there else self._kinds
+            return Candidates(topics, tuple(sorted(space or "/" for space in others)))
+        robots = {
+            space
+            for space, kinds in self._kinds.items()
+            if space and len(kinds) >= _WHOLE and not kinds & self._own_kinds
+        }
+        spaces = {self.of(topic) for topic in topics} - {""}
+        if spaces and (len(robots) > 1 or len(spaces) > 1):
+            return Candidates((), tuple(sorted(robots | spaces)))
+        return Candidates(topics)

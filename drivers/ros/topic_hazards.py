@@ -1,0 +1,251 @@
+"""Hazards of a robot's own topics: which field of which message means which hazard."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+from msgspec import Meta, Struct
+from rosbags.interfaces import Nodetype
+
+from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.hazard import Hazard, HazardKind
+from swarmd.driver_api.driver import Sink
+from swarmd.drivers.ros.message_types import MessageTypes
+from swarmd.drivers.ros.topic_readings import (
+    StaleAfter,
+    Step,
+    Text,
+    number_path,
+    path_of,
+    seconds,
+    value_at,
+)
+
+_KINDS = tuple(kind for kind in HazardKind if kind is not HazardKind.NOT_HEARD)
+_MAX_ITEMS = 64  # of a list in a message
+_MAX_PLACE = 64  # characters
+_NO_LIMITS = (0.0, 0.0)
+_WORD = re.compile(r"[A-Za-z0-9]+")
+_NO_PLACE = frozenset({"base", "link", "sensor"})
+
+Meaning = Annotated[str, Meta(min_length=1, max_length=100)]
+
+
+class HazardOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """One entry of the option `hazards`.
+
+    `field`: a number in a message of `type`, as in `readings`; with `list` in each message of that
+    list. `means`: the hazard while the number is not zero, or is beyond `above` or `below`; or for
+    each number its hazard. A hazard is a kind, and the place where that is known: `bump`,
+    `bump front left`. `place_field`: a text that names the place, such as `header.frame_id`.
+    `stale_after`: s without a message after which the robot is held, as for a hazard.
+    `never`: for a topic that is published on change. Its last message counts while its publisher
+    is there; the robot is held before the first message.
+    """
+
+    topic: Text
+    type: Annotated[str, Meta(min_length=3, max_length=200)]
+    means: Meaning | dict[int | str, Meaning]
+    field: Text = "data"
+    list: Text | None = None
+    place_field: Text | None = None
+    above: float | None = None
+    below: float | None = None
+    stale_after: StaleAfter = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class TopicHazard:
+    """The hazards that messages of `message_type` carry.
+
+    The steps of `items` lead to the list, those of `number` and `place` to fields of its items.
+    `means`: the hazard of each number; of None: of any other number beyond `limits`.
+    """
+
+    name: str
+    topic: str
+    message_type: type
+    items: tuple[Step, ...] | None
+    number: tuple[Step, ...]
+    place: tuple[Step, ...] | None
+    means: Mapping[int | None, Hazard]
+    limits: tuple[float, float]
+    stale_after: float  # inf: never
+
+    @property
+    def is_never_stale(self) -> bool:
+        """True if the last message counts until the next one."""
+        return self.stale_after == math.inf
+
+    def read(self, message: Any) -> tuple[Hazard, ...] | None:
+        """The hazards in a message; None if it does not tell: a number is not finite.
+
+        An infinite range is compared with the limits: a floor sensor over a cliff sees nothing.
+        """
+        items = [message] if self.items is None else value_at(message, self.items)[:_MAX_ITEMS]
+        found: dict[Hazard, None] = {}
+        for item in items:
+            try:
+                number = float(value_at(item, self.number))
+            except IndexError:
+                return None
+            is_range = self.limits != _NO_LIMITS and not math.isnan(number)
+            if not (math.isfinite(number) or is_range):
+                return None
+            hazard = self._hazard(number)
+            if hazard is not None:
+                found[self._placed(hazard, item)] = None
+        return tuple(found)
+
+    def _hazard(self, number: float) -> Hazard | None:
+        any_number, (low, high) = self.means.get(None), self.limits
+        if any_number is None:
+            return self.means.get(round(number))
+        return None if low <= number <= high else any_number
+
+    def _placed(self, hazard: Hazard, item: Any) -> Hazard:
+        if self.place is None or hazard.place:
+            return hazard
+        left_out = _NO_PLACE | set(hazard.kind.split("_"))
+        words = _WORD.findall(str(value_at(item, self.place)))
+        place = " ".join(word for word in words if word.lower() not in left_out)
+        return Hazard(hazard.kind, place[:_MAX_PLACE])
+
+
+def topic_hazard(name: str, options: HazardOptions, topic: str, types: MessageTypes) -> TopicHazard:
+    """The hazards of an entry; ConfigError names the key that is wrong. `topic`: its full name."""
+    where, key = f"hazards.{name}", ""
+    try:
+        key = ".type"
+        kind = item_type = types.kind(options.type)
+        items = place = None
+        if options.list is not None:
+            key = f".list is {options.list!r}"
+            items, item_type = _list_path(types, kind, options.list)
+        key = f".field is {options.field!r}"
+        number = number_path(types, item_type, options.field)
+        if options.place_field is not None:
+            key = f".place_field is {options.place_field!r}"
+            place = _text_path(types, item_type, options.place_field)
+        key = ".means"
+        means = _means(options)
+        key = f".above is {options.above}"
+        high = _limit(options.above, math.inf)
+        key = f".below is {options.below}"
+        low = _limit(options.below, -math.inf)
+        if low > high:
+            raise ConfigError(f"expected at most .above, which is {high:g}")
+    except ConfigError as error:
+        raise ConfigError(f"{where}{key}: {error}") from None
+    is_limited = options.above is not None or options.below is not None
+    limits = (low, high) if is_limited else _NO_LIMITS
+    stale_after = seconds(options.stale_after)
+    return TopicHazard(name, topic, kind, items, number, place, means, limits, stale_after)
+
+
+def _list_path(
+    types: MessageTypes, message_type: type, field: str
+) -> tuple[tuple[Step, ...], type]:
+    steps, (node, detail) = path_of(types, message_type, field)
+    if node not in (Nodetype.ARRAY, Nodetype.SEQUENCE) or detail[0][0] is not Nodetype.NAME:
+        raise ConfigError("expected a list of messages; leave it out for a field of the message")
+    return steps, types.kind(detail[0][1])
+
+
+def _text_path(types: MessageTypes, message_type: type, field: str) -> tuple[Step, ...]:
+    steps, (node, detail) = path_of(types, message_type, field)
+    if node is not Nodetype.BASE or detail[0] != "string":
+        raise ConfigError("expected a text, such as header.frame_id")
+    return steps
+
+
+def _limit(given: float | None, default: float) -> float:
+    if given is not None and not math.isfinite(given):
+        raise ConfigError("expected a finite number")
+    return default if given is None else given
+
+
+def _means(options: HazardOptions) -> Mapping[int | None, Hazard]:
+    given = options.means
+    if isinstance(given, str):
+        return {None: _meaning(given)}
+    if options.above is not None or options.below is not None:
+        raise ConfigError("expected one hazard beside above or below, not one for each number")
+    if not given:
+        raise ConfigError("expected the hazard of at least one number")
+    if bad := [number for number in given if not str(number).isdecimal()]:
+        raise ConfigError(f"expected a hazard for each whole number, not for {bad[0]!r}")
+    # In YAML the numbers are numbers, in JSON they are texts.
+    return {int(number): _meaning(text) for number, text in given.items()}
+
+
+def _meaning(text: str) -> Hazard:
+    """The hazard of `wheel_drop left`."""
+    kind, _, place = text.strip().partition(" ")
+    if kind not in _KINDS:
+        raise ConfigError(unknown("hazard", kind, _KINDS))
+    return Hazard(HazardKind(kind), place.strip())
+
+
+class Hazards:
+    """The present hazards of a robot's topics; times in s of the caller.
+
+    `tell` reports each change to a sink. A topic without a message for longer than its
+    `stale_after`, or without any, is the hazard NOT_HEARD.
+    """
+
+    def __init__(self, entries: Mapping[str, TopicHazard]) -> None:
+        self._entries = entries
+        self._values: dict[str, tuple[tuple[Hazard, ...], float]] = {}  # and arrival
+        self._told: tuple[Hazard, ...] | None = None if entries else ()
+
+    def take(self, name: str, message: Any, now: float, *, is_kept: bool = False) -> str:
+        """Take in a message that tells of hazards; the hazards as text.
+
+        `is_kept`: an earlier message that was asked for; it counts if none is known.
+        """
+        found = self._values[name][0] if is_kept and name in self._values else None
+        if found is None:
+            found = self._entries[name].read(message)
+        if found is None:
+            if self._entries[name].is_never_stale:
+                self._values.pop(name, None)
+            return "no finite number"
+        self._values[name] = found, now
+        return ", ".join(one.text for one in found) or "no hazard"
+
+    def at(self, now: float) -> tuple[Hazard, ...]:
+        """All present hazards, each once."""
+        return tuple(dict.fromkeys(self._present(now)))
+
+    def tell(self, sink: Sink, now: float, *, again: bool = False) -> None:
+        """Tell a sink of the present hazards, if they have changed; `again`: in any case."""
+        present = self.at(now) if self._entries else ()
+        if present != self._told or (again and self._entries):
+            self._told = present
+            sink.hazards(present)
+
+    def forget(self, topic: str | None = None) -> None:
+        """Drop values that never become stale, of a topic or of all: a message may be missed."""
+        for name, entry in self._entries.items():
+            if entry.is_never_stale and topic in (None, entry.topic):
+                self._values.pop(name, None)
+
+    def silent(self, now: float) -> tuple[Hazard, ...]:
+        """NOT_HEARD for each topic that is silent for too long, or was never heard."""
+        topics = (
+            entry.topic
+            for name, entry in self._entries.items()
+            if name not in self._values or now - self._values[name][1] > entry.stale_after
+        )
+        return tuple(Hazard(HazardKind.NOT_HEARD, topic) for topic in topics)
+
+    def _present(self, now: float) -> Iterator[Hazard]:
+        for name, (found, at) in self._values.items():
+            if now - at <= self._entries[name].stale_after:
+                yield from found
+        yield from self.silent(now)

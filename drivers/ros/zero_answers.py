@@ -1,0 +1,45 @@
+"""Zeros that answer the commands of another node, while the robot must stand."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+
+from swarmd.driver_api.command_gate import CommandGate
+
+PERIOD = 0.005
+"""Seconds between two zeros while another node commands.
+
+The zero that answers a command arrives a round trip after that. Over a link with 5 ms each way, the
+base had the command of another node at 50 Hz for 53 % of the time with the answers alone, and for
+15 % with zeros at this period.
+"""
+
+LASTING = 0.2
+"""Seconds after the last command of another node for which they continue."""
+
+
+class ZeroAnswers:
+    """Sends zero for each command of another node, at once and again, while `gate` is stopped."""
+
+    def __init__(self, gate: CommandGate, send_zero: Callable[[], None]) -> None:
+        """Sends nothing before the first command."""
+        self._gate, self._send_zero = gate, send_zero
+        self._until = 0.0
+        self._is_repeating = False
+
+    def answer(self) -> None:
+        """Another node has sent a command that moves the robot. Needs a running loop."""
+        loop = asyncio.get_running_loop()
+        self._until = loop.time() + LASTING
+        if self._gate.is_stopped:
+            self._send_zero()
+            if not self._is_repeating:
+                self._is_repeating = True
+                loop.call_later(PERIOD, self._repeat, loop)
+
+    def _repeat(self, loop: asyncio.AbstractEventLoop) -> None:
+        self._is_repeating = self._gate.is_stopped and loop.time() < self._until
+        if self._is_repeating:
+            self._send_zero()
+            loop.call_later(PERIOD, self._repeat, loop)

@@ -1,0 +1,59 @@
+"""A vendor's message types as a package of `.msg` files: some of iRobot's Create 3."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+PACKAGE = "irobot_create_msgs"
+
+# The fields as in iRobotEducation/irobot_create_msgs; the comments are ours.
+_STATUS = "std_msgs/Header header\nbool {}\n"
+_DEFINITIONS = {
+    "HazardDetection": """
+        # A hazard, seen by the sensor that frame_id names.
+        uint8 BACKUP_LIMIT=0
+        uint8 BUMP=1
+        uint8 CLIFF=2
+        uint8 STALL=3
+        uint8 WHEEL_DROP=4
+        uint8 OBJECT_PROXIMITY=5
+
+        std_msgs/Header header
+        uint8 type
+    """,
+    "HazardDetectionVector": """
+        std_msgs/Header header
+        irobot_create_msgs/HazardDetection[] detections
+    """,
+    "DockStatus": """
+        std_msgs/Header header
+        bool dock_visible
+        bool is_docked  # in the dock
+    """,
+    "WheelStatus": """
+        std_msgs/Header header
+        int16 current_ma_left
+        int16 current_ma_right
+        int16 pwm_left
+        int16 pwm_right
+        bool wheels_enabled
+    """,
+    "KidnapStatus": _STATUS.format("is_kidnapped"),
+    "SlipStatus": _STATUS.format("is_slipping"),
+    "StopStatus": _STATUS.format("is_stopped"),
+}
+
+
+def vendor_folder(root: Path) -> Path:
+    """Write the package below `root`; what to give as `message_path`."""
+    return write_package(root / "share", PACKAGE, _DEFINITIONS)
+
+
+def write_package(root: Path, package: str, definitions: Mapping[str, str]) -> Path:
+    """Write a package with these message types below `root`, and return that."""
+    folder = root / package / "msg"
+    folder.mkdir(parents=True)
+    for name, text in definitions.items():
+        (folder / f"{name}.msg").write_text(text)
+    return root
