@@ -45,10 +45,12 @@ _MAX_LINES = 20
 class MasterState(Struct, frozen=True, tag_field="event", tag="state"):
     """What the master knows of our topics; `master` is False while it does not answer: see `text`.
 
-    `publishers` and `types`: nodes and type by topic; `candidates`: published topics by type.
+    `publishers` and `types`: nodes and type by topic; `candidates`: published topics by type;
+    `taken_topics`: those of the commands' type that a node takes.
     `others` are the other nodes that publish on our command topic. `listeners` are the nodes that
     subscribe to it; `connected` is how many of those have a connection. `wants`: the type of each
-    listener's subscription, known only while some have no connection.
+    listener's subscription, known only while some have no connection. `command_type`: the type of
+    the commands; empty while no base tells it.
     """
 
     master: bool
@@ -56,10 +58,12 @@ class MasterState(Struct, frozen=True, tag_field="event", tag="state"):
     publishers: dict[str, list[str]] = {}
     types: dict[str, str] = {}
     candidates: dict[str, list[str]] = {}
+    taken_topics: dict[str, list[str]] = {}
     others: list[str] = []
     listeners: list[str] = []
     connected: int = 0
     wants: dict[str, str] = {}
+    command_type: str = ""
 
 
 class ForeignMessage(Struct, frozen=True, tag_field="event", tag="foreign"):
@@ -82,7 +86,13 @@ class AdapterEnd(Struct, frozen=True, tag_field="event", tag="end"):
     text: str
 
 
-Event = MasterState | ForeignMessage | AdapterEnd
+class PublisherGone(Struct, frozen=True, tag_field="event", tag="gone"):
+    """The publisher of the last message of a kept topic has ended; `topic`: the topic's index."""
+
+    topic: int
+
+
+Event = MasterState | ForeignMessage | AdapterEnd | PublisherGone
 
 _events: msgspec.json.Decoder[Event] = msgspec.json.Decoder(Event)
 
@@ -112,7 +122,7 @@ class AdapterProcess:
         listener: AdapterListener,
     ) -> None:
         """Start it; DriverError if the interpreter is not there. Needs a running loop."""
-        self._listener = listener
+        self._listener, self._kept = listener, frozenset(config["kept_topics"])
         self._loop = asyncio.get_running_loop()
         self._ended = asyncio.Event()
         self._alive_at = self._loop.time() + START_TIMEOUT - ALIVE_TIMEOUT
@@ -225,7 +235,8 @@ class AdapterProcess:
         kind = frame[:1]
         if kind == DATA and len(frame) >= DATA_HEAD.size:
             _, topic, arrival = DATA_HEAD.unpack_from(frame)
-            is_old = not abs(time.monotonic() - arrival) < MAX_MESSAGE_AGE
+            is_late = not abs(time.monotonic() - arrival) < MAX_MESSAGE_AGE
+            is_old = is_late and topic not in self._kept
             if is_old or topic in newest:
                 self._listener.on_dropped("overtaken")
             if not is_old:
@@ -236,6 +247,8 @@ class AdapterProcess:
             except (msgspec.DecodeError, UnicodeDecodeError):
                 self._listener.on_dropped("garbage")
                 return
+            if isinstance(event, PublisherGone):
+                newest.pop(event.topic, None)
             self._listener.on_event(event)
         elif frame != ALIVE:
             self._listener.on_dropped("garbage")

@@ -6,9 +6,10 @@ it imports `master.py` alone, which lies beside it. The driver imports it for th
 are single packets:
 
     to the driver   D topic arrival bytes  a message of that index in `topics`; arrival in s on
-                                           CLOCK_MONOTONIC; the index after the last is a command
-                                           of another node, empty if it is of another type
-                    J {...}                an event as JSON: state, foreign, end
+                                           CLOCK_MONOTONIC; the indices after the last are commands
+                                           of other nodes on `command_topics`, each empty if it is
+                                           no Twist and no TwistStamped
+                    J {...}                an event as JSON: state, foreign, gone, end
                     H                      a sign of life
     to the adapter  C time bytes           a command, made at `time` on CLOCK_MONOTONIC
                     B                      farewell: send zero and leave
@@ -33,7 +34,7 @@ import sys
 import threading
 import time
 from glob import glob
-from typing import Any, List, Optional  # noqa: UP035  (Python 3.8)
+from typing import Any, Dict, List, Optional  # noqa: UP035  (Python 3.8)
 
 DATA, EVENT, ALIVE = b"D", b"J", b"H"
 COMMAND, FAREWELL = b"C", b"B"
@@ -58,12 +59,51 @@ _MAX_MEMORY = 512 << 20  # bytes; rospy allocates whatever length a message anno
 _TWIST = struct.Struct("<6d")
 
 
+class KeptTopic:
+    """The last message of a topic that is published on change: sent until the driver has taken it.
+
+    rospy keeps a connection whose publisher has ended, and dials again; a connection that is made
+    again has another header.
+    """
+
+    def __init__(self, index: int, adapter: Adapter) -> None:
+        self._index, self._adapter = index, adapter
+        self.subscriber: Any = None
+        self._lock = threading.Lock()
+        self._unsent: Any = None
+        self._header: Any = None
+
+    def take(self, header: Any, *packet: bytes) -> None:
+        """Send a message that came over the connection with this header."""
+        with self._lock:
+            self._header = header
+            self._unsent = None if self._adapter.send(*packet) else packet
+
+    def send_again(self) -> None:
+        """Send what the driver has not taken yet."""
+        with self._lock:
+            if self._unsent is not None and self._adapter.send(*self._unsent):
+                self._unsent = None
+
+    def report_end(self) -> None:
+        """Tell that the connection of the last message has ended; until the driver knows it."""
+        with self._lock:
+            if self._header is None or self.subscriber is None:
+                return
+            ends = getattr(self.subscriber.impl, "connections", ())
+            if any(end.header is self._header and end.socket is not None for end in ends):
+                return
+            self._unsent = None
+            if self._adapter.event({"event": "gone", "topic": self._index}):
+                self._header = None
+
+
 class Adapter:
     """All threads of this process: `run` polls the master; others read, tick and receive."""
 
     def __init__(self, config: Any, sock: socket.socket, rospy: Any, master: Any) -> None:
         self._config, self._sock, self._rospy, self._master = config, sock, rospy, master
-        self._command = config["command"]
+        self._command_type = ""
         self._publisher: Any = None
         self._is_joined = False
         self._misses = 0
@@ -76,6 +116,9 @@ class Adapter:
         self._commanded_at = self._moved_at = self._stops_until = -COMMAND_TIMEOUT
         self._reported: Any = None
         self._others: Any = None  # the subscription to other nodes' commands
+        self._kept: Dict[int, KeptTopic] = {  # noqa: UP006
+            index: KeptTopic(index, self) for index in config["kept_topics"]
+        }
 
     def run(self) -> None:
         """Serve until the driver sends a farewell or has ended, or the master was restarted."""
@@ -97,6 +140,8 @@ class Adapter:
                         self._join()
                     except OSError as error:  # rospy does not undo a partial registration
                         raise RuntimeError(f"it could not join the master: {error}") from error
+                for kept in self._kept.values():
+                    kept.report_end()
                 state = self._state()
                 self._report(state)
                 self._listen_to_others(bool(state["others"]))
@@ -107,7 +152,7 @@ class Adapter:
     def end(self, seconds: float, why: str = "", kind: str = "end") -> None:
         """Report why, send zeros for that long unless the base stands, then leave."""
         if why and self._ends_at is None:
-            self._event({"event": "end", "kind": kind, "text": why})
+            self.event({"event": "end", "kind": kind, "text": why})
         ends_at = time.monotonic() + seconds
         self._ends_at = ends_at if self._ends_at is None else min(ends_at, self._ends_at)
 
@@ -120,19 +165,46 @@ class Adapter:
         self._master.caller = rospy.get_name()
         self._configure_bases(rospy.impl.tcpros_base)
         rospy.on_shutdown(self._on_shutdown)  # called before topics close, as on `rosnode kill`
-        if self._command is not None:
-            kind = {f"_{k}": self._command[k] for k in ("type", "md5sum", "full_text")}
-            self._message = type("Command", (rospy.AnyMsg,), kind)
-            self._publisher = rospy.Publisher(
-                self._command["topic"], self._message, subscriber_listener=self,
-                tcp_nodelay=True, queue_size=1,
-            )  # fmt: skip
-            self._publisher.impl.set_queue_size(None)  # written at once, by the publishing thread
+        if len(config["command_types"]) == 1:
+            self._advertise(config["command_types"][0])
         for index, topic in enumerate(config["topics"]):
-            rospy.Subscriber(
+            subscriber = rospy.Subscriber(
                 topic, rospy.AnyMsg, self._on_message, index, queue_size=1, tcp_nodelay=True
             )
+            if index in self._kept:
+                self._kept[index].subscriber = subscriber
+        for index in range(1, len(config["command_topics"])):
+            self._hear_commands(index)
         self._is_joined = True
+
+    def _advertise(self, kind: str) -> None:
+        """Publish commands of this type from now on, unless this is a check."""
+        self._command_type = kind
+        if self._config["is_check"]:
+            return
+        rospy, (md5sum, text) = self._rospy, self._config["definitions"][kind]
+        fields = {"_type": kind, "_md5sum": md5sum, "_full_text": text}
+        self._message = type("Command", (rospy.AnyMsg,), fields)
+        self._publisher = rospy.Publisher(
+            self._config["command_topics"][0], self._message, subscriber_listener=self,
+            tcp_nodelay=True, queue_size=1,
+        )  # fmt: skip
+        self._publisher.impl.set_queue_size(None)  # written at once, by the publishing thread
+
+    def _follow_type(self, wanted: Any, connected: int) -> None:
+        """Publish commands in the type that the base wants, once all that tell one agree.
+
+        rospy does not advertise a topic again with another type: then the adapter is replaced.
+        """
+        allowed = self._config["command_types"]
+        kinds = {kind for kind in wanted if kind in allowed}
+        if len(allowed) == 1 or len(kinds) != 1 or connected:
+            return
+        (kind,) = kinds
+        if not self._command_type:
+            self._advertise(kind)
+        elif kind != self._command_type:
+            self.end(0.0, f"the base wants {kind} now", "restart")
 
     def _configure_bases(self, tcpros: Any) -> None:
         """Configure the socket of each base that connects, before rospy does.
@@ -164,9 +236,9 @@ class Adapter:
             sys.stderr.write(f"a command could not be sent: {error}\n")
 
     def _zero_bytes(self) -> bytes:
-        if self._command is None or not self._command["type"].endswith("Stamped"):
+        if not self._command_type.endswith("Stamped"):
             return bytes(_TWIST.size)
-        frame: bytes = self._command["frame_id"].encode()
+        frame: bytes = self._config["frame_id"].encode()
         now = time.time_ns()
         stamp = now // 1_000_000_000, now % 1_000_000_000
         return struct.pack("<4I", 0, *stamp, len(frame)) + frame + bytes(_TWIST.size)
@@ -203,29 +275,37 @@ class Adapter:
         arrival = time.monotonic()
         header = message._connection_header
         if header.get("md5sum") == self._config["md5sums"][index]:
-            self._send(DATA_HEAD.pack(DATA, index, arrival), message._buff)
+            packet = DATA_HEAD.pack(DATA, index, arrival), message._buff
+            if index in self._kept:
+                self._kept[index].take(header, *packet)
+            else:
+                self.send(*packet)
         else:
             names = {"node": "callerid", "type": "type", "md5sum": "md5sum"}
             fields = {name: header.get(key, "") for name, key in names.items()}
-            self._event({"event": "foreign", "topic": self._config["topics"][index], **fields})
+            self.event({"event": "foreign", "topic": self._config["topics"][index], **fields})
 
     def _listen_to_others(self, is_wanted: bool) -> None:
         """Hear the commands of other nodes while there are any; also hears this node's own."""
         if is_wanted and self._others is None:
-            self._others = self._rospy.Subscriber(
-                self._config["command_topic"], self._rospy.AnyMsg, self._on_other_command,
-                queue_size=1, tcp_nodelay=True,
-            )  # fmt: skip
+            self._others = self._hear_commands(0)
         elif not is_wanted and self._others is not None:
             self._others.unregister()
             self._others = None
 
-    def _on_other_command(self, message: Any) -> None:
+    def _hear_commands(self, index: int) -> Any:
+        """Subscribe to a topic of commands, whatever its type."""
+        return self._rospy.Subscriber(
+            self._config["command_topics"][index], self._rospy.AnyMsg, self._on_other_command,
+            index, queue_size=1, tcp_nodelay=True,
+        )  # fmt: skip
+
+    def _on_other_command(self, message: Any, index: int) -> None:
         header, arrival = message._connection_header, time.monotonic()
         if header.get("callerid") != self._master.caller:
-            is_ours = header.get("md5sum") == self._config["command_md5sum"]
-            head = DATA_HEAD.pack(DATA, len(self._config["topics"]), arrival)
-            self._send(head, message._buff if is_ours else b"")
+            known = [md5sum for md5sum, _ in self._config["definitions"].values()]
+            head = DATA_HEAD.pack(DATA, len(self._config["topics"]) + index, arrival)
+            self.send(head, message._buff if header.get("md5sum") in known else b"")
 
     def _state(self) -> Any:
         """What the master knows of our topics."""
@@ -233,12 +313,12 @@ class Adapter:
         publishers, subscribers, _ = master.call("getSystemState")
         publishes, subscribes = dict(publishers), dict(subscribers)
         topics = self._config["topics"]
+        command, *others_too = self._config["command_topics"]
         is_listed = all(master.caller in subscribes.get(topic, ()) for topic in topics)
         self._misses = 0 if is_listed else self._misses + 1
         if self._misses >= 2:
             self.end(0.0, "the ROS master has been restarted", "restart")
         types = dict(master.call("getTopicTypes"))
-        command = self._config["command_topic"]
         others = [n for n in publishes.get(command, ()) if n != master.caller]
         listeners = [
             n for n in subscribes.get(command, ()) if not _is_adapter(n) and master.is_alive(n)
@@ -247,19 +327,31 @@ class Adapter:
         wants = {}
         if connected < len(listeners):
             wants = {node: master.wants(node, command) for node in listeners}
+        self._follow_type(wants.values(), connected)
         return {
             "event": "state",
             "master": True,
-            "publishers": {topic: self._alive(publishes.get(topic, [])) for topic in topics},
+            "publishers": {
+                topic: self._alive(publishes.get(topic, [])) for topic in [*topics, *others_too]
+            },
             "types": {topic: types.get(topic, "") for topic in topics},
             "candidates": {
                 kind: sorted(t for t, k in types.items() if k == kind and publishes.get(t))
                 for kind in self._config["types"]
             },
+            "taken_topics": {
+                kind: sorted(
+                    topic
+                    for topic, nodes in subscribes.items()
+                    if types.get(topic) == kind and not all(map(_is_adapter, nodes))
+                )
+                for kind in self._config["command_types"]
+            },
             "others": [n for n in others if master.is_alive(n)],
             "listeners": listeners,
             "connected": connected,
             "wants": wants,
+            "command_type": self._command_type,
         }
 
     def _bases(self) -> int:
@@ -275,13 +367,14 @@ class Adapter:
     # To the driver
 
     def _report(self, state: Any) -> None:
-        if state != self._reported and self._event(state):
+        if state != self._reported and self.event(state):
             self._reported = state
 
-    def _event(self, event: Any) -> bool:
-        return self._send(EVENT, json.dumps(event).encode())
+    def event(self, event: Any) -> bool:
+        """Tell the driver; False if it does not read."""
+        return self.send(EVENT, json.dumps(event).encode())
 
-    def _send(self, *parts: bytes) -> bool:
+    def send(self, *parts: bytes) -> bool:
         """One packet; False if the driver does not read: messages are of no use later."""
         try:
             self._sock.sendmsg(parts, [], socket.MSG_DONTWAIT)
@@ -334,8 +427,10 @@ class Adapter:
             was_silent = is_silent
             if self._ends_at is not None and (now >= self._ends_at or not self._is_armed):
                 self._leave()
+            for kept in self._kept.values():
+                kept.send_again()
             if count % _TICKS_ALIVE == 0:
-                self._send(ALIVE)
+                self.send(ALIVE)
             count += 1
             time.sleep(_PERIOD)
 

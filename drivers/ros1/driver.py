@@ -13,6 +13,7 @@ import math
 import re
 import time
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,22 +23,27 @@ from swarmd.core.values import ZERO, Platform, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Finding, Sink, ZeroSenderSpec
 from swarmd.drivers.ros.diagnosis import (
+    Conflict,
     Report,
+    driven,
     driven_by_others,
     has_enough,
-    scan_conflict,
     unconnected,
     unreachable,
 )
-from swarmd.drivers.ros.from_ros import twist_of
+from swarmd.drivers.ros.foreign_commands import ROS1_ACTIONS, ForeignCommands
+from swarmd.drivers.ros.messages import Twist as TwistMessage
+from swarmd.drivers.ros.messages import TwistStamped
 from swarmd.drivers.ros.options import Ros1Options, read_options
 from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros.zero_answers import ZeroAnswers
 from swarmd.drivers.ros1 import adapter_process, serialization
 from swarmd.drivers.ros1.adapter import (
     AdapterProcess,
     Event,
     ForeignMessage,
     MasterState,
+    PublisherGone,
 )
 from swarmd.drivers.ros1.master_graph import MasterGraph, Ros1
 
@@ -68,7 +74,7 @@ class Ros1Driver:
         self, *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
     ) -> None:
         """Not connected yet. Options: `Ros1Options`."""
-        self._options = read_options(Ros1Options, options, "ros1", robot)
+        self._options = read_options(Ros1Options, options, "ros1", robot, platform)
         self._platform = platform
         self._node = "swarmd_" + re.sub(r"[^A-Za-z0-9_]", "_", robot)
         self._script = str(Path(adapter_process.__file__).resolve())
@@ -78,6 +84,7 @@ class Ros1Driver:
         self._reported_at = math.inf
         self._logged = ""
         self._gate = CommandGate()
+        self._zeros = ZeroAnswers(self._gate, partial(self._put, ZERO))
         self._count = 0
         self._begin()
 
@@ -118,6 +125,7 @@ class Ros1Driver:
         base stands; after a moving command it would take the silence for that of a dead daemon and
         send zeros against the node that drives the base next.
         """
+        twist = ZERO if self._conflict else twist
         command = self._gate.filter(twist, is_stopped=is_stopped)
         if command is None and self._gate.repeats_zero(time.monotonic()):
             command = ZERO
@@ -149,8 +157,10 @@ class Ros1Driver:
         self._subscriptions = Subscriptions(self._options, self._platform, serialization.decode)
         self._master = MasterGraph(self._options, self._subscriptions.topics)
         self._end, self._is_planned_end, self._was_up = "", False, False
-        self._conflict = ""
-        self._foreign_commands, self._hears_motion = 0, False
+        self._conflict: Conflict | None = None
+        # The publishers of cmd_vel count by their registration, as `MasterGraph.blocks` says.
+        self._foreign = ForeignCommands(self._options, ROS1_ACTIONS, is_cmd_vel_shared=True)
+        self._hears_motion = False
 
     def _report(self) -> Report | None:
         """What a check has found out; None if the adapter told nothing yet."""
@@ -164,9 +174,9 @@ class Ros1Driver:
             subscriptions=self._subscriptions,
             spec=self._platform.scan,
             cmd_vel=self._master.cmd_vel,
-            command_type=self._options.command_type,
+            command_types=self._options.command_types,
             has_subscriber=bool(state.listeners),
-            foreign_commands=self._foreign_commands,
+            foreign=self._foreign,
             foreign_publishers=state.others,
             now=asyncio.get_running_loop().time(),
             is_exclusive=self._master.blocks,
@@ -203,36 +213,43 @@ class Ros1Driver:
         self._gate.cut()
 
     def _config(self, is_check: bool) -> dict[str, Any]:
-        options, topics = self._options, self._subscriptions.topics.values()
-        text, md5sum = serialization.definition(options.command_type)
-        command = {
-            "topic": self._master.cmd_vel,
-            "type": serialization.type_name(options.command_type),
-            "md5sum": md5sum,
-            "full_text": text,
-            "frame_id": options.cmd_vel_frame,
+        options, foreign = self._options, self._foreign
+        topics = [
+            *((stats.topic, stats.message_type) for stats in self._subscriptions.topics.values()),
+            *((topic, foreign.protocol.message_type) for topic in foreign.actions),
+        ]
+        definitions = {
+            serialization.type_name(kind): serialization.definition(kind)[::-1]
+            for kind in (TwistMessage, TwistStamped)
         }
         return {
             "master": options.master_uri,
             "name": self._node,
-            "topics": [stats.topic for stats in topics],
-            "types": [serialization.type_name(stats.message_type) for stats in topics],
-            "md5sums": [serialization.definition(stats.message_type)[1] for stats in topics],
-            "command_topic": self._master.cmd_vel,
-            "command_md5sum": md5sum,
-            "command": None if is_check else command,
+            "topics": [topic for topic, _ in topics],
+            "types": [serialization.type_name(kind) for _, kind in topics],
+            "md5sums": [serialization.definition(kind)[1] for _, kind in topics],
+            "command_topics": foreign.topics,
+            "command_types": [serialization.type_name(kind) for kind in options.command_types],
+            "definitions": definitions,
+            "frame_id": options.cmd_vel_frame,
+            "is_check": is_check,
+            "kept_topics": [
+                i for i, (topic, _) in enumerate(topics) if topic in self._subscriptions.kept_topics
+            ],
             "holds": not is_check and self._gate.has_sent,
         }
 
     # Called by the adapter
 
     def on_event(self, event: Event) -> None:
-        """The master's state, a message of another type, or why the adapter ends."""
+        """What the adapter tells beside messages."""
         if isinstance(event, MasterState):
             self._master.on_state(event)
         elif isinstance(event, ForeignMessage):
             self._master.on_foreign(event)
             self.on_dropped("type")
+        elif isinstance(event, PublisherGone):
+            self._subscriptions.forget([*self._subscriptions.topics.values()][event.topic].topic)
         elif event.kind == "fatal":
             self._end = no_rospy(self._options.python, event.text)
         else:
@@ -241,15 +258,11 @@ class Ros1Driver:
 
     def on_message(self, topic: int, data: bytes) -> None:
         """A serialised message."""
-        topics = [*self._subscriptions.topics.values()]
-        if topic == len(topics):
-            self._on_foreign_command(data)
-            return
-        if topic > len(topics):
-            self.on_dropped("garbage")
+        now, topics = asyncio.get_running_loop().time(), [*self._subscriptions.topics.values()]
+        if topic >= len(topics):
+            self._on_foreign(topic - len(topics), data, now)
             return
         stats = topics[topic]
-        now = asyncio.get_running_loop().time()
         try:
             deliver = self._subscriptions.read(stats.name, data, now)
         except CodecError as error:
@@ -258,22 +271,36 @@ class Ros1Driver:
             return
         if not self._gate.is_open:
             self._update_state()
-        if (self._gate.is_open or self._master.blocks) and self._sink is not None:
+        is_driven = self._master.blocks or self._foreign.source(now)
+        if (self._gate.is_open or is_driven) and self._sink is not None:
             deliver(self._sink)  # also while another node drives: a stop tells the measured speed
 
-    def _on_foreign_command(self, data: bytes) -> None:
+    def _on_foreign(self, index: int, data: bytes, now: float) -> None:
+        """The states of an action's goals, or a command of another node, by the config's order."""
+        foreign = self._foreign
+        names = [*foreign.actions, *foreign.topics]
+        if index >= len(names):
+            self.on_dropped("garbage")
+        elif index >= len(foreign.actions):
+            self._on_foreign_command(names[index], data, now)
+        else:
+            try:
+                status: object = serialization.decode(foreign.protocol.message_type, data)
+            except CodecError:
+                self.on_dropped(names[index])
+                return
+            if foreign.take_status(names[index], status, now):
+                self._update_state()
+
+    def _on_foreign_command(self, topic: str, data: bytes, now: float) -> None:
         """Another node publishes a command; a zero does not count as driving."""
-        self._foreign_commands += 1
-        try:
-            command: Any = serialization.decode(self._options.command_type, data)
-            is_zero = twist_of(command).is_zero
-        except CodecError:
-            is_zero = False  # of another type than ours: it may well move the robot
-        if is_zero:
+        if not self._foreign.take_command(topic, data, (), now):
             return
-        if self._gate.is_stopped:
-            self._put(ZERO)
-        self._hears_motion = True
+        self._zeros.answer()
+        if topic == self._master.cmd_vel:
+            self._hears_motion = True
+        else:
+            self._update_state()
 
     def on_dropped(self, what: str) -> None:
         """Count one input that could not be read or used."""
@@ -284,19 +311,21 @@ class Ros1Driver:
         """Open or close the gate, and report it when that or the reason has changed."""
         if self._sink is None or self._child is None:
             return
-        if stale := self._subscriptions.stale_readings(asyncio.get_running_loop().time()):
-            stale(self._sink)
+        now = asyncio.get_running_loop().time()
+        if self._gate.is_open:
+            self._subscriptions.deliver_changes(self._sink, now)
         state = self._master.state
         self._hears_motion &= bool(state and state.others)
-        fault = self._end or self._fault(asyncio.get_running_loop().time())
-        before = self._conflict
-        self._conflict = scan_conflict(self._master.graph(), self._subscriptions.topics.values())
+        fault = self._end or self._fault(now)
+        before, topics = self._conflict, self._subscriptions.topics.values()
+        self._conflict = self._master.graph().conflict(topics, self._platform.scan)
         if fault:
             self._report_state(False, fault)
         elif not self._gate.is_open or self._conflict != before:
             others = f", as is {', '.join(state.others)}" if state and state.others else ""
             where = f"{self._master.cmd_vel} at {self._options.master_uri}"
-            self._report_state(True, self._conflict or f"drives on {where}{others}")
+            text = self._conflict.text if self._conflict else f"drives on {where}{others}"
+            self._report_state(True, text)
 
     def _fault(self, now: float) -> str:
         """Why the base cannot be driven, and the next step; empty if it can."""
@@ -308,23 +337,26 @@ class Ros1Driver:
         if master.blocks:
             return driven_by_others(master.cmd_vel, state.others, is_heard=self._hears_motion)
         graph = master.graph()
+        if by_others := driven(self._foreign, graph, now):
+            return by_others
         for stats in self._subscriptions.silent(now, TOPIC_TIMEOUT):
             is_unreadable = bool(stats.recent_fault(now))
             return graph.unreadable(stats) if is_unreadable else graph.silence(stats)
-        if state.connected:
+        if state.connected and (graph.bases(master.cmd_vel) or not state.listeners):
             return ""
         return graph.no_subscriber(
-            master.cmd_vel, self._options.command_type, has_subscriber=bool(state.listeners)
+            master.cmd_vel, self._options.command_types, has_subscriber=bool(state.listeners)
         ) or unconnected(master.cmd_vel, state.listeners)
 
     def _unreachable(self, state: MasterState) -> str:
         return unreachable(Ros1(), self._options.master_uri, state.text)
 
     def _put(self, twist: Twist) -> None:
-        if self._child is None:
-            return
+        kind = self._master.command_type
+        if self._child is None or not kind:
+            return  # no base has told the type of its commands
         self._count += 1
-        if self._options.cmd_vel_type == "twist":
+        if not kind.endswith("Stamped"):
             command = serialization.encode_twist(twist)
         else:
             frame = self._options.cmd_vel_frame
@@ -340,13 +372,16 @@ class Ros1Driver:
             self._put(ZERO)
         state = self._master.state
         gets_zero = self._child is not None and state is not None and state.connected > 0
-        hold = Reason.SCAN_CONFLICT if self._conflict else None
+        hold = self._conflict.reason if self._conflict else None
         report = (is_up, text, hold, gets_zero)
         if self._reported[:2] != report[:2]:
             self._reported_at = now
         if self._sink is not None and self._reported != report:
             self._reported = report
             self._sink.state(is_up, text, hold=hold, gets_zero=gets_zero)
+        if self._sink is not None and is_up and not was_up:
+            opened = asyncio.get_running_loop().time()
+            self._subscriptions.deliver_all(self._sink, opened)
         if is_up or was_up or now - self._reported_at > _MIN_LOGGED_LOSS:
             self._log(is_up, text)
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from swarmd.drivers.ros.diagnosis import Endpoint, Graph
+from swarmd.drivers.ros.diagnosis import Graph
+from swarmd.drivers.ros.endpoints import Endpoint
 from swarmd.drivers.ros.options import Ros1Options
 from swarmd.drivers.ros.topic_stats import TopicStats
 from swarmd.drivers.ros1 import serialization
@@ -25,6 +26,8 @@ class Ros1:
         " rostopic hz"
     )
     topic_info = "rostopic info"
+    crashed = "the master knows one node of a name"
+    lease = 0.0
     domain: int | None = None
 
     def type_name(self, message_type: type) -> str:
@@ -33,12 +36,17 @@ class Ros1:
 
 
 class MasterGraph:
-    """What the master and the publishers tell of the robot's topics, in one life of the adapter."""
+    """What the master and the publishers tell of the robot's topics, in one life of the adapter.
+
+    `command_type`: such as `geometry_msgs/Twist`; empty while neither options nor a base tell it.
+    """
 
     def __init__(self, options: Ros1Options, topics: Mapping[str, TopicStats]) -> None:
         """Nothing is known yet."""
         self.cmd_vel = options.topic(options.cmd_vel)
         self.state: MasterState | None = None
+        names = [serialization.type_name(kind) for kind in options.command_types]
+        self.command_type = names[0] if len(names) == 1 else ""
         self._options = options
         self._topics = {stats.topic: stats for stats in topics.values()}
         self._foreign_types: dict[tuple[str, str], str] = {}
@@ -46,6 +54,7 @@ class MasterGraph:
     def on_state(self, state: MasterState) -> None:
         """The graph has changed: foreign types are named again by the next messages."""
         self.state = state
+        self.command_type = state.command_type or self.command_type
         self._foreign_types.clear()
 
     def on_foreign(self, message: ForeignMessage) -> None:
@@ -75,13 +84,22 @@ class MasterGraph:
             for topic in topics
             if topic not in state.publishers
         ]
-        command = serialization.type_name(self._options.command_type)
         for node in state.listeners:
-            kind = state.wants.get(node, "")
-            ends.append(
-                Endpoint(False, self.cmd_vel, command if kind in ("", "*") else kind, node=node)
-            )
-        return Graph(middleware=Ros1(), endpoints=ends)
+            kind = state.wants.get(node, "").strip("*") or self.command_type
+            if kind:
+                ends.append(Endpoint(False, self.cmd_vel, kind, node=node))
+        ends += [
+            Endpoint(False, topic, kind)
+            for kind, topics in state.taken_topics.items()
+            for topic in topics
+            if topic != self.cmd_vel
+        ]
+        return Graph(
+            middleware=Ros1(),
+            endpoints=ends,
+            options=self._options,
+            heard={stats.topic for stats in self._topics.values() if stats.count},
+        )
 
     def _type_of(self, topic: str, kind: str) -> str:
         """The type that the master names; where it knows none, the wanted one."""

@@ -17,7 +17,7 @@ from rosbags.typesys.stores import ros1_noetic
 
 from swarmd.core.errors import CodecError
 from swarmd.core.values import Twist
-from swarmd.drivers.ros.cdr import name_of, store
+from swarmd.drivers.ros.cdr import STORE, name_of, store
 from swarmd.drivers.ros.from_ros import twist_message
 from swarmd.drivers.ros.messages import TwistStamped
 
@@ -27,14 +27,15 @@ M = TypeVar("M")
 def decode(message_type: type[M], data: bytes) -> M:
     """The message; arrays are views of `data`. CodecError if the bytes are no such message."""
     try:
-        return cast(M, _store().deserialize_ros1(data, name_of(message_type)))
+        return cast(M, _store_of(message_type).deserialize_ros1(data, name_of(message_type)))
     except SerdeError as error:
         raise CodecError(str(error)) from error
 
 
 def encode(message: object) -> bytes:
     """The bytes of a message; its header, if it has one, is ROS 1's with a `seq`."""
-    return bytes(_store().serialize_ros1(message, name_of(type(message))))
+    kind = type(message)
+    return bytes(_store_of(kind).serialize_ros1(message, name_of(kind)))
 
 
 def encode_twist(twist: Twist) -> bytes:
@@ -56,11 +57,19 @@ def type_name(message_type: type) -> str:
 
 @lru_cache(maxsize=32)
 def definition(message_type: type) -> tuple[str, str]:
-    """The type's definition, which publishers announce, and its md5 sum: ROS Noetic's."""
-    text, md5sum = _store().generate_msgdef(name_of(message_type), ros_version=1)
+    """The type's definition, which publishers announce, and its md5 sum.
+
+    ROS Noetic's, or that of the `.msg` file that the type is from.
+    """
+    text, md5sum = _store_of(message_type).generate_msgdef(name_of(message_type), ros_version=1)
     return text, md5sum
 
 
+def _store_of(message_type: type) -> Typestore:
+    own: Typestore | None = getattr(message_type, STORE, None)
+    return own or _noetic()
+
+
 @lru_cache(maxsize=1)
-def _store() -> Typestore:
+def _noetic() -> Typestore:
     return store(Stores.ROS1_NOETIC)  # its key costs 0.2 us a call

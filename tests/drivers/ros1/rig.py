@@ -12,14 +12,24 @@ import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.values import Scan, Twist, Value
 from swarmd.drivers.ros1.driver import Ros1Driver
+from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.settings.platforms import load_platform
 from tests.support.processes import CAP, wait_until
 from tests.support.roscore import PYTHON, RosCore
 
 SCRIPT = Path(__file__).with_name("robot.py")
 PLATFORM = load_platform("burger")
+HAZARDS: dict[str, Value] = {
+    "bumper": {
+        "topic": "bumper",
+        "type": "std_msgs/Bool",
+        "means": "bump front",
+        "stale_after": 0.3,
+    }
+}
 
 _numbers = itertools.count(1)
 
@@ -28,6 +38,8 @@ class RosRobot:
     """One robot's nodes in a namespace of their own, as a child process."""
 
     platform = PLATFORM
+    hazard = Hazard(HazardKind.BUMP, "front")
+    hazard_options: Mapping[str, Value] = {"hazards": HAZARDS}
 
     def __init__(self, core: RosCore, *words: str, namespace: str = "") -> None:
         self.core, self._words = core, words
@@ -85,8 +97,18 @@ class RosRobot:
         first, ranges = float(scan.bearings[0]), scan.ranges.tolist()
         self.do("scan", stamp=scan.stamp, first=first, ranges=ranges)
 
+    def put(self, topic: str, message: object, data: bytes) -> None:
+        """Publish the bytes of a message of this class."""
+        kind: type = type(message)
+        text, md5sum = definition(kind)
+        names = {"_type": type_name(kind), "_md5sum": md5sum, "_full_text": text}
+        self.do("raw", topic=topic, kind=names, bytes=data.hex())
+
     def publish_odometry(self) -> None:
         self.do("odometry")
+
+    def publish_hazard(self, *, is_present: bool) -> None:
+        self.do("hazard", is_present=is_present)
 
     def publish_garbage(self) -> None:
         """Send random bytes that are no LaserScan."""

@@ -2,8 +2,9 @@
 
 Its namespace is ROS_NAMESPACE. Each line is a JSON object: `{"do": "publish"}` publishes a scan and
 an odometry with the next stamp, `{"do": "ranges", "ranges": [...]}` the same with these ranges, and
-`{"do": "rate", "hz": 5}` publishes at this rate; `Robot.obey` has the other orders. It prints
-`ready`, then each command that arrives as `linear angular lateral`.
+`{"do": "rate", "hz": 5}` publishes at this rate; `Robot.obey` has the other orders. With --latch
+the dock is a latched topic. It prints `ready`, then each command that arrives as `linear angular
+lateral`.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ import rospy
 from geometry_msgs.msg import Twist, TwistStamped
 from nav_msgs.msg import Odometry
 from sensor_msgs.msg import BatteryState, Imu, LaserScan, Range
+from std_msgs.msg import Bool
 
 RAYS = 360
 
@@ -36,7 +38,10 @@ class Robot:
         kind = Range if args.scan_type == "Range" else LaserScan
         self._scans = raw_publisher("scan", kind)
         self._odometry = raw_publisher("odom", Odometry)
+        self._raws: dict[str, Any] = {}
+        self._bumper = rospy.Publisher("bumper", Bool, queue_size=5)
         self._imu = rospy.Publisher("imu", Imu, queue_size=5)
+        self._dock = rospy.Publisher("dock", Bool, queue_size=5, latch=args.latch)
         self._battery = rospy.Publisher("battery", BatteryState, queue_size=5)
         if not args.no_base:
             stamped = args.command_type == "TwistStamped"
@@ -51,7 +56,7 @@ class Robot:
         elif order["do"] == "ranges":
             self.publish(order["ranges"])
         elif order["do"] == "publish":
-            self.publish([1.0] * RAYS)
+            self.publish([random.gauss(1.0, 0.01)] * RAYS)  # equal scans: a frozen sensor
         elif order["do"] == "scan":
             stamp = rospy.Time.from_sec(order["stamp"])
             send(self._scans, bytes_of(self._scan(stamp, order["ranges"], order["first"])))
@@ -59,8 +64,17 @@ class Robot:
             self.publish_odometry()
         elif order["do"] == "garble":
             self._garble(bytes.fromhex(order["bytes"]))
+        elif order["do"] == "hazard":
+            self._bumper.publish(Bool(order["is_present"]))
         elif order["do"] == "extras":
             self._extras()
+        elif order["do"] == "raw":
+            topic = order["topic"]
+            if topic not in self._raws:
+                self._raws[topic] = raw_publisher(topic, type("Kind", (), order["kind"]))
+            send(self._raws[topic], bytes.fromhex(order["bytes"]))
+        elif order["do"] == "dock":
+            self._dock.publish(Bool(order["docked"]))
 
     def publish(self, ranges: list[float]) -> None:
         send(self._scans, bytes_of(self._scan(self._stamp(), ranges)))
@@ -82,7 +96,7 @@ class Robot:
     def _stamp(self) -> Any:
         with self._lock:
             self._count += 1
-            return rospy.Time.from_sec(1000.0 + 0.05 * self._count)
+            return rospy.Time.from_sec(1000.0 + 0.1 * self._count)
 
     def _scan(self, stamp: Any, ranges: list[float], first: float = 0.0) -> Any:
         if self._args.scan_type == "Range":
@@ -148,6 +162,7 @@ def main() -> None:
     parser.add_argument("--scan-type", default="LaserScan")
     parser.add_argument("--command-type", default="Twist")
     parser.add_argument("--no-base", action="store_true")
+    parser.add_argument("--latch", action="store_true")
     args = parser.parse_args()
     rospy.init_node(args.name, argv=[], disable_signals=True, disable_rosout=True)
     robot = Robot(args)

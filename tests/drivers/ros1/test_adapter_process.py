@@ -28,16 +28,18 @@ from swarmd.drivers.ros1.adapter_process import (
 )
 from tests.support.processes import CAP, wait_until
 
-COMMANDS = {"topic": "/cmd_vel", "type": "geometry_msgs/Twist", "md5sum": "0", "full_text": ""}
 CONFIG: dict[str, Any] = {
     "master": "http://127.0.0.1:9",
     "name": "r",
     "topics": ["/scan"],
     "types": ["sensor_msgs/LaserScan"],
     "md5sums": ["1"],
-    "command_topic": "/cmd_vel",
-    "command_md5sum": "0",
-    "command": {**COMMANDS, "frame_id": ""},
+    "kept_topics": [],
+    "command_topics": ["/cmd_vel", "/cmd_vel_joy"],
+    "command_types": ["geometry_msgs/Twist"],
+    "definitions": {"geometry_msgs/Twist": ["0", ""], "geometry_msgs/TwistStamped": ["9", ""]},
+    "frame_id": "",
+    "is_check": False,
     "holds": False,
 }
 SCRIPT = Path(sys.modules[Adapter.__module__].__file__ or "")
@@ -129,19 +131,26 @@ def test_a_message_of_another_type_is_reported_by_its_publisher_only(
 
 @pytest.mark.parametrize(
     ("caller", "md5sum", "passed"),
-    [("/r_1", "0", None), ("/teleop", "0", b"\x00" * 1000), ("/teleop", "7", b"")],
-    ids=["its own", "another's", "of another type"],
+    [
+        ("/r_1", "0", None),
+        ("/teleop", "0", b"\x00" * 1000),
+        ("/teleop", "9", b"\x00" * 1000),
+        ("/teleop", "7", b""),
+    ],
+    ids=["its own", "another's", "stamped", "of another type"],
 )
+@pytest.mark.parametrize("index", [0, 1])
 def test_commands_of_other_nodes_are_passed_on(
-    ends: tuple[Adapter, socket.socket], caller: str, md5sum: str, passed: bytes | None
+    ends: tuple[Adapter, socket.socket], caller: str, md5sum: str, passed: bytes | None, index: int
 ) -> None:
     adapter, mine = ends
     adapter._master.caller = "/r_1"
     command = message(md5sum)
     command._connection_header["callerid"] = caller
-    adapter._on_other_command(command)
+    adapter._on_other_command(command, index)
     frames = [(*DATA_HEAD.unpack_from(frame)[:2], frame[DATA_HEAD.size :]) for frame in taken(mine)]
-    assert frames == ([] if passed is None else [(DATA, len(CONFIG["topics"]), passed)])
+    number = len(CONFIG["topics"]) + index
+    assert frames == ([] if passed is None else [(DATA, number, passed)])
 
 
 def test_adapters_that_hear_commands_are_no_bases(ends: tuple[Adapter, socket.socket]) -> None:

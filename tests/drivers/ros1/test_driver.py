@@ -2,19 +2,32 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Awaitable, Callable
+from typing import Any
 
 import numpy as np
 import pytest
+from rosbags.typesys.stores import ros1_noetic
 
-from swarmd.core.values import Twist, Value
+from swarmd.core.values import ZERO, Twist, Value
+from swarmd.drivers.ros import messages
+from swarmd.drivers.ros.from_ros import command_message
+from swarmd.drivers.ros1 import serialization
 from swarmd.testing import driver_contract
 from swarmd.testing.driver_contract import DriverContract, DriverHarness
 from tests.drivers.ros1.rig import RosRobot
 from tests.support.roscore import RosCore
 
 RobotHarness = Callable[[DriverHarness, RosRobot], Awaitable[None]]
+
+
+TIME = ros1_noetic.builtin_interfaces__msg__Time(1, 0)
+
+
+def goal_id() -> ros1_noetic.actionlib_msgs__msg__GoalID:
+    return ros1_noetic.actionlib_msgs__msg__GoalID(TIME, "goal")
 
 
 class TestContract(DriverContract):
@@ -71,12 +84,16 @@ def test_all_senses_arrive_as_they_were_sent(roscore: RosCore, hangs: bool) -> N
         story,
         imu="imu",
         battery="battery",
+        battery_percentage="share",
         scan_yaw_deg=90.0,
         scan_upside_down=hangs,
     )
 
 
-def test_commands_are_stamped_if_the_base_expects_it(roscore: RosCore) -> None:
+@pytest.mark.parametrize("options", [{}, {"cmd_vel_type": "twist_stamped"}], ids=["auto", "given"])
+def test_commands_are_stamped_if_the_base_expects_it(
+    roscore: RosCore, options: dict[str, Any]
+) -> None:
     async def story(harness: DriverHarness, body: RosRobot) -> None:
         harness.driver.send(Twist(0.1), 1, 1)
         assert (await harness.command()).is_zero
@@ -91,7 +108,7 @@ def test_commands_are_stamped_if_the_base_expects_it(roscore: RosCore) -> None:
         assert taken[0] == Twist(0.1, 0.2, 0.3)
         assert taken[1].is_zero, "the adapter's own zero after a silence"
 
-    play(RosRobot(roscore, "--command-type", "TwistStamped"), story, cmd_vel_type="twist_stamped")
+    play(RosRobot(roscore, "--command-type", "TwistStamped"), story, **options)
 
 
 def test_another_command_type_of_the_base_is_named(roscore: RosCore) -> None:
@@ -100,7 +117,82 @@ def test_another_command_type_of_the_base_is_named(roscore: RosCore) -> None:
         assert "cmd_vel_type: twist_stamped" in text
         assert not harness.sink.is_up
 
-    play(RosRobot(roscore, "--command-type", "TwistStamped"), story, connected=False)
+    robot = RosRobot(roscore, "--command-type", "TwistStamped")
+    play(robot, story, connected=False, cmd_vel_type="twist")
+
+
+def test_a_base_that_returns_with_another_type_is_commanded_in_it(roscore: RosCore) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        body.disconnect()
+        await harness.until(lambda: not harness.sink.is_up)
+        body._words = ("--command-type", "TwistStamped")
+        body.reconnect()
+        await harness.until(lambda: harness.sink.is_up, publishing=True)
+        harness.driver.send(Twist(0.1), 1, 1)
+        assert (await harness.command()).is_zero
+        taken: list[Twist] = []
+
+        def is_moving() -> bool:
+            harness.driver.send(Twist(0.1), 1, 1)
+            taken.extend(body.commands())
+            return Twist(0.1) in taken
+
+        await harness.until(is_moving, publishing=True)
+
+    play(RosRobot(roscore), story)
+
+
+def test_a_command_on_another_topic_of_the_base_is_another_nodes(roscore: RosCore) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        def joy(speed: float) -> None:
+            message = command_message(Twist(speed), messages.TwistStamped, "")
+            data = serialization.encode_twist_stamped(Twist(speed), 1, 2, "")
+            body.put("cmd_vel_joy", message, data)
+
+        for _ in range(10):
+            joy(0.0)
+            await asyncio.sleep(0.1)
+        assert harness.sink.is_up, "zeros do not drive"
+
+        def is_lost() -> bool:
+            joy(0.3)
+            return not harness.sink.is_up
+
+        await harness.until(is_lost, publishing=True)
+        text = await reported_text(harness, "someone else drives: commands on")
+        assert f"{body.namespace}/cmd_vel_joy" in text
+        assert f"{body.namespace}/robot" in text
+        harness.driver.send(ZERO, 3, 3, is_stopped=True)
+        assert (await harness.command()).is_zero
+        await harness.until(lambda: harness.sink.is_up, publishing=True)
+
+    play(RosRobot(roscore), story, other_commands=["cmd_vel_joy"])
+
+
+def test_an_active_goal_of_an_action_is_another_nodes_command(roscore: RosCore) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        def report(state: int) -> None:
+            goal = ros1_noetic.actionlib_msgs__msg__GoalStatus(goal_id(), state, "")
+            header: Any = ros1_noetic.std_msgs__msg__Header(1, TIME, "")
+            goals: list[Any] = [goal]  # of ROS 1, in the class of both
+            message = messages.ActionlibStatusArray(header, goals)
+            body.put("dock/status", message, serialization.encode(message))
+
+        def is_lost() -> bool:
+            report(1)
+            return not harness.sink.is_up
+
+        await harness.until(is_lost, publishing=True)
+        text = await reported_text(harness, "someone else drives: action")
+        assert f"rostopic pub -1 {body.namespace}/dock/cancel actionlib_msgs/GoalID" in text
+
+        def is_back() -> bool:
+            report(3)
+            return harness.sink.is_up
+
+        await harness.until(is_back, publishing=True)
+
+    play(RosRobot(roscore), story, other_actions=["dock"])
 
 
 def test_a_scan_of_another_type_is_named_and_nothing_moves(roscore: RosCore) -> None:

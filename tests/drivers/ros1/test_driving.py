@@ -36,6 +36,7 @@ WELL = MasterState(
     publishers={"/scan": ["/lidar"], "/odom": ["/base"]},
     listeners=["/base"],
     connected=1,
+    command_type="geometry_msgs/Twist",
 )
 HEADER = struct.pack("<4I", 1, 5, 250_000_000, 0)
 
@@ -246,12 +247,14 @@ def test_stamped_commands_are_numbered_and_in_the_frame_asked_for(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     async def story(scene: Scene) -> None:
-        scene.connect()
+        scene.report(replace(WELL, command_type="geometry_msgs/TwistStamped"))
+        for topic, data in enumerate((scan(1.0), odometry())):
+            scene.adapter.listener.on_message(topic, data)
         for count, data in enumerate(scene.command(), 1):
             assert struct.unpack_from("<I", data)[0] == count
             assert data[12:20] == b"\x04\0\0\0base"
 
-    play(monkeypatch, story, cmd_vel_type="twist_stamped", cmd_vel_frame="base")
+    play(monkeypatch, story, cmd_vel_frame="base")
 
 
 def test_of_waiting_messages_only_the_newest_of_each_topic_is_delivered(
@@ -267,7 +270,9 @@ def test_of_waiting_messages_only_the_newest_of_each_topic_is_delivered(
     )
 
     async def run() -> None:
-        child = ros1_child.AdapterProcess("-", "/bin/cat", {}, os.environ, listener)
+        child = ros1_child.AdapterProcess(
+            "-", "/bin/cat", {"kept_topics": []}, os.environ, listener
+        )
         monkeypatch.setattr(ros1_child, "time", SimpleNamespace(monotonic=lambda: now))
         near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         near.setblocking(False)
@@ -377,12 +382,48 @@ def test_two_publishers_of_the_scan_hold_the_robot(monkeypatch: pytest.MonkeyPat
         scene.report(replace(WELL, publishers=both))
         assert scene.sink.hold is Reason.SCAN_CONFLICT
         assert scene.sink.is_up
-        assert scene.sink.states[-1][1].startswith("2 publish /scan: /lidar, /rival; ")
+        assert scene.sink.states[-1][1].startswith("2 nodes publish /scan: /lidar, /rival; ")
         scene.report()
         assert scene.sink.hold is None
         assert scene.sink.states[-1][1].startswith("drives on ")
 
     play(monkeypatch, story)
+
+
+def test_no_motion_reaches_two_bases(monkeypatch: pytest.MonkeyPatch) -> None:
+    two = replace(WELL, listeners=["/base", "/other"], connected=2)
+
+    async def story(scene: Scene) -> None:
+        scene.report(two)
+        for topic, data in enumerate((scan(1.0), odometry())):
+            scene.adapter.listener.on_message(topic, data)
+        assert scene.sink.is_up
+        assert scene.sink.hold is Reason.BASE_CONFLICT
+        assert not scene.is_moved()
+        assert "2 nodes take /cmd_vel: /base, /other; " in scene.sink.states[-1][1]
+        scene.report()
+        assert scene.sink.hold is None
+        assert scene.is_moved()
+        scene.report(two)
+        assert not scene.is_moved()
+
+    play(monkeypatch, story)
+
+
+@pytest.mark.parametrize("listener", ["/record_1609459200123456789", "/ekf"])
+def test_a_node_that_records_commands_holds_nothing_and_is_no_base(
+    monkeypatch: pytest.MonkeyPatch, listener: str
+) -> None:
+    async def story(scene: Scene) -> None:
+        scene.connect()
+        scene.report(replace(WELL, listeners=[*WELL.listeners, listener], connected=2))
+        assert scene.sink.hold is None
+        assert scene.is_moved()
+        scene.report(replace(WELL, listeners=[listener], connected=1))
+        assert not scene.sink.is_up
+        assert f"only {listener} takes /cmd_vel" in scene.sink.states[-1][1]
+
+    play(monkeypatch, story, cmd_vel_listeners=["ekf"])
 
 
 def test_the_adapters_environment_is_that_of_the_options(monkeypatch: pytest.MonkeyPatch) -> None:

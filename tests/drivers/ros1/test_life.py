@@ -8,6 +8,7 @@ import itertools
 import os
 import signal
 import socket
+import subprocess
 import threading
 import time
 import xmlrpc.client
@@ -29,7 +30,7 @@ from swarmd.drivers.ros1.serialization import definition, type_name
 from swarmd.testing import driver_contract
 from swarmd.testing.driver_contract import CollectingSink, DriverHarness, is_running
 from tests.drivers.ros1.rig import RosRobot
-from tests.support.processes import CAP
+from tests.support.processes import CAP, wait_until
 from tests.support.roscore import RosCore
 
 
@@ -140,6 +141,32 @@ def test_an_adapter_that_ends_or_hangs_is_replaced_and_stops_the_base(
         await asyncio.sleep(0.1)
         assert all(twist.is_zero for twist in body.commands())
         await drive(harness, body)
+
+    play(RosRobot(roscore), story)
+
+
+def test_a_frozen_adapter_delivers_no_late_command(roscore: RosCore) -> None:
+    """Frozen for less than the time after which it is replaced."""
+
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        await drive(harness, body)
+        os.kill(adapter(harness.driver), signal.SIGSTOP)
+        await asyncio.sleep(0.05)  # its threads stop one after the other
+        for number in range(12):
+            harness.driver.send(Twist(0.1, 0.01 * number), 1, 1)
+            await asyncio.sleep(0.05)
+        body.commands()
+        os.kill(adapter(harness.driver), signal.SIGCONT)
+        taken: list[Twist] = []
+
+        def drives_on() -> bool:
+            harness.driver.send(Twist(0.2), 1, 1)
+            taken.extend(body.commands())
+            return bool(taken) and taken[-1].linear == 0.2
+
+        await harness.until(drives_on, publishing=True)
+        late = [twist for twist in taken if twist.linear == 0.1 and twist.angular < 0.075]
+        assert not late, "0.25 s old or older"
 
     play(RosRobot(roscore), story)
 
@@ -262,14 +289,16 @@ def test_a_stopped_robot_gets_zero_after_each_command_of_another_node(roscore: R
         polls = itertools.count()
 
         def is_answered() -> bool:
-            """The last six alternate, though ten of the other node come for each zero of ours."""
+            """Zero follows each of three commands, though ten come for each of the daemon's."""
             count = next(polls)
             if count % 50 == 0:
                 harness.driver.send(Twist(), 1, 1, is_stopped=True)
             if count % 5 == 0:
                 other.send(Twist(0.3), 1, 1)
             taken.extend(body.commands())
-            return [twist.linear for twist in taken[-6:]] in ([0.3, 0.0] * 3, [0.0, 0.3] * 3)
+            speeds = [twist.linear for twist in taken[-60:]]
+            pairs = [*itertools.pairwise(speeds)]
+            return pairs.count((0.3, 0.0)) >= 3 and (0.3, 0.3) not in pairs
 
         await harness.until(is_answered, publishing=True)
         await harness.until(lambda: "someone else drives" in why(harness.sink))
@@ -295,6 +324,55 @@ def test_a_second_lidar_holds_the_robot_until_its_node_is_killed(roscore: RosCor
         await harness.until(lambda: harness.sink.hold is None, publishing=True)
 
     play(RosRobot(roscore), story)
+
+
+def test_no_motion_reaches_two_bases_and_the_end_of_one_frees_the_other(
+    roscore: RosCore,
+) -> None:
+    body = RosRobot(roscore)
+    other = RosRobot(roscore, "--name", "other", namespace=body.namespace)
+    taken: list[Twist] = []
+
+    async def story(harness: DriverHarness) -> None:
+        def is_held() -> bool:
+            harness.driver.send(Twist(0.1), 1, 1)
+            taken.extend([*body.commands(), *other.commands()])
+            return harness.sink.hold is Reason.BASE_CONFLICT
+
+        await harness.until(is_held, publishing=True)
+        await harness.until(lambda: is_held() and len(taken) >= 40, publishing=True)
+        assert all(twist.is_zero for twist in taken)
+        assert "/other, " in why(harness.sink)
+        other.close()  # SIGKILL: the master still lists it
+        await harness.until(lambda: harness.sink.hold is None, publishing=True)
+        await drive(harness, body)
+
+    driver_contract.play(body, story, connected=False)
+
+
+def test_rostopic_echo_holds_nothing(roscore: RosCore) -> None:
+    async def story(harness: DriverHarness, body: RosRobot) -> None:
+        topic = f"{body.namespace}/cmd_vel"
+        with subprocess.Popen(
+            ["rostopic", "echo", topic], env=roscore.environ, stdout=subprocess.DEVNULL
+        ) as echo:
+            try:
+                await asyncio.to_thread(
+                    wait_until, lambda: len(_takers(roscore, topic)) == 2, "an echo"
+                )
+                await drive(harness, body)
+                assert harness.sink.hold is None
+            finally:
+                echo.kill()
+
+    play(RosRobot(roscore), story)
+
+
+def _takers(core: RosCore, topic: str) -> list[str]:
+    """The nodes that subscribe to a topic, without adapters."""
+    with xmlrpc.client.ServerProxy(core.uri) as master:
+        _, subscribers, _ = _value(master.getSystemState("/test"))
+    return [node for node in dict(subscribers).get(topic, []) if "swarmd" not in node]
 
 
 def test_a_node_that_connects_and_sends_nothing_blocks_no_base(roscore: RosCore) -> None:

@@ -32,7 +32,7 @@ BEGIN = 1000.0
 MOVING = serialization.encode_twist(Twist(0.1, -0.2))
 TURNING = serialization.encode_twist(Twist(0.0, 0.1))
 ZERO = bytes(48)
-STAMPED = {"type": "geometry_msgs/TwistStamped", "frame_id": "base"}
+KINDS = ["geometry_msgs/Twist", "geometry_msgs/TwistStamped"]
 
 
 class NoMore(Exception):
@@ -54,13 +54,14 @@ class Scene:
             monotonic=lambda: self.now, sleep=self._sleep, time_ns=lambda: 5_000_000_007
         )
         monkeypatch.setattr(ros1_adapter, "time", clock)
-        kinds = {"topic": "/cmd_vel", "type": "geometry_msgs/Twist", "md5sum": "", "full_text": ""}
-        command = {**kinds, "frame_id": "", **config.pop("command", {})}
         given = {"master": "http://127.0.0.1:9", "name": "swarmd_r", "topics": [], "types": [],
-                 "md5sums": [], "command_topic": "/cmd_vel", "holds": False, **config}  # fmt: skip
+                 "md5sums": [], "kept_topics": [], "command_topics": ["/cmd_vel"],
+                 "command_types": KINDS[:1],
+                 "definitions": {kind: ["", ""] for kind in KINDS}, "frame_id": "",
+                 "is_check": False, "holds": False, **config}  # fmt: skip
         sock: Any = self
         offered = {
-            "config": {**given, "command": command},
+            "config": given,
             "sock": sock,
             "rospy": self._rospy(),
             "master": SimpleNamespace(caller="", forget=lambda: None),
@@ -201,6 +202,18 @@ def test_a_command_that_waited_for_0_2_s_is_dropped(scene: Scene) -> None:
     assert len(scene.published) == 1
 
 
+@pytest.mark.parametrize("frozen", [0.25, 0.6, 0.95])
+def test_a_thawed_adapter_passes_on_what_is_younger_than_0_2_s(scene: Scene, frozen: float) -> None:
+    scene.command(MOVING)
+    begin = scene.now
+    sent = [begin + 0.05 * i for i in range(1, round(frozen / 0.05))]
+    scene.now, scene.published = begin + frozen, []
+    frames = [COMMAND_HEAD.pack(COMMAND, at) + MOVING for at in sent]
+    scene.deliver(*frames)
+    assert len(scene.published) == sum(begin + frozen - at < 0.2 for at in sent)
+    assert 3 <= len(scene.published) <= 4
+
+
 def test_after_the_daemons_end_the_adapter_sends_zeros_for_2_s_and_leaves(scene: Scene) -> None:
     scene.command(MOVING)
     scene.deliver(b"")
@@ -237,7 +250,7 @@ def test_no_command_is_passed_on_after_a_request_to_end(scene: Scene) -> None:
 
 
 def test_zeros_of_its_own_are_of_the_bases_type(monkeypatch: pytest.MonkeyPatch) -> None:
-    scene = Scene(monkeypatch, command=STAMPED)
+    scene = Scene(monkeypatch, command_types=KINDS[1:], frame_id="base")
     scene.command(struct.pack("<4I", 0, 1, 2, 0) + MOVING)
     scene.pass_time(0.5)
     assert scene.published[0][1] == serialization.encode_twist_stamped(
