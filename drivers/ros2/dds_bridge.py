@@ -12,8 +12,9 @@ from swarmd.core.values import Platform, Value
 from swarmd.driver_api.driver import ZeroSenderSpec
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.ros.cdr import name_of
-from swarmd.drivers.ros.diagnosis import Endpoint
-from swarmd.drivers.ros.options import RosOptions, read_options
+from swarmd.drivers.ros.endpoints import Endpoint
+from swarmd.drivers.ros.foreign_commands import ROS2_ACTIONS
+from swarmd.drivers.ros.options import RosOptions, of_commands, read_options
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.drivers.ros2.emulator import EmulatedRobots, EmulatorSpec
 from swarmd.drivers.ros2.key_scheme import Ros2Middleware, TopicEnd
@@ -21,13 +22,18 @@ from swarmd.drivers.ros2.zero_sender import RosZeroSender
 
 NAME = "ros2dds"
 
+_RELIABILITY = {"0": "best effort", "1": "reliable"}  # by the numbers of DDS
+_TRANSIENT_LOCAL = "1"
+
 
 def make_driver(
     *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
 ) -> RosDriver:
     """A driver that has not connected yet; ConfigError for unknown options."""
-    read = read_options(RosOptions, options, NAME, robot)
-    spec = ZeroSenderSpec(f"{__name__}:make_zero_sender", {"robot": robot, "given": dict(options)})
+    read = read_options(RosOptions, options, NAME, robot, platform)
+    spec = ZeroSenderSpec(
+        f"{__name__}:make_zero_sender", {"robot": robot, "given": of_commands(options)}
+    )
     return RosDriver(NAME, Ros2Dds(), platform, read, spec)
 
 
@@ -54,8 +60,11 @@ class Ros2Dds(Ros2Middleware):
         " its ROS_DOMAIN_ID, ROS_DISTRO and localhost settings"
     )
     announcements = "@/*/@ros2_lv/**"
-    nodes = "@/*/ros2/node/**"
+    nodes: tuple[str, ...] = ("@/*/ros2/config", "@/*/ros2/node/**")
+    dds = "@/*/ros2/dds/*/*/*"
     is_node = False
+    crashed = "zenoh-bridge-ros2dds will forget it: start that again"
+    lease = 13.0  # DDS: 10 s, and the bridge is asked every 2 s
     domain: int | None = None
 
     def subscription_key(self, topic: str) -> str:
@@ -67,12 +76,21 @@ class Ros2Dds(Ros2Middleware):
         return "" if key == self.subscription_key(topic) else f"sent on key {key[:80]!a}"
 
     def parse_token(self, token: str) -> Endpoint | None:
-        """From `@/<zid>/@ros2_lv/{MP|MS}/<key>/<type>/<qos>`, with § for the slashes inside."""
+        """From `@/<zid>/@ros2_lv/{MP|MS}/<key>/<type>/<qos>`, with § for the slashes inside.
+
+        The server of an action has one token, `AS/<key>/<type>`; it stands for the action's status.
+        """
         parts = token.split("/")
+        if len(parts) == 6 and parts[3] == "AS":
+            topic = f"/{parts[4].replace('§', '/')}/{ROS2_ACTIONS.status}"
+            return Endpoint(True, topic, name_of(ROS2_ACTIONS.message_type), parts[1])
         if len(parts) != 7 or parts[3] not in ("MP", "MS"):
             return None
         topic, type_name = (part.replace("§", "/") for part in parts[4:6])
-        return Endpoint(parts[3] == "MP", f"/{topic}", type_name, parts[1])
+        _, reliability, durability, *_ = f"{parts[6]}:::".split(":")
+        quality = _RELIABILITY.get(reliability, "")
+        quality += ", transient local" if quality and durability == _TRANSIENT_LOCAL else ""
+        return Endpoint(parts[3] == "MP", f"/{topic}", type_name, parts[1], quality=quality)
 
     def key(self, topic: str, message_type: type) -> str:
         """The one key of the topic."""

@@ -6,6 +6,7 @@ import asyncio
 import logging
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import zenoh
@@ -20,42 +21,57 @@ from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros.diagnosis import (
-    Endpoint,
+    Conflict,
     Graph,
     Report,
-    driven_by_others,
+    driven,
     has_enough,
     incomplete,
-    scan_conflict,
+    unlisted,
     unreachable,
 )
+from swarmd.drivers.ros.endpoints import Endpoint, with_nodes
+from swarmd.drivers.ros.foreign_commands import ROS2_ACTIONS, ForeignCommands
 from swarmd.drivers.ros.options import RosOptions
-from swarmd.drivers.ros.subscriptions import Subscriptions
-from swarmd.drivers.ros2.duplicate_nodes import DuplicateNodes
+from swarmd.drivers.ros.subscriptions import Deliver, Subscriptions
+from swarmd.drivers.ros.zero_answers import ZeroAnswers
+from swarmd.drivers.ros2.command_credit import CommandCredit
+from swarmd.drivers.ros2.kept_messages import KEPT, KeptMessages
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
-from swarmd.drivers.ros2.session import command_publisher, linked_hubs, open_session
-from swarmd.network.session import has_subscriber, open_in_thread
+from swarmd.drivers.ros2.node_list import NodeListQuery
+from swarmd.drivers.ros2.route_quality import RouteQualities
+from swarmd.drivers.ros2.session import (
+    MAX_OPEN_TIME,
+    OPEN_TIME,
+    ask_hub,
+    command_publisher,
+    linked_hubs,
+    open_session,
+    subscribe_with_history,
+)
+from swarmd.drivers.ros2.zero_sender import zero_hint, zeros
+from swarmd.network.session import has_subscriber, open_in_thread, undeclare
 
 log = logging.getLogger(__name__)
 
 SENSOR_TIMEOUT = 1.0
 """Seconds without scan or odometry after which the base counts as lost; longer for slow scans."""
-YIELD_TIME = 2.0
-"""Seconds without commands after another node has published a non-zero one."""
-
-MAX_FOREIGN_ZEROS = 3.0
-"""Seconds of another node's zeros after which they are reported; a watchdog's last 2 s."""
 
 _PERIOD = 0.1
 _GRAPH_TIMEOUT = 1.0
 _EXPLAIN_PERIOD = 2.0
 _MAX_ENDPOINTS, _MAX_TOKEN = 4096, 1000
-_COMMAND = "cmd_vel"
 _KEY_FAULT = ":type"
 
 
 class RosDriver:
-    """Talks to one robot through the hub at `options.endpoint`."""
+    """Talks to one robot through the hub at `options.endpoint`.
+
+    A safe command passes `CommandGate` (zero first after each connection; nothing while the base is
+    lost), then `CommandCredit` (a command to move waits for a sign of life of the hub). The driver
+    sends further zeros: when the gate closes, for 2 s after a loss, and against the commands of
+    another node (`ZeroAnswers`). Nothing delays a zero.
+    """
 
     is_simulated = False
 
@@ -71,10 +87,12 @@ class RosDriver:
         self._name, self._scheme, self._platform = name, scheme, platform
         self._options, self._zero_sender = options, zero_sender
         self._cmd_vel = options.topic(options.cmd_vel)
-        self._command_type = options.command_type
+        self._zero_by_key = zeros(scheme, options)
         self._sensor_timeout = max(SENSOR_TIMEOUT, 3.5 / platform.scan.rate)
         self._subscriptions = Subscriptions(options, platform)
-        cdr.warm(self._command_type, *(t.message_type for t in self._subscriptions.topics.values()))
+        cdr.warm(
+            *options.command_types, *(t.message_type for t in self._subscriptions.topics.values())
+        )
         self._reset()
 
     async def run(self, sink: Sink) -> None:
@@ -86,15 +104,25 @@ class RosDriver:
     ) -> None:
         """Send a safe command; dropped while the base is lost, zero the first time it is back.
 
-        A stopped robot is sent zero also while the base is lost: another node may command it.
+        A stopped robot is sent zero also while the base is lost: another node may command it. A
+        non-zero command waits for a sign of life of the hub (`CommandCredit`).
         """
+        twist = ZERO if self._conflict else twist
+        loop = asyncio.get_running_loop()
         command = self._gate.filter(twist, is_stopped=is_stopped)
         if command is not None:
-            self._put(command, self._options.cmd_vel_frame if self._gate.is_open else "")
+            self._pass(self._credit.offer(command, loop.time()))
+        if self._session is not None and self._credit.asks(loop.time()):
+            ask_hub(self._session, partial(hand_over, loop, self._on_answer))
 
     def zero_sender(self) -> ZeroSenderSpec:
         """How the watchdog sends zero to this base."""
         return self._zero_sender
+
+    @property
+    def zero_hint(self) -> str:
+        """For the watchdog: the class of commands that the base wants; empty while unknown."""
+        return zero_hint(self._command_type)
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """Topics, rates, types, clocks and what is missing, each with the next step."""
@@ -104,12 +132,29 @@ class RosDriver:
         try:
             while loop.time() - began < seconds and not task.done():
                 await asyncio.sleep(min(_PERIOD, seconds))
-                if has_enough(self._subscriptions, loop.time() - began):
+                if has_enough(self._subscriptions, loop.time() - began) and not (
+                    self._nodes.is_awaited(self._announcing())
+                ):
                     break
             return self._report().findings()
         finally:
             task.cancel()
             await asyncio.gather(task, return_exceptions=True)
+
+    def _pass(self, twist: Twist | None) -> None:
+        if twist is not None:
+            self._put(twist, self._options.cmd_vel_frame if self._gate.is_open else "")
+
+    def _on_answer(self) -> None:
+        """The hub has answered."""
+        now = asyncio.get_running_loop().time()
+        self._credit.hear(now)
+        self._release(now)
+
+    def _release(self, now: float) -> None:
+        """Send the command that is held, if it may leave and the base is still to be driven."""
+        held = self._credit.release(now)
+        self._pass(None if held is None or self._conflict else self._gate.filter(held))
 
     def _report(self) -> Report:
         graph = self._foreign_graph()
@@ -121,10 +166,12 @@ class RosDriver:
             subscriptions=self._subscriptions,
             spec=self._platform.scan,
             cmd_vel=self._cmd_vel,
-            command_type=self._command_type,
+            command_types=self._options.command_types,
             has_subscriber=self._has_subscriber(),
-            foreign_commands=self._foreign_commands,
+            foreign=self._foreign,
+            unpassed=self._routes.faults(graph),
             foreign_publishers=[end.owner for end in graph.publishers(self._cmd_vel)],
+            unlisted="" if self._nodes.is_known(self._announcing()) else unlisted(self._scheme),
             now=asyncio.get_running_loop().time(),
         )
 
@@ -134,16 +181,22 @@ class RosDriver:
         self._tokens: list[zenoh.LivelinessToken] = []
         self._command_token = ""
         self._endpoints: dict[str, Endpoint] = {}
+        self._others: list[Endpoint] | None = None
+        self._withdrawn_at = -math.inf
         self._graph_query: object | None = None
+        self._kept: KeptMessages | None = None
         self._hubs: frozenset[str] = frozenset()
-        self._duplicates = DuplicateNodes(self._scheme.nodes, self._cmd_vel)
-        self._gate = CommandGate()
+        self._nodes = NodeListQuery(self._scheme.nodes, self._on_nodes)
+        sensed = [stats.topic for stats in self._subscriptions.topics.values() if stats.is_needed]
+        self._routes = RouteQualities(self._scheme.dds, sensed, self._cmd_vel)
+        self._gate, self._credit = CommandGate(), CommandCredit()
+        self._zeros = ZeroAnswers(self._gate, partial(self._put, ZERO, frame=""))
         self._was_linked = False
-        self._foreign_motion_at = -math.inf
-        self._foreign_zeros_from = self._foreign_zero_at = -math.inf
-        self._foreign_commands = 0
+        self._foreign = ForeignCommands(self._options, ROS2_ACTIONS)
+        allowed = self._options.command_types
+        self._command_type = self._opened_type = allowed[0] if len(allowed) == 1 else None
         self._reported: tuple[bool, str, Reason | None, bool] | None = None
-        self._conflict = ""
+        self._conflict: Conflict | None = None
         self._reported_at = -math.inf
         self._was_incomplete = False
 
@@ -155,13 +208,15 @@ class RosDriver:
         inbox = LatestSamples(loop, partial(self._take, sink, is_check), sink.dropped)
         try:
             self._session, self._was_linked = session, True
-            for key in self._scheme.command_keys(self._cmd_vel, self._command_type):
+            self._kept = KeptMessages(self._scheme, self._subscriptions.kept_topics, inbox.put)
+            for key in self._zero_by_key:
                 self._publishers[key] = command_publisher(session, key)
             self._listen(session, inbox, loop)
             opened = loop.time()
             while True:
                 await asyncio.sleep(_PERIOD)
-                self._duplicates.query(session, loop.time())
+                self._nodes.query(session, self._announcing(), loop)
+                self._routes.query(session, loop.time())
                 self._watch(sink, session, loop.time(), opened)
         finally:
             inbox.close()
@@ -174,10 +229,13 @@ class RosDriver:
 
     async def _opened(self, sink: Sink) -> zenoh.Session:
         """A session, opened once something listens at the endpoint; closed if this is cancelled."""
+        within = OPEN_TIME
         while True:
-            session = await open_in_thread(partial(open_session, self._options.endpoint))
+            opening = partial(open_session, self._options.endpoint, within=within)
+            session = await open_in_thread(opening)
             if session is not None:
                 return session
+            within = MAX_OPEN_TIME
             self._report_state(sink, False, self._unreachable())
 
     def _listen(
@@ -191,16 +249,21 @@ class RosDriver:
             self._scheme.announcements, Callback(on_token, indirect=False), history=True
         )
         self._query_graph(session, loop)
-        topics = [(t.name, t.topic, t.message_type) for t in self._subscriptions.topics.values()]
-        for name, topic, message_type in (
-            *topics,
-            (_COMMAND, self._cmd_vel, self._command_type),
-        ):
+        for stats in self._subscriptions.topics.values():
             session.declare_subscriber(
-                self._scheme.subscription_key(topic),
-                _receiver(self._scheme, inbox, name, topic, message_type),
+                self._scheme.subscription_key(stats.topic),
+                _receiver(self._scheme, inbox, stats.name, stats.topic, stats.message_type),
                 allowed_origin=zenoh.Locality.REMOTE,
             )
+        for topic in self._foreign.topics:
+            session.declare_subscriber(
+                self._scheme.subscription_key(topic),
+                _command_receiver(inbox, topic),
+                allowed_origin=zenoh.Locality.REMOTE,
+            )
+        for topic in self._foreign.actions:
+            key = self._scheme.subscription_key(topic)
+            subscribe_with_history(session, key, _command_receiver(inbox, topic))
 
     def _query_graph(self, session: zenoh.Session, loop: asyncio.AbstractEventLoop) -> None:
         """Query the announcements: the base stays lost until the answer is complete.
@@ -238,75 +301,160 @@ class RosDriver:
         end = self._scheme.parse_token(token)
         if end is None:
             return
-        if is_there and len(self._endpoints) < _MAX_ENDPOINTS:
-            self._endpoints[token] = end
+        now, self._others = asyncio.get_running_loop().time(), None
+        most = _MAX_ENDPOINTS * (2 if end.topic in self._needed() else 1)  # others leave it room
+        if is_there and len(self._endpoints) < most:
+            self._endpoints.setdefault(token, replace(end, since=now))
         elif not is_there:
             self._endpoints.pop(token, None)
-            if not end.is_publisher and end.topic == self._cmd_vel:
+            self._withdrawn_at = now
+            if end.topic in self._foreign.actions:  # its server has gone, and tells no end
+                self._foreign.end_goals(end.topic, now)
+        if not end.is_publisher and end.topic == self._cmd_vel:
+            if not is_there:
                 self._gate.require_zero()
+            self._command_type = self._wanted_type()
+            self._nodes.renew()
+        if end.is_publisher and self._kept and end.topic in self._kept and self._session:
+            if not is_there:
+                self._subscriptions.forget(end.topic)
+            if is_there or self._is_published(end.topic):  # a bridge's cache outlives its writer
+                self._kept.query(self._session, end.topic)
+
+    def _on_nodes(self) -> None:
+        """The bridges have listed their nodes, which may want another type of commands."""
+        self._others = None
+        self._command_type = self._wanted_type()
+
+    def _announcing(self) -> frozenset[str]:
+        """The sessions of others that announce a topic of this robot."""
+        topics = self._needed() - self._foreign.actions.keys()
+        ends = self._endpoints.values()
+        return frozenset(end.zid for end in ends if end.topic in topics) - {self._own_zid()}
+
+    def _needed(self) -> frozenset[str]:
+        """The topics of this robot, by their full names."""
+        sensed = (one.topic for one in self._subscriptions.topics.values())
+        return frozenset((self._cmd_vel, *sensed, *self._foreign.actions))
+
+    def _own_zid(self) -> str:
+        return str(self._session.info.zid()) if self._session is not None else ""
 
     def _foreign_graph(self) -> Graph:
         """The endpoints of others."""
-        own = str(self._session.info.zid()) if self._session is not None else ""
-        foreign = [end for end in self._endpoints.values() if end.zid != own]
-        return Graph(middleware=self._scheme, endpoints=foreign)
+        if self._others is None:
+            own, is_newer = self._own_zid(), self._nodes.asked_at > self._withdrawn_at
+            announced = [end for end in self._endpoints.values() if end.zid != own]
+            ends = with_nodes(announced, self._nodes.nodes.endpoints, self._nodes.asked_at)
+            self._others = [end for end in ends if end.is_routed or is_newer]
+        return Graph(
+            middleware=self._scheme,
+            endpoints=self._others,
+            options=self._options,
+            heard={one.topic for one in self._subscriptions.topics.values() if one.count},
+            now=asyncio.get_running_loop().time(),
+        )
+
+    def _wanted_type(self) -> type | None:
+        allowed = self._options.command_types
+        return self._foreign_graph().command_type(self._cmd_vel, allowed)
 
     def _take(self, sink: Sink, is_check: bool, name: str, payload: bytes) -> None:
         now = asyncio.get_running_loop().time()
-        if name.removesuffix(_KEY_FAULT) == _COMMAND:
+        self._credit.hear(now)
+        self._accept(sink, is_check, name, payload, now)
+        self._release(now)  # unless the message led to a newer command
+
+    def _accept(self, sink: Sink, is_check: bool, name: str, payload: bytes, now: float) -> None:
+        if name in self._foreign.topics:
             self._on_command(sink, name, payload, now)
+        elif name in self._foreign.actions:
+            self._on_status(sink, name, payload, now)
         elif name.endswith(_KEY_FAULT):
             stats = self._subscriptions.topics[name.removesuffix(_KEY_FAULT)]
             stats.record_fault(now, payload.decode(errors="replace"))
             sink.dropped(name)
         else:
             try:
-                deliver = self._subscriptions.read(name, payload, now)
+                deliver = self._read(name, payload, now)
             except CodecError as error:
+                name = name.removesuffix(KEPT)
                 self._subscriptions.topics[name].record_fault(now, f"cannot be read: {error}")
                 sink.dropped(name)
                 return
             self._open_gate(sink, is_check, now)
-            if self._gate.is_open or now - self._foreign_motion_at < YIELD_TIME:
+            if self._gate.is_open or self._foreign.source(now):
                 deliver(sink)  # also while another node drives: a stop tells the measured speed
 
-    def _on_command(self, sink: Sink, name: str, payload: bytes, now: float) -> None:
+    def _read(self, name: str, payload: bytes, now: float) -> Deliver:
+        topic = name.removesuffix(KEPT)
+        if topic == name:
+            return self._subscriptions.read(name, payload, now)
+        if not self._is_published(self._subscriptions.topics[topic].topic):
+            return self._subscriptions.readings(now)  # its publisher has left meanwhile
+        return self._subscriptions.read(topic, payload, now, is_kept=True)
+
+    def _is_published(self, topic: str) -> bool:
+        return bool(self._foreign_graph().publishers(topic))
+
+    def _on_command(self, sink: Sink, topic: str, payload: bytes, now: float) -> None:
         """Another node publishes a command; a zero does not count as driving.
 
         If the robot must stand, zero follows at once. Else this driver falls silent.
         """
-        self._foreign_commands += 1
-        if name == _COMMAND:
-            try:
-                if from_ros.twist_of(cdr.decode(self._command_type, payload)).is_zero:
-                    if now - self._foreign_zero_at > YIELD_TIME:
-                        self._foreign_zeros_from = now
-                    self._foreign_zero_at = now
-                    return
-            except CodecError:
-                pass  # of another type than ours: it may well move the robot
-        self._foreign_motion_at = now
+        graph = self._foreign_graph()
+        types = [end.type for end in graph.publishers(topic)]
+        if not self._foreign.take_command(topic, payload, types, now):
+            return
         if self._gate.is_open:
-            self._close_gate(sink, driven_by_others(self._cmd_vel))
-        elif self._gate.is_stopped:
-            self._put(ZERO, frame="")
+            self._close_gate(sink, driven(self._foreign, graph, now))
+        self._zeros.answer()
+
+    def _on_status(self, sink: Sink, topic: str, payload: bytes, now: float) -> None:
+        """The states of the goals of an action that may drive the base."""
+        try:
+            status: object = cdr.decode(ROS2_ACTIONS.message_type, payload)
+        except CodecError:
+            sink.dropped(topic)
+            return
+        if self._foreign.take_status(topic, status, now) and self._gate.is_open:
+            self._close_gate(sink, driven(self._foreign, self._foreign_graph(), now))
 
     def _open_gate(self, sink: Sink, is_check: bool, now: float) -> None:
-        if self._gate.is_open or self._subscriptions.last_arrival < now or self._obstacle(now):
+        if self._gate.is_open or self._subscriptions.last_arrival < now or self._command_fault(now):
             return
+        self._conflict = self._find_conflict()
         self._gate.open()
-        self._report_state(sink, True, self._conflict or self._place())
-        if self._scheme.is_node and not is_check and not self._tokens and self._session is not None:
-            ends = [
-                TopicEnd(t.topic, t.message_type, is_publisher=False, is_reliable=False, depth=1)
-                for t in self._subscriptions.topics.values()
-            ]
-            command = TopicEnd(
-                self._cmd_vel, self._command_type, is_publisher=True, is_reliable=True, depth=1
+        self._report_state(sink, True, self._connected_text())
+        self._subscriptions.deliver_all(sink, now)
+        if self._scheme.is_node and not is_check:
+            self._announce(self._command_type)
+        self._opened_type = self._command_type
+
+    def _announce(self, command_type: type | None) -> None:
+        """Announce this node once, and again when its commands have another type."""
+        if self._session is None or command_type is None:
+            return
+        if self._tokens and command_type is self._opened_type:
+            return
+        undeclare(*self._tokens)
+        graph = self._foreign_graph()
+        ends = [
+            TopicEnd(
+                stats.topic,
+                stats.message_type,
+                is_publisher=False,
+                is_reliable=graph.is_reliable(stats.topic),
+                depth=1,
             )
-            tokens = self._scheme.tokens(str(self._session.info.zid()), [*ends, command])
-            self._command_token = tokens[-1]
-            self._tokens += map(self._session.liveliness().declare_token, tokens)
+            for stats in self._subscriptions.topics.values()
+        ]
+        command = TopicEnd(
+            self._cmd_vel, command_type, is_publisher=True, is_reliable=True, depth=1
+        )
+        tokens = self._scheme.tokens(str(self._session.info.zid()), [*ends, command])
+        self._command_token = tokens[-1]
+        self._tokens = [*map(self._session.liveliness().declare_token, tokens)]
 
     def _close_gate(self, sink: Sink, text: str) -> None:
         if self._gate.close(asyncio.get_running_loop().time()):
@@ -321,10 +469,12 @@ class RosDriver:
             self._gate.repeat_zero(now)
             if before:
                 self._query_graph(session, asyncio.get_running_loop())
-        if stale := self._subscriptions.stale_readings(now):
-            stale(sink)
+        if not hubs and self._was_linked:
+            self._subscriptions.forget()
+        if self._gate.is_open:
+            self._subscriptions.deliver_changes(sink, now)
         was_linked, self._was_linked = self._was_linked, bool(hubs)
-        conflict, self._conflict = self._conflict, self._scan_conflict()
+        conflict, self._conflict = self._conflict, self._find_conflict()
         if self._gate.is_open and not hubs:
             self._close_gate(sink, self._unreachable())
         elif self._gate.is_open and before and hubs != before:
@@ -333,13 +483,17 @@ class RosDriver:
             self._close_gate(
                 sink, f"no scan and no odometry from {self._place()} for {silent:.1f} s"
             )
-        elif self._gate.is_open and (obstacle := self._obstacle(now)):
-            self._close_gate(sink, obstacle)
+        elif self._gate.is_open and (fault := self._command_fault(now)):
+            self._close_gate(sink, fault)
+        elif self._gate.is_open and self._command_type is not self._opened_type:
+            self._close_gate(
+                sink, f"the base wants another type of commands on {self._cmd_vel} now"
+            )
         elif self._gate.is_open and conflict != self._conflict:
-            self._report_state(sink, True, self._conflict or self._place())
+            self._report_state(sink, True, self._connected_text())
         elif self._reported is not None and was_linked != self._was_linked:
             self._report_state(sink, *self._reported[:2])  # zeros of a stopped robot arrive now
-        elif self._gate.repeats_zero(now) and now - self._foreign_motion_at >= YIELD_TIME:
+        elif self._gate.repeats_zero(now) and not self._foreign.source(now):
             self._put(ZERO, frame="")
         if now - self._reported_at >= _EXPLAIN_PERIOD and now - opened >= _EXPLAIN_PERIOD:
             self._explain(sink, now, is_linked=bool(hubs))
@@ -348,54 +502,58 @@ class RosDriver:
         """Report again why the base is lost, or what is missing although it is connected."""
         if is_linked:
             is_alive = now - self._subscriptions.last_arrival <= self._sensor_timeout
-            obstacle = (
-                self._obstacle(now)
-                if is_alive or now - self._foreign_motion_at < YIELD_TIME
-                else ""
-            )
+            fault = self._command_fault(now) if is_alive or self._foreign.source(now) else ""
             self._report_state(
-                sink, self._gate.is_open, obstacle or self._trouble(now) or self._place()
+                sink, self._gate.is_open, fault or self._topic_fault(now) or self._place()
             )
         else:
             self._report_state(sink, self._gate.is_open, self._unreachable())
 
-    def _obstacle(self, now: float) -> str:
+    def _command_fault(self, now: float) -> str:
         """Why the base must not be commanded although its messages arrive; empty otherwise."""
-        if now - self._foreign_motion_at < YIELD_TIME:
-            return driven_by_others(self._cmd_vel)
+        graph = self._foreign_graph()
+        if by_others := driven(self._foreign, graph, now):
+            return by_others
         if self._graph_query is not None:
             return f"{self._place()} has not listed its nodes yet"
-        if self._duplicates.duplicate:
-            node, hub = self._duplicates.duplicate, self._scheme.hub
-            return f"{node} crashed and is back; {hub} will forget it: start that again"
-        graph = self._foreign_graph()
-        # Without announcements the subscribers of the base are unknown.
-        has_subscriber = not graph.endpoints or self._has_subscriber()
-        return graph.no_subscriber(self._cmd_vel, self._command_type, has_subscriber=has_subscriber)
+        if not self._gate.is_open and self._nodes.is_awaited(self._announcing()):
+            return f"{self._place()} has not listed its nodes yet"
+        # Where nothing was ever announced, the subscribers of the base are unknown.
+        is_unknown = not graph.endpoints and math.isinf(self._withdrawn_at)
+        has_subscriber = is_unknown or self._has_subscriber()
+        allowed = self._options.command_types
+        return graph.no_subscriber(self._cmd_vel, allowed, has_subscriber=has_subscriber)
 
     def _has_subscriber(self) -> bool:
         return any(has_subscriber(publisher) for publisher in self._publishers.values())
 
-    def _trouble(self, now: float) -> str:
+    def _topic_fault(self, now: float) -> str:
         """The first fault of the robot's topics; empty without one."""
-        lasts = self._foreign_zero_at - self._foreign_zeros_from
-        if lasts > MAX_FOREIGN_ZEROS and now - self._foreign_zero_at < YIELD_TIME:
+        if self._foreign.has_lasting_zeros(now):
             return (
                 f"another node stops this robot: zeros on {self._cmd_vel} that are not this"
                 " driver's, such as those of the watchdog of an earlier daemon; end that node"
             )
         graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
         silent = self._subscriptions.silent(now, max(_EXPLAIN_PERIOD, self._sensor_timeout))
+        unpassed = self._routes.faults(graph)
         faults = (
-            self._conflict,
+            self._conflict.text if self._conflict else "",
             *(graph.unreadable(stats) for stats in topics if stats.recent_fault(now)),
-            *(graph.silence(stats) for stats in silent),
-            *(graph.unreliable(stats) for stats in topics if stats.is_needed),
+            *(unpassed.get(stats.topic) or graph.silence(stats) for stats in silent),
+            unpassed.get(self._cmd_vel, ""),
+            *(graph.silence(stats) for stats in self._subscriptions.silent_hazards(now)),
+            *(graph.unreliable(one, self._platform.scan) for one in topics if one.is_needed),
         )
         return next(filter(None, faults), "") or self._incompleteness()
 
-    def _scan_conflict(self) -> str:
-        return scan_conflict(self._foreign_graph(), self._subscriptions.topics.values())
+    def _find_conflict(self) -> Conflict | None:
+        topics = self._subscriptions.topics.values()
+        return self._foreign_graph().conflict(topics, self._platform.scan)
+
+    def _connected_text(self) -> str:
+        """What to report of a base that is connected."""
+        return self._conflict.text if self._conflict else self._place()
 
     def _incompleteness(self) -> str:
         """What all scans lack, as far as the last two that were examined tell."""
@@ -413,7 +571,7 @@ class RosDriver:
 
     def _report_state(self, sink: Sink, is_up: bool, text: str) -> None:
         self._reported_at = asyncio.get_running_loop().time()
-        hold = Reason.SCAN_CONFLICT if self._conflict else None
+        hold = self._conflict.reason if self._conflict else None
         report = (is_up, text, hold, self._was_linked)
         if self._reported == report:
             return
@@ -425,11 +583,25 @@ class RosDriver:
         sink.state(is_up, text, hold=hold, gets_zero=self._was_linked)
 
     def _put(self, twist: Twist, frame: str) -> None:
-        publisher = self._publishers.get(self._scheme.key(self._cmd_vel, self._command_type))
-        if publisher is None:
-            return
-        message = from_ros.command_message(twist, self._command_type, frame)
-        publisher.put(cdr.encode(message), attachment=self._scheme.attachment(self._command_token))
+        """Publish a command; only zero, in each type, while that of the base is not known."""
+        kind = self._command_type
+        if kind is None:
+            sent = self._zero_by_key if twist.is_zero else {}
+        else:
+            message = from_ros.command_message(twist, kind, frame)
+            sent = {self._scheme.key(self._cmd_vel, kind): cdr.encode(message)}
+        for key, payload in sent.items():
+            if key in self._publishers:
+                attachment = self._scheme.attachment(self._command_token)
+                self._publishers[key].put(payload, attachment=attachment)
+
+
+def _command_receiver(inbox: LatestSamples, topic: str) -> Callable[[zenoh.Sample], None]:
+    def on_sample(sample: zenoh.Sample) -> None:
+        # On a key of many topics it may be of any type: empty, it counts as unreadable.
+        inbox.put(topic, b"" if "*" in str(sample.key_expr) else sample.payload.to_bytes())
+
+    return on_sample
 
 
 def _receiver(

@@ -98,7 +98,7 @@ class EmulatedRobots:
     def _start(
         self, robot: str, platform: Platform, options: RosOptions, scheme: KeyScheme
     ) -> _Robot:
-        command_type, topic = options.command_type, options.topic(options.cmd_vel)
+        command_type, topic = options.command_types[0], options.topic(options.cmd_vel)
 
         def on_sample(sample: zenoh.Sample) -> None:
             try:
@@ -133,7 +133,7 @@ class _Robot:
         topic = options.topic(options.odometry)
         odometry = TopicEnd(topic, ros.Odometry, is_publisher=True, is_reliable=True, depth=10)
         published.append(odometry)
-        readings = options.topic_readings()
+        readings = options.topic_readings
         self._readings = {name: len(published) + i for i, name in enumerate(readings)}
         published += [
             TopicEnd(one.topic, one.message_type, is_publisher=True, is_reliable=False, depth=1)
@@ -188,7 +188,7 @@ def _check_distinct(spec: EmulatorSpec, read: Mapping[str, RosOptions]) -> None:
     """ConfigError if two robots would use one topic."""
     owners: dict[str, str] = {}
     for robot, options in read.items():
-        for name in (options.cmd_vel, options.odometry, *(options.ranges or (options.scan,))):
+        for name in (options.cmd_vel, options.odometry, *(options.ranges or (options.scan_topic,))):
             topic = options.topic(name)
             other = owners.setdefault(topic, robot)
             if other != robot:

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from swarmd.drivers.ros.cdr import name_of
-from swarmd.drivers.ros.diagnosis import Endpoint, Middleware
+from swarmd.drivers.ros.diagnosis import Middleware
+from swarmd.drivers.ros.endpoints import Endpoint
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,13 +37,14 @@ class Ros2Middleware:
 class KeyScheme(Middleware, Protocol):
     """Keys and framing of one way of speaking ROS 2 over Zenoh.
 
-    `announcements` is the key expression of the tokens and `nodes` that of a bridge's answers about
-    its nodes, empty where there is no bridge. `is_node`: whether the driver announces itself; only
-    a bridge announces itself to bridges.
+    `announcements` is the key expression of the tokens; `nodes` and `dds` are those of a bridge's
+    answers about its nodes and about the ends of topics in DDS, empty where there is no bridge.
+    `is_node`: whether the driver announces itself; only a bridge announces itself to bridges.
     """
 
     announcements: str
-    nodes: str
+    nodes: tuple[str, ...]
+    dds: str
     is_node: bool
 
     def subscription_key(self, topic: str) -> str:

@@ -18,9 +18,9 @@ from swarmd.core.values import Platform, Value
 from swarmd.driver_api.driver import ZeroSenderSpec
 from swarmd.driver_api.emulator import OnCommand
 from swarmd.drivers.ros.cdr import known_hashes, name_of, type_hash
-from swarmd.drivers.ros.diagnosis import Endpoint
+from swarmd.drivers.ros.endpoints import Endpoint
 from swarmd.drivers.ros.messages import dds_name, ros_name
-from swarmd.drivers.ros.options import RmwOptions, RosOptions, read_options
+from swarmd.drivers.ros.options import RmwOptions, RosOptions, of_commands, read_options
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.drivers.ros2.emulator import EmulatedRobots, EmulatorSpec
 from swarmd.drivers.ros2.key_scheme import Ros2Middleware, TopicEnd
@@ -31,6 +31,7 @@ NO_HASH = "TypeHashNotSupported"
 """Humble's placeholder for every type's hash."""
 
 _MAX_KEY = 600
+_BEST_EFFORT, _TRANSIENT_LOCAL = "2", "1"  # rmw's numbers for reliability and for durability
 _ATTACHMENT = struct.Struct("<qqB16s")
 
 
@@ -38,8 +39,10 @@ def make_driver(
     *, swarm: str, robot: str, platform: Platform, options: Mapping[str, Value]
 ) -> RosDriver:
     """A driver that has not connected yet; ConfigError for unknown options."""
-    read = read_options(RmwOptions, options, NAME, robot)
-    spec = ZeroSenderSpec(f"{__name__}:make_zero_sender", {"robot": robot, "given": dict(options)})
+    read = read_options(RmwOptions, options, NAME, robot, platform)
+    spec = ZeroSenderSpec(
+        f"{__name__}:make_zero_sender", {"robot": robot, "given": of_commands(options)}
+    )
     return RosDriver(NAME, _scheme(read), platform, read, spec)
 
 
@@ -81,8 +84,11 @@ class RmwZenoh(Ros2Middleware):
         "announces no topic at all; start the robot's nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp"
     )
     announcements = "@ros2_lv/**"
-    nodes = ""
+    nodes: tuple[str, ...] = ()
+    dds = ""
     is_node = True
+    crashed = "rmw_zenohd will forget the first within a minute"
+    lease = 62.0  # a router of rmw_zenoh gives a silent session up after 60 s
 
     def __init__(
         self, domain: int, cmd_vel: str, namespace: str = "/", node: str = "swarmd", index: int = 0
@@ -121,7 +127,11 @@ class RmwZenoh(Ros2Middleware):
             return None
         node = f"{parts[7]}%{parts[8]}".replace("%", "/").replace("//", "/")
         topic = parts[9].replace("%", "/")
-        return Endpoint(parts[5] == "MP", topic, ros_name(parts[10]), parts[2], int(parts[1]), node)
+        reliability, _, others = parts[12].partition(":")  # empty where it is the default
+        quality = "best effort" if reliability == _BEST_EFFORT else "reliable"
+        quality += ", transient local" if others.partition(":")[0] == _TRANSIENT_LOCAL else ""
+        domain, type_name = int(parts[1]), ros_name(parts[10])
+        return Endpoint(parts[5] == "MP", topic, type_name, parts[2], domain, node, quality)
 
     def key(self, topic: str, message_type: type) -> str:
         """With Humble's placeholder for the hash if the robot's samples have it."""
@@ -140,7 +150,7 @@ class RmwZenoh(Ros2Middleware):
         found = [f"{context}/{first}/NN/{self._node}"]
         for number, end in enumerate(ends, start=first + 1):
             direction = "MP" if end.is_publisher else "MS"
-            qos = f"{'' if end.is_reliable else '2'}::,{end.depth}:,:,:,,"
+            qos = f"{'' if end.is_reliable else _BEST_EFFORT}::,{end.depth}:,:,:,,"
             found.append(
                 f"{context}/{number}/{direction}/{self._node}/{_mangled(end.topic)}"
                 f"/{dds_name(name_of(end.message_type))}/{self._hash_of(end.message_type)}/{qos}"

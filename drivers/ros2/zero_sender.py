@@ -4,19 +4,44 @@ from __future__ import annotations
 
 import contextlib
 import threading
+from collections.abc import Mapping
 
 import zenoh
 
 from swarmd.core.values import ZERO
-from swarmd.drivers.ros.cdr import encode
+from swarmd.drivers.ros.cdr import encode, name_of
 from swarmd.drivers.ros.from_ros import command_message
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros2.key_scheme import KeyScheme
-from swarmd.drivers.ros2.session import command_publisher, open_session
+from swarmd.drivers.ros2.session import (
+    MAX_OPEN_TIME,
+    OPEN_TIME,
+    command_publisher,
+    open_session,
+)
 
 _OPEN_TIMEOUT = 0.3
-_CONNECT_TIMEOUT = 1.0
 _RETRY_PERIOD = 0.5
+
+
+def zeros(scheme: KeyScheme, options: RosOptions, wanted: str = "") -> Mapping[str, bytes]:
+    """Zero, by each key to which a base may subscribe whatever type it wants.
+
+    `wanted`: the name of the class that the base wants, empty while that is unknown. Where one key
+    carries both types, it is then the zero of a TwistStamped without a frame: read as a Twist, its
+    empty name is a speed of 5e-324 m/s (`base_link` would be 1e180 m/s to the side).
+    """
+    topic = options.topic(options.cmd_vel)
+    return {
+        key: encode(command_message(ZERO, kind, ""))
+        for kind in sorted(options.command_types, key=lambda kind: zero_hint(kind) == wanted)
+        for key in scheme.command_keys(topic, kind)
+    }
+
+
+def zero_hint(kind: type | None) -> str:
+    """What the driver tells the watchdog of the base: the class of its commands; empty for None."""
+    return "" if kind is None else name_of(kind).rpartition("/")[2]
 
 
 class RosZeroSender:
@@ -27,13 +52,10 @@ class RosZeroSender:
 
     def __init__(self, scheme: KeyScheme, options: RosOptions) -> None:
         """Not connected yet."""
-        self._scheme, self._endpoint = scheme, options.endpoint
-        self._keys = scheme.command_keys(options.topic(options.cmd_vel), options.command_type)
-        # A base that reads this as a Twist takes the frame's name for a speed: an empty name is 0,
-        # `base_link` would be 1e180 m/s to the side. The type that it wants is not known here.
-        self._payload = encode(command_message(ZERO, options.command_type, ""))
+        self._scheme, self._options = scheme, options
+        self._zeros = zeros(scheme, options)
         self._session: zenoh.Session | None = None
-        self._publishers: tuple[zenoh.Publisher, ...] = ()
+        self._publishers: Mapping[str, zenoh.Publisher] = {}
         self._closing = threading.Event()
         self._connecting = threading.Thread(target=self._connect, name="connecting", daemon=True)
 
@@ -49,23 +71,29 @@ class RosZeroSender:
 
     def send_zero(self) -> None:
         """Command zero once, now; nothing while there is no connection."""
-        for publisher in self._publishers:
+        for key, publisher in self._publishers.items():
             with contextlib.suppress(zenoh.ZError):
-                publisher.put(self._payload, attachment=self._scheme.attachment())
+                publisher.put(self._zeros[key], attachment=self._scheme.attachment())
+
+    def take_hint(self, hint: str) -> None:
+        """Send the zero of the class of commands that the base wants: see `zero_hint`."""
+        self._zeros = zeros(self._scheme, self._options, hint)
 
     def close(self) -> None:
         """Disconnect; sends nothing."""
         self._closing.set()
         self._connecting.join()
-        session, self._session, self._publishers = self._session, None, ()
+        session, self._session, self._publishers = self._session, None, {}
         if session is not None:
             session.close()
 
     def _connect(self) -> None:
+        within = OPEN_TIME
         while self._session is None and not self._closing.is_set():
-            session = open_session(self._endpoint, within=_CONNECT_TIMEOUT)
+            session = open_session(self._options.endpoint, within=within)
             if session is None:
+                within = MAX_OPEN_TIME
                 self._closing.wait(_RETRY_PERIOD)
                 continue
             self._session = session
-            self._publishers = tuple(command_publisher(session, key) for key in self._keys)
+            self._publishers = {key: command_publisher(session, key) for key in self._zeros}

@@ -265,7 +265,7 @@ class Thymio(BridgedRobot):
 
 def test_a_thymio_drives_with_its_platform_file_and_avoids_a_hand(tmp_path: Path) -> None:
     robot = Thymio()
-    options: dict[str, Value] = {"endpoint": robot.endpoint}
+    options: dict[str, Value] = {"endpoint": robot.endpoint, "cmd_vel_type": "twist"}
     setup = Setup("ros2dds", robot, options, robot.publish_count, platform="thymio")
     with driven(setup, tmp_path) as (course, _, operator):
         wait_until(lambda: course.commands[-1][1].linear > 0.0, "it drives ahead")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
 from cyclonedds.core import Policy, Qos
@@ -25,7 +25,9 @@ _SENSORS = (dds.LaserScan,)
 class DdsNode:
     """Publishes and subscribes to topics, full names such as `/scan`, each with its type.
 
-    It announces itself on `ros_discovery_info`, as each node does; a bridge requires that.
+    It announces itself on `ros_discovery_info`, as each node does; a bridge requires that. `qos`:
+    of topics that have not the usual one. `actions`: full names such as `/dock` of actions that it
+    serves; `goals` publishes the states of an action's goals.
     """
 
     def __init__(
@@ -34,12 +36,26 @@ class DdsNode:
         name: str,
         published: Mapping[str, type] | None = None,
         subscribed: Mapping[str, type] | None = None,
+        *,
+        qos: Mapping[str, Qos] | None = None,
+        actions: Sequence[str] = (),
+        namespace: str = "/",
+        latched: Collection[str] = (),
     ) -> None:
-        """The node exists from now on, with the settings of a `Domain` made before."""
+        """The node exists from now on, with the settings of a `Domain` made before.
+
+        `namespace`, such as `/tb3_01`, is that of its name; topics are given with theirs.
+        `latched`: topics with durability TRANSIENT_LOCAL.
+        """
+        self._latched = latched
         self._participant = DomainParticipant(domain)
+        self._qos = {**(qos or {}), **{f"{name}/_action/status": _KEPT for name in actions}}
+        self._served = [entity for name in actions for entity in self._action(name)]
+        statuses = {f"{name}/_action/status": dds.GoalStatusArray for name in actions}
+        published = {**(published or {}), **statuses}
         self._writers = {
             topic: DataWriter(self._participant, self._topic(topic, kind))
-            for topic, kind in (published or {}).items()
+            for topic, kind in published.items()
         }
         self._subscribed = dict(subscribed or {})
         self._readers = {
@@ -49,10 +65,19 @@ class DdsNode:
         kept = dds.ParticipantEntitiesInfo
         about = Topic(self._participant, "ros_discovery_info", kept, _KEPT)
         self._about = DataWriter(self._participant, about)
-        self._about.write(self._info(name))
+        self._about.write(self._info(name, namespace))
 
     def publish(self, topic: str, message: object) -> None:
         self._writers[topic].write(message)
+
+    def is_heard(self, topic: str) -> bool:
+        """Whether anyone takes what it publishes on a topic."""
+        return bool(self._writers[topic].get_matched_subscriptions())
+
+    def goals(self, action: str, *states: int) -> None:
+        """Publish the states of all goals that an action has."""
+        listed = [dds.GoalStatus(status=state) for state in states]
+        self.publish(f"{action}/_action/status", dds.GoalStatusArray(listed))
 
     def take(self, topic: str) -> Sequence[Any]:
         """The messages since the last call, oldest first."""
@@ -67,6 +92,7 @@ class DdsNode:
     def close(self) -> None:
         self._writers.clear()
         self._readers.clear()
+        self._served.clear()
         del self._about, self._participant
 
     def _is_whole(self, topic: str, message: object) -> bool:
@@ -74,15 +100,35 @@ class DdsNode:
         return isinstance(message, self._subscribed[topic])
 
     def _topic(self, name: str, kind: type) -> Any:
-        qos = SENSOR if kind in _SENSORS else RELIABLE
+        usual = SENSOR if kind in _SENSORS else RELIABLE
+        qos = _KEPT if name in self._latched else self._qos.get(name, usual)
         return Topic(self._participant, f"rt{name}", kind, qos)
 
-    def _info(self, name: str) -> object:
+    def _action(self, name: str) -> Iterator[Any]:
+        """The services and the feedback of an action, which no test uses; a bridge wants all."""
+        typed = "irobot_create_msgs::action::dds_::Dock"
+        for part, kind in {
+            "send_goal": f"{typed}_SendGoal",
+            "cancel_goal": "action_msgs::srv::dds_::CancelGoal",
+            "get_result": f"{typed}_GetResult",
+        }.items():
+            asked, answer = (dds.empty(f"{kind}_{end}_") for end in ("Request", "Response"))
+            topic = f"{name}/_action/{part}"
+            request = Topic(self._participant, f"rq{topic}Request", asked, RELIABLE)
+            reply = Topic(self._participant, f"rr{topic}Reply", answer, RELIABLE)
+            yield DataReader(self._participant, request)
+            yield DataWriter(self._participant, reply)
+        feedback = dds.empty(f"{typed}_FeedbackMessage_")
+        about = Topic(self._participant, f"rt{name}/_action/feedback", feedback, RELIABLE)
+        yield DataWriter(self._participant, about)
+
+    def _info(self, name: str, namespace: str) -> object:
+        entities = [*self._readers.values(), *self._writers.values(), *self._served]
         node = dds.NodeEntitiesInfo(
-            node_namespace="/",
+            node_namespace=namespace,
             node_name=name,
-            reader_gid_seq=[_gid(reader) for reader in self._readers.values()],
-            writer_gid_seq=[_gid(writer) for writer in self._writers.values()],
+            reader_gid_seq=[_gid(entity) for entity in entities if isinstance(entity, DataReader)],
+            writer_gid_seq=[_gid(entity) for entity in entities if isinstance(entity, DataWriter)],
         )
         return dds.ParticipantEntitiesInfo(_gid(self._participant), [node])
 

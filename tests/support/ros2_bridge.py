@@ -1,7 +1,12 @@
-"""A real zenoh-bridge-ros2dds for tests and benchmarks, where there is one, on loopback alone."""
+"""A real ros2dds bridge for tests and benchmarks, where there is one, on loopback alone.
+
+It is zenoh-bridge-ros2dds on the PATH, or the Zenoh router with the same plugin that `make
+ros2-router` builds.
+"""
 
 from __future__ import annotations
 
+import json
 import os
 import random
 import shutil
@@ -13,32 +18,59 @@ from pathlib import Path
 from tests.support.processes import CAP, free_endpoint, wait_until
 
 NAME = "zenoh-bridge-ros2dds"
+_CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
+ROUTER = _CACHE / "swarmd/ros2_router/ros2-router"
 LOOPBACK = (
     '<CycloneDDS><Domain Id="any"><General><Interfaces><NetworkInterface name="lo"/></Interfaces>'
     "<AllowMulticast>false</AllowMulticast></General><Discovery><Peers>"
-    '<Peer address="127.0.0.1"/></Peers><ParticipantIndex>auto</ParticipantIndex></Discovery>'
-    "</Domain></CycloneDDS>"
+    '<Peer address="127.0.0.1"/></Peers><ParticipantIndex>auto</ParticipantIndex>'
+    "<MaxAutoParticipantIndex>31</MaxAutoParticipantIndex></Discovery></Domain></CycloneDDS>"
 )
 _DOMAINS = range(1, 100)  # their ports lie below those that a system gives away
+_PARTICIPANTS = 32  # the first one may have ended while others live
+
+
+def bridge_program() -> str | None:
+    """The program of the bridge; None without one."""
+    return shutil.which(NAME) or (str(ROUTER) if ROUTER.exists() else None)
 
 
 def why_no_bridge() -> str:
     """What a test that needs the bridge lacks here; empty if nothing."""
-    if shutil.which(NAME) is None:
-        return f"no {NAME} on PATH; it is among the releases of eclipse-zenoh/zenoh-plugin-ros2dds"
+    if bridge_program() is None:
+        return f"no {NAME} on PATH, and no router with its plugin: run make ros2-router"
     return ""
 
 
 def free_domain() -> int:
     """A DDS domain in which nobody on this machine is."""
     for domain in random.sample(_DOMAINS, len(_DOMAINS)):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
-            try:
-                probe.bind(("127.0.0.1", 7400 + 250 * domain + 10))
-            except OSError:
-                continue
+        ports = (7400 + 250 * domain + 10 + 2 * index for index in range(_PARTICIPANTS))
+        if all(map(_is_free, ports)):
             return domain
     raise AssertionError("no free DDS domain")
+
+
+def _is_free(port: int) -> bool:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        try:
+            probe.bind(("127.0.0.1", port))
+        except OSError:
+            return False
+    return True
+
+
+def _config(endpoint: str, domain: int, namespace: str) -> dict[str, object]:
+    """What the bridge's own command line sets, and where it listens."""
+    return {
+        "mode": "router",
+        "listen": {"endpoints": [endpoint]},
+        "scouting": {"multicast": {"enabled": False}},
+        "timestamping": {"enabled": True},
+        "adminspace": {"enabled": True},
+        "plugins_loading": {"enabled": True},
+        "plugins": {"ros2dds": {"domain": domain, "namespace": namespace}},
+    }
 
 
 class Bridge:
@@ -52,10 +84,10 @@ class Bridge:
     ) -> None:
         self.endpoint = free_endpoint()
         self.log = folder / "bridge.log"
-        self._command = [
-            *("setpriv", "--pdeathsig", "KILL", NAME, "-d", str(domain), "-n", namespace),
-            *("-l", self.endpoint, "--no-multicast-scouting"),
-        ]
+        self.domain, self._namespace = domain, namespace
+        program, self._config = bridge_program(), folder / "bridge.json5"
+        assert program is not None, why_no_bridge()
+        self._command = ["setpriv", "--pdeathsig", "KILL", program, "-c", str(self._config)]
         self._environ = {
             **{name: value for name, value in os.environ.items() if not name.startswith("ROS_")},
             "CYCLONEDDS_URI": LOOPBACK,
@@ -70,7 +102,9 @@ class Bridge:
         self.kill()
 
     def start(self) -> Bridge:
-        """Start it, also again at the same endpoint, and wait until it listens."""
+        """Start it in `domain`, also again at the same endpoint, and wait until it listens."""
+        settings = _config(self.endpoint, self.domain, self._namespace)
+        self._config.write_text(json.dumps(settings))
         with self.log.open("ab") as log:
             self._process = subprocess.Popen(
                 self._command, env=self._environ, stdin=subprocess.DEVNULL, stdout=log, stderr=log

@@ -50,6 +50,8 @@ def _field(node: Any) -> tuple[Any, Callable[[], Any]]:
             return str, str
         case _, ("bool", _):
             return bool, bool
+        case _, ("char", _):  # of ROS, not of IDL
+            return uint8, int
         case _, (base, _):
             return getattr(types, base), float if base.startswith("float") else int
     raise TypeError(f"{node} is no field of a message")
@@ -72,10 +74,15 @@ Temperature = _message("sensor_msgs/msg/Temperature")
 Joy = _message("sensor_msgs/msg/Joy")
 Float32 = _message("std_msgs/msg/Float32")
 Bool = _message("std_msgs/msg/Bool")
+Byte = _message("std_msgs/msg/Byte")
+ByteMultiArray = _message("std_msgs/msg/ByteMultiArray")
+Char = _message("std_msgs/msg/Char")
 Range = _message("sensor_msgs/msg/Range")
 OlderRange = _message("sensor_msgs/msg/Range", Stores.ROS2_HUMBLE)
 Imu = _message("sensor_msgs/msg/Imu")
 BatteryState = _message("sensor_msgs/msg/BatteryState")
+GoalStatus = _message("action_msgs/msg/GoalStatus")
+GoalStatusArray = _message("action_msgs/msg/GoalStatusArray")
 
 
 @dataclass
@@ -103,6 +110,13 @@ class ParticipantEntitiesInfo(
 
     gid: Gid
     node_entities_info_seq: sequence[NodeEntitiesInfo]
+
+
+def empty(typename: str) -> Any:
+    """A message with one byte, under any name of DDS such as `p::srv::dds_::S_Request_`."""
+    hints = {"__annotations__": {"unused": uint8}, "unused": 0}
+    head = {"typename": typename.replace("::", ".")}
+    return dataclass(new_class("Empty", (IdlStruct,), head, lambda own: own.update(hints)))
 
 
 def stamped(seconds: float, frame: str = "base_link") -> Any:

@@ -1,6 +1,6 @@
 """A base in a process of its own, to be killed; it publishes scans and prints changed commands.
 
-python dds_base.py DOMAIN
+python -m tests.drivers.ros2.dds_base DOMAIN
 """
 
 from __future__ import annotations

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from cyclonedds.core import Qos
 from cyclonedds.domain import Domain
 
 from swarmd.core.values import Twist, Value
@@ -24,7 +25,9 @@ class DdsRobot(BridgedRobot):
 
     `namespace`, such as `/front`, is the node's. `at` is the bridge's, which precedes it.
     `published`: the type of each topic. `distro`: the bridge's setting; the robot is of Jazzy.
-    `is_elsewhere`: the bridge is in another domain. `stop` ends the node, `disconnect` the bridge.
+    `is_elsewhere`: the bridge is in another domain. `qos`: by topic, where it is not the usual one.
+    `actions` are the names of actions that the node serves. `stop` ends the node, `disconnect` the
+    bridge.
     """
 
     def __init__(
@@ -36,10 +39,11 @@ class DdsRobot(BridgedRobot):
         published: Mapping[str, Any] = SENSES,
         distro: str = "jazzy",
         is_elsewhere: bool = False,
+        qos: Mapping[str, Qos] | None = None,
+        actions: Sequence[str] = (),
     ) -> None:
         self.namespace, self.at = namespace, at
-        self._published = published
-        self._command = dds.TwistStamped if is_stamped else dds.Twist
+        self._published, self._qos, self._actions = published, qos or {}, actions
         self._folder = tempfile.TemporaryDirectory()
         self.domain = free_domain()
         self._held = Domain(self.domain, LOOPBACK)  # ends, with all in it, when it is deleted
@@ -55,8 +59,11 @@ class DdsRobot(BridgedRobot):
 
     def start(self) -> None:
         published = {self.name(topic): kind for topic, kind in self._published.items()}
-        subscribed = {self.name("cmd_vel"): self._command}
-        self.node = DdsNode(self.domain, "base", published, subscribed)
+        command = dds.TwistStamped if self.is_stamped else dds.Twist
+        subscribed = {self.name("cmd_vel"): command}
+        qos = {self.name(topic): one for topic, one in self._qos.items()}
+        actions = [self.name(action) for action in self._actions]
+        self.node = DdsNode(self.domain, "base", published, subscribed, qos=qos, actions=actions)
 
     def stop(self) -> None:
         """End the node in order; the bridge continues."""
@@ -79,19 +86,25 @@ class DdsRobot(BridgedRobot):
                 session.put(key, message)
         elif self.node is not None and topic in self._published:
             kind = self._published[topic]
-            is_usual = kind is SENSES[topic]
-            converted = kind.deserialize(message.serialize()) if is_usual else kind()
+            is_usual = kind is SENSES.get(topic)
+            converted = kind.deserialize(message.serialize()) if is_usual else message
+            assert isinstance(converted, kind)
             self.node.publish(self.name(topic), converted)
 
     def commands(self) -> Sequence[Twist]:
         received = [] if self.node is None else self.node.take(self.name("cmd_vel"))
         twists = [message.twist if self.is_stamped else message for message in received]
-        return [Twist(one.linear.x, one.angular.z, one.linear.y) for one in twists]
+        # The watchdog's zero for either type is 5e-324 m/s to the side as a Twist: below any wheel.
+        sides = [one.linear.y if abs(one.linear.y) > 1e-300 else 0.0 for one in twists]
+        return [
+            Twist(one.linear.x, one.angular.z, side)
+            for one, side in zip(twists, sides, strict=True)
+        ]
 
     def options(self, given: Mapping[str, Value]) -> Mapping[str, Value]:
         whole = f"{self.at}{self.namespace}"
         names: dict[str, Value] = {"namespace": whole} if whole else {}
-        return super().options({**names, **given})
+        return super().options({"cmd_vel_type": "auto", **names, **given})
 
     def close(self) -> None:
         self.bridge.kill()

@@ -5,13 +5,18 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 
-from swarmd.core.values import Twist, Value
+from swarmd.core.values import ZERO, Twist, Value
 from swarmd.driver_api.driver import Finding
 from swarmd.drivers.ros.messages import dds_name
 from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
 from tests.drivers.ros2.robots import BridgedRobot, Robot
 
 PACE = 0.01
+
+
+def stands(twist: Twist) -> bool:
+    """Whether this is the zero for either type: read as a Twist it is 5e-324 m/s to the side."""
+    return max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) < 1e-300
 
 
 async def drive(harness: DriverHarness) -> None:
@@ -28,7 +33,30 @@ async def drive(harness: DriverHarness) -> None:
     harness.driver.send(Twist(0.1), 1, 1)
     harness.driver.send(Twist(0.2), 2, 2)
     await harness.until(has_arrived, publishing=True)
-    assert taken[0].is_zero
+    assert stands(taken[0])
+
+
+async def freeze(harness: DriverHarness, stop: Callable[[], None]) -> None:
+    """Freeze the hub while it passes nothing on."""
+    harness.driver.send(ZERO, 1, 1)
+    while not (await harness.command()).is_zero:
+        pass  # a command that left before
+    await asyncio.sleep(0.05)  # the last message of the hub is no fresh sign of life
+    stop()
+    await asyncio.sleep(0.05)  # its threads stop one after the other
+
+
+async def drive_on(harness: DriverHarness, thaw: Callable[[], None]) -> list[Twist]:
+    """Command at 20 Hz until the base is lost, thaw the hub, and return what the base gets."""
+    for _ in range(20):
+        harness.driver.send(Twist(0.1), 1, 1)
+        await asyncio.sleep(0.05)
+    await harness.until(lambda: not harness.sink.is_up, publishing=True)
+    harness.rig.commands()
+    thaw()
+    taken = [await harness.command()]
+    await asyncio.sleep(1.0)
+    return [*taken, *harness.rig.commands()]
 
 
 def check(

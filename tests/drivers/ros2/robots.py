@@ -10,7 +10,9 @@ from typing import Any
 
 import zenoh
 
+from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.values import Scan, Twist, Value
+from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2 import rmw_zenoh
 from swarmd.drivers.ros2.driver import RosDriver
@@ -20,6 +22,14 @@ from tests.support.processes import free_endpoint
 
 PLATFORM = load_platform("burger")
 RAYS = 360
+HAZARDS: dict[str, Value] = {
+    "bumper": {
+        "topic": "bumper",
+        "type": "std_msgs/Bool",
+        "means": "bump front",
+        "stale_after": 0.3,
+    }
+}
 
 
 def open_session(mode: str, path: str, endpoint: str) -> zenoh.Session:
@@ -41,6 +51,8 @@ class Robot:
     """A hub with one robot at it; silent at first."""
 
     platform = PLATFORM
+    hazard = Hazard(HazardKind.BUMP, "front")
+    hazard_options: Mapping[str, Value] = {"hazards": HAZARDS}
 
     def __init__(self, *, is_stamped: bool = False) -> None:
         self.endpoint = free_endpoint()
@@ -59,7 +71,7 @@ class Robot:
 
     def reconnect(self) -> None:
         self.hub = open_session("router", "listen/endpoints", self.endpoint)
-        self._tokens: list[zenoh.LivelinessToken] = []
+        self.tokens: list[zenoh.LivelinessToken] = []
         # A queue of this hub's own: what still arrives from before a reconnect is not in it.
         self._commands = commands = list[zenoh.Sample]()
         self.hub.declare_subscriber(self.command_key(), commands.append)
@@ -80,6 +92,9 @@ class Robot:
     def publish_odometry(self) -> None:
         self.put("odom", odometry(self._stamp()))
 
+    def publish_hazard(self, *, is_present: bool) -> None:
+        self.put("bumper", dds.Bool(data=is_present))
+
     def publish_garbage(self) -> None:
         whole = scan(self._stamp()).serialize()
         for topic, valid in (("scan", whole), ("odom", odometry(1.0).serialize())):
@@ -87,7 +102,7 @@ class Robot:
                 self.put(topic, payload)
 
     def announce(self, token: str) -> None:
-        self._tokens.append(self.hub.liveliness().declare_token(token))
+        self.tokens.append(self.hub.liveliness().declare_token(token))
 
     def samples(self) -> list[zenoh.Sample]:
         taken = self._commands[:]
@@ -101,8 +116,8 @@ class Robot:
         self.hub.close()
 
     def options(self, given: Mapping[str, Value]) -> Mapping[str, Value]:
-        stamped: dict[str, Value] = {"cmd_vel_type": "twist_stamped"} if self.is_stamped else {}
-        return {"endpoint": self.endpoint, **stamped, **given}
+        kind: Value = "twist_stamped" if self.is_stamped else "twist"  # it need not announce it
+        return {"endpoint": self.endpoint, "cmd_vel_type": kind, **given}
 
     def _stamp(self) -> float:
         self._published_count += 1
@@ -110,7 +125,41 @@ class Robot:
 
 
 class BridgedRobot(Robot):
-    """Through zenoh-bridge-ros2dds: raw CDR on the topic's name."""
+    """Through zenoh-bridge-ros2dds: raw CDR on the topic's name.
+
+    `listed`: what `list_nodes` makes its admin space answer, payload by key.
+    """
+
+    listed: dict[str, bytes]
+
+    def list_nodes(self, namespace: str = "/") -> None:
+        """From now on answer as the bridge's admin space does; `listed` has no node yet."""
+        zid = self.hub.zid()
+        config = {"namespace": namespace, "nodename": "zenoh_bridge_ros2dds", "domain": 0}
+        self.listed = {f"@/{zid}/ros2/config": json.dumps(config).encode()}
+
+        def on_query(query: zenoh.Query) -> None:
+            for key, payload in dict(self.listed).items():
+                if query.key_expr.intersects(zenoh.KeyExpr(key)):
+                    query.reply(key, payload)
+
+        self._space = self.hub.declare_queryable(f"@/{zid}/ros2/**", on_query)
+
+    def list_node(
+        self,
+        participant: str,
+        name: str,
+        published: Mapping[str, str] | None = None,
+        subscribed: Mapping[str, str] | None = None,
+    ) -> str:
+        """List a node, such as `base` or `tb3_01/base`, with topics and types; its key."""
+        key = f"@/{self.hub.zid()}/ros2/node/{participant}/{name}"
+        ends = {
+            what: [{"name": topic, "type": kind} for topic, kind in (given or {}).items()]
+            for what, given in (("publishers", published), ("subscribers", subscribed))
+        }
+        self.listed[key] = json.dumps(ends).encode()
+        return key
 
     def make(self, options: Mapping[str, Value]) -> RosDriver:
         return ros2dds.make_driver(
@@ -131,7 +180,13 @@ HASHES = {  # published: the reference of rmw_zenoh, and REP 2016
     "TwistStamped": "RIHS01_5f0fcd4f81d5d06ad9b4c4c63e3ea51b82d6ae4d0558f1d475229b1121db6f64",
     "Odometry": "RIHS01_3cc97dc7fb7502f8714462c526d369e35b603cfc34d946e3f2eda2766dfec6e0",
 }
-PACKAGES = {"Odometry": "nav_msgs", "Twist": "geometry_msgs", "TwistStamped": "geometry_msgs"}
+PACKAGES = {
+    "GoalStatusArray": "action_msgs",
+    "Bool": "std_msgs",
+    "Odometry": "nav_msgs",
+    "Twist": "geometry_msgs",
+    "TwistStamped": "geometry_msgs",
+}
 
 
 class ZenohRobot(Robot):
@@ -154,7 +209,8 @@ class ZenohRobot(Robot):
 
     def key(self, topic: str, kind: str) -> str:
         package = PACKAGES.get(kind, "sensor_msgs")
-        hashed = "TypeHashNotSupported" if self.is_humble else HASHES[kind]
+        own = HASHES.get(kind) or cdr.type_hash(cdr.store().types[f"{package}/msg/{kind}"])
+        hashed = "TypeHashNotSupported" if self.is_humble else own
         return f"{self.domain}/{topic}/{package}::msg::dds_::{kind}_/{hashed}"
 
     def command_key(self) -> str:
@@ -175,7 +231,8 @@ class ZenohRobot(Robot):
 
 
 def scan(stamp: float, ranges: Sequence[float] | None = None, **angles: float) -> dds.LaserScan:
-    values = [2.0] * RAYS if ranges is None else list(ranges)
+    noisy = 2.0 + 0.001 * (10.0 * stamp % 10.0)  # equal scans are those of a frozen sensor
+    values = [noisy] * RAYS if ranges is None else list(ranges)
     step = 2.0 * math.pi / max(len(values), 1)
     fields = {"angle_min": 0.0, "angle_max": 2.0 * math.pi, "angle_increment": step, **angles}
     return dds.LaserScan(

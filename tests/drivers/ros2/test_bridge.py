@@ -5,23 +5,20 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-import subprocess
-import sys
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 import zenoh
 
-from swarmd.core.values import Twist, Value
+from swarmd.core.values import ZERO, Twist, Value
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
+from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.drivers.ros2.key_scheme import TopicEnd
 from swarmd.testing.driver_contract import TIMEOUT, DriverContract, DriverHarness, play
 from tests.drivers.ros2.dds_rig import SENSES, DdsRobot
-from tests.drivers.ros2.harness import check, reported
+from tests.drivers.ros2.harness import check, drive_on, freeze, reported
 from tests.drivers.ros2.robots import open_session
 from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
@@ -36,7 +33,7 @@ pytestmark = [
 
 class TestContract(DriverContract):
     def rig(self) -> DdsRobot:
-        return DdsRobot()
+        return DdsRobot(published={**SENSES, "bumper": dds.Bool})
 
 
 async def moves(harness: DriverHarness) -> None:
@@ -88,62 +85,33 @@ def test_a_frozen_bridge_is_reported_and_no_late_command_moves_the_robot() -> No
 
     async def story(harness: DriverHarness) -> None:
         await moves(harness)
-        robot.bridge.freeze()
-        for _ in range(20):
-            harness.driver.send(Twist(0.1), 1, 1)
-            await asyncio.sleep(0.05)
-        await harness.until(lambda: not harness.sink.is_up, publishing=True)
-        robot.commands()
-        robot.bridge.thaw()
-        assert (await harness.command()).is_zero
-        await asyncio.sleep(1.0)
-        assert all(twist.is_zero for twist in robot.commands())
+        await freeze(harness, robot.bridge.freeze)
+        assert all(twist.is_zero for twist in await drive_on(harness, robot.bridge.thaw))
         await harness.connect()
         await moves(harness)
 
     play(robot, story)
 
 
-def test_a_base_that_crashed_and_is_back_is_stopped_before_it_is_forgotten() -> None:
+def test_a_bridge_that_freezes_under_a_command_delivers_that_one_and_zero_after_it() -> None:
+    """No end of the link can take back a command that left while the bridge froze.
+
+    The base keeps ten commands: it may see the zeros after the late command alone.
+    """
     robot = DdsRobot()
-    robot.stop()
-    speeds: list[str] = []
 
     async def story(harness: DriverHarness) -> None:
-        def has_speed(speed: str) -> bool:
-            harness.driver.send(Twist(0.1), 1, 1)
-            return speeds[-1:] == [speed]
+        assert isinstance(harness.driver, RosDriver)
+        await moves(harness)
+        await freeze(harness, robot.bridge.freeze)
+        harness.driver._credit.hear(asyncio.get_running_loop().time())
+        harness.driver.send(Twist(0.2), 1, 1)
+        first, *others = await drive_on(harness, robot.bridge.thaw)
+        assert first in (Twist(0.2), ZERO)
+        assert others
+        assert all(twist.is_zero for twist in others)
 
-        with base_process(robot.domain, speeds):
-            await harness.until(lambda: has_speed("0.1"))
-        speeds.clear()
-        with base_process(robot.domain, speeds):
-            await harness.until(lambda: has_speed("0.1") or not harness.sink.is_up)
-            await harness.until(lambda: reported(harness, "/base crashed and is back", is_up=False))
-            await harness.until(lambda: speeds[-1:] == ["0.0"])
-
-    play(robot, story, connected=False)
-
-
-@contextmanager
-def base_process(domain: int, speeds: list[str]) -> Iterator[None]:
-    """A base in a process of its own, which is killed in the end."""
-    command = [sys.executable, str(Path(__file__).with_name("dds_base.py")), str(domain)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as base:
-        assert base.stdout is not None
-        lines = base.stdout
-
-        def read() -> None:
-            for line in lines:
-                speeds.append(line.strip())
-
-        reading = threading.Thread(target=read)
-        reading.start()
-        try:
-            yield
-        finally:
-            base.kill()
-            reading.join()
+    play(robot, story)
 
 
 def test_a_base_that_leaves_while_its_lidar_stays_gets_zero_first() -> None:
@@ -299,3 +267,95 @@ def test_a_field_of_any_topic_is_a_reading() -> None:
         await harness.until(is_read, publishing=True)
 
     play(robot, story, readings={"heat": heat})
+
+
+DOCKED: dict[str, Value] = {
+    "docked": {"topic": "dock", "type": "std_msgs/Bool", "stale_after": "never"}
+}
+
+
+@contextmanager
+def dock_node(robot: DdsRobot, *, is_latched: bool) -> Iterator[DdsNode]:
+    """A node of the robot that publishes its dock on change."""
+    latched = ["/dock"] if is_latched else []
+    node = DdsNode(robot.domain, "dock", {"/dock": dds.Bool}, latched=latched)
+    try:
+        yield node
+    finally:
+        node.close()
+
+
+def docked(harness: DriverHarness) -> float:
+    """What patterns get: 0 or 1, NaN while nothing is known, -1 before anything was told."""
+    values = harness.sink.values
+    return values[-1].get("docked", -1.0) if values and harness.sink.is_up else -1.0
+
+
+def test_a_change_before_the_base_was_connected_counts() -> None:
+    robot = DdsRobot()
+
+    async def story(harness: DriverHarness) -> None:
+        with dock_node(robot, is_latched=False) as dock:
+            await harness.until(lambda: dock.is_heard("/dock"))
+            dock.publish("/dock", dds.Bool(data=True))
+            await asyncio.sleep(1.0)  # it arrives while the base says nothing
+            await harness.connect()
+            await harness.until(lambda: docked(harness) == 1.0, publishing=True)
+
+    play(robot, story, connected=False, readings=DOCKED)
+
+
+def test_a_latched_message_reaches_the_second_subscriber_of_a_bridge() -> None:
+    """The first makes the bridge read the writer's history; for others it has a cache."""
+    robot, heard = DdsRobot(), list[zenoh.Sample]()
+    with dock_node(robot, is_latched=True) as dock:
+        session = open_session("client", "connect/endpoints", robot.endpoint)
+        session.declare_subscriber("dock", heard.append)
+        dock.publish("/dock", dds.Bool(data=True))
+        wait_until(lambda: len(heard) > 0, "another subscriber has the message")
+
+        async def story(harness: DriverHarness) -> None:
+            await harness.until(lambda: docked(harness) == 1.0, publishing=True)
+            dock.publish("/dock", dds.Bool(data=False))
+            await harness.until(lambda: docked(harness) == 0.0, publishing=True)
+
+        play(robot, story, readings=DOCKED)
+        session.close()
+
+
+@pytest.mark.parametrize("is_latched", [False, True])
+def test_after_a_restart_of_the_bridge_what_was_missed_is_known_or_unknown(
+    is_latched: bool,
+) -> None:
+    robot = DdsRobot()
+
+    async def story(harness: DriverHarness) -> None:
+        with dock_node(robot, is_latched=is_latched) as dock:
+            await harness.until(lambda: dock.is_heard("/dock"), publishing=True)
+            dock.publish("/dock", dds.Bool(data=True))
+            await harness.until(lambda: docked(harness) == 1.0, publishing=True)
+            robot.disconnect()
+            await harness.until(lambda: not harness.sink.is_up, publishing=True)
+            before = len(harness.sink.values)
+            dock.publish("/dock", dds.Bool(data=False))
+            robot.reconnect()
+            await harness.connect()
+            await harness.until(
+                lambda: docked(harness) == 0.0 if is_latched else math.isnan(docked(harness)),
+                publishing=True,
+            )
+            assert all(values["docked"] != 1.0 for values in harness.sink.values[before:])
+
+    play(robot, story, readings=DOCKED)
+
+
+def test_what_holds_ends_with_its_node() -> None:
+    robot = DdsRobot()
+
+    async def story(harness: DriverHarness) -> None:
+        with dock_node(robot, is_latched=True) as dock:
+            dock.publish("/dock", dds.Bool(data=True))
+            await harness.until(lambda: docked(harness) == 1.0, publishing=True)
+        await harness.until(lambda: math.isnan(docked(harness)), publishing=True)
+
+    play(robot, story, readings=DOCKED)

@@ -4,21 +4,48 @@ from __future__ import annotations
 
 import asyncio
 import math
+from collections.abc import Mapping
 
 import numpy as np
 import pytest
 
-from swarmd.core.values import Twist
+from swarmd.core.values import Array, Twist, Value
+from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.testing.driver_contract import DriverContract, DriverHarness, play
 from tests.drivers.ros2 import robots
 from tests.drivers.ros2.harness import announce, check, drive, reported
 from tests.drivers.ros2.robots import BridgedRobot
 from tests.support import ros2_types as dds
+from tests.support.range_ring import RING_DEG, with_ring
 
 
 class TestContract(DriverContract):
     def rig(self) -> BridgedRobot:
         return BridgedRobot()
+
+
+class RobotWithRing(BridgedRobot):
+    """A lidar and six range sensors, each with a topic."""
+
+    platform = with_ring("burger")
+
+    def make(self, options: Mapping[str, Value]) -> RosDriver:
+        ring: dict[str, Value] = {f"ir/s{k}": deg for k, deg in enumerate(RING_DEG)}
+        return super().make({"ranges": ring, **options})
+
+    def publish(self) -> None:
+        super().publish()
+        self.publish_ranges(np.full(len(RING_DEG), 0.5))
+
+    def publish_ranges(self, ranges: Array) -> None:
+        for k, metres in enumerate(ranges.tolist()):
+            message = dds.OlderRange(header=dds.stamped(self._stamp()), range=metres)
+            self.put(f"ir/s{k}", message)
+
+
+class TestContractWithRing(DriverContract):
+    def rig(self) -> RobotWithRing:
+        return RobotWithRing()
 
 
 def test_all_senses_arrive_with_their_meaning() -> None:
@@ -41,7 +68,7 @@ def test_all_senses_arrive_with_their_meaning() -> None:
         assert sink.values[-1]["yaw"] == pytest.approx(math.pi)
         assert sink.values[-1]["battery"] == pytest.approx(0.5)
 
-    play(robot, story, imu="imu", battery="battery_state")
+    play(robot, story, imu="imu", battery="battery_state", battery_percentage="share")
 
 
 def test_stamped_commands_are_in_the_frame_asked_for() -> None:
@@ -66,7 +93,7 @@ def test_a_base_that_restarts_at_once_gets_zero_first() -> None:
 
     async def story(harness: DriverHarness) -> None:
         await drive(harness)
-        robot._tokens.pop().undeclare()
+        robot.tokens.pop().undeclare()
         announce(robot, "MS", "cmd_vel", "geometry_msgs/msg/Twist")
         await asyncio.sleep(0.3)
         robot.publish()

@@ -47,7 +47,7 @@ def varied_scan(platform: Platform, seq: int = 1) -> Scan:
     nearest = max(spec.range_min, 0.09) + 0.01  # beyond the rim on which a Thymio's sensors sit
     ranges = np.linspace(nearest, spec.range_max - 0.01, len(spec.bearings))
     ranges[1:5] = 0.0, math.inf, -math.inf, math.nan
-    return Scan(seq, 0.1 * seq, ranges, spec.bearings, spec.range_min, spec.range_max)
+    return Scan(seq, seq / spec.rate, ranges, spec.bearings, spec.range_min, spec.range_max)
 
 
 def odometry(seq: int = 1) -> Odometry:
@@ -99,7 +99,7 @@ def test_a_laser_scan_is_as_an_lds_sends_it() -> None:
     assert (received.range_min, received.range_max) == pytest.approx((0.12, 3.5))
     assert received.scan_time == pytest.approx(0.2)
     assert np.array_equal(np.array(received.ranges), original.ranges.astype("<f4"), equal_nan=True)
-    assert (received.header.stamp.sec, received.header.stamp.nanosec) == (0, 100_000_000)
+    assert (received.header.stamp.sec, received.header.stamp.nanosec) == (0, 200_000_000)
     assert received.header.frame_id == "base_scan"
 
 

@@ -15,7 +15,7 @@ from swarmd.drivers.ros2 import driver as ros_driver
 from swarmd.drivers.ros2.session import open_session
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink, DriverHarness, play
 from tests.drivers.ros2 import robots
-from tests.drivers.ros2.harness import announce, check, reported
+from tests.drivers.ros2.harness import announce, check, drive, reported
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 
 LASER, TWIST = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
@@ -245,6 +245,22 @@ def test_invalid_names_add_no_second_line(make: Callable[[], Robot]) -> None:
     assert found["scan"].text.isprintable()
 
 
+def test_a_base_is_found_among_more_topics_of_others_than_are_kept(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(ros_driver, "_MAX_ENDPOINTS", 8)
+    robot = BridgedRobot()
+    for count in range(20):
+        announce(robot, "MP", f"other{count}", "std_msgs/msg/Bool")
+    announce(robot, "MS", "cmd_vel", TWIST)
+
+    async def story(harness: DriverHarness) -> None:
+        await harness.connect()
+        await drive(harness)
+
+    play(robot, story, connected=False, cmd_vel_type="auto")
+
+
 def test_a_hub_that_answers_as_the_check_ends_leaves_no_session(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -252,9 +268,9 @@ def test_a_hub_that_answers_as_the_check_ends_leaves_no_session(
     robot, made = BridgedRobot(), []
     is_over = threading.Event()
 
-    def late(endpoint: str) -> zenoh.Session | None:
+    def late(endpoint: str, within: float) -> zenoh.Session | None:
         is_over.wait(TIMEOUT)
-        made.append(open_session(endpoint))
+        made.append(open_session(endpoint, within=within))
         return made[-1]
 
     async def run() -> None:

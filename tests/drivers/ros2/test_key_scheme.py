@@ -12,7 +12,7 @@ import pytest
 from zenoh.ext import Int64, z_serialize
 
 from swarmd.drivers.ros import messages
-from swarmd.drivers.ros.diagnosis import Endpoint
+from swarmd.drivers.ros.endpoints import Endpoint
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.key_scheme import TopicEnd
 from swarmd.drivers.ros2.rmw_zenoh import NO_HASH, RmwZenoh, gid_of
@@ -40,7 +40,7 @@ def scheme(domain: int = 0) -> RmwZenoh:
 def test_published_tokens_are_understood() -> None:
     end = scheme().parse_token(TALKER)
     zid = "8b20917502ee955ac4476e0266340d5c"
-    assert end == Endpoint(True, "/chatter", "std_msgs/msg/String", zid, 2, "/talker")
+    assert end == Endpoint(True, "/chatter", "std_msgs/msg/String", zid, 2, "/talker", "reliable")
     listener = scheme().parse_token(LISTENER)
     assert listener is not None
     assert (listener.is_publisher, listener.node) == (False, "/listener")
@@ -150,7 +150,7 @@ def test_the_announcements_of_a_bridge_are_read() -> None:
     end = Ros2Dds().parse_token(
         f"@/{zid}/@ros2_lv/MS/cmd_vel/geometry_msgs§msg§Twist/:1::0,10:{hashed}"
     )
-    assert end == Endpoint(False, "/cmd_vel", "geometry_msgs/msg/Twist", zid)
+    assert end == Endpoint(False, "/cmd_vel", "geometry_msgs/msg/Twist", zid, quality="reliable")
     end = Ros2Dds().parse_token(
         f"@/{zid}/@ros2_lv/MP/bot1§scan/sensor_msgs§msg§LaserScan/:::1,5"  # of Humble
     )

@@ -16,6 +16,7 @@ import pytest
 from swarmd.core.values import Platform, Twist, Value
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2 import driver as ros_driver
+from swarmd.drivers.ros2.command_credit import MAX_HELD_TIME
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.testing.driver_contract import CollectingSink
 from tests.drivers.ros2 import robots
@@ -131,7 +132,7 @@ def play(
     **options: Value,
 ) -> None:
     session = Session()
-    monkeypatch.setattr(ros_driver, "open_session", lambda endpoint: session)
+    monkeypatch.setattr(ros_driver, "open_session", lambda endpoint, within: session)
 
     async def run() -> None:
         scene = Scene(make(options, platform), session)
@@ -146,7 +147,8 @@ def play(
 
 
 def make(options: Mapping[str, Value], platform: Platform) -> RosDriver:
-    return ros2dds.make_driver(swarm="s", robot="r", platform=platform, options=options)
+    given: Mapping[str, Value] = {"cmd_vel_type": "twist", **options}
+    return ros2dds.make_driver(swarm="s", robot="r", platform=platform, options=given)
 
 
 def slow(rate: float) -> Platform:
@@ -217,6 +219,31 @@ def test_another_nodes_command_stops_the_driver_for_2_s(
     play(monkeypatch, story)
 
 
+def test_a_command_that_waits_does_not_leave_once_a_second_base_is_found(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    async def story(scene: Scene) -> None:
+        await scene.move()
+        scene.command()
+        await scene.pass_time(0.1)
+        for stamp in (5.0, 3.0, 4.0, 2.0):  # as of two bases that publish one odometry
+            scene.session.moves(stamp)
+            await handclock.settle()
+        await scene.pass_time(0.02)
+        scene.session.on_graph_query = lambda answer: None
+        scene.driver.send(MOVING, 1, 1)  # it waits for a sign of life of the hub
+        waiting_since = asyncio.get_running_loop().time()
+        while scene.sink.hold is None:
+            await scene.pass_time(0.005)
+        scene.session.taken()
+        scene.session.moves(6.0)
+        await handclock.settle()
+        assert asyncio.get_running_loop().time() - waiting_since < MAX_HELD_TIME
+        assert all(twist.is_zero for twist in scene.session.taken())
+
+    play(monkeypatch, story)
+
+
 @pytest.mark.parametrize(
     ("message", "key", "is_lost"),
     [
@@ -280,7 +307,7 @@ def test_a_battery_alone_is_no_base(monkeypatch: pytest.MonkeyPatch) -> None:
         await handclock.settle()
         assert scene.sink.values[-1]["battery"] == 0.5
 
-    play(monkeypatch, story, battery="power")
+    play(monkeypatch, story, battery="power", battery_percentage="share")
 
 
 def test_unreadable_samples_and_other_keys_are_counted_and_no_sign_of_life(

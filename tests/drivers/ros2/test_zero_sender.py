@@ -58,6 +58,19 @@ def test_zero_goes_out_on_the_keys_of_every_distribution(hub: Hub) -> None:
     assert all(attachment is not None and len(attachment) == 33 for _, _, attachment in hub.sent)
 
 
+def test_the_zero_has_the_type_that_the_base_wants_once_the_driver_knows_it(hub: Hub) -> None:
+    sender = ros2dds.make_zero_sender(robot="r", given={})
+    sender.open()
+    twist, stamped = dds.Twist(), dds.TwistStamped(dds.stamped(0.0, ""), dds.Twist())
+    cases = (("", stamped), ("Twist", twist), ("TwistStamped", stamped), ("other", stamped))
+    for hint, wanted in cases:
+        sender.take_hint(hint)
+        sender.send_zero()
+        assert hub.sent.pop()[:2] == ("cmd_vel", wanted.serialize())
+        assert not hub.sent
+    sender.close()
+
+
 def test_a_hub_that_is_not_there_is_tried_again(hub: Hub) -> None:
     hub.is_there = False
     sender = ros2dds.make_zero_sender(robot="r", given={})

@@ -71,8 +71,8 @@ def test_its_session_is_closed_though_the_last_zero_cannot_be_sent(
 ) -> None:
     sessions: list[zenoh.Session] = []
 
-    def opened(endpoint: str) -> zenoh.Session | None:
-        session = open_session(endpoint)
+    def opened(endpoint: str, within: float) -> zenoh.Session | None:
+        session = open_session(endpoint, within=within)
         sessions.extend([session] if session is not None else [])
         return session
 

@@ -1,0 +1,80 @@
+"""Which commands may leave for a hub, by its signs of life, so that a frozen one keeps none. Pure.
+
+What is sent to a hub that is frozen waits in the buffers of TCP. Neither side can take it back, the
+hub passes it on when it continues, and Zenoh drops nothing by age. A non-zero command therefore
+leaves only on a fresh sign of life, one command for each; without one, the hub is asked first.
+"""
+
+from __future__ import annotations
+
+import math
+
+from swarmd.core.values import ZERO, Twist
+
+FRESH_TIME = 0.01
+"""Seconds after a sign of life within which a command may follow it without a question.
+
+A command that answers a scan leaves 1 to 5 ms after it. A longer time makes it more likely that the
+hub froze in between.
+"""
+
+MAX_SILENCE = 0.2
+"""Seconds without an answer after which commands leave as zero.
+
+What a hub that freezes has received but not passed on is then followed by zero.
+"""
+
+MAX_HELD_TIME = 0.1
+"""Seconds for which a command waits for a sign of life; a daemon commands every 0.05 s."""
+
+_ASK_PERIOD = 1.0  # s between two questions to a silent hub
+
+
+class CommandCredit:
+    """Holds back non-zero commands until the hub has shown a sign of life. Times in s, handed in.
+
+    A sign of life is any message of the hub or its answer to a question. Zero always leaves.
+    """
+
+    def __init__(self) -> None:
+        """No sign of life yet."""
+        self._heard_at = self._asked_at = self._asked_first_at = -math.inf
+        self._is_spent = True
+        self._held: tuple[Twist, float] | None = None
+
+    def hear(self, now: float) -> None:
+        """The hub has shown a sign of life."""
+        self._heard_at, self._asked_at, self._is_spent = now, -math.inf, False
+
+    def offer(self, twist: Twist, now: float) -> Twist | None:
+        """The command that leaves now for this one; None if none does. Else it is held.
+
+        It replaces an earlier command that is held. A silent hub gets zero meanwhile.
+        """
+        self._held = None
+        if twist.is_zero or self._spend(now):
+            return twist
+        self._held = twist, now
+        is_silent = self._asked_at > -math.inf and now - self._asked_first_at > MAX_SILENCE
+        return ZERO if is_silent else None
+
+    def release(self, now: float) -> Twist | None:
+        """The held command, if it may leave now; None otherwise. It is dropped if it is too old."""
+        if self._held is None or not self._spend(now):
+            return None
+        (twist, offered_at), self._held = self._held, None
+        return twist if now - offered_at <= MAX_HELD_TIME else None
+
+    def asks(self, now: float) -> bool:
+        """True if the hub is to be asked for a sign of life now."""
+        is_due = self._held is not None and now - self._asked_at >= _ASK_PERIOD
+        if is_due:
+            if self._asked_at == -math.inf:
+                self._asked_first_at = now
+            self._asked_at = now
+        return is_due
+
+    def _spend(self, now: float) -> bool:
+        is_allowed = not self._is_spent and now - self._heard_at <= FRESH_TIME
+        self._is_spent |= is_allowed
+        return is_allowed

@@ -1,0 +1,191 @@
+"""Two bases or two lidars in one DDS domain behind the real bridge, and a base that crashed."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from swarmd.core.messages import Reason
+from swarmd.core.values import Twist
+from swarmd.testing.driver_contract import DriverHarness, play
+from tests.drivers.ros2.dds_rig import DdsRobot
+from tests.drivers.ros2.harness import check, drive, reported
+from tests.support import ros2_types as dds
+from tests.support.dds_node import DdsNode
+from tests.support.ros2_bridge import why_no_bridge
+
+ROOT = Path(__file__).parents[3]
+TAKES = {"/cmd_vel": dds.Twist}
+
+pytestmark = [
+    pytest.mark.integration,
+    pytest.mark.skipif(bool(why_no_bridge()), reason=why_no_bridge()),
+]
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [("other", "2 nodes take /cmd_vel: /base, /other; "), ("base", "2 nodes named /base take")],
+)
+def test_no_command_but_zero_ever_reaches_two_bases(name: str, words: str) -> None:
+    robot = DdsRobot()
+    other = DdsNode(robot.domain, name, {}, TAKES)
+    taken: list[float] = []
+
+    async def story(harness: DriverHarness) -> None:
+        def is_held() -> bool:
+            harness.driver.send(Twist(0.1), 1, 1)
+            taken.extend(command.linear.x for command in other.take("/cmd_vel"))
+            taken.extend(command.linear for command in robot.commands())
+            return harness.sink.hold is Reason.BASE_CONFLICT
+
+        await harness.until(is_held, publishing=True)
+        await harness.until(lambda: is_held() and len(taken) >= 40, publishing=True)
+        assert set(taken) == {0.0}
+        assert reported(harness, words, is_up=True)
+        other.close()
+        await harness.until(lambda: harness.sink.hold is None, publishing=True)
+
+    play(robot, story, connected=False)
+
+
+def test_a_base_that_comes_later_gets_zero_and_both_stand() -> None:
+    robot = DdsRobot()
+
+    async def story(harness: DriverHarness) -> None:
+        await drive(harness)
+        other = DdsNode(robot.domain, "base2", {}, TAKES)
+
+        def is_held() -> bool:
+            harness.driver.send(Twist(0.1), 3, 3)
+            return harness.sink.hold is Reason.BASE_CONFLICT
+
+        await harness.until(is_held, publishing=True)
+        robot.commands()
+        assert is_held()
+        assert (await harness.command()).is_zero
+        other.close()
+        await harness.until(lambda: harness.sink.hold is None, publishing=True)
+
+    play(robot, story)
+
+
+def test_two_lidars_hold_the_robot_and_fail_the_check() -> None:
+    robot = DdsRobot()
+    other = DdsNode(robot.domain, "lidar2", {"/scan": dds.LaserScan})
+
+    async def story(harness: DriverHarness) -> None:
+        await harness.until(lambda: harness.sink.hold is Reason.SCAN_CONFLICT, publishing=True)
+        assert reported(harness, "2 nodes publish /scan: /base, /lidar2; ", is_up=True)
+
+    play(robot, story, connected=False)
+    other.close()
+
+
+def test_check_fails_for_two_bases_with_their_names_and_the_remedy() -> None:
+    robot = DdsRobot()
+    other = DdsNode(robot.domain, "other", {"/odom": dds.Odometry}, TAKES)
+    found = check(robot, robot.publish)
+    other.close()
+    for subject in ("cmd_vel", "odometry"):
+        assert not found[subject].is_well
+        for word in ("/base, /other", "namespace", "domain"):
+            assert word in found[subject].text
+
+
+@pytest.mark.parametrize("name", ["rosbag2_recorder", "_ros2cli_4711", "ekf_filter_node"])
+def test_a_node_that_records_commands_holds_nothing(name: str) -> None:
+    robot = DdsRobot()
+    recorder = DdsNode(robot.domain, name, {}, TAKES)
+
+    async def story(harness: DriverHarness) -> None:
+        await drive(harness)
+        assert harness.sink.hold is None
+
+    play(robot, story, cmd_vel_listeners=["ekf_*"])
+    recorder.close()
+
+
+def test_a_base_that_crashed_and_is_back_is_stopped_before_it_is_forgotten() -> None:
+    robot = DdsRobot()
+    robot.stop()
+    speeds: list[str] = []
+
+    async def story(harness: DriverHarness) -> None:
+        def has_speed(speed: str) -> bool:
+            harness.driver.send(Twist(0.1), 1, 1)
+            return speeds[-1:] == [speed]
+
+        with base_process(robot.domain, speeds):
+            await harness.until(lambda: has_speed("0.1"))
+        speeds.clear()
+        with base_process(robot.domain, speeds):
+            await harness.until(lambda: reported(harness, "/base take /cmd_vel: it crashed and is"))
+            assert harness.sink.hold is Reason.BASE_CONFLICT
+            await harness.until(lambda: has_speed("0.0"))
+            assert not reported(harness, "living")
+            await harness.until(
+                lambda: (
+                    has_speed("0.0")
+                    and reported(harness, ", but zenoh-bridge-ros2dds does not hand it on")
+                )
+            )
+
+    play(robot, story, connected=False)
+
+
+def test_two_living_bases_of_one_name_are_told_from_a_crash() -> None:
+    robot = DdsRobot()
+    other = DdsNode(robot.domain, "base", {}, TAKES)
+
+    async def story(harness: DriverHarness) -> None:
+        await harness.until(
+            lambda: reported(harness, "2 living nodes named /base take", is_up=True),
+            publishing=True,
+        )
+        assert harness.sink.hold is Reason.BASE_CONFLICT
+
+    play(robot, story, connected=False)
+    other.close()
+
+
+def test_another_robots_topics_are_not_proposed_after_a_crash() -> None:
+    robot = DdsRobot(namespace="/tb3_01")
+    others = {"/tb3_02/scan": dds.LaserScan, "/tb3_02/odom": dds.Odometry}
+    other = DdsNode(robot.domain, "other", others, {"/tb3_02/cmd_vel": dds.Twist})
+
+    async def story(harness: DriverHarness) -> None:
+        await drive(harness)
+        robot.stop()
+        await harness.until(lambda: reported(harness, "no /tb3_01/scan any more", is_up=False))
+        assert not reported(harness, "tb3_02")
+
+    play(robot, story)
+    other.close()
+
+
+@contextmanager
+def base_process(domain: int, speeds: list[str]) -> Iterator[None]:
+    """A base in a process of its own, which is killed in the end."""
+    command = [sys.executable, "-m", "tests.drivers.ros2.dds_base", str(domain)]
+    with subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True) as base:
+        assert base.stdout is not None
+        lines = base.stdout
+
+        def read() -> None:
+            for line in lines:
+                speeds.append(line.strip())
+
+        reading = threading.Thread(target=read)
+        reading.start()
+        try:
+            yield
+        finally:
+            base.kill()
+            reading.join()

@@ -1,0 +1,233 @@
+"""Whose commands a base behind a real bridge gets, in which type, and by which quality."""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable, Iterator
+from importlib import import_module
+
+import pytest
+from cyclonedds.core import Policy, Qos
+
+from swarmd.core.values import ZERO, Twist
+from swarmd.testing.driver_contract import TIMEOUT, DriverHarness, play
+from tests.drivers.ros2.dds_rig import DdsRobot
+from tests.drivers.ros2.harness import check, drive, reported
+from tests.drivers.ros2.robots import open_session
+from tests.support import ros2_types as dds
+from tests.support.dds_node import RELIABLE, SENSOR, DdsNode
+from tests.support.processes import wait_until
+from tests.support.ros2_bridge import why_no_bridge
+
+pytestmark = [
+    pytest.mark.integration,
+    pytest.mark.skipif(bool(why_no_bridge()), reason=why_no_bridge()),
+]
+
+EXECUTING, SUCCEEDED = 2, 4
+KEPT = Qos(
+    Policy.Reliability.Reliable(10**8),
+    Policy.Durability.TransientLocal,
+    Policy.History.KeepLast(10),
+)
+KEPT_BEST_EFFORT = Qos(
+    Policy.Reliability.BestEffort, Policy.Durability.TransientLocal, Policy.History.KeepLast(10)
+)
+STRICT = Qos(
+    Policy.Reliability.Reliable(10**8),
+    Policy.History.KeepLast(10),
+    Policy.Deadline(5 * 10**8),
+)
+QUALITIES = {
+    "best effort": SENSOR,
+    "reliable": RELIABLE,
+    "reliable, transient local": KEPT,
+    "best effort, transient local": KEPT_BEST_EFFORT,
+}
+
+
+@pytest.fixture
+def joystick() -> Iterator[Callable[[DdsRobot], DdsNode]]:
+    """A node beside the robot that publishes stamped commands on a topic of its own."""
+    made: list[DdsNode] = []
+
+    def make(robot: DdsRobot) -> DdsNode:
+        published = {"/cmd_vel_stamped": dds.TwistStamped}
+        made.append(DdsNode(robot.domain, "joystick", published))
+        return made[0]
+
+    yield make
+    for node in made:
+        node.close()
+
+
+def stamped(linear: float) -> object:
+    return dds.TwistStamped(dds.stamped(1.0), dds.Twist(dds.Vector3(linear)))
+
+
+def test_a_command_on_another_topic_of_the_base_is_another_nodes(
+    joystick: Callable[[DdsRobot], DdsNode],
+) -> None:
+    robot = DdsRobot()
+    node = joystick(robot)
+
+    async def story(harness: DriverHarness) -> None:
+        await drive(harness)
+        for _ in range(5):
+            node.publish("/cmd_vel_stamped", stamped(0.0))
+            await asyncio.sleep(0.05)
+        assert harness.sink.is_up, "zeros do not drive"
+
+        def is_lost() -> bool:
+            node.publish("/cmd_vel_stamped", stamped(0.3))
+            return not harness.sink.is_up
+
+        await harness.until(is_lost, publishing=True)
+        assert reported(harness, "someone else drives: commands on /cmd_vel_stamped", is_up=False)
+        harness.driver.send(ZERO, 3, 3, is_stopped=True)
+        robot.commands()
+        node.publish("/cmd_vel_stamped", stamped(0.3))
+        assert (await harness.command()).is_zero
+        await harness.until(lambda: harness.sink.is_up, publishing=True)
+
+    play(robot, story, other_commands=["cmd_vel_stamped"])
+
+
+def test_a_goal_of_an_action_drives_until_it_ends() -> None:
+    robot = DdsRobot(actions=["dock"])
+
+    async def story(harness: DriverHarness) -> None:
+        await drive(harness)
+        assert robot.node is not None
+        robot.node.goals("/dock", EXECUTING)
+        await harness.until(lambda: not harness.sink.is_up, publishing=True)
+        assert reported(harness, "action /dock", is_up=False)
+        assert reported(harness, "/dock/_action/cancel_goal", is_up=False)
+        robot.commands()
+        harness.driver.send(ZERO, 3, 3, is_stopped=True)
+        assert (await harness.command()).is_zero
+        harness.driver.send(Twist(0.1), 4, 4)
+        for _ in range(30):  # longer than a command of another node counts
+            robot.publish()
+            await asyncio.sleep(0.1)
+        assert not harness.sink.is_up
+        assert all(twist.is_zero for twist in robot.commands())
+        robot.node.goals("/dock", SUCCEEDED)
+        await harness.until(lambda: harness.sink.is_up, publishing=True)
+
+    play(robot, story, other_actions=["dock"])
+
+
+def test_a_goal_that_began_before_the_driver_is_known() -> None:
+    robot = DdsRobot(actions=["dock"])
+    assert robot.node is not None
+    robot.node.goals("/dock", EXECUTING)
+
+    async def story(harness: DriverHarness) -> None:
+        await harness.until(lambda: reported(harness, "action /dock", is_up=False), publishing=True)
+        line = {one.subject: one for one in await second.check(TIMEOUT)}["last_word"]
+        assert not line.is_well, "a second subscriber gets it too"
+        assert "action /dock" in line.text
+        robot.stop()  # with its server
+        robot.start()
+        await harness.until(lambda: harness.sink.is_up, publishing=True)
+
+    second = robot.make({"other_actions": ["dock"]})
+    play(robot, story, connected=False, other_actions=["dock"])
+
+
+def test_a_check_names_what_is_silent(joystick: Callable[[DdsRobot], DdsNode]) -> None:
+    robot = DdsRobot(actions=["dock"])
+    joystick(robot)
+    found = check(
+        robot,
+        robot.publish,
+        seconds=TIMEOUT,
+        other_commands=["cmd_vel_stamped"],
+        other_actions=["dock", "undock"],
+    )
+    line = found["last_word"]
+    assert line.is_well
+    assert "may publish /cmd_vel_stamped" in line.text
+    assert "has no goal; no node serves action /undock" in line.text
+
+
+def test_a_base_that_returns_with_another_type_is_commanded_in_it() -> None:
+    robot = DdsRobot()
+
+    async def story(harness: DriverHarness) -> None:
+        for is_stamped in (True, False):
+            robot.stop()
+            await harness.until(lambda: not harness.sink.is_up)
+            robot.is_stamped = is_stamped
+            robot.start()
+            await harness.until(lambda: harness.sink.is_up, publishing=True)
+            await drive(harness)
+
+    play(robot, story)
+
+
+@pytest.mark.parametrize("is_stamped", [False, True])
+def test_the_watchdogs_zero_is_zero_in_either_type(is_stamped: bool) -> None:
+    robot = DdsRobot(is_stamped=is_stamped)
+    spec = robot.make({}).zero_sender()
+    module, _, maker = spec.maker.partition(":")
+    sender = getattr(import_module(module), maker)(**spec.options)
+    sender.open()
+
+    async def story(harness: DriverHarness) -> None:
+        taken: list[Twist] = []
+
+        def has_come() -> bool:
+            sender.send_zero()
+            taken.extend(robot.commands())
+            return bool(taken)
+
+        await harness.until(has_come)
+        for twist in taken:
+            assert max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) < 1e-300
+
+    play(robot, story)
+    sender.close()
+
+
+@pytest.mark.parametrize("quality", QUALITIES)
+def test_scans_and_odometry_arrive_whatever_their_quality(quality: str) -> None:
+    robot = DdsRobot(qos={"scan": QUALITIES[quality], "odom": QUALITIES[quality]})
+    found = check(robot, robot.publish, seconds=TIMEOUT)
+    for subject in ("scan", "odometry"):
+        assert found[subject].is_well
+        assert f", {quality})" in found[subject].text
+
+
+@pytest.mark.parametrize(
+    "qos", [*QUALITIES.values(), STRICT], ids=[*QUALITIES, "reliable with a deadline"]
+)
+def test_commands_arrive_whatever_the_quality_that_the_base_wants(qos: Qos) -> None:
+    play(DdsRobot(qos={"cmd_vel": qos}), drive)
+
+
+@pytest.mark.parametrize(
+    ("topic", "first", "later", "subject"),
+    [("cmd_vel", RELIABLE, KEPT, "cmd_vel"), ("odom", RELIABLE, SENSOR, "odometry")],
+    ids=["base", "odometry"],
+)
+def test_a_quality_that_the_first_node_of_a_topic_had_not_is_named(
+    topic: str, first: Qos, later: Qos, subject: str
+) -> None:
+    """The bridge's route has the quality of the first node; nothing of the second one passes."""
+    robot = DdsRobot(qos={topic: later})
+    robot.stop()
+    published = {f"/{topic}": dds.Odometry} if topic == "odom" else {}
+    subscribed = {} if published else {f"/{topic}": dds.Twist}
+    other = DdsNode(
+        robot.domain, "rosbag2_recorder", published, subscribed, qos={f"/{topic}": first}
+    )
+    session = open_session("client", "connect/endpoints", robot.endpoint)
+    wait_until(lambda: any(session.liveliness().get(f"@/*/@ros2_lv/*/{topic}/**")), "the route")
+    session.close()
+    robot.start()
+    found = check(robot, robot.publish, seconds=4.0)[subject]
+    other.close()
+    assert not found.is_well
+    assert "nothing passes" in found.text

@@ -1,0 +1,507 @@
+"""The nodes that a bridge lists: pure histories of them, and a stand-in hub that lists its own."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import random
+from collections.abc import Collection, Iterator, Mapping
+
+import pytest
+import zenoh
+
+from swarmd.core.messages import Reason
+from swarmd.core.values import Twist
+from swarmd.drivers.ros.diagnosis import Conflict, Graph
+from swarmd.drivers.ros.endpoints import Endpoint, with_nodes
+from swarmd.drivers.ros.messages import Twist as TwistMessage
+from swarmd.drivers.ros.messages import TwistStamped
+from swarmd.drivers.ros.options import TopicOptions
+from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros2.dds_bridge import Ros2Dds
+from swarmd.drivers.ros2.node_list import MAX_AGE, MAX_FIRST, PERIOD, NodeList
+from swarmd.settings.platforms import load_platform
+from swarmd.testing.driver_contract import DriverHarness, play
+from tests.drivers.ros2.harness import announce, check, drive, reported
+from tests.drivers.ros2.robots import BridgedRobot, open_session
+
+LASER, TWIST = "sensor_msgs/msg/LaserScan", "geometry_msgs/msg/Twist"
+ODOMETRY = "nav_msgs/msg/Odometry"
+BASE = {"publishers": [], "subscribers": [{"name": "/cmd_vel", "type": TWIST}]}
+LIDAR = {"publishers": [{"name": "/scan", "type": LASER}], "subscribers": []}
+BURGER = load_platform("burger")
+DDS_LEASE = 10.0
+
+Answers = dict[str, bytes]
+
+
+def answers(
+    *nodes: tuple[str, Mapping[str, object]], zid: str = "ab", namespace: str = "/"
+) -> Answers:
+    """What bridge `zid` answers; nodes such as `("01/base", BASE)`."""
+    config = {"namespace": namespace, "nodename": "zenoh_bridge_ros2dds", "domain": 0}
+    return {
+        f"@/{zid}/ros2/config": json.dumps(config).encode(),
+        **{f"@/{zid}/ros2/node/{key}": json.dumps(node).encode() for key, node in nodes},
+    }
+
+
+def conflict(
+    listed: NodeList,
+    now: float,
+    zids: Collection[str] = ("ab",),
+    ends: Collection[str] = ("MP", "MS"),
+    **options: object,
+) -> Conflict | None:
+    """What a robot is held for whose scan (MP) and commands (MS) these bridges announce."""
+    scheme = Ros2Dds()
+    tokens = [
+        f"@/{zid}/@ros2_lv/{token}"
+        for zid in zids
+        for token in (
+            "MP/scan/sensor_msgs§msg§LaserScan/:::1,5",
+            "MS/cmd_vel/geometry_msgs§msg§Twist/:::1,5",
+        )
+        if token[:2] in ends
+    ]
+    announced = [end for end in map(scheme.parse_token, tokens) if end is not None]
+    read = TopicOptions(**options)  # type: ignore[arg-type]  # of the test's own keywords
+    graph = Graph(
+        middleware=scheme,
+        endpoints=with_nodes(announced, listed.endpoints, now),
+        options=read,
+        now=now,
+    )
+    return graph.conflict(Subscriptions(read, BURGER).topics.values(), BURGER.scan)
+
+
+def listed_once(given: Answers, now: float = 0.0) -> NodeList:
+    made = NodeList()
+    made.take(given, {"ab"}, now)
+    return made
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted", "words"),
+    [
+        ([("01/base", BASE)], None, ""),
+        ([("01/base", BASE), ("01/lidar", LIDAR)], None, ""),
+        ([("01/base", BASE), ("02/other", BASE)], Reason.BASE_CONFLICT, "/base, /other"),
+        ([("01/r1/base", BASE), ("02/r2/base", BASE)], Reason.BASE_CONFLICT, "/r1/base, /r2/base"),
+        ([("01/base", BASE), ("02/base", BASE)], Reason.BASE_CONFLICT, "named /base"),
+        (
+            [("01/base", BASE), ("02/a", LIDAR), ("03/b", LIDAR)],
+            Reason.SCAN_CONFLICT,
+            "/a, /b",
+        ),
+        *(
+            ([("01/base", BASE), (f"02/{name}", BASE)], None, "")
+            for name in (
+                "rosbag2_recorder",
+                "r1/rosbag2_recorder_3",
+                "_ros2cli_1234",
+                "rviz2",
+                "rqt_gui_py_node_77",
+                "foxglove_bridge",
+                "zenoh_bridge_ros2dds",
+                "r1/zenoh_bridge_ros2dds",
+            )
+        ),
+    ],
+)
+def test_two_nodes_that_take_commands_or_publish_scans_are_a_conflict(
+    given: list[tuple[str, Mapping[str, object]]], wanted: Reason | None, words: str
+) -> None:
+    found = conflict(listed_once(answers(*given)), 0.0)
+    assert (found and found.reason) == wanted
+    assert words in (found.text if found else "")
+
+
+@pytest.mark.parametrize("given", [("/estimator",), ("estim*",), ("x", "estimator")])
+def test_a_node_that_is_named_as_a_listener_is_no_second_base(given: tuple[str, ...]) -> None:
+    both = listed_once(answers(("01/base", BASE), ("02/estimator", BASE)))
+    assert conflict(both, 0.0) is not None
+    assert conflict(both, 0.0, cmd_vel_listeners=given) is None
+
+
+def test_a_node_that_two_bridges_of_one_domain_list_is_one_base() -> None:
+    made = NodeList()
+    made.take({**answers(("01/base", BASE)), **answers(("01/base", BASE), zid="cd")}, (), 0.0)
+    assert conflict(made, 0.0, ("ab", "cd"), ["MS"]) is None
+
+
+def test_scans_that_two_bridges_hand_on_are_a_conflict() -> None:
+    both = {**answers(("01/l", LIDAR)), **answers(("01/l", LIDAR), zid="cd")}
+    made = NodeList()
+    made.take(both, (), 0.0)
+    found = conflict(made, 0.0, ("ab", "cd"), ["MP"])
+    assert found is not None
+    assert found.reason is Reason.SCAN_CONFLICT
+    assert "2 bridges" in found.text
+
+
+def test_bases_behind_two_bridges_with_namespaces_are_two_robots() -> None:
+    """Each lists `/cmd_vel`; only the first bridge's is this robot's."""
+    made = NodeList()
+    first = answers(("01/base", BASE), namespace="/tb3_01")
+    made.take({**first, **answers(("02/base", BASE), zid="cd", namespace="/tb3_02")}, (), 0.0)
+    assert {end.topic for end in made.endpoints} == {"/tb3_01/cmd_vel", "/tb3_02/cmd_vel"}
+
+
+def test_bases_behind_two_bridges_without_namespaces_are_a_conflict() -> None:
+    made = NodeList()
+    made.take({**answers(("01/base", BASE)), **answers(("02/base2", BASE), zid="cd")}, (), 0.0)
+    assert conflict(made, 0.0, ("ab", "cd"), ["MS"]) is not None
+    assert conflict(NodeList(), 0.0, ("ab", "cd"), ["MS"]) is not None, "without lists too"
+
+
+def test_a_node_without_an_announcement_is_not_routed() -> None:
+    """As after the end of one of two nodes of a name: the bridge withdraws both."""
+    listed = listed_once(answers(("01/base", BASE))).endpoints
+    graph = Graph(middleware=Ros2Dds(), endpoints=with_nodes([], listed, 0.0))
+    assert not graph.bases("/cmd_vel")
+    twist = TopicOptions().command_types
+    text = graph.no_subscriber("/cmd_vel", twist, has_subscriber=False)
+    assert text.startswith("/base takes /cmd_vel, but zenoh-bridge-ros2dds does not hand it on")
+
+
+def test_a_base_of_another_type_than_the_route_gets_no_commands() -> None:
+    """The bridge keeps the type of the first node, and its bytes would move a base of that type."""
+    stamped = {"publishers": [], "subscribers": [{"name": "/cmd_vel", "type": f"{TWIST}Stamped"}]}
+    token = "@/ab/@ros2_lv/MS/cmd_vel/geometry_msgs§msg§Twist/:::1,5"
+    route = Ros2Dds().parse_token(token)
+    assert route is not None
+
+    def fault(*nodes: tuple[str, Mapping[str, object]], **options: object) -> tuple[str, bool]:
+        ends = with_nodes([route], listed_once(answers(*nodes)).endpoints, 0.0)
+        graph = Graph(middleware=Ros2Dds(), endpoints=ends)
+        types = TopicOptions(**options).command_types  # type: ignore[arg-type]
+        text = graph.no_subscriber("/cmd_vel", types, has_subscriber=True)
+        return text, graph.command_type("/cmd_vel", types) is not None
+
+    for kind in ("auto", "twist_stamped"):
+        text, _ = fault(("02/other", stamped), cmd_vel_type=kind)
+        assert text.startswith("/other takes /cmd_vel, but zenoh-bridge-ros2dds does not hand it")
+    assert fault(("02/other", stamped))[1] is False
+    assert "is not clear" in fault(("01/base", BASE), ("02/other", stamped))[0]
+    assert fault(("01/base", BASE)) == ("", True)
+
+
+def test_a_list_that_is_older_than_an_announcement_does_not_tell_its_type() -> None:
+    """A base that returns with another type would read a stamped command as 1e180 m/s."""
+    stamped = "geometry_msgs/msg/TwistStamped"
+    base = Endpoint(False, "/cmd_vel", TWIST, zid="ab", since=5.0)
+    listed = [Endpoint(False, "/cmd_vel", stamped, zid="ab", node="/base", process="01")]
+    types: dict[float, type | None] = {}
+    for listed_at in (4.9, 5.0):
+        graph = Graph(middleware=Ros2Dds(), endpoints=with_nodes([base], listed, listed_at))
+        types[listed_at] = graph.command_type("/cmd_vel", (TwistMessage, TwistStamped))
+    assert types == {4.9: TwistMessage, 5.0: None}
+
+
+JUNK = (b"", b"\xff", b"[]", b"{}", b'{"subscribers": [{"name": 1}]}', b"[" * 9999, b'"\xff"')
+
+
+@pytest.mark.parametrize("junk", JUNK)
+def test_junk_is_left_out(junk: bytes) -> None:
+    whole = answers(("01/base", BASE))
+    made = listed_once({**whole, "@/ab/ros2/node/02/base": junk, "@": junk, "@/ros2": junk})
+    assert len(made.endpoints) == 1
+    assert not listed_once({**whole, "@/ab/ros2/config": junk}).endpoints
+
+
+def test_names_add_no_second_line() -> None:
+    odd = {"publishers": [], "subscribers": [{"name": "/cmd_vel\nok", "type": TWIST}]}
+    assert not listed_once(answers(("01/base", odd), ("02/b\nase", BASE))).endpoints
+
+
+# When the first list counts
+
+
+def test_a_list_is_awaited_until_two_in_a_row_are_alike() -> None:
+    made, one = NodeList(), answers(("01/base", BASE))
+    assert made.is_awaited({"ab"})
+    made.take(one, {"ab"}, 0.0)
+    assert made.is_awaited({"ab"})
+    made.take(one, {"ab"}, 0.5)
+    assert not made.is_awaited({"ab"})
+    made.take(answers(("01/base", BASE), ("02/base", BASE)), {"ab"}, 2.5)
+    assert not made.is_awaited({"ab"}), "it was whole once"
+    assert made.is_awaited({"ab", "cd"}), "another bridge has come"
+
+
+@pytest.mark.parametrize("given", [None, {}])
+def test_a_bridge_that_lists_no_nodes_is_not_awaited_for_ever(given: Answers | None) -> None:
+    made = NodeList()
+    for count in range(MAX_FIRST):
+        assert made.is_awaited({"ab"})
+        made.take(given, {"ab"}, 0.1 * count)
+    assert not made.is_awaited({"ab"})
+    assert not made.bridges
+
+
+def test_an_answer_that_timed_out_changes_nothing_until_it_is_too_old() -> None:
+    made = listed_once(answers(("01/base", BASE), ("02/other", BASE)))
+    made.take(None, {"ab"}, MAX_AGE)
+    assert len(made.endpoints) == 2
+    made.take(None, {"ab"}, MAX_AGE + 0.1)
+    assert not made.endpoints
+
+
+def test_a_bridge_that_answers_too_late_keeps_its_nodes_and_no_others() -> None:
+    made, slow = NodeList(), answers(("02/other", BASE), zid="cd")
+    made.take({**answers(("01/base", BASE)), **slow}, {"ab", "cd"}, 0.0)
+    made.take(answers(("01/base", BASE), ("03/third", BASE)), {"ab", "cd"}, 2.0, {"cd"})
+    assert {end.node for end in made.endpoints} == {"/base", "/other", "/third"}
+    made.take(answers(("01/base", BASE)), {"ab", "cd"}, MAX_AGE, {"cd"})
+    assert {end.node for end in made.endpoints} == {"/base", "/other"}
+    made.take(answers(("01/base", BASE)), {"ab", "cd"}, MAX_AGE + 0.1, {"cd"})
+    assert {end.node for end in made.endpoints} == {"/base"}
+
+
+# Histories
+
+
+class Domain:
+    """A DDS domain of bases: they start, end in order, or crash and are listed for 10 s more."""
+
+    def __init__(self, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.now = 0.0
+        self.count = 0
+        self.alive: dict[str, str] = {}  # participant to name
+        self.dead: dict[str, tuple[str, float]] = {}  # participant to name and time of its crash
+
+    def step(self) -> None:
+        self.now += PERIOD
+        kind = self.random.random()
+        if kind < 0.25 and len(self.alive) < 3:
+            self.count += 1
+            self.alive[f"{self.count:02}"] = self.random.choice(("base", "other", "rviz2"))
+        elif kind < 0.4 and self.alive:
+            del self.alive[self.random.choice(list(self.alive))]
+        elif kind < 0.6 and self.alive:
+            gone = self.random.choice(list(self.alive))
+            self.dead[gone] = self.alive.pop(gone), self.now
+        self.dead = {
+            gone: (name, at) for gone, (name, at) in self.dead.items() if self.now - at < DDS_LEASE
+        }
+
+    def answers(self) -> Answers:
+        listed = {**self.alive, **{gone: name for gone, (name, _) in self.dead.items()}}
+        shuffled = self.random.sample(sorted(listed), len(listed))
+        return answers(*((f"{one}/{listed[one]}", BASE) for one in shuffled))
+
+    def bases(self, *, with_dead: bool) -> int:
+        names = [*self.alive.values()]
+        names += [name for name, _ in self.dead.values()] if with_dead else []
+        return sum(name != "rviz2" for name in names)
+
+
+def histories() -> Iterator[Domain]:
+    return map(Domain, range(40))
+
+
+def test_in_any_history_two_living_bases_are_held_and_one_that_stands_alone_is_not() -> None:
+    held, free = 0, 0
+    for domain in histories():
+        made = NodeList()
+        for _ in range(60):
+            domain.step()
+            made.take(domain.answers(), {"ab"}, domain.now)
+            found = conflict(made, domain.now)
+            if domain.bases(with_dead=False) > 1:
+                held += 1
+                assert found is not None
+                assert found.reason is Reason.BASE_CONFLICT
+            elif domain.bases(with_dead=True) <= 1:
+                free += 1
+                assert found is None
+    assert held > 100
+    assert free > 100
+
+
+def test_in_any_history_nodes_of_one_name_live_if_both_outlast_the_lease() -> None:
+    """A crash and two robots look alike at first; only of two that lived together that is said."""
+    living, unknown = 0, 0
+    for domain in histories():
+        made, together_at = NodeList(), -DDS_LEASE
+        for _ in range(60):
+            domain.step()
+            made.take(domain.answers(), {"ab"}, domain.now)
+            found = conflict(made, domain.now)
+            names = [name for name in domain.alive.values() if name != "rviz2"]
+            together_at = domain.now if len(names) > 1 else together_at
+            if found is None or "named" not in found.text:
+                continue
+            if "living" in found.text:
+                living += 1
+                assert domain.now - together_at <= DDS_LEASE
+            else:
+                unknown += 1
+    assert living > 10
+    assert unknown > 10
+
+
+# A hub that lists its nodes
+
+
+def alone(robot: BridgedRobot) -> None:
+    """One base with its lidar, announced and listed."""
+    announce(robot, "MP", "scan", LASER)
+    announce(robot, "MS", "cmd_vel", TWIST)
+    robot.list_nodes()
+    robot.list_node("01", "base", {"/scan": LASER, "/odom": ODOMETRY}, {"/cmd_vel": TWIST})
+
+
+async def only_zero_arrives(harness: DriverHarness) -> None:
+    """Command motion until the robot is held, and a second longer."""
+    taken: list[Twist] = []
+
+    def is_held() -> bool:
+        harness.driver.send(Twist(0.1), 1, 1)
+        taken.extend(harness.rig.commands())
+        return harness.sink.is_up and harness.sink.hold is Reason.BASE_CONFLICT
+
+    await harness.until(is_held, publishing=True)
+    for _ in range(20):
+        harness.rig.publish()
+        is_held()
+        await asyncio.sleep(0.05)
+    assert harness.sink.is_up
+    assert all(twist.is_zero for twist in taken)
+
+
+def test_no_motion_reaches_two_bases_that_are_there_from_the_start() -> None:
+    robot = BridgedRobot()
+    alone(robot)
+    robot.list_node("02", "other", {}, {"/cmd_vel": TWIST})
+
+    async def story(harness: DriverHarness) -> None:
+        await only_zero_arrives(harness)
+        assert reported(harness, "2 nodes take /cmd_vel: /base, /other; ", is_up=True)
+
+    play(robot, story, connected=False)
+
+
+def test_a_second_base_holds_a_robot_that_drives_and_its_end_frees_it() -> None:
+    robot = BridgedRobot()
+    alone(robot)
+
+    async def story(harness: DriverHarness) -> None:
+        await harness.connect()
+        await drive(harness)
+        key = robot.list_node("02", "base", {}, {"/cmd_vel": TWIST})
+        await harness.until(lambda: harness.sink.hold is Reason.BASE_CONFLICT, publishing=True)
+        assert reported(harness, "/base take /cmd_vel: it crashed and is back", is_up=True)
+        robot.commands()
+        harness.driver.send(Twist(0.1), 3, 3)
+        assert (await harness.command()).is_zero
+        del robot.listed[key]
+        await harness.until(lambda: harness.sink.hold is None, publishing=True)
+        await drive_again(harness)
+
+    play(robot, story, connected=False)
+
+
+async def drive_again(harness: DriverHarness) -> None:
+    def is_moving() -> bool:
+        harness.driver.send(Twist(0.1), 4, 4)
+        return any(not twist.is_zero for twist in harness.rig.commands())
+
+    await harness.until(is_moving, publishing=True)
+
+
+def test_a_recorder_holds_nothing_and_the_check_names_it() -> None:
+    robot = BridgedRobot()
+    alone(robot)
+    robot.list_node("02", "rosbag2_recorder", {}, {"/cmd_vel": TWIST})
+    found = check(robot, robot.publish)
+    assert found["cmd_vel"].is_well
+    assert "/base (/rosbag2_recorder only listens)" in found["cmd_vel"].text
+    assert "nodes" not in found
+
+
+def test_a_recorder_alone_is_no_base() -> None:
+    robot = BridgedRobot()
+    announce(robot, "MS", "cmd_vel", TWIST)
+    robot.list_nodes()
+    robot.list_node("02", "rosbag2_recorder", {}, {"/cmd_vel": TWIST})
+    found = check(robot, robot.publish)
+    assert not found["cmd_vel"].is_well
+    assert "only /rosbag2_recorder takes /cmd_vel" in found["cmd_vel"].text
+
+
+def test_check_fails_for_two_bases_and_names_them_and_the_remedy() -> None:
+    robot = BridgedRobot()
+    alone(robot)
+    robot.list_node("02", "other", {"/scan": LASER}, {"/cmd_vel": TWIST})
+    found = check(robot, robot.publish)
+    for subject in ("cmd_vel", "scan"):
+        assert not found[subject].is_well
+        for word in ("/base, /other", "namespace", "domain"):
+            assert word in found[subject].text
+
+
+def test_a_bridge_that_does_not_list_its_nodes_drives_and_the_check_says_so() -> None:
+    robot = BridgedRobot()
+    announce(robot, "MS", "cmd_vel", TWIST)
+
+    async def story(harness: DriverHarness) -> None:
+        await harness.connect()
+        await drive(harness)
+
+    play(robot, story, connected=False)
+    robot = BridgedRobot()
+    announce(robot, "MS", "cmd_vel", TWIST)
+    found = check(robot, robot.publish)["nodes"]
+    assert (found.is_well, found.is_measured) == (True, False)
+
+
+def test_a_bridge_that_is_slow_to_answer_is_waited_for_and_not_for_ever() -> None:
+    robot = BridgedRobot()
+    announce(robot, "MS", "cmd_vel", TWIST)
+    waiting: list[zenoh.Query] = []  # a query that is kept has no end
+    robot.hub.declare_queryable(f"@/{robot.hub.zid()}/ros2/**", waiting.append)
+
+    async def story(harness: DriverHarness) -> None:
+        await harness.until(lambda: len(waiting) >= 4 or harness.sink.is_up, publishing=True)
+        assert not harness.sink.is_up
+        await harness.connect()
+        await drive(harness)
+        waiting.clear()
+
+    play(robot, story, connected=False)
+
+
+def test_another_bridge_that_does_not_answer_hides_no_second_base() -> None:
+    """As one behind a slow link to the hub; it announces nothing of this robot."""
+    robot = BridgedRobot()
+    alone(robot)
+    robot.list_node("02", "other", {}, {"/cmd_vel": TWIST})
+    waiting: list[zenoh.Query] = []  # a query that is kept has no end
+    with open_session("client", "connect/endpoints", robot.endpoint) as far:
+        far.declare_queryable(f"@/{far.zid()}/ros2/**", waiting.append)
+
+        async def story(harness: DriverHarness) -> None:
+            await only_zero_arrives(harness)
+
+        play(robot, story, connected=False)
+        waiting.clear()
+
+
+def test_a_second_bridge_that_does_not_answer_hides_no_second_base() -> None:
+    """It announces a topic of this robot; of the first bridge's nodes two take the commands."""
+    robot = BridgedRobot()
+    alone(robot)
+    robot.list_node("02", "other", {}, {"/cmd_vel": TWIST})
+    waiting: list[zenoh.Query] = []
+    with open_session("client", "connect/endpoints", robot.endpoint) as far:
+        announce(robot, "MP", "imu", "sensor_msgs/msg/Imu", zid=str(far.zid()))
+        far.declare_queryable(f"@/{far.zid()}/ros2/**", waiting.append)
+
+        async def story(harness: DriverHarness) -> None:
+            await only_zero_arrives(harness)
+
+        play(robot, story, connected=False, imu="imu")
+        waiting.clear()
