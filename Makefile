@@ -9,7 +9,10 @@ ARGS ?=
 # nothing. 0: one after the other, in this process.
 JOBS ?= 5
 
-.PHONY: help demo kernels wheels archive test evidence check static wheel format docs bench budget network network-scale paper safety outcomes voting films mutants kernel-mutants lock clean
+# Beside all checkouts, since the first build takes six minutes on two cores; tests find it there.
+ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
+
+.PHONY: help demo kernels wheels archive test evidence check static wheel format docs bench budget network network-scale paper safety outcomes voting films mutants kernel-mutants ros2-router ros-study lock clean
 .DELETE_ON_ERROR:
 
 help:
@@ -33,6 +36,8 @@ help:
 	@echo "make safety      robot-hours and progress under protection; hours"
 	@echo "make mutants   small changes of the code and the tests that notice them; a night"
 	@echo "make kernel-mutants  the same for the compiled kernels; ARGS=40 draws so many; 20 s each, 2 min if none notices"
+	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
+	@echo "make ros-study    faults of three robots on DDS behind that router, for docs/ros.md; six minutes"
 	@echo "make lock      writes constraints.txt again, with the newest versions that fit"
 	@echo "make clean     removes .venv, build and caches"
 	@echo "PYTHON=python3.12 picks the interpreter."
@@ -125,6 +130,11 @@ safety: $(VENV)/tools
 	@$(BIN)/python -m studies.safety hours $(ARGS)
 	@$(BIN)/python -m studies.safety progress
 
+# Three robots on DDS behind one bridge, and what their daemons make of thirty faults, in docs/ros.md.
+ros-study: $(VENV)/tools
+	@command -v zenoh-bridge-ros2dds >/dev/null || $(MAKE) --no-print-directory ros2-router
+	@$(BIN)/python -m studies.ros $(ARGS)
+
 # Small changes of protection, robot and the ROS conversion, each with the tests that reach it. All
 # of them take a night; ARGS='swarmd.protection.projection*' selects some, and
 # studies/mutation_sample.py draws a sample.
@@ -154,6 +164,18 @@ $(VENV)/installed: $(VENV)/made pyproject.toml setup.py constraints.txt
 	@$(PIP) install --constraint constraints.txt --editable '.[sim,plot,web,record,film,keys]'
 	@$(COMPILE)
 	@touch $@
+
+# Built in the cache, so that Cargo.lock and what is compiled serve every checkout. Its last step puts
+# the whole program in place, since tests may be using the one before.
+ros2-router:
+	@for tool in cargo cmake c++; do command -v $$tool >/dev/null || { echo \
+	  "no $$tool here; ros2-router needs cargo, as rustup installs it, and on Debian: apt install cmake g++ libclang-dev" >&2; exit 1; }; done
+	@mkdir -p $(ROUTER)/src
+	@for file in Cargo.toml src/main.rs; do cmp -s tests/support/ros2_router/$$file $(ROUTER)/$$file || \
+	  cp tests/support/ros2_router/$$file $(ROUTER)/$$file; done
+	@cargo build --quiet --release --manifest-path $(ROUTER)/Cargo.toml --target-dir $(ROUTER)/target
+	@cmp -s $(ROUTER)/target/release/ros2-router $(ROUTER)/ros2-router || \
+	  { cp $(ROUTER)/target/release/ros2-router $(ROUTER)/new && mv $(ROUTER)/new $(ROUTER)/ros2-router; }
 
 # pip understands --group only from 25.1 on, and a new environment may hold an older one.
 $(VENV)/tools: $(VENV)/installed

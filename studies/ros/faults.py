@@ -1,0 +1,327 @@
+"""The faults of the study: what is done to a chain that drives, and what mends it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+from studies.ros.chain import Chain
+from studies.ros.node import Faults
+from studies.ros.robots import BASE, LIDAR, ROBOTS, STRANGER
+from swarmd.core.messages import Presence
+from tests.support.ros2_bridge import free_domain
+
+VICTIM = ROBOTS[0]
+DDS_LEASE = 14.0
+"""Seconds after which a bridge has removed a killed node; DDS keeps it for 10 s."""
+
+Act = Callable[[Chain], object]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Fault:
+    """One row of the table.
+
+    The fault begins with `inject`, or once that has returned if it `begins_later`. `bound`: seconds
+    from then on after which no command to move may reach the base, as the documentation states; inf
+    where it states none. `robots` that it concerns, and other `bodies` that it may move. `lasts` s
+    until the operator gives `order`, `stays` s more until `mend`; where robots do not drive again
+    after that comes `mend_more`. `look`: what others say of the fault. `is_fault` False: the robots
+    are to drive on.
+    """
+
+    name: str
+    inject: Act
+    mend: Act
+    bound: float
+    mend_more: Act | None = None
+    robots: Sequence[str] = (VICTIM,)
+    bodies: Sequence[str] = ()
+    lasts: float = 5.0
+    stays: float = 0.0
+    order: str = "stop"
+    begins_later: bool = False
+    is_fault: bool = True
+    look: Callable[[Chain], str] = lambda chain: ""
+
+
+def faults() -> tuple[Fault, ...]:
+    """All of them, in the order of the table."""
+    return (
+        *_of_the_bridge(),
+        *_of_the_base(),
+        *_of_a_second_robot(),
+        *_of_commands_and_odometry(),
+        *_of_the_lidar(),
+        *_of_the_daemon(),
+    )
+
+
+def _of_the_bridge() -> Sequence[Fault]:
+    return (
+        Fault(
+            name="bridge killed, started again 5 s later",
+            inject=lambda chain: chain.bridge.kill(),
+            mend=lambda chain: chain.bridge.start(),
+            bound=1.0,
+            robots=ROBOTS,
+        ),
+        Fault(
+            name="bridge killed and started again at once",
+            inject=Chain.restart_bridge,
+            mend=_nothing,
+            bound=math.inf,
+            robots=ROBOTS,
+            lasts=4.0,
+        ),
+        *(
+            Fault(
+                name=f"bridge frozen for {seconds:g} s",
+                inject=lambda chain: chain.bridge.freeze(),
+                mend=lambda chain: chain.bridge.thaw(),
+                bound=1.0,
+                robots=ROBOTS,
+                lasts=seconds,
+            )
+            for seconds in (2.0, 8.0)
+        ),
+        Fault(
+            name="bridge frozen, and `swarmctl estop` meanwhile",
+            inject=lambda chain: chain.bridge.freeze(),
+            mend=lambda chain: chain.bridge.thaw(),
+            bound=1.0,
+            robots=ROBOTS,
+            lasts=0.3,
+            stays=2.0,
+            order="estop",
+        ),
+        Fault(
+            name="bridge in another domain (ROS_DOMAIN_ID)",
+            inject=lambda chain: chain.restart_bridge(free_domain()),
+            mend=Chain.restart_bridge,
+            bound=1.0,
+            robots=ROBOTS,
+            lasts=6.0,
+        ),
+    )
+
+
+def _of_the_base() -> Sequence[Fault]:
+    return (
+        Fault(
+            name="node of the base killed, started again 14 s later",
+            inject=lambda chain: chain.nodes[VICTIM, "base"].kill(),
+            mend=lambda chain: chain.start_node(VICTIM, "base"),
+            mend_more=Chain.restart_bridge,
+            bound=1.0,
+            lasts=DDS_LEASE,
+        ),
+        Fault(
+            name="node of the base killed and started again at once",
+            inject=_restart_base,
+            mend=_nothing,
+            mend_more=Chain.restart_bridge,
+            bound=4.0,
+            lasts=DDS_LEASE,
+        ),
+        Fault(
+            name="node of the base ended in order and started again",
+            inject=partial(_restart_base, is_orderly=True),
+            mend=_nothing,
+            mend_more=Chain.restart_bridge,
+            bound=math.inf,
+        ),
+    )
+
+
+def _of_a_second_robot() -> Sequence[Fault]:
+    return (
+        Fault(
+            name="a second robot's nodes in this namespace, under other names",
+            inject=partial(_start_stranger, base="other_base", lidar="other_lidar"),
+            mend=_end_stranger,
+            mend_more=Chain.restart_bridge,
+            bound=4.0,
+            begins_later=True,
+            bodies=(STRANGER,),
+            lasts=8.0,
+        ),
+        Fault(
+            name="a second robot's nodes in this namespace, under the same names",
+            inject=partial(_start_stranger, base=BASE, lidar=LIDAR),
+            mend=_end_stranger,
+            mend_more=Chain.restart_bridge,
+            bound=4.0,
+            begins_later=True,
+            bodies=(STRANGER,),
+            lasts=12.0,
+        ),
+        Fault(
+            name="a second base alone in this namespace, under another name",
+            inject=partial(_start_stranger, base="other_base"),
+            mend=_end_stranger,
+            mend_more=Chain.restart_bridge,
+            bound=4.0,
+            begins_later=True,
+            bodies=(STRANGER,),
+            lasts=8.0,
+        ),
+    )
+
+
+def _of_commands_and_odometry() -> Sequence[Fault]:
+    return (
+        Fault(
+            name="base started again without its namespace",
+            inject=partial(_restart_base, at="/", is_orderly=True),
+            mend=partial(_restart_base, is_orderly=True),
+            mend_more=Chain.restart_bridge,
+            bound=1.0,
+            lasts=6.0,
+        ),
+        Fault(
+            name="base started again that wants TwistStamped",
+            inject=partial(_restart_base, is_stamped=True, is_orderly=True),
+            mend=partial(_restart_base, is_orderly=True),
+            mend_more=Chain.restart_bridge,
+            bound=math.inf,  # the driver follows the base's type
+            lasts=6.0,
+        ),
+        Fault(
+            name="another node drives: 50 commands per second",
+            inject=lambda chain: chain.start_node(VICTIM, "teleop"),
+            mend=lambda chain: chain.nodes[VICTIM, "teleop"].end(),
+            bound=0.5,
+            begins_later=True,
+        ),
+        Fault(
+            name="no odometry",
+            inject=lambda chain: chain.nodes[VICTIM, "base"].set(Faults(is_silent=True)),
+            mend=lambda chain: chain.nodes[VICTIM, "base"].set(Faults()),
+            bound=math.inf,
+        ),
+        Fault(
+            name="clock of the odometry 30 s ahead, 5 s later right again",
+            inject=lambda chain: chain.nodes[VICTIM, "base"].set(Faults(clock=30.0)),
+            mend=lambda chain: chain.nodes[VICTIM, "base"].set(Faults()),
+            bound=math.inf,
+        ),
+    )
+
+
+def _of_the_lidar() -> Sequence[Fault]:
+    wrong = (
+        ("lidar repeats its last message", Faults(scans="repeated"), 0.9),
+        ("lidar repeats its ranges, with new stamps", Faults(scans="frozen"), 0.9),
+        ("lidar gives zeros only", Faults(scans="zeros"), 0.7),
+        ("lidar at a third of its rate, 1.7 Hz", Faults(every=3), math.inf),
+        ("lidar at twice its rate, 10 Hz", Faults(copies=2), math.inf),
+        ("lidar silent", Faults(is_silent=True), 0.7),
+        ("clock of the lidar 30 s ahead, 5 s later right again", Faults(clock=30.0), math.inf),
+    )
+    return (
+        *(
+            Fault(
+                name=name,
+                inject=partial(_set_lidar, faults=faults),
+                mend=partial(_set_lidar, faults=Faults()),
+                bound=bound,
+            )
+            for name, faults, bound in wrong
+        ),
+        Fault(
+            name="node of the lidar killed, started again 14 s later",
+            inject=lambda chain: chain.nodes[VICTIM, "lidar"].kill(),
+            mend=lambda chain: chain.start_node(VICTIM, "lidar"),
+            mend_more=Chain.restart_bridge,
+            bound=0.7,
+            lasts=DDS_LEASE,
+        ),
+        Fault(
+            name="a second lidar publishes this scan, under another name",
+            inject=partial(_start_stranger, lidar="other_lidar"),
+            mend=_end_stranger,
+            mend_more=Chain.restart_bridge,
+            bound=4.0,
+            begins_later=True,
+            lasts=8.0,
+        ),
+    )
+
+
+def _of_the_daemon() -> Sequence[Fault]:
+    return (
+        Fault(
+            name="daemon killed (kill -9)",
+            inject=lambda chain: chain.daemons[VICTIM].kill(),
+            mend=_start_daemon,
+            bound=0.6,
+            look=_what_peers_say,
+        ),
+        Fault(
+            name="daemon frozen for 5 s",
+            inject=lambda chain: chain.daemons[VICTIM].freeze(),
+            mend=lambda chain: chain.daemons[VICTIM].thaw(),
+            bound=0.6,
+            look=_what_peers_say,
+        ),
+        Fault(
+            name="daemon started again with namespace `tb3_1`",
+            inject=lambda chain: chain.restart_daemon(VICTIM, "tb3_1"),
+            mend=lambda chain: chain.restart_daemon(VICTIM),
+            bound=1.0,
+            lasts=6.0,
+        ),
+        Fault(
+            name="no fault: four busy processes beside the chain",
+            is_fault=False,
+            inject=lambda chain: chain.set_load(4),
+            mend=lambda chain: chain.set_load(0),
+            bound=math.inf,
+            robots=ROBOTS,
+        ),
+    )
+
+
+def _nothing(chain: Chain) -> None:
+    """It is mended already."""
+
+
+def _restart_base(
+    chain: Chain, *, at: str | None = None, is_stamped: bool = False, is_orderly: bool = False
+) -> None:
+    base = chain.nodes[VICTIM, "base"]
+    if is_orderly:
+        base.end()
+    else:
+        base.kill()
+    chain.start_node(VICTIM, "base", at=at, is_stamped=is_stamped)
+
+
+def _start_stranger(chain: Chain, *, base: str = "", lidar: str = "") -> None:
+    if base:
+        chain.start_node(VICTIM, "base", body=STRANGER, name=base)
+    if lidar:
+        chain.start_node(VICTIM, "lidar", body=STRANGER, name=lidar)
+
+
+def _end_stranger(chain: Chain) -> None:
+    for key in [key for key in chain.nodes if key[0] == STRANGER]:
+        chain.nodes.pop(key).end()
+
+
+def _set_lidar(chain: Chain, *, faults: Faults) -> None:
+    chain.nodes[VICTIM, "lidar"].set(faults)
+
+
+def _start_daemon(chain: Chain) -> None:
+    chain.start_daemon(VICTIM).wait_ready()
+    chain.look()
+
+
+def _what_peers_say(chain: Chain) -> str:
+    member = chain.operator.members(timeout=0.5).members.get(VICTIM)
+    gone = member is not None and member.presence is not Presence.ALIVE
+    return f"peers: {member.presence}" if member is not None and gone else ""

@@ -1,0 +1,109 @@
+"""The study of faults on DDS: a short form of it, and its table."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from studies.ros.chain import Chain
+from studies.ros.faults import Fault, faults
+from studies.ros.study import Row, rows
+from studies.ros.table import BEGIN, END, HEAD, insert, line, summary
+from tests.support.ros2_bridge import why_no_bridge
+
+SHORT = ("lidar silent", "another node drives: 50 commands per second")
+
+
+def chosen(names: Sequence[str] = SHORT) -> list[Fault]:
+    return [fault for fault in faults() if fault.name in names]
+
+
+def row(fault: Fault, **changes: object) -> Row:
+    seen: dict[str, object] = {
+        "noticed": 0.62,
+        "says": "`stopped` (`stale_scan`): tcp/127.0.0.1:1234 | x",
+        "commanded": 0.4,
+        "stood": 0.8,
+        "driven": (0.123,),
+        "code": 0,
+        "taken": 0.24,
+        "answer": "commanded zero",
+        "late": 0,
+        "again": 1.44,
+        "needs_more": False,
+        "others": "",
+    }
+    return Row(fault=fault, **{**seen, **changes})  # type: ignore[arg-type]
+
+
+@pytest.mark.integration
+@pytest.mark.skipif(bool(why_no_bridge()), reason=why_no_bridge())
+def test_faults_are_noticed_and_no_command_to_move_follows_a_stop(tmp_path: Path) -> None:
+    with Chain(tmp_path, seed=1) as chain:
+        found = list(rows(chain, chosen()))
+    assert {one.fault.name for one in found} == {*SHORT}
+    for one in found:
+        assert one.noticed < math.inf, one
+        assert one.says, one
+        assert one.code == 0, one
+        assert one.late == 0, one
+        assert one.again < math.inf, one
+        assert sum(one.driven) > 0.0, one
+
+
+def test_the_names_of_the_faults_differ() -> None:
+    names = [fault.name for fault in faults()]
+    assert len(set(names)) == len(names) >= 20
+
+
+def test_a_row_tells_what_was_seen() -> None:
+    (silent,) = chosen(SHORT[:1])
+    cells = line(row(silent), "tcp/127.0.0.1:1234").split(" | ")
+    assert cells[0] == "| lidar silent"
+    assert cells[1] == "0.6"
+    assert cells[2] == "`stopped` (`stale_scan`): tcp/127.0.0.1:7447 / x"
+    assert cells[3] == "0.4 (0.7)"
+    assert cells[5] == "0.12"
+    assert cells[6] == "`stop`: 0, 0.2, commanded zero"
+    assert len(cells) == HEAD[0].count("|") - 1
+
+
+@pytest.mark.parametrize(
+    ("changes", "cell", "text"),
+    [
+        ({"noticed": math.inf}, 1, "**never**"),
+        ({"commanded": 0.8}, 3, "**0.8 (0.7)**"),
+        ({"late": 3}, 7, "**3**"),
+        ({"again": math.inf}, 8, "**not** |"),
+    ],
+)
+def test_a_row_shows_what_must_not_be(changes: dict[str, object], cell: int, text: str) -> None:
+    (silent,) = chosen(SHORT[:1])
+    seen = row(silent, **changes)
+    assert line(seen, "tcp/127.0.0.1:1").split(" | ")[cell] == text
+    assert seen.is_late == (cell in (3, 7))
+
+
+def test_the_summary_counts_what_was_noticed_and_who_was_held() -> None:
+    first, second = chosen()
+    text = summary([row(first), row(second, noticed=math.inf, others="r2: held")], "[1, 2]", 3)
+    assert text.startswith("2 faults, 1 noticed, 0 with")
+    assert "r2: held" in text.replace("\n", " ")
+
+
+def test_the_table_replaces_the_one_before(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n")
+    insert(page, ["new", "table"])
+    assert page.read_text() == f"before\n{BEGIN}\n\nnew\ntable\n\n{END}\nafter\n"
+
+
+def test_a_page_without_markers_is_left_alone(tmp_path: Path) -> None:
+    page = tmp_path / "page.md"
+    page.write_text(f"before\n{BEGIN}\n")
+    with pytest.raises(AssertionError):
+        insert(page, ["new"])
+    assert page.read_text() == f"before\n{BEGIN}\n"
