@@ -4,6 +4,10 @@ A robot in a process of its own, at its own Zenoh router, sends a 360-ray LaserS
 the command; the driver answers with a potential field over the rays, as `benchmarks.ros1` has it
 done over ROS 1 and by a plain node in rospy. Where there is a zenoh-bridge-ros2dds, the robot is
 also a ROS 2 node on DDS, answered by the driver through the bridge, and by a plain node directly.
+
+Robot and driver read one clock, so the time of each stage is known: from the robot to the driver's
+thread of Zenoh (for DDS: write, bridge in, Zenoh), from there to the loop, decoding, the decision
+of the benchmark, encoding and publishing, and back to the robot.
 """
 
 from __future__ import annotations
@@ -16,7 +20,8 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from unittest.mock import patch
 
 import numpy as np
 import zenoh
@@ -26,6 +31,7 @@ from benchmarks.cdr import scan
 from benchmarks.ros1 import field
 from benchmarks.table import Row, print_table
 from swarmd.core.values import Scan
+from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2 import dds_bridge as ros2dds
 from swarmd.drivers.ros2 import rmw_zenoh
@@ -44,17 +50,46 @@ BRIDGED = (PLAIN, BRIDGE)
 BUDGET = "p50 1.5 x, p99 10 ms"
 
 
+STAGES = ("in", "to loop", "decode", "decide", "send", "out")
+
+Exchange = Callable[[], tuple[float, float] | None]
+"""Sends one scan; when it was sent and answered, in s on a clock of all processes, None without."""
+
+
 class Answering(CollectingSink):
-    """Answers each scan at once."""
+    """Answers each scan at once. `marks`: for each scan the times at which its stages ended."""
 
     driver: RosDriver
 
+    def __init__(self) -> None:
+        super().__init__()
+        self.marks: list[tuple[float, ...]] = []
+
     def scan(self, scan: Scan) -> None:
-        self.driver.send(field(scan), scan.seq, scan.seq)
+        decoded = time.perf_counter()
+        twist = field(scan)
+        decided = time.perf_counter()
+        self.driver.send(twist, scan.seq, scan.seq)
+        arrived = TimedSamples.arrived, TimedSamples.taken
+        self.marks.append((*arrived, decoded, decided, time.perf_counter()))
+
+
+class TimedSamples(LatestSamples):
+    """Knows when the last sample came to Zenoh's thread, and when to the loop."""
+
+    arrived = taken = 0.0
+
+    def put(self, name: str, payload: bytes) -> None:
+        TimedSamples.arrived = time.perf_counter()
+        super().put(name, payload)
+
+    def _deliver(self, name: str) -> None:
+        TimedSamples.taken = time.perf_counter()
+        super()._deliver(name)
 
 
 def robot(name: str, seconds: float) -> None:
-    """Print where it is, then, in the end, what each answer took in s, as JSON."""
+    """Print where it is, then, in the end, when each scan was sent and answered, as JSON."""
     if name in BRIDGED:
         with ros2_dds.robot() as (place, exchange):
             _tell(place, exchange, seconds)
@@ -77,48 +112,61 @@ def _on_zenoh(name: str, seconds: float) -> None:
     hub.declare_subscriber(heard, on_command)
     message = scan()
 
-    def exchange() -> float | None:
+    def exchange() -> tuple[float, float] | None:
         message.header.stamp.nanosec += 1
         payload = cdr.encode(message)
         answered.clear()
         sent = time.perf_counter()
         hub.put(said, payload, attachment=emulator.attachment())
-        return at - sent if answered.wait(1.0) else None
+        return (sent, at) if answered.wait(1.0) else None
 
     _tell(endpoint, exchange, seconds)
     hub.close()
 
 
-def _tell(endpoint: str, exchange: Callable[[], float | None], seconds: float) -> None:
+def _tell(endpoint: str, exchange: Exchange, seconds: float) -> None:
     print(endpoint, flush=True)
     taken, begin = [], time.perf_counter()
     while (start := time.perf_counter()) < begin + WARM + seconds:
-        took = exchange()
-        if took is not None and start > begin + WARM:
-            taken.append(took)
+        times = exchange()
+        if times is not None and start > begin + WARM:
+            taken.append(times)
         time.sleep(max(0.0, PERIOD - (time.perf_counter() - start)))
     print(json.dumps(taken), flush=True)
 
 
-def answers(name: str) -> list[float]:
-    """Seconds from scan to command, with the driver in this process."""
-    command = [sys.executable, "-m", "benchmarks.ros2", "--robot", name]
+def answers(name: str, seconds: float) -> tuple[list[float], str]:
+    """Seconds from scan to command, and p50 of the stages, with the driver in this process."""
+    command = [sys.executable, "-m", "benchmarks.ros2", "--robot", name, "--seconds", str(seconds)]
+    sink = Answering()
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
         assert child.stdout is not None
         endpoint, _, domain = child.stdout.readline().strip().partition(" ")
         if name == PLAIN:
-            lines = ros2_dds.answer(int(domain), child.stdout.readline)
+            lines = ros2_dds.answer(int(domain), child.stdout.readline, sink.marks)
         else:
-            lines = asyncio.run(_drive(name, endpoint, child))
-    taken: list[float] = json.loads(lines)
-    return taken
+            lines = asyncio.run(_drive(name, endpoint, child, sink))
+    exchanges: list[tuple[float, float]] = json.loads(lines)
+    return [answered - sent for sent, answered in exchanges], stages(exchanges, sink.marks)
 
 
-async def _drive(name: str, endpoint: str, child: subprocess.Popen[str]) -> str:
+def stages(exchanges: Sequence[tuple[float, float]], marks: Sequence[tuple[float, ...]]) -> str:
+    """P50 of each stage in us. `marks`: when the stages ended, but for the last."""
+    ends = np.array(marks)
+    taken = []
+    for sent, answered in exchanges:
+        index = int(np.searchsorted(ends[:, 0], sent))
+        if index < len(ends) and ends[index, -1] < answered:
+            taken.append(np.diff([sent, *ends[index], answered]))
+    p50 = 1e6 * np.median(taken, axis=0) if taken else ()
+    return ", ".join(f"{name} {us:.0f}" for name, us in zip(STAGES, p50, strict=False)) + " us"
+
+
+async def _drive(name: str, endpoint: str, child: subprocess.Popen[str], sink: Answering) -> str:
     assert child.stdout is not None
     make = MAKERS["ros2dds" if name == BRIDGE else name]
-    driver = make(swarm="s", robot="r", platform=PLATFORM, options={"endpoint": endpoint})
-    sink = Answering()
+    options = {"endpoint": endpoint, "cmd_vel_type": "twist"}  # its base announces nothing
+    driver = make(swarm="s", robot="r", platform=PLATFORM, options=options)
     sink.driver = driver
     running = asyncio.create_task(driver.run(sink))
     try:
@@ -139,19 +187,20 @@ def _hub() -> tuple[zenoh.Session, str]:
     return zenoh.open(config), endpoint
 
 
-def rows() -> Iterator[Row]:
+def rows(seconds: float = SECONDS) -> Iterator[Row]:
     for name in MAKERS:
-        yield Row(f"scan to velocity, {name}", answers(name), BUDGET, "beside rospy: see ros1")
+        taken, parts = answers(name, seconds)
+        yield Row(f"scan to velocity, {name}", taken, BUDGET, f"beside rospy: see ros1; {parts}")
     lacks = why_no_bridge()
     if lacks:
         yield Row(f"scan to velocity, {BRIDGE}", [], note=lacks)
         return
-    plain = answers(PLAIN)
-    yield Row(f"scan to velocity, {PLAIN}", plain, note="no bridge between")
-    bridged = answers(BRIDGE)
-    more = np.median(bridged) / np.median(plain)
-    note = f"p50 {more:.2f} x that of the node"
-    yield Row(f"scan to velocity, {BRIDGE}", bridged, note=note)
+    plain, parts = answers(PLAIN, seconds)
+    yield Row(f"scan to velocity, {PLAIN}", plain, note=f"no bridge between; {parts}")
+    bridged, parts = answers(BRIDGE, seconds)
+    yield Row(f"scan to velocity, {BRIDGE}", bridged, note=parts)
+    more = float(np.median(bridged) / np.median(plain))
+    yield Row(f"{BRIDGE} beside {PLAIN}", [more], "1.5 x", "p50 to p50", unit="x")
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -162,7 +211,8 @@ def main(arguments: list[str] | None = None) -> None:
     if read.robot:
         robot(read.robot, read.seconds)
     else:
-        print_table("ROS 2 on loopback", rows())
+        with patch("swarmd.drivers.ros2.driver.LatestSamples", TimedSamples):
+            print_table("ROS 2 on loopback", rows(read.seconds))
 
 
 if __name__ == "__main__":

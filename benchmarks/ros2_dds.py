@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from cyclonedds.domain import Domain
 
-from benchmarks.cdr import scan
+from benchmarks.cdr import scan as whole_scan
 from benchmarks.ros1 import PLATFORM, field
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros import from_ros as conversion
@@ -30,19 +30,19 @@ COMMAND = {"/cmd_vel": dds.Twist}
 
 
 @contextmanager
-def robot() -> Iterator[tuple[str, Callable[[], float | None]]]:
+def robot() -> Iterator[tuple[str, Callable[[], tuple[float, float] | None]]]:
     """The bridge's endpoint and domain, and a function that sends a scan and awaits the command."""
     domain = free_domain()
     held = Domain(domain, LOOPBACK)  # ends when it is deleted
     node = DdsNode(domain, "base", published=SCAN, subscribed=COMMAND)
-    message: Any = dds.LaserScan.deserialize(cdr.encode(scan()))
+    message: Any = dds.LaserScan.deserialize(cdr.encode(whole_scan()))
 
-    def exchange() -> float | None:
+    def exchange() -> tuple[float, float] | None:
         message.header.stamp.nanosec += 1
         node.take("/cmd_vel")
         sent = time.perf_counter()
         node.publish("/scan", message)
-        return time.perf_counter() - sent if node.wait("/cmd_vel", 1.0) else None
+        return (sent, time.perf_counter()) if node.wait("/cmd_vel", 1.0) else None
 
     with tempfile.TemporaryDirectory() as folder, Bridge(Path(folder), domain) as bridge:
         yield f"{bridge.endpoint} {domain}", exchange
@@ -50,8 +50,12 @@ def robot() -> Iterator[tuple[str, Callable[[], float | None]]]:
     del held
 
 
-def answer(domain: int, until: Callable[[], str]) -> str:
-    """Act as the plain node until `until` returns; its text."""
+def answer(domain: int, until: Callable[[], str], marks: list[tuple[float, ...]]) -> str:
+    """Act as the plain node until `until` returns; its text.
+
+    `marks` gets for each scan the times at which it was there, read, decided and published; it has
+    no loop of its own.
+    """
     found: list[str] = []
     waiting = threading.Thread(target=lambda: found.append(until()))
     waiting.start()
@@ -61,10 +65,15 @@ def answer(domain: int, until: Callable[[], str]) -> str:
         message = node.wait("/scan", 0.2)
         if message is None:
             continue
+        there = time.perf_counter()
         message.ranges = np.array(message.ranges)
-        twist = field(conversion.scan_of(message, 1, PLATFORM.scan))
+        scan = conversion.scan_of(message, 1, PLATFORM.scan)
+        read = time.perf_counter()
+        twist = field(scan)
+        decided = time.perf_counter()
         linear, angular = dds.Vector3(x=twist.linear), dds.Vector3(z=twist.angular)
         node.publish("/cmd_vel", dds.Twist(linear, angular))
+        marks.append((there, there, read, decided, time.perf_counter()))
     node.close()
     del held
     return found[0]

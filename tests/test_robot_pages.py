@@ -13,7 +13,7 @@ import yaml
 
 from swarmd.driver_api.driver import Driver, Sink, ZeroSenderProvider
 from swarmd.drivers.replay import ReplayOptions
-from swarmd.drivers.ros.options import RmwOptions, Ros1Options
+from swarmd.drivers.ros.options import RmwOptions, Ros1Options, RosOptions, read_options
 from swarmd.settings.driver_options import BaseOptions
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.driver_contract import DetachableRig, Rig, ScriptedRig
@@ -123,12 +123,14 @@ def test_each_page_names_the_page_on_the_last_word_once() -> None:
 
 def test_the_multiplexer_gives_swarmd_the_last_word() -> None:
     """A lock masks the inputs of a lower priority (twist_mux)."""
-    (block,) = blocks("last_word.md")
+    driver, block = blocks("last_word.md")
     mux = yaml.safe_load(block)
     priorities = {name: topic["priority"] for name, topic in mux["topics"].items()}
     assert priorities["swarmd"] == max(priorities.values())
     (lock,) = mux["locks"].values()
     assert priorities["swarmd"] >= lock["priority"] > priorities["joystick"]
+    options = yaml.safe_load(driver)["driver_options"]
+    assert read_options(RosOptions, options, "ros2dds", "r").other_actions
 
 
 def test_methods_and_inputs_of_a_driver_are_explained() -> None:

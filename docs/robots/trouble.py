@@ -5,20 +5,28 @@ python docs/robots/trouble.py
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.values import Scan
 from swarmd.drivers.ros.diagnosis import (
-    Endpoint,
     Graph,
     Middleware,
     Report,
+    driven,
     driven_by_others,
     unconnected,
+    unlisted,
     unreachable,
 )
-from swarmd.drivers.ros.messages import LaserScan, Twist
+from swarmd.drivers.ros.endpoints import Endpoint
+from swarmd.drivers.ros.foreign_commands import ROS2_ACTIONS, ForeignCommands
+from swarmd.drivers.ros.messages import LaserScan, Twist, TwistStamped
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
 from swarmd.drivers.ros.topic_stats import TopicStats
@@ -32,7 +40,7 @@ from swarmd.settings.platforms import load_platform
 PAGE = Path(__file__).with_suffix(".md")
 PLATFORM = load_platform("burger")
 ENDPOINT, MASTER = "tcp/127.0.0.1:7447", "http://127.0.0.1:11311"
-SCAN, ODOM, STAMPED = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "TwistStamped"
+SCAN, ODOM, TWIST = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry", "geometry_msgs/msg/Twist"
 
 HEAD = """\
 # Usual problems
@@ -55,10 +63,10 @@ A running daemon reports another publisher as
 ```
 
 What follows depends on the state of the robot. A stopped, estopped or faulted robot is sent zero
-20 times per second, and at once after each command of the other node. To an idle or running robot
-the driver sends nothing for 2 s; its first command afterwards is zero. A running robot is held, and
-stopped after 2 s. Zeros of other nodes do not count. [The last word](last_word.md) shows how to
-share a base.
+20 times per second, at once after each command of the other node, and every 5 ms until 0.2 s after
+its last. To an idle or running robot the driver sends nothing for 2 s; its first command afterwards
+is zero. A running robot is held, and stopped after 2 s. Zeros of other nodes do not count.
+[The last word](last_word.md) shows how to share a base.
 """
 
 Row = tuple[str, str, str]
@@ -66,45 +74,80 @@ Row = tuple[str, str, str]
 
 def check(subject: str, subscriptions: Subscriptions, foreign_commands: int = 0) -> str:
     """The line of a check with the ROS 2 bridge."""
+    foreign = ForeignCommands(TopicOptions(), ROS2_ACTIONS)
+    foreign.counts["/cmd_vel"] += foreign_commands
     report = Report(
         graph=Graph(middleware=Ros2Dds()),
         endpoint=ENDPOINT,
         subscriptions=subscriptions,
         spec=PLATFORM.scan,
         cmd_vel="/cmd_vel",
-        command_type=Twist,
+        command_types=(Twist,),
         has_subscriber=False,
         now=0.0,
-        foreign_commands=foreign_commands,
+        foreign=foreign,
     )
     return next(f.text for f in report.findings() if f.subject == subject)
 
 
-def scans(stamps: Mapping[float, float]) -> Subscriptions:
-    """A scan at each time, with the stamp given."""
-    found = Subscriptions(TopicOptions(), PLATFORM)
-    for at, stamp in stamps.items():
-        found.topics["scan"].record(at, stamp, "360 rays")
+def scans(stamps: Mapping[float, float], distance: float = 0.42) -> Subscriptions:
+    """A scan at each time, with the stamp given: every ray has that range in m."""
+    found, spec = Subscriptions(TopicOptions(), PLATFORM), PLATFORM.scan
+    ranges = np.full(len(spec.bearings), distance)
+    for seq, (at, stamp) in enumerate(stamps.items()):
+        found.topics["scan"].record(at, stamp)
+        found.contents["scan"].take(
+            Scan(seq, stamp, ranges, spec.bearings, spec.range_min, spec.range_max)
+        )
     return found
 
 
-def silence(middleware: Middleware, *published: tuple[str, str], domain: int | None = None) -> str:
+def silence(
+    middleware: Middleware,
+    *published: tuple[str, str],
+    domain: int | None = None,
+    namespace: str = "",
+) -> str:
     """Why no scan arrives where these topics are announced."""
     ends = [Endpoint(True, topic, kind, "z", domain, "/lidar") for topic, kind in published]
-    stats = Subscriptions(TopicOptions(), PLATFORM).topics["scan"]
-    return Graph(middleware=middleware, endpoints=ends).silence(stats)
+    options = TopicOptions(namespace=namespace)
+    stats = Subscriptions(options, PLATFORM).topics["scan"]
+    return Graph(middleware=middleware, endpoints=ends, options=options).silence(stats)
 
 
-def subscriber(middleware: Middleware, kind: str) -> str:
-    """Why a base that subscribes with this type gets no command."""
-    ends = [Endpoint(False, "/cmd_vel", kind, "z", node="/base")] if kind else []
+def subscriber(
+    middleware: Middleware, *subscribers: tuple[str, str], is_there: bool = False
+) -> str:
+    """Why a base gets no command where these nodes subscribe with these types.
+
+    `is_there`: a node subscribes, announced or not.
+    """
+    ends = [Endpoint(False, "/cmd_vel", kind, "z", node=node) for node, kind in subscribers]
     graph = Graph(middleware=middleware, endpoints=ends)
-    return graph.no_subscriber("/cmd_vel", Twist, has_subscriber=False)
+    return graph.no_subscriber("/cmd_vel", (Twist, TwistStamped), has_subscriber=is_there)
+
+
+def action() -> str:
+    """A goal of an action drives."""
+    status, name = f"/dock/{ROS2_ACTIONS.status}", "/motion_control"
+    foreign = ForeignCommands(TopicOptions(other_actions=("dock",)), ROS2_ACTIONS)
+    goal = SimpleNamespace(status=min(ROS2_ACTIONS.active))
+    foreign.take_status(status, SimpleNamespace(status_list=[goal]), 0.0)
+    ends = [Endpoint(True, status, "action_msgs/msg/GoalStatusArray", node=name)]
+    return driven(foreign, Graph(middleware=Ros2Dds(), endpoints=ends), 0.0)
 
 
 def ros2() -> Iterator[Row]:
     """The rows of ROS 2."""
     dds, rmw = Ros2Dds(), RmwZenoh(0, "/cmd_vel")
+    yield from _silent(dds, rmw)
+    yield from _commands(dds)
+    yield from _scans()
+    yield from _nodes(dds)
+
+
+def _silent(dds: Ros2Dds, rmw: RmwZenoh) -> Iterator[Row]:
+    """No hub, no topic, or messages that cannot be read."""
     yield (
         unreachable(dds, ENDPOINT),
         "the bridge does not run, or listens elsewhere (`-l`)",
@@ -123,9 +166,19 @@ def ros2() -> Iterator[Row]:
         "`--driver-option domain=30`",
     )
     yield (
-        silence(dds, ("/tb3_01/scan", SCAN), ("/tb3_02/scan", SCAN)),
+        silence(dds, ("/tb3_01/scan", SCAN)),
         "the robot's topics are in a namespace",
         '`namespace: "{robot}"`, or the name',
+    )
+    yield (
+        silence(dds, ("/tb3_01/scan", SCAN), ("/tb3_02/scan", SCAN)),
+        "several robots, each in a namespace",
+        '`namespace: "{robot}"`, or the name',
+    )
+    yield (
+        silence(dds, ("/tb3_02/scan", SCAN), namespace="tb3_01"),
+        "the nodes of this robot do not run; what others publish is not proposed",
+        "start them, or correct a namespace that is misspelt",
     )
     yield (
         silence(dds, ("/odom", ODOM), ("/battery_state", "b")),
@@ -150,13 +203,23 @@ def ros2() -> Iterator[Row]:
         "`rmw_zenoh` only: another definition under this name",
         "publish the ordinary type",
     )
+
+
+def _commands(dds: Ros2Dds) -> Iterator[Row]:
+    """No base takes the commands, or another node drives it."""
     yield (
-        subscriber(dds, f"geometry_msgs/msg/{STAMPED}"),
-        "newer TurtleBot3s and Jackals",
-        "as the message says",
+        subscriber(dds, ("/base", f"{TWIST}Stamped"), ("/joy", TWIST)),
+        "nodes subscribe to one topic with two types; without `cmd_vel_type` the driver sends the"
+        " type that the base wants",
+        "end the other node, or set the type that the base wants",
     )
     yield (
-        subscriber(dds, ""),
+        subscriber(dds, is_there=True),
+        "the node is not known to the bridge, or the driver is at a router without a bridge",
+        "`cmd_vel_type: twist` or `twist_stamped`",
+    )
+    yield (
+        subscriber(dds),
         "the base's node does not run, or its topic has another name",
         "start the base",
     )
@@ -165,6 +228,15 @@ def ros2() -> Iterator[Row]:
         "two publishers: a joystick, navigation, a second daemon",
         "end it, or give swarmd [the last word](last_word.md)",
     )
+    yield (
+        action(),
+        "an action of `other_actions` moves the base, or is accepted",
+        "cancel it, or wait for its end",
+    )
+
+
+def _scans() -> Iterator[Row]:
+    """Scans that arrive and are of no use."""
     yield (
         check("scan", scans({0.2 * i: 5.0 for i in range(12)})),
         "stamps do not advance",
@@ -175,11 +247,55 @@ def ros2() -> Iterator[Row]:
         "a slower lidar than the file says, or a network that loses messages",
         "`scan.rate` of the platform, or look at the network",
     )
+    steady = {0.2 * i: 0.2 * i for i in range(12)}
     yield (
-        conflict("/lidar", "/tb3_02_lidar"),
+        check("scan", scans(steady, 0.0)),
+        "the motor of the lidar stands still, or the lidar is covered",
+        "power and cable of the lidar",
+    )
+    yield (
+        check("scan", scans(steady, 8.0)),
+        "the lidar is blind, or the robot stands in the open",
+        "check near a wall",
+    )
+    yield (
+        check("scan", scans(steady)),
+        "a frozen driver repeats its last scan; or a simulated lidar has no noise",
+        "restart the sensor's node; `scan.noisy: false` for a simulated lidar without noise",
+    )
+
+
+def _nodes(dds: Ros2Dds) -> Iterator[Row]:
+    """Several nodes where one is expected, and what a bridge does not tell."""
+    yield (
+        conflict(True, "/lidar", "/tb3_02_lidar"),
         "two nodes publish one scan, such as robots in one domain; the robot is held with"
         " `two_scan_sources`",
-        "end one, or give each robot a namespace",
+        "end one, or give each robot a namespace or a `ROS_DOMAIN_ID`",
+    )
+    yield (
+        conflict(False, "/base", "/tb3_02_base"),
+        "two bases take one robot's commands; the robot is held with `two_bases`",
+        "end one, or give each robot a namespace or a `ROS_DOMAIN_ID`; an estimator that takes"
+        " commands belongs into `cmd_vel_listeners`",
+    )
+    yield (
+        conflict(False, "/base", "/base", since=0.0),
+        "a base crashed and was started again, or two robots have equal names; after 13 s the"
+        " message says which",
+        "start the bridge again; or separate the robots",
+    )
+    yield (
+        unrouted("/base"),
+        "the bridge has forgotten a node that crashed and is back (1.10, its issue 702), or its"
+        " configuration denies the topic",
+        "start the bridge again",
+    )
+    yield (
+        unlisted(dds),
+        "the bridge does not answer on its nodes: access control, or another program; no fault, but"
+        " two bases would not be noticed",
+        "`ros2 topic info -v /cmd_vel` shows one subscriber",
     )
 
 
@@ -215,11 +331,11 @@ def ros1() -> Iterator[Row]:
         "publish the ordinary type",
     )
     yield (
-        subscriber(words, f"geometry_msgs/{STAMPED}"),
-        "stamped velocities",
-        "`cmd_vel_type: twist_stamped`",
+        subscriber(words, is_there=True),
+        "the base subscribes with any type, as `topic_tools` do",
+        "`cmd_vel_type: twist` or `twist_stamped`",
     )
-    yield (subscriber(words, ""), "the base's node does not run", "start the base")
+    yield (subscriber(words), "the base's node does not run", "start the base")
     yield (
         unconnected("/cmd_vel", ["/base"]),
         "this machine gives an address that the robot cannot reach",
@@ -232,11 +348,25 @@ def ros1() -> Iterator[Row]:
     )
 
 
-def conflict(*owners: str) -> str:
-    """Why a robot does not run on the scans of these nodes."""
-    stats = Subscriptions(TopicOptions(), PLATFORM).topics["scan"]
-    ends = [Endpoint(True, "/scan", SCAN, node=owner) for owner in owners]
-    return Graph(middleware=Ros2Dds(), endpoints=ends).rival(stats)
+def conflict(is_publisher: bool, *owners: str, since: float = -math.inf) -> str:
+    """Why a robot is held that has scans, or bases, of these nodes."""
+    topic, kind = ("/scan", SCAN) if is_publisher else ("/cmd_vel", TWIST)
+    ends = [
+        Endpoint(is_publisher, topic, kind, node=owner, process=str(number), since=since)
+        for number, owner in enumerate(owners)
+    ]
+    graph = Graph(middleware=Ros2Dds(), endpoints=ends, now=1.0)
+    topics = Subscriptions(TopicOptions(), PLATFORM).topics.values()
+    found = graph.conflict(topics, PLATFORM.scan)
+    assert found is not None
+    return found.text
+
+
+def unrouted(node: str) -> str:
+    """Why no command reaches a base that the bridge lists and does not announce."""
+    ends = [Endpoint(False, "/cmd_vel", TWIST, node=node, is_routed=False)]
+    graph = Graph(middleware=Ros2Dds(), endpoints=ends)
+    return graph.no_subscriber("/cmd_vel", (Twist,), has_subscriber=False)
 
 
 def any_driver() -> Iterator[Row]:

@@ -45,6 +45,7 @@ CONTENTS = {
         "docs/robots/waffle_pi",
         "docs/robots/jackal",
         "docs/robots/thymio",
+        "docs/robots/turtlebot4",
         "docs/robots/new_robot",
         "docs/robots/last_word",
         "docs/robots/trouble",

@@ -19,21 +19,18 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.messages import Reason
 from swarmd.core.values import (
     ZERO,
-    Neighbor,
     Odometry,
     Platform,
     Pose,
     Scan,
     ScanSpec,
-    SharedPose,
     Twist,
     Value,
 )
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.driver import Finding, Sink, ZeroSenderSpec
+from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
 
 SILENCE_TIMEOUT = 1.0
 HELLO_PERIOD = 0.2
@@ -217,7 +214,7 @@ class _Link(asyncio.DatagramProtocol):
         self._take(data)
 
 
-class _CountingSink:
+class _CountingSink(NullSink):
     """A sink that counts, for `check`."""
 
     def __init__(self) -> None:
@@ -228,23 +225,3 @@ class _CountingSink:
 
     def odometry(self, odometry: Odometry) -> None:
         self.count["odometry"] += 1
-
-    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
-        pass
-
-    def pose(self, pose: SharedPose) -> None:
-        pass
-
-    def readings(self, values: Mapping[str, float]) -> None:
-        pass
-
-    def message(self, sender: str, channel: str, payload: bytes) -> None:
-        pass
-
-    def state(
-        self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
-    ) -> None:
-        pass
-
-    def dropped(self, what: str) -> None:
-        pass

@@ -29,7 +29,7 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md"), ROOT / "benchmarks/README.md"])
 LINK = re.compile(r"\]\(([^)#\s]*)(?:#([^)\s]+))?\)")
 IMAGE = re.compile(r'<(?:img|source|video)[^>]* src="([^"]+)"')
-TARGET = re.compile(r"^make(?: [A-Z]+=\S+)* ([a-z-]+)", re.MULTILINE)
+TARGET = re.compile(r"^make(?: [A-Z]+=\S+)* ([a-z0-9-]+)", re.MULTILINE)
 FILE = re.compile(r"# (\w+\.(?:py|yaml))\n")
 HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 EXAMPLE = "udp"  # the driver in examples/
@@ -139,7 +139,7 @@ def test_commands_are_as_swarmd_takes_them(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)
 def test_targets_of_make_exist(page: Path) -> None:
-    known = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
+    known = set(re.findall(r"^([a-z0-9-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE))
     inline = re.findall(r"`(make [^`\n]+)`", BLOCK.sub("", page.read_text()))
     found = TARGET.findall("\n".join([*inline, *blocks(page, "")]))
     assert set(found) <= known
