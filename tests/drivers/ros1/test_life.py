@@ -21,7 +21,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from swarmd.core.messages import Reason
-from swarmd.core.values import Twist
+from swarmd.core.values import Twist, Value
 from swarmd.driver_api.command_gate import ZERO_REPEAT_TIME
 from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros1.adapter_process import COMMAND_TIMEOUT
@@ -34,12 +34,16 @@ from tests.support.processes import CAP, wait_until
 from tests.support.roscore import RosCore
 
 
-def play(rig: RosRobot, story: Callable[[DriverHarness, RosRobot], Awaitable[None]]) -> None:
+def play(
+    rig: RosRobot,
+    story: Callable[[DriverHarness, RosRobot], Awaitable[None]],
+    **options: Value,
+) -> None:
     async def run(harness: DriverHarness) -> None:
         rig.do("rate", hz=10)
         await story(harness, rig)
 
-    driver_contract.play(rig, run)
+    driver_contract.play(rig, run, **options)
 
 
 async def drive(harness: DriverHarness, body: RosRobot) -> None:
@@ -231,7 +235,8 @@ def test_a_base_that_connects_while_driving_gets_zero_first(roscore: RosCore) ->
             base.close()
         assert taken[0].is_zero
 
-    play(RosRobot(roscore), story)
+    # Two bases would be held: this driver counts one as a listener.
+    play(RosRobot(roscore), story, cmd_vel_listeners=["second"])
 
 
 async def moving(
