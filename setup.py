@@ -1,9 +1,10 @@
 """The compiled kernels; pyproject.toml holds everything else.
 
-Each kernel is a Python file that Cython compiles (pure-Python mode). Where there is no compiler the
-build goes on without kernels, and the numpy code runs instead. The stable ABI of Python 3.11 makes
-one wheel serve all later versions. Each library holds the digest of its source, which
-swarmd/core/kernels.py compares before it loads the library.
+Each kernel is a Python file that Cython compiles (pure-Python mode): `barrier.py` becomes the
+library `_barrier.abi3.so`. Where there is no compiler the build goes on without libraries, and
+CPython runs the files. The stable ABI of Python 3.11 makes one wheel serve all later versions. Each
+library holds the digest of its source, which swarmd/core/kernels.py compares before it loads the
+library.
 """
 
 import hashlib
@@ -54,12 +55,18 @@ def write_digest(source: str) -> str:
     return str(file)
 
 
-digests = {name: write_digest(path) for name, path in KERNELS.items()}
+def library(name: str) -> str:
+    """The module name of a kernel's library."""
+    package, _, file = name.rpartition(".")
+    return f"{package}._{file}"
+
+
+digests = {library(name): write_digest(path) for name, path in KERNELS.items()}
 extensions = [
     Extension(
-        name,
+        library(name),
         [path],
-        # Without contraction the results are those of numpy's operations, one by one.
+        # Without contraction the results are those of the interpreted file, operation by operation.
         extra_compile_args=["-O2", "-ffp-contract=off"],
         define_macros=[("Py_LIMITED_API", STABLE_ABI)],
         py_limited_api=True,

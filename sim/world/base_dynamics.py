@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.values import Array, Platform
 from swarmd.sim.world.bodies import inertia, value
 from swarmd.sim.world.realism import Actuation
@@ -134,7 +134,7 @@ class Bases:
         """Positions and velocities of all bodies when `drive` was called."""
         self._actuators = Actuators(actuation, platforms, dt)
         self._drives = BaseDynamics(platforms, dt)
-        kernel = load_kernel("swarmd.sim.world.base_kernel")
+        kernel = compiled_kernel("swarmd.sim.world.base_kernel")
         self._servos: Servos | None = kernel and kernel.Servos(
             self._actuators, self._drives, dt, self._data, self.before
         )

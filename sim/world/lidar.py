@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.values import Array, Platform, ScanSpec, Sweep
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.bodies import heights, value
@@ -181,7 +181,7 @@ class Lidar:
         edges = np.concatenate((corners, np.roll(corners, -1, axis=1) - corners), axis=2)
         self._edges = np.moveaxis(edges, 2, 0).copy()
         self._reach = np.hypot(corners[..., 0], corners[..., 1]).max(axis=1, initial=0.0)
-        kernel = load_kernel("swarmd.sim.world.lidar_kernel")
+        kernel = compiled_kernel("swarmd.sim.world.lidar_kernel")
         self._caster: Caster | None = kernel and kernel.Caster(
             spec,
             self._rays,

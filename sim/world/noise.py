@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.values import Array, Platform, ScanSpec
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.realism import LidarNoise
@@ -46,7 +46,7 @@ class NoisyLidar:
         self._block_dropout = np.array(blocks)
         changed = (noise.bias, noise.near_sd, noise.far_sd, noise.resolution)
         self._is_exact = not any((*changed, noise.dropout, *blocks))
-        self._kernel = load_kernel("swarmd.sim.world.lidar_kernel")
+        self._kernel = compiled_kernel("swarmd.sim.world.lidar_kernel")
         self._compiled: dict[int, _Compiled] = {}
 
     def apply(self, rows: Indices, ranges: Sequence[Array]) -> list[Array]:

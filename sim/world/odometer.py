@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.values import Array, Platform
 from swarmd.sim.world.bodies import value
 from swarmd.sim.world.geometry import Indices
@@ -60,7 +60,7 @@ class Odometers:
         self._draws = np.empty((len(ids), _DRAWS, 2))
         self._used = np.full(len(ids), _DRAWS)
         self._truth, self._reported = starts.copy(), np.zeros_like(starts)
-        kernel = load_kernel("swarmd.sim.world.base_kernel")
+        kernel = compiled_kernel("swarmd.sim.world.base_kernel")
         self._wheels: Wheels | None = kernel and kernel.Wheels(
             self._measured, self._truth, self._reported
         )

@@ -1,8 +1,9 @@
-"""The compiled kernels: arithmetic on scans and near points, in C.
+"""The kernels: files with arithmetic on scans and near points, which Cython compiles.
 
-The numpy code does the same and stays the reference. It runs where the kernels were not built, and
-where the environment has SWARMD_COMPILED=0. A kernel that was compiled from another version of its
-source is not loaded either: the code around it may call what it lacks.
+A kernel's file is the only source of its arithmetic. `setup.py` makes of `barrier.py` the library
+`_barrier.abi3.so` beside it. CPython runs the file itself where there is no library, where
+the environment has SWARMD_COMPILED=0, and where a library was compiled from another version of its
+source: the code around it may call what it lacks.
 """
 
 from __future__ import annotations
@@ -30,27 +31,33 @@ _STALE = "older than its source (run make kernels)"
 
 
 def load_kernel(name: str) -> Any:
-    """The kernel of this module name; None where the numpy code runs instead.
+    """The kernel whose file is the module of this name: compiled, or else interpreted.
 
-    One line in the log tells of a kernel that is older than its source.
+    One line in the log tells of a kernel that is older than its source. To import the module by its
+    name always gives the interpreted one.
     """
+    return compiled_kernel(name) or import_module(name)
+
+
+def compiled_kernel(name: str) -> Any:
+    """As `load_kernel`; None where the kernel is not compiled, for code with another fallback."""
     if not _is_wanted() or _fault_of(name):
         return None
     try:
-        return import_module(name)
+        return import_module(_library_name(name))
     except ImportError:  # built for another processor
         return None
 
 
 def describe_kernels() -> str:
-    """`compiled`, or `numpy` and why; it imports no kernel."""
+    """`compiled`, or `interpreted` and why; it imports no kernel."""
     if not _is_wanted():
-        return "numpy (SWARMD_COMPILED=0)"
+        return "interpreted (SWARMD_COMPILED=0)"
     faults = {name: fault for name in KERNELS if (fault := _fault_of(name))}
     if not faults:
         return "compiled"
     if len(faults) == len(KERNELS):
-        return f"numpy ({', '.join(dict.fromkeys(faults.values()))})"
+        return f"interpreted ({', '.join(dict.fromkeys(faults.values()))})"
     return (
         f"compiled, but {', '.join(f'{_short(name)} is {fault}' for name, fault in faults.items())}"
     )
@@ -70,7 +77,7 @@ def _fault_of(name: str) -> str:
         library = ctypes.CDLL(str(path))
     except OSError:  # damaged, or built for another processor
         return _NOT_COMPILED
-    source = path.with_name(f"{name.rpartition('.')[2]}.py")
+    source = path.with_name(f"{_short(name)}.py")
     if source.exists() and _digest_in(library) != hashlib.sha256(source.read_bytes()).hexdigest():
         import logging  # rarely needed, and swarmctl starts fast
 
@@ -88,7 +95,12 @@ def _digest_in(library: ctypes.CDLL) -> str:
 
 
 def _short(name: str) -> str:
-    return name.rpartition(".")[2].removesuffix("_kernel")
+    return name.rpartition(".")[2]
+
+
+def _library_name(name: str) -> str:
+    package, _, file = name.rpartition(".")
+    return f"{package}._{file}" if package else f"_{file}"
 
 
 def _library(name: str) -> Path | None:
@@ -97,7 +109,7 @@ def _library(name: str) -> Path | None:
     To load a file that was cut off may end the process with SIGBUS. An ELF file ends with its table
     of sections; its header says where the table is.
     """
-    spec = find_spec(name)
+    spec = find_spec(_library_name(name))
     if spec is None or spec.origin is None or not spec.origin.endswith(".so"):
         return None
     library = Path(spec.origin)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.protection import blind_zone_numpy
 from swarmd.protection.blind_zone_numpy import BlindZoneMemory
 
@@ -14,6 +14,6 @@ def blind_zone_memory(range_min: float, speed: float, period: float) -> BlindZon
 
     Obstacles approach at up to `speed` m/s.
     """
-    module = load_kernel("swarmd.protection.blind_zone_kernel") or blind_zone_numpy
+    module = compiled_kernel("swarmd.protection.blind_zone_kernel") or blind_zone_numpy
     memory: BlindZoneMemory = module.BlindZoneMemory(range_min, speed, period)
     return memory

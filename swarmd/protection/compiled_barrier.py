@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import ZERO, Array, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.barrier import Barrier
@@ -40,7 +40,7 @@ class Derived(NamedTuple):
 
 def make_barrier(platform: Platform) -> Barrier:
     """The arbiter of mode `barrier`: with its kernel where that was compiled."""
-    kernel = load_kernel("swarmd.protection.barrier_kernel")
+    kernel = compiled_kernel("swarmd.protection.barrier_kernel")
     return Barrier(platform) if kernel is None else CompiledBarrier(platform, kernel)
 
 

@@ -11,7 +11,7 @@ from collections import deque
 
 import numpy as np
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Scan, ScanSpec
 from swarmd.sensing import conditioning_numpy
@@ -48,7 +48,7 @@ class ScanConditioner:
         self._bearings = np.empty(0)  # the last valid ones
         self._ages: Array | None = None
         self._blind = BlindSectors(spec)
-        rays = load_kernel("swarmd.sensing.scan_kernel") or conditioning_numpy
+        rays = compiled_kernel("swarmd.sensing.scan_kernel") or conditioning_numpy
         self._rays: conditioning_numpy.RayMemory = rays.RayMemory(spec, guesses_near=guesses_near)
         self._last: Scan | None = None
         self._newest = (-math.inf, -math.inf)  # sequence and stamp

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.values import Array, Scan
 from swarmd.sensing import rays_numpy
 from swarmd.sensing.rays_numpy import Gap, Ray, RayClusters, gaps, sectors
@@ -26,7 +26,7 @@ __all__ = [
     "unit_vectors",
 ]
 
-_features = load_kernel("swarmd.sensing.scan_kernel") or rays_numpy
+_features = compiled_kernel("swarmd.sensing.scan_kernel") or rays_numpy
 
 
 def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math.pi) -> Ray | None:

@@ -1,4 +1,4 @@
-"""Which code decides: compiled kernels or numpy."""
+"""Which code decides: compiled kernels or their files as CPython runs them."""
 
 from __future__ import annotations
 
@@ -10,22 +10,24 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core import kernels
-from swarmd.core.kernels import KERNELS, describe_kernels, load_kernel
+from swarmd.core import clock, kernels
+from swarmd.core.kernels import KERNELS, compiled_kernel, describe_kernels, load_kernel
 
 
-def test_no_kernel_is_loaded_where_numpy_is_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_no_library_is_loaded_where_it_is_not_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SWARMD_COMPILED", "0")
-    assert [load_kernel(name) for name in KERNELS] == [None] * len(KERNELS)
-    assert describe_kernels() == "numpy (SWARMD_COMPILED=0)"
+    assert [compiled_kernel(name) for name in KERNELS] == [None] * len(KERNELS)
+    assert load_kernel("swarmd.core.clock") is clock
+    assert describe_kernels() == "interpreted (SWARMD_COMPILED=0)"
 
 
-def test_a_kernel_that_was_not_built_is_none_and_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_kernel_that_was_not_built_is_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    monkeypatch.setattr(kernels, "KERNELS", ("swarmd.protection.absent_kernel",))
-    assert load_kernel("swarmd.protection.absent_kernel") is None
-    assert describe_kernels() == "numpy (not compiled)"
-    monkeypatch.setattr(kernels, "KERNELS", (*KERNELS, "swarmd.protection.absent_kernel"))
+    monkeypatch.setattr(kernels, "KERNELS", ("swarmd.core.clock",))
+    assert compiled_kernel("swarmd.core.clock") is None
+    assert load_kernel("swarmd.core.clock") is clock
+    assert describe_kernels() == "interpreted (not compiled)"
+    monkeypatch.setattr(kernels, "KERNELS", (*KERNELS, "swarmd.protection.absent"))
     monkeypatch.setattr(kernels, "_fault_of", lambda name: "gone" if "absent" in name else "")
     assert describe_kernels() == "compiled, but absent is gone"
 
@@ -33,11 +35,12 @@ def test_a_kernel_that_was_not_built_is_none_and_named(monkeypatch: pytest.Monke
 def test_a_description_imports_no_kernel() -> None:
     script = (
         "import sys; from swarmd.core.kernels import describe_kernels; describe_kernels();"
-        "print([name for name in sys.modules if name.endswith('_kernel') or name == 'numpy'])"
+        "from swarmd.core.kernels import KERNELS, _library_name;"
+        "print({*KERNELS, *map(_library_name, KERNELS), 'numpy'} & {*sys.modules})"
     )
     command = [sys.executable, "-c", script]
     done = subprocess.run(command, capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "[]"
+    assert done.stdout.strip() == "set()"
 
 
 @pytest.mark.parametrize("share", [0.0, 0.00002, 0.003, 0.3, 0.999])
@@ -46,8 +49,8 @@ def test_a_kernel_that_was_cut_off_is_not_loaded_and_named(
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
     whole = _library("swarmd.protection.barrier_kernel").read_bytes()
-    (tmp_path / "cut_kernel.abi3.so").write_bytes(whole[: int(share * len(whole))])
-    assert _said_of_cut_kernel(tmp_path) == "None numpy (not compiled)"
+    (tmp_path / "_cut.abi3.so").write_bytes(whole[: int(share * len(whole))])
+    assert _said_of_cut_kernel(tmp_path) == "None interpreted (not compiled)"
 
 
 def test_a_kernel_of_another_processor_is_not_loaded_and_named(
@@ -56,8 +59,8 @@ def test_a_kernel_of_another_processor_is_not_loaded_and_named(
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
     foreign = bytearray(_library("swarmd.protection.barrier_kernel").read_bytes())
     foreign[18:20] = b"\xff\x7f"  # e_machine
-    (tmp_path / "cut_kernel.abi3.so").write_bytes(foreign)
-    assert _said_of_cut_kernel(tmp_path) == "None numpy (not compiled)"
+    (tmp_path / "_cut.abi3.so").write_bytes(foreign)
+    assert _said_of_cut_kernel(tmp_path) == "None interpreted (not compiled)"
 
 
 def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
@@ -70,7 +73,7 @@ def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
     script = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from swarmd.core import kernels;"
         "kernels.KERNELS = ('base_kernel',);"
-        "print([kernels.load_kernel('base_kernel') is not None for _ in range(2)],"
+        "print([kernels.compiled_kernel('base_kernel') is not None for _ in range(2)],"
         " kernels.describe_kernels())"
     )
 
@@ -85,12 +88,12 @@ def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
     assert answer() == loaded
     (tmp_path / source.name).write_bytes(source.read_bytes() + b"\n")
     text = "older than its source (run make kernels)"
-    assert answer() == (f"[False, False] numpy ({text})", f"kernel base is {text}")
+    assert answer() == (f"[False, False] interpreted ({text})", f"kernel base_kernel is {text}")
 
 
 def _library(name: str) -> Path:
     """The compiled library of a kernel; the test is skipped without one."""
-    spec = find_spec(name)
+    spec = find_spec(kernels._library_name(name))
     if spec is None or not str(spec.origin).endswith(".so"):
         pytest.skip("the kernels are not compiled")
     return Path(str(spec.origin))
@@ -100,9 +103,9 @@ def _said_of_cut_kernel(folder: Path) -> str:
     """What a process of its own says of a kernel there: a damaged one may end it."""
     script = (
         f"import sys; sys.path.insert(0, {str(folder)!r}); from swarmd.core import kernels;"
-        "kernels.KERNELS = ('cut_kernel',);"
+        "kernels.KERNELS = ('cut',);"
         "said = kernels.describe_kernels();"
-        "print(kernels.load_kernel('cut_kernel'), said)"
+        "print(kernels.compiled_kernel('cut'), said)"
     )
     command = [sys.executable, "-c", script]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 
 # The modules that decide. Of the others, the long drives run with the path in force.
 BOTH_PATHS = {
@@ -30,5 +30,5 @@ def arithmetic(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) 
     path = getattr(request, "param", None)
     if path == "numpy":
         monkeypatch.setenv("SWARMD_COMPILED", "0")
-    elif path == "compiled" and load_kernel("swarmd.protection.barrier_kernel") is None:
+    elif path == "compiled" and compiled_kernel("swarmd.protection.barrier_kernel") is None:
         pytest.skip("the kernels are not compiled")

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.values import ZERO, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.barrier import Barrier
 from swarmd.protection.compiled_barrier import CompiledBarrier
@@ -25,7 +25,7 @@ from tests.support.decision_corpus import Stream, decided, platform_of, read
 from tests.support.examples import examples
 from tests.support.filter_sim import under_barrier
 
-KERNEL = load_kernel("swarmd.protection.barrier_kernel")
+KERNEL = compiled_kernel("swarmd.protection.barrier_kernel")
 pytestmark = pytest.mark.skipif(KERNEL is None, reason="the kernels are not compiled")
 
 AGREEMENT = 1e-12

@@ -10,14 +10,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.values import Array, Pose, Scan, ScanSpec
 from swarmd.protection import blind_zone_numpy
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform, platform_names
 from tests.support.examples import examples
 
-kernel = load_kernel("swarmd.protection.blind_zone_kernel")
+kernel = compiled_kernel("swarmd.protection.blind_zone_kernel")
 if kernel is None:
     pytest.skip("blind_zone_kernel was not built", allow_module_level=True)
 

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist
 from swarmd.protection.arbiter import Arbiter, Protection, make_arbiter
@@ -405,7 +405,7 @@ def _arbiter(platform: Platform, make: type[Barrier] | None) -> Arbiter:
     return Barrier(platform)
 
 
-KERNEL = load_kernel("swarmd.protection.barrier_kernel")
+KERNEL = compiled_kernel("swarmd.protection.barrier_kernel")
 
 
 @pytest.mark.parametrize("make", [Barrier, CompiledBarrier])

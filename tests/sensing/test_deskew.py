@@ -11,13 +11,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Sweep, Twist
 from swarmd.sensing import deskew_numpy
 from swarmd.sensing.deskew import Deskewer
 from swarmd.sensing.odometry_history import OdometryHistory
 
-KERNEL: Any = load_kernel("swarmd.sensing.scan_kernel")
+KERNEL: Any = compiled_kernel("swarmd.sensing.scan_kernel")
 needs_kernel = pytest.mark.skipif(KERNEL is None, reason="the kernels are not compiled")
 SEEDS = st.integers(0, 2**32 - 1)
 N, PERIOD = 360, 0.2

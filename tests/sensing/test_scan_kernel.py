@@ -10,14 +10,14 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.values import Array, Scan, ScanSpec
 from swarmd.sensing import conditioning_numpy, rays_numpy
 from swarmd.sensing.rays import RayClusters
 from swarmd.settings.platforms import load_platform, platform_names
 from tests.support.examples import examples
 
-kernel = load_kernel("swarmd.sensing.scan_kernel")
+kernel = compiled_kernel("swarmd.sensing.scan_kernel")
 if kernel is None:
     pytest.skip("scan_kernel was not built; `make kernels` builds it", allow_module_level=True)
 

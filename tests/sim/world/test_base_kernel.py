@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world.arena import parse_arena
@@ -17,7 +17,7 @@ from swarmd.sim.world.realism import IDEAL, REALISTIC, Actuation, Realism
 from swarmd.sim.world.world import World
 from tests.support.examples import examples
 
-if load_kernel("swarmd.sim.world.base_kernel") is None:
+if compiled_kernel("swarmd.sim.world.base_kernel") is None:
     pytest.skip("the kernel is not compiled", allow_module_level=True)
 
 REALISMS = (

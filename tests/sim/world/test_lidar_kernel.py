@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import load_kernel
+from swarmd.core.kernels import compiled_kernel
 from swarmd.core.values import Array, Platform, Sweep
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.world.arena import Arena, parse_arena
@@ -20,7 +20,7 @@ from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.realism import IDEAL, REALISTIC, LidarNoise
 from tests.support.examples import examples
 
-if load_kernel("swarmd.sim.world.lidar_kernel") is None:
+if compiled_kernel("swarmd.sim.world.lidar_kernel") is None:
     pytest.skip("the kernel is not compiled", allow_module_level=True)
 
 ARENAS = tuple(

@@ -1,0 +1,154 @@
+"""What a kernel's file takes from Cython, for CPython: types, decorators, and functions of C.
+
+No installation of swarmd needs Cython, which has a shadow of its own. In this one the attributes of
+an extension type begin at zero and no others exist, and functions of C give NaN where those of
+Python raise. A kernel must not rely on the rest of C: Python raises ZeroDivisionError, and there a
+negative index counts from the end.
+"""
+
+from __future__ import annotations
+
+import builtins
+import inspect
+import math
+from collections.abc import Callable
+from math import atan2, ceil, copysign, fabs, floor, hypot, isfinite, isinf, isnan
+from typing import Any, TypeVar
+
+__all__ = [
+    "HUGE_VAL",
+    "INFINITY",
+    "NAN",
+    "asin",
+    "atan2",
+    "ceil",
+    "copysign",
+    "cos",
+    "fabs",
+    "floor",
+    "fmod",
+    "hypot",
+    "isfinite",
+    "isinf",
+    "isnan",
+    "remainder",
+    "rint",
+    "sin",
+    "sqrt",
+    "tan",
+]
+
+INFINITY = HUGE_VAL = math.inf
+NAN = math.nan
+compiled = False
+
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+class _Type:
+    """A type of C."""
+
+    def __init__(self, zero: float | None, length: builtins.int = 0) -> None:
+        """`zero`: the value with which an attribute begins; `length` of an array, else 0."""
+        self._zero, self._length = zero, length
+
+    def __getitem__(self, shape: Any) -> _Type:
+        """An array of this length; for slices a view of memory."""
+        return _Type(None) if isinstance(shape, slice | tuple) else _Type(self._zero, shape)
+
+    def begin(self) -> Any:
+        """The value with which an attribute begins."""
+        return [self._zero] * self._length if self._length else self._zero
+
+
+class _Const:
+    def __getitem__(self, kind: _Type) -> _Type:
+        return kind
+
+
+class _Declared:
+    """An attribute of an extension type that Python may read."""
+
+    def __init__(self, kind: Any) -> None:
+        self.kind = kind
+
+
+double = _Type(0.0)
+bint = int = longlong = Py_ssize_t = uchar = _Type(0)
+const = _Const()
+
+
+def declare(kind: Any, value: Any = None, *, visibility: str = "private") -> Any:
+    """`value`; without one, an attribute of an extension type."""
+    return _Declared(kind) if value is None else value
+
+
+def cfunc(function: _Function) -> _Function:
+    """The function itself."""
+    return function
+
+
+inline = final = cfunc
+
+
+def exceptval(value: Any = None, *, check: bool = False) -> Callable[[_Function], _Function]:
+    """A decorator without effect: Python raises errors itself."""
+    return cfunc
+
+
+def cclass(kind: type) -> Any:
+    """The extension type: a class with its declared attributes alone, each at its zero."""
+    declared = inspect.get_annotations(kind, eval_str=True)
+    declared |= {name: one.kind for name, one in vars(kind).items() if isinstance(one, _Declared)}
+    types = {name: one if isinstance(one, _Type) else _Type(None) for name, one in declared.items()}
+
+    def new(cls: type, *_given: object, **_named: object) -> Any:
+        self: Any = object.__new__(cls)
+        for name, one in types.items():
+            setattr(self, name, one.begin())
+        return self
+
+    left = {*types, "__dict__", "__weakref__"}
+    members = {name: one for name, one in vars(kind).items() if name not in left}
+    return type(kind.__name__, (), {**members, "__slots__": tuple(types), "__new__": new})
+
+
+def cos(angle: float) -> float:
+    """As `math.cos`; NaN of an infinite angle."""
+    return math.cos(angle) if isfinite(angle) else NAN
+
+
+def sin(angle: float) -> float:
+    """As `math.sin`; NaN of an infinite angle."""
+    return math.sin(angle) if isfinite(angle) else NAN
+
+
+def tan(angle: float) -> float:
+    """As `math.tan`; NaN of an infinite angle."""
+    return math.tan(angle) if isfinite(angle) else NAN
+
+
+def asin(value: float) -> float:
+    """As `math.asin`; NaN beyond 1."""
+    return math.asin(value) if -1.0 <= value <= 1.0 else NAN
+
+
+def sqrt(value: float) -> float:
+    """As `math.sqrt`; NaN of a negative number."""
+    return math.sqrt(value) if value >= 0.0 else NAN
+
+
+def fmod(value: float, divisor: float) -> float:
+    """As `math.fmod`; NaN of an infinite number or for a divisor of 0."""
+    return math.fmod(value, divisor) if isfinite(value) and divisor else NAN
+
+
+def remainder(value: float, divisor: float) -> float:
+    """As `math.remainder`; NaN of an infinite number or for a divisor of 0."""
+    return math.remainder(value, divisor) if isfinite(value) and divisor else NAN
+
+
+def rint(value: float) -> float:
+    """The nearest whole number, the even one of two."""
+    return float(round(value)) if isfinite(value) else value
