@@ -25,7 +25,8 @@ _SENSORS = (dds.LaserScan,)
 class DdsNode:
     """Publishes and subscribes to topics, full names such as `/scan`, each with its type.
 
-    It announces itself on `ros_discovery_info`, as each node does; a bridge requires that. `qos`:
+    It announces itself on `ros_discovery_info`, as each node does; a bridge requires that. With an
+    empty name it does not, as a program that knows nothing of ROS. `qos`:
     of topics that have not the usual one. `actions`: full names such as `/dock` of actions that it
     serves; `goals` publishes the states of an action's goals.
     """
@@ -62,10 +63,12 @@ class DdsNode:
             topic: DataReader(self._participant, self._topic(topic, kind))
             for topic, kind in self._subscribed.items()
         }
-        kept = dds.ParticipantEntitiesInfo
-        about = Topic(self._participant, "ros_discovery_info", kept, _KEPT)
-        self._about = DataWriter(self._participant, about)
-        self._about.write(self._info(name, namespace))
+        self._about: DataWriter[Any] | None = None
+        if name:
+            kept = dds.ParticipantEntitiesInfo
+            about = Topic(self._participant, "ros_discovery_info", kept, _KEPT)
+            self._about = DataWriter(self._participant, about)
+            self._about.write(self._info(name, namespace))
 
     def publish(self, topic: str, message: object) -> None:
         self._writers[topic].write(message)
