@@ -27,13 +27,15 @@ MAX_FIRST = 3
 MAX_AGE = 15.0
 """Seconds without a whole answer of a bridge after which its last one no longer counts."""
 NAMING_TIME = 0.5
-"""Seconds after which a reader in DDS without a node has none.
+"""Seconds after which a reader in DDS without a node has none, in a process of ROS.
 
-A ROS process announces its nodes after their readers; the bridge looks every 0.1 s.
+Such a process announces its nodes after their readers; the bridge looks every 0.1 s. Another
+process has no nodes: each ROS middleware names its enclave in the user data of its participant.
 """
 
 _BRIDGE = "zenoh_bridge_ros2dds"
 _NAMELESS = "/dds_reader"
+_ENCLAVE = list(b"enclave=")
 _BEST_EFFORT, _KEPT = "BEST_EFFORT", "TRANSIENT_LOCAL"
 
 
@@ -60,6 +62,7 @@ class _Quality(Struct, frozen=True):
     reliability: _Policy = _Policy()
     durability: _Policy = _Policy()
     properties: dict[str, str] = {}
+    user_data: list[int] = []
 
 
 class _InDds(Struct, frozen=True):
@@ -78,12 +81,16 @@ _S = TypeVar("_S", bound=Struct)
 
 @dataclass(frozen=True, slots=True)
 class _Answer:
-    """What one bridge lists; `namespace` is empty or such as `/tb3_01`."""
+    """What one bridge lists; `namespace` is empty or such as `/tb3_01`.
+
+    `others`: the DDS participants that are no processes of ROS.
+    """
 
     namespace: str
     nodes: frozenset[Endpoint]
     dds: frozenset[Endpoint]
     strays: frozenset[Endpoint]
+    others: frozenset[str]
 
 
 class NodeList:
@@ -146,8 +153,11 @@ class NodeList:
             (end.process, end.topic): end for one in self._by_bridge.values() for end in one.strays
         }
         self._unnamed = {key: self._unnamed.get(key, now) for key in unnamed}
+        others = {process for one in self._by_bridge.values() for process in one.others}
         self.strays = tuple(
-            end for key, end in unnamed.items() if now - self._unnamed[key] >= NAMING_TIME
+            end
+            for key, end in unnamed.items()
+            if end.process in others or now - self._unnamed[key] >= NAMING_TIME
         )
         self._settled = frozenset(alike | (self._settled & self._by_bridge.keys()))
 
@@ -186,15 +196,15 @@ def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
         prefix = config.namespace.rstrip("/")
         ends = [end for node in nodes[zid].items() for end in _of_node(zid, prefix, *node)]
         named = [end for end in ends if end.node.rpartition("/")[2] not in bridges]
-        others = {end.process: end.node for end in ends if end not in named}
-        dds, processes = _ends_in_dds(zid, prefix, in_dds[zid])
+        dds, processes, others = _ends_in_dds(zid, prefix, in_dds[zid])
+        processes |= {end.process: end.node for end in ends if end not in named}
         taking = {(end.process, end.topic) for end in named if not end.is_publisher}
         strays = (
-            replace(end, node=others.get(end.process) or processes.get(end.process) or _NAMELESS)
+            replace(end, node=processes.get(end.process, _NAMELESS))
             for end in dds
             if not end.is_publisher and (end.process, end.topic) not in taking
         )
-        yield zid, _Answer(prefix, frozenset(named), dds, frozenset(strays))
+        yield zid, _Answer(prefix, frozenset(named), dds, frozenset(strays), others)
 
 
 def _of_node(zid: str, prefix: str, name: str, payload: bytes) -> Iterator[Endpoint]:
@@ -213,25 +223,27 @@ def _of_node(zid: str, prefix: str, name: str, payload: bytes) -> Iterator[Endpo
 
 def _ends_in_dds(
     zid: str, prefix: str, answers: Mapping[str, bytes]
-) -> tuple[frozenset[Endpoint], Mapping[str, str]]:
-    """The readers and writers, and a name for each participant that tells its process.
+) -> tuple[frozenset[Endpoint], dict[str, str], frozenset[str]]:
+    """The readers and writers, a name for each participant, and the participants not of ROS.
 
-    CycloneDDS tells the name of the process; other implementations do not.
+    CycloneDDS tells the name of a process; other implementations do not.
     """
-    ends, processes = list[Endpoint](), dict[str, str]()
+    ends, processes, others = list[Endpoint](), dict[str, str](), set[str]()
     for key, payload in answers.items():
         participant, _, rest = key.partition("/")
         if (read := _decoded(_in_dds, payload)) is None:
             continue
-        if not rest and (process := read.qos.properties.get("__ProcessName", "")):
-            processes[participant] = f"{_NAMELESS}_{process}"
+        if not rest and read.qos.user_data[: len(_ENCLAVE)] != _ENCLAVE:
+            others.add(participant)
+        if not rest and (process := read.qos.properties.get("__ProcessName", "")).isprintable():
+            processes[participant] = f"{_NAMELESS}_{process}" if process else _NAMELESS
         topic, type_name = read.topic_name.removeprefix("rt/"), ros_name(read.type_name)
         if rest and f"{topic}{type_name}".isprintable():
             quality = "best effort" if read.qos.reliability.kind == _BEST_EFFORT else "reliable"
             quality += ", transient local" if read.qos.durability.kind == _KEPT else ""
             end = Endpoint(rest.startswith("writer/"), f"{prefix}/{topic}", type_name, zid)
             ends.append(replace(end, quality=quality, process=participant))
-    return frozenset(ends), processes
+    return frozenset(ends), processes, frozenset(others)
 
 
 def _decoded(decoder: msgspec.json.Decoder[_S], payload: bytes) -> _S | None:

@@ -49,7 +49,8 @@ class DdsNode:
         `latched`: topics with durability TRANSIENT_LOCAL.
         """
         self._latched = latched
-        self._participant = DomainParticipant(domain)
+        enclave = Qos(Policy.Userdata(b"enclave=/;")) if name else None  # as each ROS process
+        self._participant = DomainParticipant(domain, enclave)
         self._qos = {**(qos or {}), **{f"{name}/_action/status": _KEPT for name in actions}}
         self._served = [entity for name in actions for entity in self._action(name)]
         statuses = {f"{name}/_action/status": dds.GoalStatusArray for name in actions}

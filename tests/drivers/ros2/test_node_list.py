@@ -215,11 +215,12 @@ def test_junk_is_left_out(junk: bytes) -> None:
 # Readers in DDS without a node
 
 
-def in_dds(*readers: str, process: str = "", zid: str = "ab", kind: str = "reader") -> Answers:
-    """What bridge `zid` answers of the participants in DDS that read the commands."""
+def in_dds(*readers: str, process: str = "", kind: str = "reader", is_ros: bool = True) -> Answers:
+    """What bridge `ab` answers of the participants in DDS that read the commands."""
     told = {"topic_name": "rt/cmd_vel", "type_name": "geometry_msgs::msg::dds_::Twist_", "qos": {}}
-    about = {"qos": {"properties": {"__ProcessName": process} if process else {}}}
-    root = f"@/{zid}/ros2/dds"
+    qos: dict[str, object] = {"properties": {"__ProcessName": process} if process else {}}
+    about = {"qos": {**qos, "user_data": list(b"enclave=/;")} if is_ros else qos}
+    root = "@/ab/ros2/dds"
     return {
         **{f"{root}/{one}/{kind}/{one}04/rt/cmd_vel": json.dumps(told).encode() for one in readers},
         **{f"{root}/{one}": json.dumps(about).encode() for one in readers},
@@ -299,11 +300,22 @@ def test_a_reader_has_time_to_get_the_name_of_its_node() -> None:
     assert conflict(made, now + NAMING_TIME) is not None
 
 
+def test_a_reader_in_a_process_that_is_not_of_ros_has_no_time() -> None:
+    base, others = answers(("01/base", BASE)), in_dds("02", is_ros=False)
+    made = listed_once({**base, **others})
+    assert conflict(made, 0.0) is not None
+    made.take({**base, **in_dds("01"), "@/ab/ros2/dds/02": b"{}"}, {"ab"}, 1.0)
+    assert conflict(made, 1.0) is None
+
+
 def test_a_reader_that_is_still_unnamed_as_the_bridge_falls_silent_is_a_conflict() -> None:
     made = listed_once({**answers(("01/base", BASE)), **in_dds("01", "02")})
     assert conflict(made, 0.0) is None
     made.take(None, {"ab"}, NAMING_TIME)
     assert conflict(made, NAMING_TIME) is not None
+
+
+NOT_OF_ROS = "", "zenoh_bridge_ros2dds"
 
 
 class Readers:
@@ -334,17 +346,20 @@ class Readers:
             for one, (name, _, listed, end) in self.there.items()
             if name and listed <= self.now < end - 0.3
         ]
-        return {**answers(("01/base", BASE), *nodes), **in_dds("01", *self.there)}
+        plain = [one for one, (name, *_) in self.there.items() if name in NOT_OF_ROS]
+        of_ros = set(self.there) - set(plain)
+        ends = {**in_dds("01", *of_ros), **in_dds(*plain, is_ros=False)}
+        return {**answers(("01/base", BASE), *nodes), **ends}
 
-    def foreign(self, age: float) -> list[str]:
-        """Those that are no tools, there for this many s, and no base that ends."""
-        return [
-            one
-            for one, (name, since, _, end) in self.there.items()
-            if name in ("other", "", "zenoh_bridge_ros2dds")
-            and self.now - since >= age
-            and not (age and name == "other" and self.now >= end - 0.3)
-        ]
+    def holds(self) -> bool:
+        """Whether another program or bridge reads, or the node of another base is known."""
+        return any(
+            name in NOT_OF_ROS or (name == "other" and listed <= self.now < end - 0.3)
+            for name, _, listed, end in self.there.values()
+        )
+
+    def may_hold(self) -> bool:
+        return any(name in (*NOT_OF_ROS, "other") for name, *_ in self.there.values())
 
 
 def test_in_any_history_nothing_moves_while_an_unknown_reader_is_known_and_no_tool_holds() -> None:
@@ -355,11 +370,11 @@ def test_in_any_history_nothing_moves_while_an_unknown_reader_is_known_and_no_to
             readers.step()
             made.take(readers.answers(), {"ab"}, readers.now)
             found = conflict(made, readers.now)
-            if readers.foreign(age=NAMING_TIME):
+            if readers.holds():
                 held += 1
                 assert found is not None
                 assert found.reason is Reason.BASE_CONFLICT
-            elif not readers.foreign(age=0.0):
+            elif not readers.may_hold():
                 free += 1
                 assert found is None
     assert held > 400
