@@ -50,7 +50,7 @@ def test_no_command_but_zero_ever_reaches_two_bases(name: str, words: str) -> No
         await harness.until(is_held, publishing=True)
         await harness.until(lambda: is_held() and len(taken) >= 40, publishing=True)
         assert set(taken) == {0.0}
-        assert reported(harness, words, is_up=True)
+        await harness.until(lambda: reported(harness, words, is_up=True), publishing=True)
         other.close()
         await harness.until(lambda: harness.sink.hold is None, publishing=True)
 
@@ -130,8 +130,11 @@ def test_a_second_bridge_that_takes_the_commands_holds_the_robot(tmp_path: Path)
             open_session("client", "connect/endpoints", second.endpoint) as far,
         ):
             far.declare_subscriber("cmd_vel", lambda sample: None)
-            await harness.until(lambda: harness.sink.hold is Reason.BASE_CONFLICT, publishing=True)
-            assert reported(harness, "/zenoh_bridge_ros2dds takes /cmd_vel", is_up=True)
+            await harness.until(  # at first it is a reader of some process
+                lambda: reported(harness, "/zenoh_bridge_ros2dds takes /cmd_vel", is_up=True),
+                publishing=True,
+            )
+            assert harness.sink.hold is Reason.BASE_CONFLICT
 
     play(robot, story)
 
