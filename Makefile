@@ -166,7 +166,7 @@ $(VENV)/made:
 
 $(VENV)/installed: $(VENV)/made pyproject.toml setup.py constraints.txt
 	@echo "Installing swarmd with what the demo needs."
-	@$(PIP) install --constraint constraints.txt --editable '.[sim,plot,web,record,film,keys]'
+	@$(PIP) install --constraint constraints.txt --editable '.[sim,plot,web,record,film]'
 	@$(COMPILE)
 	@touch $@
 
