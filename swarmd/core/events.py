@@ -18,8 +18,9 @@ from swarmd.core.errors import CodecError
 from swarmd.core.goal import Goal
 from swarmd.core.hazard import Hazard
 from swarmd.core.host_messages import HostEvent
-from swarmd.core.messages import Body, Latch, Reason, Request
+from swarmd.core.messages import Body, Latch, Reason
 from swarmd.core.values import Array, Neighbor, Odometry, PeerPlace, Scan, SharedPose, Value
+from swarmd.core.verbs import Request
 
 MAX_ROBOTS = 10_000
 """Robots in one input: neighbours, peers or latches."""

@@ -24,8 +24,9 @@ from swarmd.core.host_messages import (
     StartTrial,
     Stepped,
 )
-from swarmd.core.messages import State, StopRequest
+from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Platform, Twist
+from swarmd.core.verbs import StopRequest
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.recording import messages

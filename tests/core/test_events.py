@@ -12,7 +12,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.goal import Goal
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import HostDied, Loaded, Stepped, TrialDone
-from swarmd.core.messages import Body, Epoch, Latch, Reason, StopRequest
+from swarmd.core.messages import Body, Epoch, Latch, Reason
 from swarmd.core.values import (
     Neighbor,
     Odometry,
@@ -23,6 +23,7 @@ from swarmd.core.values import (
     SharedPose,
     Twist,
 )
+from swarmd.core.verbs import StopRequest
 from swarmd.robot import robot
 
 SCAN = Scan(3, 1.5, np.array([1.0, np.inf, np.nan]), np.arange(3.0), 0.1, 3.5, np.zeros(3))
