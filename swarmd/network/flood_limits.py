@@ -7,6 +7,9 @@ and of stops, acks and latches a random share passes. New sources share one budg
 own; if that is far exceeded, as by a flood from forged addresses, the kernel passes for some
 seconds only sources that were there before, and of others a share of what is urgent.
 
+A reader that gets little time reads a part of a flood: each datagram counts with a weight, the
+number of those that arrived for one that was read.
+
 Times are in s on one monotonic clock, handed in.
 """
 
@@ -31,6 +34,7 @@ IDLE_TIME = 5.0  # s after which it is forgotten
 MAX_SOURCES = 256
 MAX_BLOCKED, MAX_THINNED = 64, 8  # places in the kernel's filter
 MIN_SHARE = 1 / 128
+MAX_WEIGHT = 64.0
 
 
 class FloodRules(Struct, frozen=True):
@@ -58,19 +62,19 @@ class _Budget:
     def __init__(self, rate: float, burst: float) -> None:
         self._rate = rate
         self._bucket = TokenBucket(rate, burst)
-        self._window, self._count, self._excess = -1e9, 0, 0
+        self._window, self._count, self._excess = -1e9, 0.0, 0.0
         self._block_time = BLOCK_TIME
         self.blocked_until = -1e9
         self.share = 1.0
 
-    def take(self, now: float) -> bool:
-        """True if one more datagram fits."""
+    def take(self, weight: float, now: float) -> bool:
+        """True if one more datagram of this weight fits."""
         if now - self._window > 1.0:
-            self._window, self._count, self._excess = now, 0, 0
-        self._count += 1
-        if self._bucket.take(1.0, now):
+            self._window, self._count, self._excess = now, 0.0, 0.0
+        self._count += weight
+        if self._bucket.take(weight, now):
             return True
-        self._excess += 1
+        self._excess += weight
         return False
 
     def begins_flood(self, now: float) -> bool:
@@ -78,7 +82,7 @@ class _Budget:
         if self._excess < EXCESS:
             return False
         if now < self.blocked_until:  # more comes than there seemed to, since the queue was full
-            self._excess = 0
+            self._excess = 0.0
             self.share = max(self.share / 4, MIN_SHARE)
             return self._window > self.blocked_until - self._block_time
         is_repeated = now - self.blocked_until <= 2 * self._block_time
@@ -113,15 +117,18 @@ class FloodLimits:
         self._is_changed = False
         self.dropped: Counter[str] = Counter()
 
-    def admits(self, source: Address, kind: int, now: float) -> bool:
-        """True if a datagram of this kind from this source is within its budget."""
+    def admits(self, source: Address, kind: int, now: float, weight: float = 1.0) -> bool:
+        """True if a datagram of this kind from this source is within its budget.
+
+        `weight`, at most MAX_WEIGHT: how many arrived for each that was read.
+        """
         one = self._place(source, now)
         if one is not self._strangers:
             self._get_to_know(one, now)
         owners = (one,) if one.is_known or one is self._strangers else (one, self._strangers)
         for owner in owners:
             budget = owner.urgent if kind in URGENT else owner.usual
-            if not budget.take(now):
+            if not budget.take(weight, now):
                 self.dropped[f"flood:{_name(kind)}"] += 1
                 self._is_changed |= budget.begins_flood(now)
                 return False

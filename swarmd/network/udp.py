@@ -48,7 +48,7 @@ from swarmd.network.datagram import (
     Kind,
     OnDatagram,
 )
-from swarmd.network.flood_limits import FloodLimits
+from swarmd.network.flood_limits import MAX_WEIGHT, FloodLimits
 from swarmd.network.interface_watch import addresses_of, index_of
 from swarmd.network.link_quality import WaysHeard
 from swarmd.network.packet_filter import swarm_filter
@@ -64,6 +64,7 @@ GROUP_PORT = 7446
 
 BATCH = 64  # datagrams in a turn of the loop; a dropped one costs an eighth
 PAUSE = 0.005  # s after a full batch
+OVERLOAD_TIME = 1.0  # s without an empty queue after which lost datagrams count as a flood's
 BEACONS_A_BROADCAST = 5
 RESOLVE_PERIOD = 60.0  # s between two looks for the addresses of seeds that are names
 RETRY_PERIOD = 5.0  # s, while some name has no address
@@ -76,7 +77,9 @@ _TAG = slice(5, 5 + TAG_BYTES)
 # linux/in.h, linux/in6.h and asm-generic/socket.h; Python names none of them.
 _IP_UNICAST_IF, _IP_MULTICAST_ALL = 50, 49
 _IPV6_UNICAST_IF, _IPV6_MULTICAST_ALL = 76, 29
-_SO_ATTACH_FILTER, _SO_RCVBUFFORCE, _SO_TIMESTAMPNS = 26, 33, 35
+_SO_ATTACH_FILTER, _SO_RCVBUFFORCE, _SO_TIMESTAMPNS, _SO_MEMINFO = 26, 33, 35, 55
+_MEMINFO = struct.Struct("@9I")  # linux/sock_diag.h; in bytes, the last one in datagrams
+_QUEUED, _QUEUE_LIMIT, _LOST = 0, 1, 8
 _TIMESPEC = struct.Struct("@ll")
 _ROOM = socket.CMSG_SPACE(_TIMESPEC.size)
 SHORT_WAIT = 0.2  # s since the sockets were empty below which the wait of a datagram counts as none
@@ -149,7 +152,9 @@ class UdpCarrier:
         self._emptied_at = clock()
         self._limits = FloodLimits()
         self._rules = self._limits.rules(0.0)
-        self._turns = 0
+        self._turns = self._reads = 0
+        self._weight = 1.0
+        self._lost: dict[socket.socket, int] = {}
         self.recipients = Recipients(self._lease, with_group=self._multicast)
         # Every fifth beacon is a broadcast.
         self.ways = WaysHeard(max(2 * self._lease, 2.0 * BEACONS_A_BROADCAST))
@@ -257,6 +262,7 @@ class UdpCarrier:
             self._turns += 1
             first = self._turns % max(len(self._listeners), 1)
             room = BATCH * _COST
+            self._weigh(now)
             for listener in (*self._listeners[first:], *self._listeners[:first]):
                 room -= self._take_from(listener, room // 2, now, found)
             rules = self._limits.rules(now)
@@ -267,6 +273,24 @@ class UdpCarrier:
             if not self._is_full:
                 self._emptied_at = now
         return found
+
+    def _weigh(self, now: float) -> None:
+        """How many datagrams arrived for each that is read: more than one in an overload.
+
+        A machine with little time for this process reads less than any budget, and the kernel drops
+        the rest, whoever sent it: a flood would pass for usual traffic and drown all stops.
+        """
+        if now - self._emptied_at < OVERLOAD_TIME:
+            self._weight = 1.0
+            self._lost.clear()
+        else:
+            before, self._lost = self._lost, {}
+            for sock, _ in self._listeners:
+                if (count := _count_lost(sock)) is not None:
+                    self._lost[sock] = count
+            lost = sum(count - before.get(sock, count) for sock, count in self._lost.items())
+            self._weight = min(1.0 + lost / max(self._reads, 1), MAX_WEIGHT)
+        self._reads = 0
 
     def _take_from(self, listener: _Listener, room: int, now: float, found: list[Received]) -> int:
         """Append what a listener has; returns what it cost, at most `room` and one more."""
@@ -296,13 +320,14 @@ class UdpCarrier:
     ) -> Address | None:
         """The source of a datagram that counts; None of one that does not."""
         host, port = name[0], name[1]
+        self._reads += 1
         if port == self.port and (host in self._addresses or self._is_dev):
             return None  # an own one, from the group
         source = _address(name)
         if len(payload) <= KIND_OFFSET:
             self.dropped["datagram:short"] += 1
             return None
-        if not self._limits.admits(source, payload[KIND_OFFSET], now):
+        if not self._limits.admits(source, payload[KIND_OFFSET], now, self._weight):
             return None
         is_of_robot = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
         if is_of_robot:
@@ -580,6 +605,18 @@ def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
             seconds, nanoseconds = _TIMESPEC.unpack(content)
             return time.time() - float(seconds) - 1e-9 * float(nanoseconds)
     return 0.0
+
+
+def _count_lost(sock: socket.socket) -> int | None:
+    """Datagrams that the kernel has dropped at a socket; None unless its queue is nearly full.
+
+    They include those that the filter has refused, which need no queue.
+    """
+    try:
+        info = _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))
+    except (OSError, struct.error):  # before Linux 4.12
+        return None
+    return int(info[_LOST]) if info[_QUEUED] > 0.75 * info[_QUEUE_LIMIT] else None
 
 
 def _address(name: tuple[object, ...]) -> Address:

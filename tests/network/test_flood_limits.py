@@ -115,6 +115,20 @@ def test_forged_sources_neither_fill_the_memory_nor_shut_out_those_that_were_the
     assert limits.rules(now + 10 * BLOCK_TIME) == FloodRules()
 
 
+def test_a_flood_of_which_a_part_is_read_counts_whole() -> None:
+    limits = FloodLimits()
+    for step in range(40):
+        limits.admits(QUIET, Kind.BEACON, step / 10)
+    now = 4.0
+    for step in range(100):  # 1,000 a second are read of 16,000: less than any budget
+        for number in range(10):
+            limits.admits(forged(10 * step + number), Kind.BEACON, now, 16.0)
+        if step % 16 == 0:  # of 10 a second
+            assert limits.admits(QUIET, Kind.BEACON, now, 16.0)
+        now += 0.01
+    assert limits.rules(now) == FloodRules(only_known=True, known=(QUIET,))
+
+
 def test_many_robots_that_start_at_once_are_no_flood() -> None:
     limits = FloodLimits()
     for step in range(20):

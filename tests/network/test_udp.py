@@ -337,6 +337,42 @@ FLOODS = {
 
 
 @pytest.mark.integration
+@pytest.mark.parametrize("kind", ["of beacons", "of stops"])
+def test_a_reader_with_little_time_hears_a_robot_in_a_flood(peers: Peers, kind: str) -> None:
+    payload, sources = FLOODS[f"{kind} from 500 sources"]
+    a, b = peers.open(), peers.open()
+    found: list[bytes] = []
+
+    def read(said: bytes) -> None:
+        """One turn, 20 times a second: 1,280 datagrams at most, below the budget of strangers."""
+        b.send(said)
+        found.extend(one.payload for one in a.receive() if one.source == of(b))
+        time.sleep(0.05)
+
+    for number in range(80):
+        read(beacon(number))
+    words = [payload.hex(), str(a.port), str(sources), "20000", "90"]
+    with subprocess.Popen(
+        [sys.executable, "-m", "tests.support.flood", *words], cwd=Path(__file__).parents[2]
+    ) as flood:
+        try:
+            deadline = time.monotonic() + 40.0
+            while f"flood:{kind[3:-1]}" not in a.dropped and time.monotonic() < deadline:
+                read(beacon(100))
+            assert f"flood:{kind[3:-1]}" in a.dropped
+            said = [stop(f"real{number}") for number in range(400)]
+            for count, one in enumerate(said, 1):
+                read(one)
+                heard = said[max(count - 20, 0) : count]
+                if count > 20 and all(stop in found for stop in heard[:-5]):
+                    break
+            assert all(stop in found for stop in heard[:-5])
+            assert flood.poll() is None
+        finally:
+            flood.kill()
+
+
+@pytest.mark.integration
 @pytest.mark.parametrize("name", FLOODS)
 def test_beacons_and_a_stop_arrive_in_a_flood(peers: Peers, name: str) -> None:
     payload, sources = FLOODS[name]
