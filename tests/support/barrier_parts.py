@@ -70,7 +70,7 @@ def nearest_feasible(requested: Point, normals: Array, caps: Array) -> tuple[Poi
     Also the indices of the constraints on which the point lies.
     """
     one = interpreted()
-    one._row_x, one._row_y, one._row_cap = [*normals.T.tolist(), caps.tolist()]
+    (one._row_x, one._row_y), one._row_cap = normals.T.tolist(), caps.tolist()
     one._all = len(caps)
     one._project(*requested)
     tight = [i for i in range(len(caps)) if one._excess(i) >= -barrier.BINDING_TOLERANCE]
