@@ -18,12 +18,9 @@ import click
 from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.exp_check import check
-from swarmd.sim.cli.exp_export import export
 from swarmd.sim.cli.exp_plot import plot
-from swarmd.sim.cli.exp_report import report
+from swarmd.sim.cli.exp_results import check, export, report, view
 from swarmd.sim.cli.exp_video import video
-from swarmd.sim.cli.exp_view import view
 from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_option, scenarios
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 

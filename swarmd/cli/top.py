@@ -167,8 +167,7 @@ def _print_records(watch: SwarmWatch, targets: Targets, sort: str) -> None:
 
 def _show(watch: SwarmWatch, targets: Targets, sort: str) -> None:
     """Draw the table each second until `q`; letters choose the order."""
-    from swarmd.view.keys import KeyDecoder
-    from swarmd.view.screen import Screen
+    from swarmd.view.screen import KeyDecoder, Screen
 
     keys = KeyDecoder()
     with Screen() as screen:
