@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 VERBS = {
     "members": ("swarmd.cli.members:members", "List the robots of the swarm and their states."),
     "describe": (
-        "swarmd.cli.describe:describe",
+        "swarmd.cli.members:describe",
         "Show one robot in detail, and why it does not move.",
     ),
     "patterns": ("swarmd.cli.patterns:patterns", "List patterns and their parameters."),
