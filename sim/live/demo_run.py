@@ -14,7 +14,8 @@ from pathlib import Path
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError, SwarmError
-from swarmd.core.messages import ParamRequest, ResetRequest, RunRequest, State, Status
+from swarmd.core.messages import State, Status
+from swarmd.core.verbs import ParamRequest, ResetRequest, RunRequest
 from swarmd.network.operator import Operator, StopVerb
 from swarmd.network.outcome import Outcome
 from swarmd.sim.live.fleet import Fleet
