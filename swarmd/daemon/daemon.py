@@ -28,28 +28,23 @@ from swarmd.core.messages import Reply, Status
 from swarmd.core.values import Neighbor
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
-from swarmd.daemon.behaviour_control import BehaviourControl
-from swarmd.daemon.behaviour_files import BehaviourFiles
-from swarmd.daemon.behaviour_runs import CodeRuns
-from swarmd.daemon.behaviour_state import BehaviourState
-from swarmd.daemon.behaviour_store import BehaviourStore
-from swarmd.daemon.behaviour_sync import BehaviourSync
-from swarmd.daemon.driver_factory import make_driver
-from swarmd.daemon.driver_output import DriverOutput
+from swarmd.daemon.code_transfer import BehaviourControl, BehaviourStore, BehaviourSync
+from swarmd.daemon.code_versions import BehaviourState, CodeRuns
+from swarmd.daemon.driver import DriverOutput, make_driver
 from swarmd.daemon.driver_sink import DriverSink
-from swarmd.daemon.field_tools import FieldTools
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
-from swarmd.daemon.latchfile import LatchFile
-from swarmd.daemon.neighbor_selection import NeighborSelection
+from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.network import Network, NetworkHandlers
 from swarmd.daemon.network_inputs import NetworkInputs
 from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.requests import RequestServer
 from swarmd.daemon.robot_setup import make_robot, recording_head
 from swarmd.daemon.roster_service import RosterService
+from swarmd.daemon.store import BehaviourFiles, LatchFile
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
+from swarmd.daemon.tools import FieldTools
 from swarmd.driver_api.driver import Driver, check_protected, message_carrier
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.bus import ZenohBus

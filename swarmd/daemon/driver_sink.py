@@ -10,7 +10,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose
-from swarmd.daemon.neighbor_selection import NeighborSelection
+from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 

@@ -11,7 +11,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.messages import Latch, Reply
 from swarmd.core.values import PeerPlace
 from swarmd.daemon.audit import Audit
-from swarmd.daemon.neighbor_selection import NeighborSelection
+from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.recorded_robot import RecordedRobot
 from swarmd.daemon.recorder import Recorder
 from swarmd.daemon.systemd import Notifier

@@ -21,10 +21,10 @@ from swarmd.core.behaviour import (
     read_entry,
 )
 from swarmd.core.clock import boottime
-from swarmd.daemon.behaviour_sync import CODE_PERIOD, FALSE_PERIOD, TABLE_PERIOD, BehaviourSync
+from swarmd.daemon.code_transfer import CODE_PERIOD, FALSE_PERIOD, TABLE_PERIOD, BehaviourSync
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.robot.pushed_code import PushedCode, Version
-from tests.daemon.test_behaviour_store import Rig
+from tests.daemon.test_code_transfer import Rig
 
 ADDRESS = ("10.0.0.7", 7440)
 

@@ -27,12 +27,10 @@ from swarmd.core.errors import ChangedCodeError
 from swarmd.core.host_messages import Load, Loaded, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.core.verbs import PushRequest, ReloadRequest
-from swarmd.daemon import behaviour_state
-from swarmd.daemon.behaviour_files import BehaviourFiles
-from swarmd.daemon.behaviour_runs import CodeRuns
-from swarmd.daemon.behaviour_state import BehaviourState
-from swarmd.daemon.behaviour_store import BehaviourStore
-from swarmd.daemon.behaviour_sync import BehaviourSync
+from swarmd.daemon import code_versions
+from swarmd.daemon.code_transfer import BehaviourStore, BehaviourSync
+from swarmd.daemon.code_versions import BehaviourState, CodeRuns
+from swarmd.daemon.store import BehaviourFiles
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
@@ -538,7 +536,7 @@ async def test_a_table_with_false_signatures_costs_one_check(
         checked.append(content)
         return False
 
-    monkeypatch.setattr(behaviour_state, "is_signed_by", check)
+    monkeypatch.setattr(code_versions, "is_signed_by", check)
     puller = Pulling(encode_table(map(read_entry, (*foreign, *false))))
     sync = BehaviourSync(rig.state, rig.store, puller, lambda *_: None, DropCounter())  # type: ignore[arg-type]
     digests = (number.to_bytes(4, "big") + b"xx" for number in range(1, 100))
