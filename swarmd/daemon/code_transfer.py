@@ -29,7 +29,7 @@ from swarmd.core.goal import generation_of
 from swarmd.core.host_messages import HostEvent, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.core.verbs import BehavioursReply, Nothing, PushRequest, ReloadRequest, Request
-from swarmd.daemon.code_versions import BehaviourState, Candidate
+from swarmd.daemon.code_versions import Candidate, CodeVersions
 from swarmd.daemon.requests import Answer
 from swarmd.network.bus import ZenohBus
 from swarmd.network.datagram import Address
@@ -48,13 +48,13 @@ MAX_UPLOADS = 2  # behaviours of which pieces are kept
 _PASSING = frozenset({Refusal.BUSY, Refusal.OVERTAKEN, Refusal.STALE_EPOCH})
 
 
-class BehaviourStore:
+class CodeIntake:
     """Takes behaviours into `state`, one at a time.
 
     `drops` counts behaviours that raised an error.
     """
 
-    def __init__(self, state: BehaviourState, drops: DropCounter) -> None:
+    def __init__(self, state: CodeVersions, drops: DropCounter) -> None:
         self._state = state
         self._drops = drops
         self._uploads: dict[bytes, bytearray] = {}
@@ -320,7 +320,7 @@ of a core to refuse, and robots keep only entries that they verified."""
 MAX_ASKED = 256
 
 
-class BehaviourSync:
+class CodePull:
     """Pulls what `state` lacks with `puller` and hands it to `store`; serves what it has.
 
     `on_taken(robot, entry)`: code came from a robot, and is tried. `drops` counts the tables that
@@ -329,8 +329,8 @@ class BehaviourSync:
 
     def __init__(
         self,
-        state: BehaviourState,
-        store: BehaviourStore,
+        state: CodeVersions,
+        store: CodeIntake,
         puller: Puller,
         on_taken: Callable[[str, Entry], None],
         drops: DropCounter,
@@ -457,7 +457,7 @@ class BehaviourSync:
             self._store.take(entry, blob, robot)
 
 
-class BehaviourControl:
+class CodeControl:
     """The `RobotControl` of a daemon.
 
     `on_request` takes a request to the robot, `step` another input, `reply` the answer to a push,

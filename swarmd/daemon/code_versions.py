@@ -1,6 +1,6 @@
 """The versions of pushed code on a robot: known, trusted, on the disk, loaded and returned from.
 
-`BehaviourState` has the table and the versions, which `robot/pushed_code.py` advances, and writes
+`CodeVersions` has the table and the versions, which `robot/pushed_code.py` advances, and writes
 them to the disk. `CodeRuns` decides which version a load takes, and counts its runs.
 """
 
@@ -30,7 +30,7 @@ from swarmd.core.host_messages import HostEvent, Load, Loaded, TrialDone
 from swarmd.core.messages import Epoch, Reply
 from swarmd.core.verbs import BehaviourReport, BehavioursReply, ReloadRequest
 from swarmd.daemon.record_writer import RecordWriter
-from swarmd.daemon.store import BehaviourFiles
+from swarmd.daemon.store import CodeFiles
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.pushed_code import PushedCode, Version
@@ -44,10 +44,10 @@ class RobotControl(Protocol):
     """What the store asks of the daemon; all on its loop."""
 
     def try_code(self, request: ReloadRequest) -> None:
-        """Hand a reload to the robot; its reply comes to `BehaviourStore.on_reply`."""
+        """Hand a reload to the robot; its reply comes to `CodeIntake.on_reply`."""
 
     def end_trial(self, event: TrialDone) -> None:
-        """Hand the end of a trial to the robot, which `BehaviourStore.on_event` held back."""
+        """Hand the end of a trial to the robot, which `CodeIntake.on_event` held back."""
 
     def code_changed(self) -> None:
         """Let the next run have a fresh pattern host."""
@@ -91,7 +91,7 @@ Versions = Mapping[str, PushedCode]
 """The versions of each pushed behaviour, by name."""
 
 
-class BehaviourState:
+class CodeVersions:
     """The pushed behaviours of `robot`. `operators` None: code needs no signature.
 
     Else code without a signature of these operators is neither stored nor loaded. Patterns of
@@ -101,7 +101,7 @@ class BehaviourState:
 
     def __init__(
         self,
-        files: BehaviourFiles,
+        files: CodeFiles,
         robot: str,
         swarm: str,
         operators: Callable[[], Operators | None],
@@ -351,7 +351,7 @@ class BehaviourState:
         return None
 
 
-def _write_to(files: BehaviourFiles) -> Callable[[tuple[Table, Versions]], None]:
+def _write_to(files: CodeFiles) -> Callable[[tuple[Table, Versions]], None]:
     return lambda record: files.write(*record)
 
 
@@ -388,7 +388,7 @@ class LoadedCode:
 class CodeRuns:
     """The runs of the pushed code in `state`."""
 
-    def __init__(self, state: BehaviourState) -> None:
+    def __init__(self, state: CodeVersions) -> None:
         self._state = state
         self._loads: dict[int, LoadedCode] = {}
         self._ran_to: tuple[int, float] = (-1, 0.0)  # generation, time

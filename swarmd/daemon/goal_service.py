@@ -11,7 +11,7 @@ from msgspec.structs import replace
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.goal import Goal, GoalRecord, digest_of
 from swarmd.core.messages import Code, Refusal, Reply
-from swarmd.core.verbs import GoalRequest, Request, RunRequest
+from swarmd.core.verbs import Request
 from swarmd.daemon.record_writer import RecordWriter
 from swarmd.daemon.store import GoalFile
 from swarmd.network.goal_sync import GoalCheck, is_signed_goal
@@ -89,7 +89,7 @@ class GoalService:
 
     def refusal_of(self, request: Request, robot: str) -> Reply | None:
         """The refusal of a request whose goal is not signed by its issuer."""
-        goal = request.goal if isinstance(request, RunRequest | GoalRequest) else None
+        goal: Goal | None = getattr(request, "goal", None)
         if goal is None or self._identity() is None:
             return None
         counts = self._check_asked(goal, boottime())

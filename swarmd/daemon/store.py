@@ -121,7 +121,7 @@ CODE, WHEEL = "code", "code.whl"
 _versions = msgspec.msgpack.Decoder(dict[str, PushedCode])
 
 
-class BehaviourFiles:
+class CodeFiles:
     """The folder of the pushed behaviours of one robot; nothing is made before it is needed."""
 
     def __init__(self, folder: Path) -> None:
