@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import Any
 
 KERNELS = (
-    "swarmd.protection.barrier_kernel",
-    "swarmd.protection.blind_zone_kernel",
+    "swarmd.protection.barrier",
+    "swarmd.protection.blind_zone",
     "swarmd.sensing.scan_kernel",
     "swarmd.sim.world.base_kernel",
     "swarmd.sim.world.lidar_kernel",

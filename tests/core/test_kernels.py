@@ -48,7 +48,7 @@ def test_a_kernel_that_was_cut_off_is_not_loaded_and_named(
     share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    whole = _library("swarmd.protection.barrier_kernel").read_bytes()
+    whole = _library("swarmd.protection.barrier").read_bytes()
     (tmp_path / "_cut.abi3.so").write_bytes(whole[: int(share * len(whole))])
     assert _said_of_cut_kernel(tmp_path) == "None interpreted (not compiled)"
 
@@ -57,7 +57,7 @@ def test_a_kernel_of_another_processor_is_not_loaded_and_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    foreign = bytearray(_library("swarmd.protection.barrier_kernel").read_bytes())
+    foreign = bytearray(_library("swarmd.protection.barrier").read_bytes())
     foreign[18:20] = b"\xff\x7f"  # e_machine
     (tmp_path / "_cut.abi3.so").write_bytes(foreign)
     assert _said_of_cut_kernel(tmp_path) == "None interpreted (not compiled)"
