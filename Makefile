@@ -61,6 +61,8 @@ archive: wheels
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else), and
 # each worker all test files (26 s of CPU, and 12 s else). 50: the slowest tests that are shown.
 test: export PYTHONDONTWRITEBYTECODE =
+# Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
+test: export OPENBLAS_NUM_THREADS = 1
 test: kernels
 	@$(COMPILE) tests
 	@$(BIN)/python -m pytest --collect-only -qq $(ARGS) >/dev/null || true

@@ -22,7 +22,8 @@ import msgspec
 from studies.ros.node import Faults, Kind, Settings
 from studies.ros.robots import BASE, LIDAR, PLATFORM, RIVAL_SPEED, ROBOTS, bound, namespace
 from swarmd.core.codec import Decoder
-from swarmd.core.messages import ResetRequest, RunRequest, Status
+from swarmd.core.messages import Status
+from swarmd.core.verbs import ResetRequest, RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.support.processes import CAP, DaemonProcess, run_command, unique_swarm, wait_until
