@@ -315,8 +315,8 @@ class Graph:
             return ""
         return (
             f"{listed(names)} takes {self.command_topic}: a reader in DDS without a ROS node, or"
-            " another bridge, so that a base that is not this robot's may move; end it, or give"
-            " each robot a domain of its own"
+            " another bridge, perhaps of another base; end it, or give each robot a domain of its"
+            " own"
         )
 
     def _is_listener(self, end: Endpoint) -> bool:

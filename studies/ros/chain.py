@@ -157,11 +157,14 @@ class Chain:
         kind: Kind,
         *,
         body: str = "",
-        name: str = "",
+        name: str | None = None,
         at: str | None = None,
         is_stamped: bool = False,
     ) -> NodeProcess:
-        """Start a node of a robot; `body`, `name` and namespace `at` are by default the robot's."""
+        """Start a node of a robot; `body`, `name` and namespace `at` are by default the robot's.
+
+        With an empty name it is no ROS node.
+        """
         usual = {"base": BASE, "lidar": LIDAR, "teleop": "teleop_keyboard"}[kind]
         body = body or robot
         settings = Settings(
@@ -169,7 +172,7 @@ class Chain:
             domain=self.domain,
             body=body,
             kind=kind,
-            name=name or usual,
+            name=usual if name is None else name,
             namespace=namespace(robot) if at is None else at,
             is_stamped=is_stamped,
         )
