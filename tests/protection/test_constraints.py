@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,7 +71,8 @@ def test_stop_from_the_reciprocal_cap_uses_half_the_room(
 
 
 PLATFORMS = [load_platform(name) for name in ("burger", "waffle_pi", "jackal")]
-ANY_PLATFORM = st.sampled_from(PLATFORMS)
+LOPSIDED = np.array([[-0.2, -0.02], [0.1, -0.02], [0.2, 0.1], [0.0, 0.3], [-0.2, 0.25]])
+ANY_PLATFORM = st.sampled_from([*PLATFORMS, replace(PLATFORMS[0], footprint=LOPSIDED)])
 SPEED = st.floats(0.05, 2.0)
 AHEAD, LEFT = (1.0, 0.0), (0.0, 1.0)
 
