@@ -123,6 +123,7 @@ def test_half_planes_describe_the_polygon(
     platform: Platform, speed: float, v: float, w: float
 ) -> None:
     polygon, normals, caps = envelope(platform, speed, AHEAD)
+    assert (normals @ polygon.T <= caps[:, None] + 1e-9).all()
     allowed, _ = nearest_feasible((v, w), normals, caps)
     corners = [tuple(point) for point in polygon.tolist()]
     assert allowed == pytest.approx(nearest(corners, (v, w)), abs=1e-9)
