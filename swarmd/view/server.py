@@ -28,8 +28,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from swarmd.core.errors import SwarmError
-from swarmd.view.access import HEADERS, Access
-from swarmd.view.address import check_address, page_url, unusable
+from swarmd.view.access import HEADERS, Access, check_address, page_url, unusable
 from swarmd.view.client import Client, Rows
 from swarmd.view.playback import Playback
 from swarmd.view.source import Answer, Source, json_of, pack_frame
