@@ -23,7 +23,7 @@ FOLDERS = ("swarmd", "patterns", "drivers", "sim", "config", "tests", "studies",
 TESTS = {
     "swarmd/protection/barrier_kernel.py": ("tests/protection",),
     "swarmd/protection/blind_zone_kernel.py": ("tests/protection",),
-    "swarmd/sensing/scan_kernel.py": ("tests/sensing",),
+    "swarmd/sensing/scans.py": ("tests/sensing",),
     "sim/world/base_kernel.py": ("tests/sim/world",),
     "sim/world/lidar_kernel.py": ("tests/sim/world",),
 }

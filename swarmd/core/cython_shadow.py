@@ -84,6 +84,11 @@ def declare(kind: Any, value: Any = None, *, visibility: str = "private") -> Any
     return _Declared(kind) if value is None else value
 
 
+def cast(kind: Any, value: float) -> builtins.int:
+    """The number without its fraction, as C casts to a type of whole numbers."""
+    return builtins.int(value)
+
+
 def cfunc(function: _Function) -> _Function:
     """The function itself."""
     return function

@@ -21,7 +21,7 @@ from typing import Any
 KERNELS = (
     "swarmd.protection.barrier_kernel",
     "swarmd.protection.blind_zone_kernel",
-    "swarmd.sensing.scan_kernel",
+    "swarmd.sensing.scans",
     "swarmd.sim.world.base_kernel",
     "swarmd.sim.world.lidar_kernel",
 )

@@ -27,7 +27,6 @@ from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Pose, Scan
 from swarmd.protection.footprint import ScanGeometry
-from swarmd.sensing.rays_numpy import nearest_bearings
 
 NARROW_MEMORY = 2.0  # s for which an empty sector too narrow for a robot is remembered
 FORGET_DISTANCE = 2.0  # of range_min: a robot that moved this far has left hidden obstacles behind
@@ -147,13 +146,13 @@ class BlindZoneMemory:
         hidden = self._aged(seconds, is_gone, step)
         shift = min(step / (MIN_HIDDEN_RANGE * self._blind), 0.25 * math.pi)
         empty = np.flatnonzero(is_empty)
-        place, off = nearest_bearings(scan.bearings[empty], bearings)
+        place, off = _nearest_bearings(scan.bearings[empty], bearings)
         is_hidden = (off <= shift) & (hidden.ages < NARROW_MEMORY)
         is_hidden &= bool(np.hypot(*self._entered_at) < FORGET_DISTANCE * self._blind)
         out = self._reappeared(scan, moved.yaw, step)
         if len(out):
             is_old = np.arange(len(bearings)) < len(self.bearings)
-            is_hidden &= ~is_old | (nearest_bearings(out, bearings)[1] > shift)
+            is_hidden &= ~is_old | (_nearest_bearings(out, bearings)[1] > shift)
         rays, exact = empty[place[is_hidden]], scan.bearings.copy()
         found = _by_ray(len(exact), rays, hidden.at(is_hidden))
         stays = off[is_hidden] <= math.pi / len(exact)  # a slow turn would be lost in whole rays
@@ -215,7 +214,7 @@ class BlindZoneMemory:
         bearings = scan.bearings[is_out]
         if not len(bearings) or not len(self._empty_bearings):
             return np.empty(0)
-        off = nearest_bearings(self._empty_bearings - turned, bearings)[1]
+        off = _nearest_bearings(self._empty_bearings - turned, bearings)[1]
         return bearings[off <= math.pi / len(is_out)]
 
     def _vanished(
@@ -245,7 +244,7 @@ class BlindZoneMemory:
         bearings = np.arctan2(y - left, x - ahead)
         is_within = is_gone.copy()
         if inside.any():
-            is_within |= inside[nearest_bearings(rays, bearings)[0]]
+            is_within |= inside[_nearest_bearings(rays, bearings)[0]]
         return bearings[is_within], is_gone[is_within]
 
 
@@ -291,3 +290,15 @@ def _in_runs(is_empty: Mask) -> Mask:
     windows = np.asarray(sliding_window_view(around, length).all(axis=1))
     found: Mask = np.asarray(sliding_window_view(windows, length).any(axis=1))
     return found
+
+
+def _nearest_bearings(bearings: Array, wanted: Array) -> tuple[NDArray[np.intp], Array]:
+    """For each of `wanted` (k,), the index of the nearest of `bearings` (n,) and the distance."""
+    order = np.argsort(bearings % (2.0 * np.pi), kind="stable")
+    rising = bearings[order] % (2.0 * np.pi)
+    after = np.searchsorted(rising, wanted % (2.0 * np.pi)) % len(rising)
+    pair = np.stack((after, after - 1))
+    off = np.abs((rising[pair] - wanted + np.pi) % (2.0 * np.pi) - np.pi)
+    nearer = off.argmin(axis=0)
+    column = np.arange(len(wanted))
+    return order[pair[nearer, column]], off[nearer, column]
