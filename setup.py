@@ -27,7 +27,7 @@ KERNELS = {
     "swarmd.protection.barrier_kernel": "swarmd/protection/barrier_kernel.py",
     "swarmd.protection.blind_zone_kernel": "swarmd/protection/blind_zone_kernel.py",
     "swarmd.sensing.scans": "swarmd/sensing/scans.py",
-    "swarmd.sim.world.base_kernel": "sim/world/base_kernel.py",
+    "swarmd.sim.world.base": "sim/world/base.py",
     "swarmd.sim.world.lidar_kernel": "sim/world/lidar_kernel.py",
 }
 GENERATED = Path("build/cython")

@@ -24,7 +24,7 @@ TESTS = {
     "swarmd/protection/barrier_kernel.py": ("tests/protection",),
     "swarmd/protection/blind_zone_kernel.py": ("tests/protection",),
     "swarmd/sensing/scans.py": ("tests/sensing",),
-    "sim/world/base_kernel.py": ("tests/sim/world",),
+    "sim/world/base.py": ("tests/sim/world",),
     "sim/world/lidar_kernel.py": ("tests/sim/world",),
 }
 OPERATORS: dict[type[ast.AST], tuple[type[ast.AST], str]] = {

@@ -12,7 +12,7 @@ import builtins
 import inspect
 import math
 from collections.abc import Callable
-from math import atan2, ceil, copysign, fabs, floor, hypot, isfinite, isinf, isnan
+from math import atan2, ceil, copysign, fabs, floor, isfinite, isinf, isnan
 from typing import Any, TypeVar
 
 __all__ = [
@@ -152,6 +152,14 @@ def fmod(value: float, divisor: float) -> float:
 def remainder(value: float, divisor: float) -> float:
     """As `math.remainder`; NaN of an infinite number or for a divisor of 0."""
     return math.remainder(value, divisor) if isfinite(value) and divisor else NAN
+
+
+def hypot(x: float, y: float) -> float:
+    """As that of C, which `abs` of a complex number calls; `math.hypot` rounds otherwise."""
+    try:
+        return abs(complex(x, y))
+    except OverflowError:
+        return INFINITY
 
 
 def rint(value: float) -> float:

@@ -22,7 +22,7 @@ KERNELS = (
     "swarmd.protection.barrier_kernel",
     "swarmd.protection.blind_zone_kernel",
     "swarmd.sensing.scans",
-    "swarmd.sim.world.base_kernel",
+    "swarmd.sim.world.base",
     "swarmd.sim.world.lidar_kernel",
 )
 

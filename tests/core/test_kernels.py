@@ -67,13 +67,13 @@ def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    library = _library("swarmd.sim.world.base_kernel")
-    source = library.with_name("base_kernel.py")
+    library = _library("swarmd.sim.world.base")
+    source = library.with_name("base.py")
     shutil.copy(library, tmp_path)
     script = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from swarmd.core import kernels;"
-        "kernels.KERNELS = ('base_kernel',);"
-        "print([kernels.compiled_kernel('base_kernel') is not None for _ in range(2)],"
+        "kernels.KERNELS = ('base',);"
+        "print([kernels.compiled_kernel('base') is not None for _ in range(2)],"
         " kernels.describe_kernels())"
     )
 
@@ -88,7 +88,7 @@ def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
     assert answer() == loaded
     (tmp_path / source.name).write_bytes(source.read_bytes() + b"\n")
     text = "older than its source (run make kernels)"
-    assert answer() == (f"[False, False] interpreted ({text})", f"kernel base_kernel is {text}")
+    assert answer() == (f"[False, False] interpreted ({text})", f"kernel base is {text}")
 
 
 def _library(name: str) -> Path:
