@@ -28,7 +28,7 @@ KERNELS = {
     "swarmd.protection.blind_zone_kernel": "swarmd/protection/blind_zone_kernel.py",
     "swarmd.sensing.scans": "swarmd/sensing/scans.py",
     "swarmd.sim.world.base": "sim/world/base.py",
-    "swarmd.sim.world.lidar_kernel": "sim/world/lidar_kernel.py",
+    "swarmd.sim.world.ray_caster": "sim/world/ray_caster.py",
 }
 GENERATED = Path("build/cython")
 STABLE_ABI = "0x030B0000"

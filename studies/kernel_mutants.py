@@ -25,7 +25,7 @@ TESTS = {
     "swarmd/protection/blind_zone_kernel.py": ("tests/protection",),
     "swarmd/sensing/scans.py": ("tests/sensing",),
     "sim/world/base.py": ("tests/sim/world",),
-    "sim/world/lidar_kernel.py": ("tests/sim/world",),
+    "sim/world/ray_caster.py": ("tests/sim/world",),
 }
 OPERATORS: dict[type[ast.AST], tuple[type[ast.AST], str]] = {
     ast.Add: (ast.Sub, "+ to -"),

@@ -23,7 +23,7 @@ KERNELS = (
     "swarmd.protection.blind_zone_kernel",
     "swarmd.sensing.scans",
     "swarmd.sim.world.base",
-    "swarmd.sim.world.lidar_kernel",
+    "swarmd.sim.world.ray_caster",
 )
 
 _NOT_COMPILED = "not compiled"
