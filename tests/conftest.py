@@ -10,7 +10,10 @@ import secrets
 import shutil
 import signal
 import subprocess
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Generator, Iterator
+from pathlib import PurePath
+from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 
 import pytest
 from hypothesis import Phase, settings
@@ -66,6 +69,55 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     long = {item.path for item in items if item.get_closest_marker("integration")}
     long |= {item.path for item in items if "studies" in item.path.parts}
     items.sort(key=lambda item: item.path not in long)
+
+
+# CPU time so far, and what was spent since the last report, by what it was spent on.
+CPU_TIME = pytest.StashKey[float]()
+CPU_SPENT = pytest.StashKey[dict[str, float]]()
+
+
+def pytest_sessionstart(session: pytest.Session) -> None:
+    """Count from the start of this process, whose imports are a part of the collection."""
+    session.config.stash[CPU_TIME] = 0.0
+    session.config.stash[CPU_SPENT] = {}
+
+
+def pytest_collection_finish(session: pytest.Session) -> None:
+    """Count the collection for itself: each worker of pytest-xdist collects all tests."""
+    _spend(session.config, "(collection)")
+
+
+def _spend(config: pytest.Config, subject: str) -> None:
+    """Count the CPU time of this process and its ended children since the last call."""
+    usages = getrusage(RUSAGE_SELF), getrusage(RUSAGE_CHILDREN)
+    now = sum(usage.ru_utime + usage.ru_stime for usage in usages)
+    spent = config.stash[CPU_SPENT]
+    spent[subject] = spent.get(subject, 0.0) + now - config.stash[CPU_TIME]
+    config.stash[CPU_TIME] = now
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_makereport(
+    item: pytest.Item,
+) -> Generator[None, pytest.TestReport, pytest.TestReport]:
+    """Add the CPU time since the last report; pytest-xdist hands a report over with all it has."""
+    report = yield
+    _spend(item.config, "/".join(PurePath(report.location[0]).parts[:2]))
+    report.user_properties.append(("cpu_spent", item.config.stash[CPU_SPENT]))
+    item.config.stash[CPU_SPENT] = {}
+    return report
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """With --durations, show the CPU time of each folder, processes of its tests included."""
+    seconds: Counter[str] = Counter()
+    for reports in terminalreporter.stats.values():
+        for report in reports:
+            seconds.update(dict(getattr(report, "user_properties", ())).get("cpu_spent", {}))
+    if terminalreporter.config.option.durations:
+        terminalreporter.section(f"CPU time by folder, {seconds.total():.0f} s in all")
+        for folder, spent in seconds.most_common():
+            terminalreporter.write_line(f"{spent:8.1f} s  {folder}")
 
 
 @pytest.fixture

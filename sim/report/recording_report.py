@@ -12,9 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
 from swarmd.recording.merge import clock_cells
-from swarmd.recording.reader import RecordedFile, read_file
+from swarmd.recording.messages import twist_of
 from swarmd.sim.film.colours import STATES, UNKNOWN
 from swarmd.sim.plots.scene import robot_colour, robot_style
 from swarmd.sim.plots.theme import new_figure, tidy
@@ -22,10 +23,10 @@ from swarmd.sim.plots.trajectories import MAX_NAMED, trajectories_figure
 from swarmd.sim.report.figures import drawn, figures_html
 from swarmd.sim.report.html import page, player_section
 from swarmd.sim.report.player import player_of
-from swarmd.sim.report.recorded import APART, Recorded, recorded
 from swarmd.sim.report.tables import table
-from swarmd.sim.trace import Trace
-from swarmd.sim.view.trace_source import RecordedRun, TraceSource
+from swarmd.sim.trace import Trace, blank_decisions
+from swarmd.view.recording_source import RecordingSource
+from swarmd.view.timeline import APART, Timeline
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,37 +35,36 @@ LEAST_STOP = 1.0
 """Seconds from which a stop is listed."""
 MOVING = 0.005  # m/s and rad/s
 MAX_STOPS, MAX_EVENTS = 40, 60
+PERIOD = 0.1  # s between two instants of the trace
+MAX_INSTANTS = 20_000
 
 
 def recording_report(path: Path) -> str:
     """The report of a recording, or of a merged one, as HTML; ConfigError if it is none."""
-    file = read_file(path)
-    found = recorded(file)
-    trace = found.trace
-    platforms = {track.platform.name: track.platform for track in found.tracks.values()}
-    run = RecordedRun(trace, platforms=platforms)
-    source = TraceSource(path.stem, [path.name], lambda _: run, path.name)
+    source = RecordingSource([path])
+    timeline = source.timeline
+    trace = trace_of(timeline, path)
     player = player_of(source)
     where = "Positions are in the shared frame of the robots."
-    if not found.is_shared:
+    if not timeline.is_shared:
         where = (
             "Positions are by odometry, which drifts. The start poses are not known:"
             f" robots are drawn {APART:g} m apart, and distances between them mean nothing."
         )
     stops = _stops(trace)
     sections = [
-        ("robots", "Robots", f"{_fault(file)}<p>{where}</p>{_robots(found)}"),
+        ("robots", "Robots", f"{_notes(timeline)}<p>{where}</p>{_robots(trace, timeline)}"),
         ("figures", "Figures", _figures(trace)),
         ("stops", "Stops", _listed(stops, ("TIME", "ROBOT", "FOR", "REASON"), MAX_STOPS)),
         ("run", "The run", player_section("The whole recording", player.period)),
-        ("events", "Events", _listed(_events(found), ("TIME", "ROBOT", "EVENT"), MAX_EVENTS)),
-        ("clocks", "Clocks", _clocks(file.about)),
+        ("events", "Events", _listed(_events(timeline), ("TIME", "ROBOT", "EVENT"), MAX_EVENTS)),
+        ("clocks", "Clocks", _clocks(timeline.about)),
         (
             "again",
             "How to make it again",
             f"<pre>swarmctl exp report {shlex.quote(str(path))}</pre>",
         ),
-        ("manifest", "Made with", _made_with(found)),
+        ("manifest", "Made with", _made_with(timeline)),
     ]
     count = len(trace.ids)
     return page(
@@ -76,14 +76,63 @@ def recording_report(path: Path) -> str:
     )
 
 
-def _robots(found: Recorded) -> str:
+def trace_of(timeline: Timeline, path: Path) -> Trace:
+    """The robots with odometry as a trace; values are NaN, False or empty where none is recorded.
+
+    ConfigError if no robot recorded odometry.
+    """
+    tracks = {name: one for name, one in timeline.tracks.items() if one.topics["odometry"].times}
+    if not tracks:
+        raise ConfigError(f"{path}: no odometry was recorded, so there are no positions")
+    duration = timeline.duration
+    t = np.linspace(0.0, duration, max(2, min(int(duration / PERIOD) + 1, MAX_INSTANTS)))
+    shape = len(t), len(tracks)
+    arrays: dict[str, Any] = blank_decisions(shape)
+    arrays |= {name: np.full((*shape, 3), np.nan) for name in ("pose", "requested")}
+    arrays["safe"] = np.zeros((*shape, 3))
+    for row, (name, track) in enumerate(tracks.items()):
+        for k, now in enumerate(t.tolist()):
+            pose, decision = timeline.pose(name, now), track.decision(now)
+            if pose is not None:
+                arrays["pose"][k, row] = pose
+            if decision is not None:
+                _enter(arrays, (k, row), decision)
+        yaw = arrays["pose"][:, row, 2]
+        is_known = np.isfinite(yaw)
+        yaw[is_known] = np.unwrap(yaw[is_known])
+    platforms = [track.platform for track in tracks.values()]
+    return Trace(
+        ids=tuple(tracks),
+        t=t,
+        contact_t=np.zeros(0),
+        contact_pair=np.zeros((0, 2), dtype=np.int64),
+        contact_speed=np.zeros((0, 2)),
+        platforms=tuple(platform.name for platform in platforms),
+        footprints={platform.name: platform.footprint for platform in platforms},
+        meta={"recording": True},
+        **arrays,
+    )
+
+
+def _enter(arrays: Mapping[str, Any], place: tuple[int, int], decision: Any) -> None:
+    """Enter a recorded decision at an instant and robot."""
+    for name in ("state", "reason", "gap", "scan_age"):
+        arrays[name][place] = getattr(decision, name)
+    for name in ("active", "recovering"):
+        arrays[name][place] = getattr(decision, f"is_{name}")
+    for name in ("safe", "requested"):
+        twist = twist_of(getattr(decision, name))
+        arrays[name][place] = twist.linear, twist.angular, twist.lateral
+
+
+def _robots(trace: Trace, timeline: Timeline) -> str:
     """What each robot did, in numbers."""
-    trace, rows = found.trace, []
+    rows = []
     assert trace.state is not None
     assert trace.active is not None
     assert trace.gap is not None
     period = trace.duration / max(len(trace.t) - 1, 1)
-    for row, (name, track) in enumerate(found.tracks.items()):
+    for row, name in enumerate(trace.ids):
         is_running = trace.state[:, row] == "running"
         moves = is_running & (np.abs(trace.safe[:, row]) > MOVING).any(axis=1)
         steps = np.diff(trace.pose[:, row, :2], axis=0)
@@ -96,7 +145,7 @@ def _robots(found: Recorded) -> str:
             f"{period * float(moves.sum()):.1f} s",
             f"{100.0 * float(active.mean()):.0f} %" if active.size else "-",
             f"{float(np.nanmin(gaps)):.2f} m" if np.isfinite(gaps).any() else "-",
-            str(track.dropped or "-"),
+            str(timeline.tracks[name].dropped or "-"),
         )
         rows.append(tuple(map(escape, cells)))
     head = ("ROBOT", "DISTANCE", "RUNNING", "MOVING", "PROTECTION", "SMALLEST GAP", "LOSSES NOTED")
@@ -129,8 +178,13 @@ def _stops(trace: Trace) -> list[tuple[str, ...]]:
     return [cells for _, cells in sorted(found)]
 
 
-def _events(found: Recorded) -> list[tuple[str, ...]]:
-    events = [(at, name, text) for name, track in found.tracks.items() for at, text in track.events]
+def _events(timeline: Timeline) -> list[tuple[str, ...]]:
+    events = [
+        (at, name, text)
+        for name, track in timeline.tracks.items()
+        for at, text in track.events(timeline.duration)
+        if at >= 0.0
+    ]
     return [(f"{at:.1f} s", name, text) for at, name, text in sorted(events)]
 
 
@@ -202,8 +256,9 @@ def _gaps_figure(trace: Trace) -> Figure:
     return figure
 
 
-def _fault(file: RecordedFile) -> str:
-    return f"<p><b>The file is not whole</b>: {escape(file.fault)}.</p>" if file.fault else ""
+def _notes(timeline: Timeline) -> str:
+    notes = "; ".join(map(escape, timeline.notes))
+    return f"<p><b>The file is not whole</b>: {notes}.</p>" if notes else ""
 
 
 def _clocks(about: Mapping[str, str]) -> str:
@@ -215,10 +270,11 @@ def _clocks(about: Mapping[str, str]) -> str:
     return table(head, [tuple(map(escape, row)) for row in rows], "clocks")
 
 
-def _made_with(found: Recorded) -> str:
+def _made_with(timeline: Timeline) -> str:
     keys = ("platform", "driver", "version", "clock", "swarm")
     rows = [
-        (name, *(track.about.get(key, "-") for key in keys)) for name, track in found.tracks.items()
+        (name, *(track.about.get(key, "-") for key in keys))
+        for name, track in timeline.tracks.items()
     ]
     head = ("ROBOT", *(key.upper() for key in keys))
     return table(head, [tuple(map(escape, row)) for row in rows], "manifest")

@@ -11,7 +11,6 @@ import click
 
 from swarmd.cli.options import CommonOptions
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.plugins import need
 from swarmd.security.identity import user_folder
 
 if TYPE_CHECKING:
@@ -45,7 +44,6 @@ def open_authority(swarm: str | None) -> Authority:
     file of --config, else the only folder. ConfigError without a folder, or if there are several
     and no name.
     """
-    need("cryptography", extra="keys")
     from swarmd.security.authority import Authority, is_encrypted
 
     folder = authority_folder(_chosen(swarm))

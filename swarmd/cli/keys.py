@@ -30,7 +30,6 @@ from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import check_id
-from swarmd.plugins import need
 from swarmd.security.names import check_distinct, expand_names, select_names
 from swarmd.security.roster import Role
 from swarmd.texts.keys import UNSET_CLOCK, day, end_of_certificate, life
@@ -92,7 +91,6 @@ def init(
 
     NAMES are separated by commas; ranges in brackets are expanded: tb3-[01-40] is tb3-01 to tb3-40.
     """
-    need("cryptography", extra="keys")
     from swarmd.security.authority import Authority
     from swarmd.security.bundle import OpenedBundle
     from swarmd.settings.installed import SWARM_YAML, swarm_settings, write_yaml

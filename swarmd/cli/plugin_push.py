@@ -270,9 +270,6 @@ class _Pusher:
             raise ConfigError(str(error)) from error
         if identity is None:
             return content, b""
-        from swarmd.plugins import need
-
-        need("cryptography", extra="keys")
         from swarmd.security.content_signature import Purpose, sign
         from swarmd.security.private_keys import load_private_key
 

@@ -90,6 +90,6 @@ def _play(files: tuple[Path, ...], page: WebOptions) -> None:
     from swarmd.view.recording_source import RecordingSource
 
     source = RecordingSource(parts_of(files))
-    for note in source.notes:
+    for note in source.timeline.notes:
         warn(note)
     serve(source, None, page)

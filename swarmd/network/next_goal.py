@@ -71,13 +71,8 @@ def resigned(operator: Operator, goal: Goal, **changes: Any) -> Goal:
 
 
 def sign_goal(goal: Goal, identity: Identity) -> Goal:
-    """The goal with the signature of an operator. ConfigError without the library for it."""
-    try:
-        from swarmd.security.private_keys import load_private_key
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            "a goal in a secured swarm is signed, which needs the library cryptography; run:"
-            " pip install 'swarmd[keys]'"
-        ) from error
+    """The goal with the signature of an operator."""
+    from swarmd.security.private_keys import load_private_key
+
     key = load_private_key(identity.key)
     return replace(goal, signature=sign(key, Purpose.GOAL, signed_part(goal)))

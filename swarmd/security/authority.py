@@ -2,7 +2,7 @@
 
 Certificates are X.509 with ECDSA P-256 (RFC 5280, FIPS 186-5): the common name is the name on the
 roster, and the extended key usage is that of both ends of a link. They are valid from 1970 on,
-since a robot without a battery-backed clock boots in the past. Needs the library `cryptography`.
+since a robot without a battery-backed clock boots in the past.
 """
 
 from __future__ import annotations

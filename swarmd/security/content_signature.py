@@ -9,7 +9,6 @@ key.
 
 from __future__ import annotations
 
-import hashlib
 from enum import Enum
 from typing import TYPE_CHECKING
 
@@ -30,7 +29,7 @@ class Purpose(Enum):
 
 
 def sign(key: EllipticCurvePrivateKey, purpose: Purpose, content: bytes) -> bytes:
-    """The signature of `content`. Needs the library `cryptography`."""
+    """The signature of `content`."""
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec
     from cryptography.hazmat.primitives.asymmetric.utils import decode_dss_signature
@@ -45,14 +44,18 @@ def has_form(signature: bytes) -> bool:
 
 
 def is_signed_by(public_key: bytes, purpose: Purpose, content: bytes, signature: bytes) -> bool:
-    """True if `signature` is that of `content` by the holder of `public_key`; takes some 4 ms."""
+    """True if `signature` is that of `content` by the holder of `public_key`, `x || y`."""
     if not has_form(signature):
         return False
-    from ecdsa import BadSignatureError, NIST256p, VerifyingKey
-    from ecdsa.errors import MalformedPointError
+    from cryptography.exceptions import InvalidSignature
+    from cryptography.hazmat.primitives import hashes
+    from cryptography.hazmat.primitives.asymmetric import ec
+    from cryptography.hazmat.primitives.asymmetric.utils import encode_dss_signature
 
+    r, s = int.from_bytes(signature[:32], "big"), int.from_bytes(signature[32:], "big")
     try:
-        key = VerifyingKey.from_string(public_key, NIST256p, hashlib.sha256)
-        return bool(key.verify(signature, purpose.value + content))
-    except (BadSignatureError, MalformedPointError, AssertionError, ValueError):
+        key = ec.EllipticCurvePublicKey.from_encoded_point(ec.SECP256R1(), b"\x04" + public_key)
+        key.verify(encode_dss_signature(r, s), purpose.value + content, ec.ECDSA(hashes.SHA256()))
+    except (InvalidSignature, ValueError):
         return False
+    return True

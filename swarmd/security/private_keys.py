@@ -1,4 +1,4 @@
-"""Private keys of P-256 in PEM files. Needs the library `cryptography`."""
+"""Private keys of P-256 in PEM files."""
 
 from __future__ import annotations
 

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import hashlib
 from typing import Any
 
 import pytest
+from cryptography.hazmat.primitives.asymmetric import ec
 from msgspec.structs import replace
 
 from swarmd.core.goal import MAX_UNSIGNED, Goal, HeldGoal, digest_of, encode_goal, signed_part
 from swarmd.network.datagram import GoalReport, Solicit
 from swarmd.network.goal_sync import CHECK_BURST, GoalCheck, GoalSync
-from swarmd.security.content_signature import Purpose
+from swarmd.security.content_signature import Purpose, sign
+from swarmd.security.private_keys import public_bytes
 from tests.network.virtual_network import VirtualNetwork
 from tests.support.keys import flipped
 
@@ -136,15 +137,11 @@ def test_beacons_of_many_strangers_cost_a_bounded_number_of_questions() -> None:
 
 class _Signing:
     def __init__(self) -> None:
-        from ecdsa import NIST256p, SigningKey
-
-        self._key = SigningKey.generate(NIST256p, hashfunc=hashlib.sha256)
-        self.public: bytes = self._key.get_verifying_key().to_string()
+        self._key = ec.generate_private_key(ec.SECP256R1())
+        self.public = public_bytes(self._key.public_key())
 
     def sign(self, one: Goal) -> Goal:
-        signature = self._key.sign(Purpose.GOAL.value + signed_part(one))
-        other = flipped(signature)
-        return replace(one, signature=min(signature, other, key=lambda two: two[32:]))
+        return replace(one, signature=sign(self._key, Purpose.GOAL, signed_part(one)))
 
 
 def test_a_goal_counts_only_with_the_signature_of_its_issuer() -> None:

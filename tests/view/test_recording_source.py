@@ -87,7 +87,7 @@ def test_shows_each_robot_at_its_time(tmp_path: Path) -> None:
     source = RecordingSource(paths, clock=lambda: 0.0)
     assert [one.name for one in source.robots] == ["tb3-01", "tb3-02"]
     assert source.playback.duration == pytest.approx(12.0, abs=0.01)
-    assert source.notes == []
+    assert source.timeline.notes == []
 
     source.playback.seek(1.05)
     time, places = source.frame()
@@ -132,10 +132,27 @@ def test_a_merged_file_shows_the_same_as_its_parts(tmp_path: Path) -> None:
         RecordingSource([merged, *paths])
 
 
+def test_time_zero_is_the_first_odometry_and_robots_stand_side_by_side(tmp_path: Path) -> None:
+    paths = [recorded(tmp_path, "tb3-01", 50.0, 4.0), recorded(tmp_path, "tb3-02", 50.0, 4.0)]
+    text = frames.EventEntry(20.0, "before")
+    begin = frames.Begin(20.0, str(tmp_path / "log"), "tb3-01", head("tb3-01", "boot").texts(),
+                         1.7e9 + 20.0, FileLimits())  # fmt: skip
+    converter = Converter(begin)
+    converter.add(text)
+    converter.writer.close()
+    assert converter.writer.path is not None
+    source = RecordingSource([converter.writer.path, *paths], clock=lambda: 0.0)
+    assert source.playback.duration == pytest.approx(4.0, abs=0.01)
+    assert source.frame()[1][:, 2].tolist() == [-0.5, 0.5]
+    detail = source.detail("tb3-01")
+    assert detail is not None
+    assert detail["events"] == [["-30.0 s", "before"]]
+
+
 def test_a_robot_on_another_clock_is_named(tmp_path: Path) -> None:
     paths = [recorded(tmp_path, "tb3-01", 50.0, 4.0)]
     paths.append(recorded(tmp_path, "tb3-02", 50.0, 4.0, clock="other"))
-    (note,) = RecordingSource(paths).notes
+    (note,) = RecordingSource(paths).timeline.notes
     assert note.startswith("tb3-02: ")
 
 
@@ -153,7 +170,7 @@ def test_what_is_damaged_is_noted_and_the_rest_shown(tmp_path: Path) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(path.read_bytes()[: path.stat().st_size * 2 // 3])
     source = RecordingSource([cut])
-    assert str(cut) in source.notes[0]
+    assert str(cut) in source.timeline.notes[0]
     assert 0.0 < source.playback.duration < 60.0
 
 

@@ -21,7 +21,7 @@ from xmlrpc.server import SimpleXMLRPCServer
 import pytest
 
 from swarmd.core.messages import Reason
-from swarmd.core.values import Twist, Value
+from swarmd.core.values import Twist
 from swarmd.driver_api.command_gate import ZERO_REPEAT_TIME
 from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros1.adapter_process import COMMAND_TIMEOUT
@@ -37,7 +37,7 @@ from tests.support.roscore import RosCore
 def play(
     rig: RosRobot,
     story: Callable[[DriverHarness, RosRobot], Awaitable[None]],
-    **options: Value,
+    **options: Any,
 ) -> None:
     async def run(harness: DriverHarness) -> None:
         rig.do("rate", hz=10)

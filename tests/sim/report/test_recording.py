@@ -17,9 +17,9 @@ from swarmd.recording.frames import Begin, ClockEntry, DecisionEntry, OdometryEn
 from swarmd.recording.limits import FileLimits
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
-from swarmd.recording.reader import read_file
 from swarmd.sim.cli.exp import exp
-from swarmd.sim.report.recorded import recorded
+from swarmd.sim.report.recording_report import trace_of
+from swarmd.view.timeline import read_timeline
 
 SPEED = 0.1  # m/s
 HELD = (4.0, 7.0)
@@ -60,11 +60,11 @@ def merged(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_trace_of_a_recording(merged: Path) -> None:
-    found = recorded(read_file(merged))
-    trace = found.trace
+    timeline = read_timeline([merged])
+    trace = trace_of(timeline, merged)
     assert trace.ids == ("a", "b")
     assert trace.duration == pytest.approx(10.0, abs=0.01)
-    assert not found.is_shared
+    assert not timeline.is_shared
     assert trace.pose[-1, 0, 0] - trace.pose[0, 0, 0] == pytest.approx(10.0 * SPEED, abs=0.01)
     assert trace.pose[-1, 1, 0] - trace.pose[0, 1, 0] == pytest.approx(7.0 * SPEED, abs=0.02)
     assert trace.pose[0, 1, 1] - trace.pose[0, 0, 1] == pytest.approx(1.0)  # side by side

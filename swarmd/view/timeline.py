@@ -1,0 +1,244 @@
+"""Recordings of one robot or several, or a merged file, on one timeline.
+
+Messages are decoded when they are asked for, so that an hour of recording opens at once.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.messages import Status
+from swarmd.core.values import Platform, Pose, Scan
+from swarmd.recording import messages
+from swarmd.recording.head import head_of
+from swarmd.recording.merge import messages_of, place, survey
+from swarmd.recording.reader import read_file
+from swarmd.settings.platforms import load_platform
+
+SILENCE = 3.0
+"""Seconds without any message after which a robot counts as not recorded."""
+APART = 1.0
+"""Metres between the start poses of robots without a shared frame: these are not known."""
+MAX_DECODED = 4
+"""Messages of a topic that stay decoded: the last ones before and after the present time."""
+MAX_STEP = 1.0
+"""Seconds between two poses up to which the poses between them are interpolated."""
+_TOPICS = frozenset(
+    ("odometry", "pose", "scan", "scan/geometry", "decision", "status", "readings", "event")
+)
+
+
+class Topic:
+    """The messages of one topic by time in s; each is decoded when it is asked for."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self._payloads: list[tuple[str, bytes]] = []
+        self._decoded: dict[int, Any] = {}
+
+    def add(self, at: float, kind: str, payload: bytes) -> None:
+        """Add a message; in order of time."""
+        self.times.append(at)
+        self._payloads.append((kind, payload))
+
+    def index(self, now: float) -> int:
+        """The number of the last message until a time; -1 before the first one."""
+        return bisect_right(self.times, now) - 1
+
+    def get(self, index: int) -> Any | None:
+        """A message; None without one, or if it is malformed."""
+        if not 0 <= index < len(self._payloads):
+            return None
+        if index not in self._decoded:
+            while len(self._decoded) >= MAX_DECODED:
+                del self._decoded[next(iter(self._decoded))]
+            message = None
+            with suppress(CodecError):
+                message = messages.deserialize(*self._payloads[index])
+            self._decoded[index] = message
+        return self._decoded[index]
+
+    def at(self, now: float) -> Any | None:
+        """The last message until a time."""
+        return self.get(self.index(now))
+
+
+class Track:
+    """What one robot recorded: `about` as texts, topics by name, and the number of losses noted."""
+
+    def __init__(self, about: Mapping[str, str], platform: Platform) -> None:
+        self.about, self.platform = about, platform
+        self.topics = {topic: Topic() for topic in _TOPICS}
+        self.dropped = 0
+        self.end = 0.0
+        self._heard: list[float] = []
+
+    def add(self, at: float, topic: str, kind: str, payload: bytes) -> None:
+        """Add a message; in order of time."""
+        if not self._heard or at - self._heard[-1] > 0.1 * SILENCE:
+            self._heard.append(at)
+        self.end = at
+        self.dropped += topic == "dropped"
+        if topic in _TOPICS:
+            self.topics[topic].add(at, kind, payload)
+
+    def is_heard(self, now: float) -> bool:
+        """True if something was recorded within SILENCE before a time."""
+        last = bisect_right(self._heard, now) - 1
+        return last >= 0 and now - self._heard[last] < SILENCE
+
+    def pose(self, topic: str, now: float) -> Pose | None:
+        """The pose at a time, interpolated; None before the first one, or if not recorded."""
+        found = self.topics[topic]
+        index = found.index(now)
+        message, after = found.get(index), found.get(index + 1)
+        if message is None or not self.is_heard(now):
+            return None
+        one, at = _pose_of(topic, message), found.times[index]
+        if after is None or not 0.0 < found.times[index + 1] - at < MAX_STEP:
+            return one
+        other, share = _pose_of(topic, after), (now - at) / (found.times[index + 1] - at)
+        turn = math.remainder(other.yaw - one.yaw, 2.0 * math.pi)
+        x, y = one.x + share * (other.x - one.x), one.y + share * (other.y - one.y)
+        return Pose(x, y, one.yaw + share * turn)
+
+    def scan(self, now: float) -> Scan | None:
+        """The last scan until a time; None without one, or if its bearings are missing."""
+        message = self.topics["scan"].at(now)
+        if message is None or not self.is_heard(now):
+            return None
+        scan = messages.scan_of(message, 0, self.topics["scan/geometry"].at(now))
+        return scan if len(scan.ranges) == len(scan.bearings) else None
+
+    def status(self, now: float) -> Status | None:
+        """The last status until a time."""
+        message = self.topics["status"].at(now)
+        with suppress(msgspec.MsgspecError):
+            return None if message is None else msgspec.json.decode(message.json, type=Status)
+        return None
+
+    def decision(self, now: float) -> Any | None:
+        """The message of the last decision until a time; None before it, or if not recorded."""
+        return self.topics["decision"].at(now) if self.is_heard(now) else None
+
+    def events(self, now: float, most: int | None = None) -> list[tuple[float, str]]:
+        """The last events until a time, the last one first: time in s and text."""
+        events = self.topics["event"]
+        shown = range(events.index(now), -1, -1)[:most]
+        found = [(events.times[i], events.get(i)) for i in shown]
+        return [(at, str(one.msg)) for at, one in found if one is not None]
+
+
+@dataclass(frozen=True, slots=True)
+class Timeline:
+    """The tracks of robots by name; times in s from the first odometry.
+
+    What a robot logged before has negative times. `about`: texts on a merged file, otherwise empty.
+    `notes`: lines on what is damaged, or could not be placed in time. `is_shared`: all robots
+    recorded poses in one shared frame. Otherwise the frame of a robot is its own odometry's, and
+    its start is moved along y, APART from the next one.
+    """
+
+    tracks: Mapping[str, Track]
+    about: Mapping[str, str]
+    notes: Sequence[str]
+    is_shared: bool
+
+    @property
+    def duration(self) -> float:
+        """The time of the last message in s."""
+        return max(track.end for track in self.tracks.values())
+
+    def pose(self, robot: str, now: float) -> tuple[float, float, float] | None:
+        """x, y in m and yaw in rad at a time; None before the first pose, or if not recorded."""
+        pose = self.tracks[robot].pose("pose" if self.is_shared else "odometry", now)
+        if pose is None:
+            return None
+        place = list(self.tracks).index(robot) - (len(self.tracks) - 1) / 2.0
+        return pose.x, pose.y + APART * place * (not self.is_shared), pose.yaw
+
+
+def read_timeline(paths: Sequence[Path]) -> Timeline:
+    """The robots of all files, in the order of their names.
+
+    ConfigError if a file is no recording, if none has a message, or for a merged file among others.
+    """
+    first = read_file(paths[0])
+    is_merged = first.about.get("kind") == "merged"
+    if is_merged and len(paths) > 1:
+        raise ConfigError(f"{paths[0]}: merged already; expected it alone")
+    notes: list[str] = []
+    abouts: Mapping[str, Mapping[str, str]] = first.robots
+    every: Iterable[tuple[int, str, str, bytes]]
+    if is_merged:
+        if first.fault:
+            notes.append(f"{paths[0]}: {first.fault}; what is whole is shown")
+        every = ((one.at, one.topic, one.kind, one.payload) for one in first.messages)
+    else:
+        abouts, every = _placed(paths, notes)
+    timed = sorted(every, key=lambda one: one[0])
+    if not timed:
+        raise ConfigError(f"{paths[0]}: no messages in this recording")
+    start = next((at for at, topic, *_ in timed if topic.endswith("/odometry")), timed[0][0])
+    tracks: dict[str, Track] = {}
+    for at, topic, kind, payload in timed:
+        name, _, rest = topic[1:].partition("/")
+        if name not in tracks:
+            about = abouts.get(name, {})
+            tracks[name] = Track(about, _platform(about, f"the recording of {name}"))
+        tracks[name].add(1e-9 * (at - start), rest, kind, payload)
+    tracks = dict(sorted(tracks.items()))
+    return Timeline(tracks, first.about if is_merged else {}, notes, _is_shared(tracks.values()))
+
+
+def _placed(
+    paths: Sequence[Path], notes: list[str]
+) -> tuple[Mapping[str, Mapping[str, str]], list[tuple[int, str, str, bytes]]]:
+    """Texts by robot; and of each message the time in ns, topic with robot, type and bytes."""
+    found = survey(paths)
+    notes += [fault.replace("is merged", "is shown") for fault in found.faults]
+    placed = place(found) if found.sources else []
+    for one in placed:
+        if one.alignment is None:
+            notes.append(
+                f"{one.source.robot}: no exchange with the clock of {placed[0].source.robot} was"
+                " recorded; it is shown by its own wall clock"
+            )
+    timed = [
+        (at, topic, kind, payload)
+        for one in placed
+        for at, topic, kind, _, payload in messages_of(one, placed[0].source.about)
+    ]
+    return {one.source.robot: one.source.about for one in placed}, timed
+
+
+def _platform(about: Mapping[str, str], where: str) -> Platform:
+    """The platform as the robot recorded it; of another version, the installed one of its name."""
+    try:
+        return head_of(about, where).platform
+    except ConfigError:
+        if "platform" not in about:
+            raise
+        return load_platform(about["platform"])
+
+
+def _is_shared(tracks: Iterable[Track]) -> bool:
+    """True if each robot recorded shared poses, the first and the last of all in one frame."""
+    topics = [track.topics["pose"] for track in tracks]
+    ends = [topic.get(i) for topic in topics for i in (0, len(topic.times) - 1)]
+    return None not in ends and len({messages.pose_of(one).frame for one in ends}) == 1
+
+
+def _pose_of(topic: str, message: Any) -> Pose:
+    if topic == "pose":
+        return messages.pose_of(message).pose
+    return messages.odometry_of(message).pose
