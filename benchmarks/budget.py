@@ -26,7 +26,7 @@ from tests.support.processes import children
 LIVE_SECONDS = 10.0
 SWITCHES = 5
 SIMULATED = {7: 5, 100: 2, 1000: 1}  # seconds of lockstep by number of robots
-NUMPY_BUDGETS = {7: ">= 14 x", 100: ">= 0.7 x"}
+INTERPRETED_BUDGETS = {7: ">= 14 x", 100: ">= 0.7 x"}
 
 
 def decision_rows() -> Iterator[Row]:
@@ -59,7 +59,7 @@ def simulation_rows() -> Iterator[Row]:
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
     for n, factors in json.loads(done.stdout).items():
         what = f"lockstep without kernels, {n} robots, attraction"
-        yield Row(what, factors, NUMPY_BUDGETS[int(n)], unit="x")
+        yield Row(what, factors, INTERPRETED_BUDGETS[int(n)], unit="x")
 
 
 def lockstep_rows(sizes: Mapping[int, int], budgets: Mapping[int, str]) -> Iterator[Row]:
@@ -119,7 +119,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.budget", description=__doc__)
     parser.add_argument("--lockstep-factors", action="store_true", help="used by this program")
     if parser.parse_args(arguments).lockstep_factors:
-        print(json.dumps({n: lockstep_factors(n, 1) for n in NUMPY_BUDGETS}))
+        print(json.dumps({n: lockstep_factors(n, 1) for n in INTERPRETED_BUDGETS}))
         return
     print(f"Measured on {machine()}; kernels: {describe_kernels()}.")
     groups = (decision_rows, simulation_rows, live_rows, process_rows)
