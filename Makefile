@@ -18,7 +18,7 @@ ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 help:
 	@echo "make demo      seven simulated robots gather; about a minute and a half"
 	@echo "make test      all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
-	@echo "make kernels   compiles the kernels again, after an edit of a *_kernel.py"
+	@echo "make kernels   compiles the kernels again, after an edit of one"
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"
 	@echo "make archive   archives from which robots install without a network, in dist"
 	@echo "make check     format, lint, types, the site, and the wheel tried in a fresh environment"
@@ -35,7 +35,7 @@ help:
 	@echo "make films       a short film of each pattern; a few minutes"
 	@echo "make safety      robot-hours and progress under protection; hours"
 	@echo "make mutants   small changes of the code and the tests that notice them; a night"
-	@echo "make kernel-mutants  the same for the compiled kernels; ARGS=40 draws so many; 20 s each, 2 min if none notices"
+	@echo "make kernel-mutants  the same for the kernels; ARGS=40 draws so many; 2 min each if no test notices"
 	@echo "make ros2-router  a Zenoh router with the ros2dds plugin, for tests behind a bridge; needs cargo, cmake, libclang"
 	@echo "make ros-study    faults of three robots on DDS behind that router, for docs/ros.md; six minutes"
 	@echo "make lock      writes constraints.txt again, with the newest versions that fit"
@@ -45,7 +45,7 @@ help:
 demo: $(VENV)/installed
 	@$(BIN)/swarmctl demo $(ARGS)
 
-# After an edit of a *_kernel.py.
+# After an edit of a file that setup.py names.
 kernels: $(VENV)/tools
 	@$(BIN)/python setup.py --quiet build_ext --inplace
 
@@ -61,6 +61,8 @@ archive: wheels
 # PYTHONDONTWRITEBYTECODE is set (a start of swarmd takes 0.46 s of CPU then, and 0.21 s else), and
 # each worker all test files (26 s of CPU, and 12 s else). 50: the slowest tests that are shown.
 test: export PYTHONDONTWRITEBYTECODE =
+# Threads of OpenBLAS wait for each other by computing, and there are more processes than cores.
+test: export OPENBLAS_NUM_THREADS = 1
 test: kernels
 	@$(COMPILE) tests
 	@$(BIN)/python -m pytest --collect-only -qq $(ARGS) >/dev/null || true
@@ -139,14 +141,14 @@ ros-study: $(VENV)/tools
 	@$(BIN)/python -m studies.ros $(ARGS)
 
 # Small changes of protection, robot and the ROS conversion, each with the tests that reach it. All
-# of them take a night; ARGS='swarmd.protection.projection*' selects some, and
+# of them take a night; ARGS='swarmd.protection.recovery*' selects some, and
 # studies/mutation_sample.py draws a sample.
 mutants: $(VENV)/tools
 	@$(PIP) install --constraint constraints.txt mutmut
 	@SWARMD_COMPILED=0 $(BIN)/mutmut run $(ARGS)
 	@$(BIN)/mutmut results
 
-# Small changes of the compiled kernels, each compiled and tested; ARGS=40 draws so many.
+# Small changes of the kernels, each tested; ARGS=40 draws so many.
 kernel-mutants: $(VENV)/tools
 	@$(BIN)/python -m studies.kernel_mutants $(or $(ARGS),40)
 

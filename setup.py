@@ -24,8 +24,8 @@ if sys.version_info < (3, 11):  # noqa: UP036
     )
 
 KERNELS = {
-    "swarmd.protection.barrier_kernel": "swarmd/protection/barrier_kernel.py",
-    "swarmd.protection.blind_zone_kernel": "swarmd/protection/blind_zone_kernel.py",
+    "swarmd.protection.barrier": "swarmd/protection/barrier.py",
+    "swarmd.protection.blind_zone": "swarmd/protection/blind_zone.py",
     "swarmd.sensing.scans": "swarmd/sensing/scans.py",
     "swarmd.sim.world.base": "sim/world/base.py",
     "swarmd.sim.world.ray_caster": "sim/world/ray_caster.py",

@@ -20,8 +20,9 @@ import numpy as np
 from benchmarks.steps import in_an_arena, loop_field, measure
 from benchmarks.table import Row, print_table
 from swarmd.core.host_messages import Loaded, Step, Stepped
-from swarmd.core.messages import Epoch, RunRequest
+from swarmd.core.messages import Epoch
 from swarmd.core.values import Inputs, Odometry, Outputs, Platform, Pose, Scan, Twist
+from swarmd.core.verbs import RunRequest
 from swarmd.driver_api.hw_codec import decode_scan, encode_scan
 from swarmd.pattern_host.wire import decode_command, encode_command
 from swarmd.protection.arbiter import Protection

@@ -16,7 +16,7 @@ from typing import Literal
 
 from benchmarks.swarm import Swarm
 from benchmarks.table import Row, print_table
-from swarmd.core.messages import RecordRequest
+from swarmd.core.verbs import RecordRequest
 from tests.support.processes import children
 
 SECONDS = 20.0

@@ -17,7 +17,8 @@ from typing import Any, Self
 
 import yaml
 
-from swarmd.core.messages import ResetRequest, RunRequest, State, Status
+from swarmd.core.messages import State, Status
+from swarmd.core.verbs import ResetRequest, RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
 from swarmd.network.settings import NetworkSettings

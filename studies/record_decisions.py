@@ -1,7 +1,7 @@
-"""Records decisions of mode `barrier` in adverse scenes, which tests replay through both paths.
+"""Records decisions of mode `barrier` in adverse scenes, which tests replay.
 
 `python -m studies.record_decisions` writes the file of tests/support/decision_corpus.py anew: of
-each scene the robot and the seconds with most limited decisions, as the numpy code decides. Inputs
+each scene the robot and the seconds with most limited decisions, as the code decides. Inputs
 are rounded, so that the file is small.
 """
 
@@ -11,8 +11,7 @@ from collections.abc import Sequence
 
 from studies.safety.scenes import Scene, scenario
 from swarmd.core.values import Platform, Scan, TouchZone, Twist
-from swarmd.protection.arbiter import Arbiter
-from swarmd.protection.barrier import Barrier
+from swarmd.protection.arbiter import Arbiter, make_arbiter
 from swarmd.protection.decision import DecisionContext, ModeDecision
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.sim.lockstep.lockstep import Lockstep
@@ -87,7 +86,7 @@ def stream_of(scene: Scene, seed: int) -> corpus.Stream:
     platform = best[0]
     settings = dict(platform.protection["barrier"])
     stream = corpus.Stream(scene.name, kind_of(platform), settings, busiest(best[1].events))
-    for event, decision in corpus.decided(stream, Barrier(corpus.platform_of(stream))):
+    for event, decision in corpus.decided(stream, make_arbiter(corpus.platform_of(stream))):
         event.twist, event.is_active = decision.twist, decision.is_active
     return stream
 

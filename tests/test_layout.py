@@ -7,7 +7,6 @@ import re
 import subprocess
 import sys
 import tomllib
-from collections.abc import Iterator
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -80,21 +79,21 @@ def name_of(path: Path) -> str:
     return path.relative_to(ROOT).as_posix()
 
 
-@cache
 def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text())
 
 
-def imports(tree: ast.AST) -> Iterator[tuple[int, str]]:
+@cache
+def imports(path: Path) -> list[tuple[int, str]]:
     """(line, module) of each import, also of a name that might be a module itself."""
-    for node in ast.walk(tree):
+    found = []
+    for node in ast.walk(tree_of(path)):
         if isinstance(node, ast.Import):
-            for alias in node.names:
-                yield node.lineno, alias.name
+            found += [(node.lineno, alias.name) for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            yield node.lineno, "." * node.level + (node.module or "")
-            for alias in node.names:
-                yield node.lineno, f"{node.module}.{alias.name}"
+            found.append((node.lineno, "." * node.level + (node.module or "")))
+            found += [(node.lineno, f"{node.module}.{alias.name}") for alias in node.names]
+    return found
 
 
 def is_within(module: str, package: str) -> bool:
@@ -104,7 +103,7 @@ def is_within(module: str, package: str) -> bool:
 def offences(path: Path, forbidden: tuple[str, ...]) -> list[str]:
     return [
         f"{name_of(path)}:{line} imports {module}"
-        for line, module in imports(tree_of(path))
+        for line, module in imports(path)
         if any(is_within(module, package) for package in forbidden)
         and (name_of(path), module) not in EXCEPTIONS
     ]
@@ -129,7 +128,7 @@ def test_packages_of_swarmd_keep_their_layers() -> None:
         package = path.relative_to(ROOT / "swarmd").parts[0].removesuffix(".py")
         if package == "__init__":
             continue
-        for line, module in imports(tree_of(path)):
+        for line, module in imports(path):
             parts = module.split(".")
             if parts[0] != "swarmd" or len(parts) < 2 or parts[1] in (package, *LINKED):
                 continue
@@ -153,7 +152,7 @@ def test_one_file_has_one_import_name() -> None:
     relative = [
         f"{name_of(path)}:{line}"
         for path in everything
-        for line, module in imports(tree_of(path))
+        for line, module in imports(path)
         if module.startswith(".")
     ]
     assert found == []

@@ -280,6 +280,13 @@ def _nodes(dds: Ros2Dds) -> Iterator[Row]:
         " commands belongs into `cmd_vel_listeners`",
     )
     yield (
+        conflict(False, "/base", stray="/dds_reader_mover"),
+        "a program without ROS, or a second bridge in the domain, takes the robot's commands from"
+        " DDS; the robot is held with `two_bases`",
+        "end it, or give each robot a `ROS_DOMAIN_ID`; if it only listens, name it in"
+        " `cmd_vel_listeners`",
+    )
+    yield (
         conflict(False, "/base", "/base", since=0.0),
         "a base crashed and was started again, or two robots have equal names; after 13 s the"
         " message says which",
@@ -348,14 +355,15 @@ def ros1() -> Iterator[Row]:
     )
 
 
-def conflict(is_publisher: bool, *owners: str, since: float = -math.inf) -> str:
-    """Why a robot is held that has scans, or bases, of these nodes."""
+def conflict(is_publisher: bool, *owners: str, since: float = -math.inf, stray: str = "") -> str:
+    """Why a robot is held that has scans, or bases, of these nodes, and a reader without one."""
     topic, kind = ("/scan", SCAN) if is_publisher else ("/cmd_vel", TWIST)
     ends = [
         Endpoint(is_publisher, topic, kind, node=owner, process=str(number), since=since)
         for number, owner in enumerate(owners)
     ]
-    graph = Graph(middleware=Ros2Dds(), endpoints=ends, now=1.0)
+    strays = [Endpoint(False, topic, kind, node=stray)] if stray else []
+    graph = Graph(middleware=Ros2Dds(), endpoints=ends, strays=strays, now=1.0)
     topics = Subscriptions(TopicOptions(), PLATFORM).topics.values()
     found = graph.conflict(topics, PLATFORM.scan)
     assert found is not None

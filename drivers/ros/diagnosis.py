@@ -71,12 +71,14 @@ class Middleware(Protocol):
 class Graph:
     """The endpoints that other nodes announce, in the words of their middleware.
 
-    `options` name this robot's topics, of which those in `heard` carried messages. `now`: the time
-    in s on the clock of `Endpoint.since`.
+    `options` name this robot's topics, of which those in `heard` carried messages. `strays`: what
+    reads topics in DDS without a ROS node, or as another bridge. `now`: the time in s on the clock
+    of `Endpoint.since`.
     """
 
     middleware: Middleware
     endpoints: Collection[Endpoint] = ()
+    strays: Collection[Endpoint] = ()
     options: TopicOptions = field(default_factory=TopicOptions)
     heard: Collection[str] = ()
     now: float = math.inf
@@ -180,7 +182,7 @@ class Graph:
         bases = self._several_nodes(
             self.bases(self.command_topic), f"take {self.command_topic}", is_alive=is_alive
         )
-        if bases:
+        if bases := bases or self._stray():
             bases += "; name those that only listen in driver_options.cmd_vel_listeners"
             return Conflict(Reason.BASE_CONFLICT, bases)
         for one in stats:
@@ -300,8 +302,22 @@ class Graph:
 
     def listeners(self) -> list[str]:
         """The nodes that take the commands and move nothing, by name."""
-        ends = self.subscribers(self.command_topic)
+        ends = [*self.subscribers(self.command_topic), *self._strays()]
         return sorted({end.node for end in ends if self._is_listener(end)})
+
+    def _strays(self) -> list[Endpoint]:
+        return [end for end in self.strays if end.topic == self.command_topic]
+
+    def _stray(self) -> str:
+        """What takes the commands and is no node of ROS; empty without one but listeners."""
+        names = sorted({end.owner for end in self._strays() if not self._is_listener(end)})
+        if not names:
+            return ""
+        return (
+            f"{listed(names)} takes {self.command_topic}: a reader in DDS without a ROS node, or"
+            " another bridge, perhaps of another base; end it, or give each robot a domain of its"
+            " own"
+        )
 
     def _is_listener(self, end: Endpoint) -> bool:
         return bool(end.node) and is_listener(end.node, self.options.cmd_vel_listeners)

@@ -69,7 +69,8 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     `cmd_vel_frame` is the frame of stamped commands. `other_commands` are further topics on which
     the base takes commands, and `other_actions` are actions that move it: both are of other nodes.
     `cmd_vel_listeners`: nodes that take the commands and move nothing, by name or pattern, such as
-    `ekf_*`. `readings`: numbers of any topics, by name.
+    `ekf_*`; readers in DDS without a node are `dds_reader*`, with the name of their process.
+    `readings`: numbers of any topics, by name.
     `hazards`: what in which topics tells of a hazard, by name.
     `message_path`: folders with the packages of a vendor's message types, as `.msg` files.
     """

@@ -60,8 +60,7 @@ class Ros2Dds(Ros2Middleware):
         " its ROS_DOMAIN_ID, ROS_DISTRO and localhost settings"
     )
     announcements = "@/*/@ros2_lv/**"
-    nodes: tuple[str, ...] = ("@/*/ros2/config", "@/*/ros2/node/**")
-    dds = "@/*/ros2/dds/*/*/*"
+    admin_space = "@/*/ros2"
     is_node = False
     crashed = "zenoh-bridge-ros2dds will forget it: start that again"
     lease = 13.0  # DDS: 10 s, and the bridge is asked every 2 s

@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import partial
 
@@ -35,11 +35,11 @@ from swarmd.drivers.ros.foreign_commands import ROS2_ACTIONS, ForeignCommands
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.subscriptions import Deliver, Subscriptions
 from swarmd.drivers.ros.zero_answers import ZeroAnswers
+from swarmd.drivers.ros2.admin_space import AdminSpaces
 from swarmd.drivers.ros2.command_credit import CommandCredit
-from swarmd.drivers.ros2.kept_messages import KEPT, KeptMessages
+from swarmd.drivers.ros2.kept_messages import KEPT, query_kept
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
-from swarmd.drivers.ros2.node_list import NodeListQuery
-from swarmd.drivers.ros2.route_quality import RouteQualities
+from swarmd.drivers.ros2.route_quality import route_faults
 from swarmd.drivers.ros2.session import (
     MAX_OPEN_TIME,
     OPEN_TIME,
@@ -133,7 +133,7 @@ class RosDriver:
             while loop.time() - began < seconds and not task.done():
                 await asyncio.sleep(min(_PERIOD, seconds))
                 if has_enough(self._subscriptions, loop.time() - began) and not (
-                    self._nodes.is_awaited(self._announcing())
+                    self._bridges.is_awaited(self._announcing())
                 ):
                     break
             return self._report().findings()
@@ -169,9 +169,9 @@ class RosDriver:
             command_types=self._options.command_types,
             has_subscriber=self._has_subscriber(),
             foreign=self._foreign,
-            unpassed=self._routes.faults(graph),
+            unpassed=self._unpassed(graph),
             foreign_publishers=[end.owner for end in graph.publishers(self._cmd_vel)],
-            unlisted="" if self._nodes.is_known(self._announcing()) else unlisted(self._scheme),
+            unlisted="" if self._bridges.is_known(self._announcing()) else unlisted(self._scheme),
             now=asyncio.get_running_loop().time(),
         )
 
@@ -184,11 +184,10 @@ class RosDriver:
         self._others: list[Endpoint] | None = None
         self._withdrawn_at = -math.inf
         self._graph_query: object | None = None
-        self._kept: KeptMessages | None = None
+        self._kept: dict[str, Callable[[zenoh.Sample], None]] = {}
         self._hubs: frozenset[str] = frozenset()
-        self._nodes = NodeListQuery(self._scheme.nodes, self._on_nodes)
         sensed = [stats.topic for stats in self._subscriptions.topics.values() if stats.is_needed]
-        self._routes = RouteQualities(self._scheme.dds, sensed, self._cmd_vel)
+        self._bridges = AdminSpaces(self._scheme.admin_space, sensed, self._cmd_vel, self._on_nodes)
         self._gate, self._credit = CommandGate(), CommandCredit()
         self._zeros = ZeroAnswers(self._gate, partial(self._put, ZERO, frame=""))
         self._was_linked = False
@@ -208,15 +207,13 @@ class RosDriver:
         inbox = LatestSamples(loop, partial(self._take, sink, is_check), sink.dropped)
         try:
             self._session, self._was_linked = session, True
-            self._kept = KeptMessages(self._scheme, self._subscriptions.kept_topics, inbox.put)
             for key in self._zero_by_key:
                 self._publishers[key] = command_publisher(session, key)
             self._listen(session, inbox, loop)
             opened = loop.time()
             while True:
                 await asyncio.sleep(_PERIOD)
-                self._nodes.query(session, self._announcing(), loop)
-                self._routes.query(session, loop.time())
+                self._bridges.query(session, self._announcing(), loop)
                 self._watch(sink, session, loop.time(), opened)
         finally:
             inbox.close()
@@ -241,6 +238,11 @@ class RosDriver:
     def _listen(
         self, session: zenoh.Session, inbox: LatestSamples, loop: asyncio.AbstractEventLoop
     ) -> None:
+        self._kept = {
+            topic: _receiver(self._scheme, inbox, f"{one.name}{KEPT}", topic, one.message_type)
+            for topic, one in self._subscriptions.kept_topics.items()
+        }
+
         def on_token(sample: zenoh.Sample) -> None:
             is_there = sample.kind == zenoh.SampleKind.PUT
             hand_over(loop, self._on_token, str(sample.key_expr), is_there)
@@ -314,12 +316,13 @@ class RosDriver:
             if not is_there:
                 self._gate.require_zero()
             self._command_type = self._wanted_type()
-            self._nodes.renew()
-        if end.is_publisher and self._kept and end.topic in self._kept and self._session:
+            self._bridges.renew()
+        if end.is_publisher and end.topic in self._kept and self._session:
             if not is_there:
                 self._subscriptions.forget(end.topic)
             if is_there or self._is_published(end.topic):  # a bridge's cache outlives its writer
-                self._kept.query(self._session, end.topic)
+                key = self._scheme.subscription_key(end.topic)
+                query_kept(self._session, key, self._kept[end.topic])
 
     def _on_nodes(self) -> None:
         """The bridges have listed their nodes, which may want another type of commands."""
@@ -343,13 +346,15 @@ class RosDriver:
     def _foreign_graph(self) -> Graph:
         """The endpoints of others."""
         if self._others is None:
-            own, is_newer = self._own_zid(), self._nodes.asked_at > self._withdrawn_at
+            own, asked_at = self._own_zid(), self._bridges.asked_at
             announced = [end for end in self._endpoints.values() if end.zid != own]
-            ends = with_nodes(announced, self._nodes.nodes.endpoints, self._nodes.asked_at)
+            ends = with_nodes(announced, self._bridges.nodes.endpoints, asked_at)
+            is_newer = asked_at > self._withdrawn_at
             self._others = [end for end in ends if end.is_routed or is_newer]
         return Graph(
             middleware=self._scheme,
             endpoints=self._others,
+            strays=self._bridges.nodes.strays,
             options=self._options,
             heard={one.topic for one in self._subscriptions.topics.values() if one.count},
             now=asyncio.get_running_loop().time(),
@@ -371,9 +376,10 @@ class RosDriver:
         elif name in self._foreign.actions:
             self._on_status(sink, name, payload, now)
         elif name.endswith(_KEY_FAULT):
-            stats = self._subscriptions.topics[name.removesuffix(_KEY_FAULT)]
+            name = name.removesuffix(_KEY_FAULT).removesuffix(KEPT)
+            stats = self._subscriptions.topics[name]
             stats.record_fault(now, payload.decode(errors="replace"))
-            sink.dropped(name)
+            sink.dropped(f"{name}{_KEY_FAULT}")
         else:
             try:
                 deliver = self._read(name, payload, now)
@@ -516,7 +522,7 @@ class RosDriver:
             return by_others
         if self._graph_query is not None:
             return f"{self._place()} has not listed its nodes yet"
-        if not self._gate.is_open and self._nodes.is_awaited(self._announcing()):
+        if not self._gate.is_open and self._bridges.is_awaited(self._announcing()):
             return f"{self._place()} has not listed its nodes yet"
         # Where nothing was ever announced, the subscribers of the base are unknown.
         is_unknown = not graph.endpoints and math.isinf(self._withdrawn_at)
@@ -536,7 +542,7 @@ class RosDriver:
             )
         graph, topics = self._foreign_graph(), self._subscriptions.topics.values()
         silent = self._subscriptions.silent(now, max(_EXPLAIN_PERIOD, self._sensor_timeout))
-        unpassed = self._routes.faults(graph)
+        unpassed = self._unpassed(graph)
         faults = (
             self._conflict.text if self._conflict else "",
             *(graph.unreadable(stats) for stats in topics if stats.recent_fault(now)),
@@ -546,6 +552,9 @@ class RosDriver:
             *(graph.unreliable(one, self._platform.scan) for one in topics if one.is_needed),
         )
         return next(filter(None, faults), "") or self._incompleteness()
+
+    def _unpassed(self, graph: Graph) -> Mapping[str, str]:
+        return route_faults(self._bridges.nodes.dds, graph)
 
     def _find_conflict(self) -> Conflict | None:
         topics = self._subscriptions.topics.values()

@@ -37,14 +37,13 @@ class Ros2Middleware:
 class KeyScheme(Middleware, Protocol):
     """Keys and framing of one way of speaking ROS 2 over Zenoh.
 
-    `announcements` is the key expression of the tokens; `nodes` and `dds` are those of a bridge's
-    answers about its nodes and about the ends of topics in DDS, empty where there is no bridge.
+    `announcements` is the key expression of the tokens, `admin_space` the root of a bridge's
+    answers, with `*` for the bridge, empty where there is no bridge.
     `is_node`: whether the driver announces itself; only a bridge announces itself to bridges.
     """
 
     announcements: str
-    nodes: tuple[str, ...]
-    dds: str
+    admin_space: str
     is_node: bool
 
     def subscription_key(self, topic: str) -> str:

@@ -1,6 +1,8 @@
-"""The nodes that each zenoh-bridge-ros2dds lists, with the topics that they publish and take.
+"""The nodes that each zenoh-bridge-ros2dds lists, and what it finds in DDS. Pure.
 
-A bridge announces a topic once, however many nodes have it; its admin space names the nodes.
+A bridge announces a topic once, however many nodes have it; its admin space names the nodes, and
+has each reader and writer in DDS but its own. Whatever reads a topic in DDS gets what the bridge
+writes there: also a reader without a ROS node, and another bridge in the domain.
 
 DDS counts a killed process as alive for the time of its lease, 10 s by default. At the lease's end
 the bridge (1.10, its issue 702) withdraws the announcements of every node of that name, for good: a
@@ -9,36 +11,32 @@ base that restarted meanwhile no longer receives commands, not even zero.
 
 from __future__ import annotations
 
-import asyncio
-import math
 from collections import defaultdict
-from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import replace
-from functools import partial
+from collections.abc import Collection, Iterator, Mapping
+from dataclasses import dataclass, replace
+from typing import TypeVar
 
 import msgspec
-import zenoh
 from msgspec import Struct
-from zenoh.handlers import Callback
 
-from swarmd.core.threads import hand_over
 from swarmd.drivers.ros.endpoints import Endpoint
+from swarmd.drivers.ros.messages import ros_name
 
-PERIOD = 2.0
-"""Seconds between two queries."""
-SETTLING = 0.5
-"""Seconds between the first queries: a bridge's list is whole once two in a row are alike."""
 MAX_FIRST = 3
 """Answers after which the driver waits no longer for a bridge's list to be whole."""
 MAX_AGE = 15.0
 """Seconds without a whole answer of a bridge after which its last one no longer counts."""
+NAMING_TIME = 0.5
+"""Seconds after which a reader in DDS without a node has none, in a process of ROS.
 
-_RETRY = 0.1
-_QUERY_TIMEOUT = 1.0
-_MAX_ANSWERS = 4096
-_MAX_PAYLOAD = 100_000
+Such a process announces its nodes after their readers; the bridge looks every 0.1 s. Another
+process has no nodes: each ROS middleware names its enclave in the user data of its participant.
+"""
+
 _BRIDGE = "zenoh_bridge_ros2dds"
-_ANY = "*"
+_NAMELESS = "/dds_reader"
+_ENCLAVE = list(b"enclave=")
+_BEST_EFFORT, _KEPT = "BEST_EFFORT", "TRANSIENT_LOCAL"
 
 
 class _Topic(Struct, frozen=True):
@@ -56,32 +54,71 @@ class _Config(Struct, frozen=True):
     nodename: str
 
 
+class _Policy(Struct, frozen=True):
+    kind: str = ""
+
+
+class _Quality(Struct, frozen=True):
+    reliability: _Policy = _Policy()
+    durability: _Policy = _Policy()
+    properties: dict[str, str] = {}
+    user_data: list[int] = []
+
+
+class _InDds(Struct, frozen=True):
+    """A DDS participant, or a reader or writer: then with names of its topic and type."""
+
+    qos: _Quality
+    topic_name: str = ""
+    type_name: str = ""
+
+
 _nodes: msgspec.json.Decoder[_Node] = msgspec.json.Decoder(_Node)
 _configs: msgspec.json.Decoder[_Config] = msgspec.json.Decoder(_Config)
+_in_dds: msgspec.json.Decoder[_InDds] = msgspec.json.Decoder(_InDds)
+_S = TypeVar("_S", bound=Struct)
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """What one bridge lists; `namespace` is empty or such as `/tb3_01`.
+
+    `others`: the DDS participants that are no processes of ROS.
+    """
+
+    namespace: str
+    nodes: frozenset[Endpoint]
+    dds: frozenset[Endpoint]
+    strays: frozenset[Endpoint]
+    others: frozenset[str]
 
 
 class NodeList:
-    """What the bridges list, by the answers that `take` gets. Pure.
+    """What the bridges list, by the answers that `take` gets.
 
     `endpoints`: of all nodes but the bridges themselves; `zid` is the bridge that lists the node.
-    `bridges`: the ids of the bridges that answered.
+    `dds`: the readers and writers in DDS, as far as they were queried. `strays`: the readers among
+    them that are of no node, or of another bridge; `node` then names the process or the bridge.
     """
 
     def __init__(self) -> None:
         """No answer yet."""
         self._answers: Mapping[str, bytes] = {}  # the last ones, and what was read in them
-        self._read: Mapping[str, frozenset[Endpoint]] = {}
-        self._by_bridge: Mapping[str, frozenset[Endpoint]] = {}
+        self._read: Mapping[str, _Answer] = {}
+        self._by_bridge: Mapping[str, _Answer] = {}
         self._since: Mapping[tuple[str, str], float] = {}
+        self._unnamed: Mapping[tuple[str, str], float] = {}
         self._heard_at: Mapping[str, float] = {}
         self._tries: Mapping[str, int] = {}
         self._settled: frozenset[str] = frozenset()
         self.endpoints: tuple[Endpoint, ...] = ()
+        self.dds: tuple[Endpoint, ...] = ()
+        self.strays: tuple[Endpoint, ...] = ()
 
     @property
-    def bridges(self) -> Collection[str]:
-        """The ids of the bridges whose nodes are known."""
-        return self._by_bridge.keys()
+    def namespaces(self) -> Mapping[str, str]:
+        """By the id of each bridge that answered, what precedes its topics: empty or `/tb3_01`."""
+        return {zid: answer.namespace for zid, answer in self._by_bridge.items()}
 
     def take(
         self,
@@ -92,8 +129,9 @@ class NodeList:
     ) -> None:
         """All answers to one query, payload by key; None if all timed out.
 
-        Keys are `@/<zid>/ros2/config` and `@/<zid>/ros2/node/<participant>/<name>`. `announcing`:
-        the sessions that announce topics. `late`: those whose answers are not whole.
+        Keys are `@/<zid>/ros2/config`, `.../node/<participant>/<name>`, `.../dds/<participant>` and
+        `.../dds/<participant>/reader/<id>/rt/<topic>`, also `writer`. `announcing`: the sessions
+        that announce topics. `late`: those whose answers are not whole.
         """
         self._tries = {zid: self._tries.get(zid, 0) + 1 for zid in announcing}
         before = self._by_bridge
@@ -101,146 +139,115 @@ class NodeList:
         if answers is not None and answers != self._answers:
             self._answers, self._read = dict(answers), dict(_by_bridge(answers))
         read = {} if answers is None else self._read
-        whole = {zid: ends for zid, ends in read.items() if zid not in late}
-        alike = {zid for zid, ends in whole.items() if before.get(zid) == ends}
+        whole = {zid: one for zid, one in read.items() if zid not in late}
+        alike = {zid for zid, one in whole.items() if before.get(zid) == one}
         kept = {
-            zid: ends
-            for zid, ends in before.items()
+            zid: one
+            for zid, one in before.items()
             if zid in late and now - self._heard_at[zid] <= MAX_AGE
         }
         self._heard_at = {zid: self._heard_at[zid] for zid in kept} | dict.fromkeys(whole, now)
         if kept | whole != before:  # to read and compare 2000 endpoints takes 40 ms
             self._replace(kept | whole, now)
+        unnamed = {
+            (end.process, end.topic): end for one in self._by_bridge.values() for end in one.strays
+        }
+        self._unnamed = {key: self._unnamed.get(key, now) for key in unnamed}
+        others = {process for one in self._by_bridge.values() for process in one.others}
+        self.strays = tuple(
+            end
+            for key, end in unnamed.items()
+            if end.process in others or now - self._unnamed[key] >= NAMING_TIME
+        )
         self._settled = frozenset(alike | (self._settled & self._by_bridge.keys()))
+
+    @property
+    def is_naming(self) -> bool:
+        """True while a reader in DDS may still get the name of its node."""
+        return len(self.strays) < len(self._unnamed)
 
     def is_awaited(self, announcing: Collection[str]) -> bool:
         """True if a session announces topics, and its whole list of nodes may still come."""
         unsettled = set(announcing) - self._settled
-        return any(self._tries.get(zid, 0) < MAX_FIRST for zid in unsettled)
+        return self.is_naming or any(self._tries.get(zid, 0) < MAX_FIRST for zid in unsettled)
 
-    def _replace(self, by_bridge: Mapping[str, frozenset[Endpoint]], now: float) -> None:
-        ends = [end for one in by_bridge.values() for end in one]
+    def _replace(self, by_bridge: Mapping[str, _Answer], now: float) -> None:
+        self._by_bridge, answers = by_bridge, by_bridge.values()
+        ends = [end for one in answers for end in one.nodes]
         self._since = {end.source: self._since.get(end.source, now) for end in ends}
-        self._by_bridge = by_bridge
         self.endpoints = tuple(replace(end, since=self._since[end.source]) for end in ends)
+        self.dds = tuple(end for one in answers for end in one.dds)
 
 
-class NodeListQuery:
-    """Queries the bridges for their nodes, again and again, and hands the answers to the list.
-
-    Each is queried by itself, so that a silent bridge hides no nodes of the others.
-    `selectors`: of the answers; empty where there is no bridge. `on_answer` is called after each.
-    `asked_at`: when the query of the last whole answer began, in s on the loop's clock.
-    """
-
-    def __init__(self, selectors: Collection[str], on_answer: Callable[[], None]) -> None:
-        """Nothing queried yet."""
-        self._selectors, self._on_answer = selectors, on_answer
-        self.asked_at = -math.inf
-        self._begun = -math.inf
-        self._query: object | None = None
-        self.nodes = NodeList()
-
-    def is_awaited(self, announcing: Collection[str]) -> bool:
-        """True while the first whole list may still come."""
-        return bool(self._selectors) and self.nodes.is_awaited(announcing)
-
-    def is_known(self, announcing: Collection[str]) -> bool:
-        """True if each session that announces topics lists its nodes, or is itself one."""
-        return not self._selectors or set(announcing) <= set(self.nodes.bridges)
-
-    def renew(self) -> None:
-        """Let the next call of `query` query, however short the last one is ago."""
-        self._begun = -math.inf
-
-    def query(
-        self,
-        session: zenoh.Session,
-        announcing: Collection[str],
-        loop: asyncio.AbstractEventLoop,
-    ) -> None:
-        """Query again each PERIOD, sooner while the first whole list is awaited."""
-        waits = self.nodes.is_awaited(announcing)
-        is_known = waits and set(announcing) <= set(self.nodes.bridges)
-        period = (SETTLING if is_known else _RETRY) if waits else PERIOD
-        if not self._selectors or loop.time() - self._begun < period or self._query is not None:
-            return
-        self._begun, self._query = loop.time(), object()
-        query, answers, late = self._query, dict[str, bytes](), set[str]()
-        # Until a bridge is known, any may answer: one may list nodes and announce nothing.
-        asked = {*announcing, *self.nodes.bridges} or {_ANY}
-        left = [(zid, selector) for zid in asked for selector in self._selectors]
-
-        def on_reply(zid: str, reply: zenoh.Reply) -> None:
-            sample = reply.ok
-            if sample is None:
-                late.add(zid)
-            elif len(answers) < _MAX_ANSWERS and len(sample.payload) <= _MAX_PAYLOAD:
-                answers[str(sample.key_expr)] = sample.payload.to_bytes()
-
-        def on_end() -> None:
-            left.pop()
-            if not left:
-                hand_over(loop, self._on_end, query, answers, announcing, late, loop)
-
-        for zid, selector in tuple(left):
-            receive = Callback(partial(on_reply, zid), on_end)
-            session.get(selector.replace(_ANY, zid, 1), receive, timeout=_QUERY_TIMEOUT)
-
-    def _on_end(
-        self,
-        query: object,
-        answers: Mapping[str, bytes],
-        announcing: Collection[str],
-        late: Collection[str],
-        loop: asyncio.AbstractEventLoop,
-    ) -> None:
-        if query is not self._query:
-            return  # of an earlier start of the hub
-        self._query = None
-        if not set(late) & set(self.nodes.bridges):  # else some of what is known is older
-            self.asked_at = self._begun
-        self.nodes.take(None if _ANY in late else answers, announcing, loop.time(), late)
-        self._on_answer()
-
-
-def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, frozenset[Endpoint]]]:
-    """The endpoints that each bridge lists; of a bridge that does not tell its namespace, none."""
-    configs, payloads = dict[str, _Config](), defaultdict[str, dict[str, bytes]](dict)
+def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
+    """What each bridge lists; of a bridge that does not tell its namespace, nothing."""
+    configs = dict[str, _Config]()
+    nodes, in_dds = (defaultdict[str, dict[str, bytes]](dict) for _ in range(2))
     for key, payload in answers.items():
         parts = key.split("/", 4)
         if len(parts) < 4 or (parts[0], parts[2]) != ("@", "ros2"):
             continue
-        if parts[3:] == ["config"]:
-            try:
-                configs[parts[1]] = _configs.decode(payload)
-            except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-                continue
-        elif parts[3] == "node" and len(parts) == 5:
-            payloads[parts[1]][parts[4]] = payload
-    ignored = {_BRIDGE, *(config.nodename for config in configs.values())}
+        if parts[3:] == ["config"] and (config := _decoded(_configs, payload)):
+            configs[parts[1]] = config
+        elif parts[3] in ("node", "dds") and len(parts) == 5:
+            (nodes if parts[3] == "node" else in_dds)[parts[1]][parts[4]] = payload
+    bridges = {_BRIDGE, *(config.nodename for config in configs.values())}
     for zid, config in configs.items():
-        listed = (_endpoints(zid, config.namespace, *node) for node in payloads[zid].items())
-        yield (
-            zid,
-            frozenset(
-                end for ends in listed for end in ends if end.node.rpartition("/")[2] not in ignored
-            ),
+        prefix = config.namespace.rstrip("/")
+        ends = [end for node in nodes[zid].items() for end in _of_node(zid, prefix, *node)]
+        named = [end for end in ends if end.node.rpartition("/")[2] not in bridges]
+        dds, processes, others = _ends_in_dds(zid, prefix, in_dds[zid])
+        processes |= {end.process: end.node for end in ends if end not in named}
+        taking = {(end.process, end.topic) for end in named if not end.is_publisher}
+        strays = (
+            replace(end, node=processes.get(end.process, _NAMELESS))
+            for end in dds
+            if not end.is_publisher and (end.process, end.topic) not in taking
         )
+        yield zid, _Answer(prefix, frozenset(named), dds, frozenset(strays), others)
 
 
-def _endpoints(zid: str, namespace: str, name: str, payload: bytes) -> Iterator[Endpoint]:
-    """Those of one node; `name` is `<participant>/<name>`. The bridge's namespace precedes each."""
-    try:
-        node = _nodes.decode(payload)
-    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
-        return
+def _of_node(zid: str, prefix: str, name: str, payload: bytes) -> Iterator[Endpoint]:
+    """The ends of one node; `name` is `<participant>/<name>`, `prefix` the bridge's namespace."""
     participant, _, node_name = name.partition("/")
-    prefix = "" if namespace == "/" else namespace
+    if (node := _decoded(_nodes, payload)) is None or not node_name.isprintable():
+        return
     for is_publisher, topics in ((True, node.publishers), (False, node.subscribers)):
         for topic in topics:
             full = f"{prefix}{topic.name}"
-            if full.isprintable() and node_name.isprintable():
+            if full.isprintable():
                 yield Endpoint(
                     is_publisher, full, topic.type, zid, node=f"/{node_name}", process=participant
                 )
+
+
+def _ends_in_dds(
+    zid: str, prefix: str, answers: Mapping[str, bytes]
+) -> tuple[frozenset[Endpoint], dict[str, str], frozenset[str]]:
+    """The readers and writers, a name for each participant, and the participants not of ROS.
+
+    CycloneDDS tells the name of a process; other implementations do not.
+    """
+    ends, processes, others = list[Endpoint](), dict[str, str](), set[str]()
+    for key, payload in answers.items():
+        participant, _, rest = key.partition("/")
+        if (read := _decoded(_in_dds, payload)) is None:
+            continue
+        if not rest and read.qos.user_data[: len(_ENCLAVE)] != _ENCLAVE:
+            others.add(participant)
+        if not rest and (process := read.qos.properties.get("__ProcessName", "")).isprintable():
+            processes[participant] = f"{_NAMELESS}_{process}" if process else _NAMELESS
+        topic, type_name = read.topic_name.removeprefix("rt/"), ros_name(read.type_name)
+        if rest and f"{topic}{type_name}".isprintable():
+            quality = "best effort" if read.qos.reliability.kind == _BEST_EFFORT else "reliable"
+            quality += ", transient local" if read.qos.durability.kind == _KEPT else ""
+            end = Endpoint(rest.startswith("writer/"), f"{prefix}/{topic}", type_name, zid)
+            ends.append(replace(end, quality=quality, process=participant))
+    return frozenset(ends), processes, frozenset(others)
+
+
+def _decoded(decoder: msgspec.json.Decoder[_S], payload: bytes) -> _S | None:
+    try:
+        return decoder.decode(payload)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return None

@@ -84,8 +84,7 @@ class RmwZenoh(Ros2Middleware):
         "announces no topic at all; start the robot's nodes with RMW_IMPLEMENTATION=rmw_zenoh_cpp"
     )
     announcements = "@ros2_lv/**"
-    nodes: tuple[str, ...] = ()
-    dds = ""
+    admin_space = ""
     is_node = True
     crashed = "rmw_zenohd will forget the first within a minute"
     lease = 62.0  # a router of rmw_zenoh gives a silent session up after 60 s

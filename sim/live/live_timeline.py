@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from swarmd.core.errors import SwarmError
-from swarmd.core.messages import ParamRequest, ResetRequest, RunRequest
+from swarmd.core.verbs import ParamRequest, ResetRequest, RunRequest
 from swarmd.network.operator import Operator, StopVerb
 from swarmd.network.outcome import Outcome
 from swarmd.sim.live.fleet import Fleet

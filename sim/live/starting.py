@@ -9,7 +9,8 @@ from itertools import combinations
 from typing import Any
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
-from swarmd.core.messages import Code, Presence, RunRequest, State, Status
+from swarmd.core.messages import Code, Presence, State, Status
+from swarmd.core.verbs import RunRequest
 from swarmd.network.members_view import MembersView
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome

@@ -8,8 +8,9 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from swarmd.core.host_messages import HostCommand
-from swarmd.core.messages import Reply, Request
+from swarmd.core.messages import Reply
 from swarmd.core.values import Scan, Twist
+from swarmd.core.verbs import Request
 from swarmd.kit.factory import Find
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner

@@ -7,8 +7,8 @@ from itertools import compress
 from typing import TYPE_CHECKING, Any
 
 from swarmd.core.errors import SwarmError
-from swarmd.core.messages import (
-    Code,
+from swarmd.core.messages import Code
+from swarmd.core.verbs import (
     EstopRequest,
     ParamRequest,
     Request,

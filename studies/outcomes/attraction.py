@@ -8,7 +8,7 @@ from studies.outcomes.outcome import Outcome, at_least, at_most, metric, no_cont
 from swarmd.sim.experiments.simulate import simulate
 
 NAME = "attraction"
-SETTING = {"duration": 60}
+DURATION = 60.0
 MDC, SHARE, SPEED, NEAR = 0.86, 0.9, 0.2, 0.5
 """Upper bound of the late distance to the centroid in m; lower bound of the share of the late time
 in one cluster; upper bound of the late speed as a share of the limit; lower bound of the distance
@@ -16,9 +16,10 @@ between neighbours in m, the paper's protection threshold."""
 _PAPER = "Kaiser et al. 2022, experiment 1; bounds as in docs/paper.md"
 
 
-def outcomes(seeds: Sequence[int], jobs: int = 1) -> list[Outcome]:
+def outcomes(seeds: Sequence[int], jobs: int = 1, duration: float = DURATION) -> list[Outcome]:
     """All outcomes: a run of experiment 1 for each seed, half as long as in docs/paper.md."""
-    found = simulate("paper_exp1_burger", seeds, jobs=jobs, set=SETTING, traces=False)
+    setting = {"duration": duration}
+    found = simulate("paper_exp1_burger", seeds, jobs=jobs, set=setting, traces=False)
     one, share = metric(found, "one_cluster_at_end"), metric(found, "time_in_one_cluster_late")
     mdc = metric(found, "mean_distance_to_centroid_late")
     speed = metric(found, "mean_speed_late_share")

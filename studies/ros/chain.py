@@ -22,7 +22,8 @@ import msgspec
 from studies.ros.node import Faults, Kind, Settings
 from studies.ros.robots import BASE, LIDAR, PLATFORM, RIVAL_SPEED, ROBOTS, bound, namespace
 from swarmd.core.codec import Decoder
-from swarmd.core.messages import ResetRequest, RunRequest, Status
+from swarmd.core.messages import Status
+from swarmd.core.verbs import ResetRequest, RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.support.processes import CAP, DaemonProcess, run_command, unique_swarm, wait_until
@@ -156,11 +157,14 @@ class Chain:
         kind: Kind,
         *,
         body: str = "",
-        name: str = "",
+        name: str | None = None,
         at: str | None = None,
         is_stamped: bool = False,
     ) -> NodeProcess:
-        """Start a node of a robot; `body`, `name` and namespace `at` are by default the robot's."""
+        """Start a node of a robot; `body`, `name` and namespace `at` are by default the robot's.
+
+        With an empty name it is no ROS node.
+        """
         usual = {"base": BASE, "lidar": LIDAR, "teleop": "teleop_keyboard"}[kind]
         body = body or robot
         settings = Settings(
@@ -168,7 +172,7 @@ class Chain:
             domain=self.domain,
             body=body,
             kind=kind,
-            name=name or usual,
+            name=usual if name is None else name,
             namespace=namespace(robot) if at is None else at,
             is_stamped=is_stamped,
         )

@@ -168,6 +168,16 @@ def _of_a_second_robot() -> Sequence[Fault]:
             bodies=(STRANGER,),
             lasts=8.0,
         ),
+        Fault(
+            name="a second base in this namespace that is no ROS node",
+            inject=partial(_start_stranger, base=""),
+            mend=_end_stranger,
+            mend_more=Chain.restart_bridge,
+            bound=1.5,
+            begins_later=True,
+            bodies=(STRANGER,),
+            lasts=8.0,
+        ),
     )
 
 
@@ -300,8 +310,8 @@ def _restart_base(
     chain.start_node(VICTIM, "base", at=at, is_stamped=is_stamped)
 
 
-def _start_stranger(chain: Chain, *, base: str = "", lidar: str = "") -> None:
-    if base:
+def _start_stranger(chain: Chain, *, base: str | None = None, lidar: str = "") -> None:
+    if base is not None:
         chain.start_node(VICTIM, "base", body=STRANGER, name=base)
     if lidar:
         chain.start_node(VICTIM, "lidar", body=STRANGER, name=lidar)

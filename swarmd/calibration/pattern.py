@@ -23,7 +23,7 @@ from swarmd.calibration.scan_matching import Located, Reference, points_of
 from swarmd.core.values import ZERO, Array, Inputs, Outputs, Pose, Scalar, Scan, Twist
 from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.params import Params, Recovery, about
-from swarmd.protection.dead_reckoning import REACTION_TIME
+from swarmd.protection.binding_range import REACTION_TIME
 from swarmd.sensing.scan_delay import TOLERANCE, delay_by_stamps
 
 _SLOW = 0.35  # share of the top speed of the slower drives

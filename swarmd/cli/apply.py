@@ -17,7 +17,7 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.run_start import run_fields
 from swarmd.cli.send import known_members, show
-from swarmd.core.messages import GoalRequest, LabelRequest, ParamRequest, RunRequest
+from swarmd.core.verbs import GoalRequest, LabelRequest, ParamRequest, RunRequest
 from swarmd.network.next_goal import next_goal
 from swarmd.network.outcome import APPLIED, NO_TARGET, PARTIAL, Outcome, joined
 from swarmd.network.signed_goals import signed_goals

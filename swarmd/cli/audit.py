@@ -14,8 +14,7 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.questions import ask_robots, end, in_reach
 from swarmd.cli.send import known_members
-from swarmd.core.codec import encode
-from swarmd.core.tool_messages import AUDIT_PAGE, AuditEntry, AuditQuery, AuditReply
+from swarmd.core.verbs import AUDIT, AUDIT_PAGE, AuditEntry, AuditQuery, AuditReply
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
@@ -77,14 +76,14 @@ def _read(
     """The entries of all robots in the order of time, faults, and which robots answered."""
     lines: list[_Line] = []
     faults: dict[str, str] = {}
-    query = encode(AuditQuery(since=since, count=min(count, AUDIT_PAGE)))
-    replies = ask_robots(options, operator, names, "audit", query, AuditReply)
+    query = AuditQuery(since=since, count=min(count, AUDIT_PAGE))
+    replies = ask_robots(options, operator, names, AUDIT, query)
     for robot, reply in replies.items():
         found = _lines(reply)
         while reply.has_more and reply.entries and len(found) < count:
             room, before = min(count - len(found), AUDIT_PAGE), reply.entries[0].seq
-            query = encode(AuditQuery(before=before, since=since, count=room))
-            older = ask_robots(options, operator, (robot,), "audit", query, AuditReply)
+            query = AuditQuery(before=before, since=since, count=room)
+            older = ask_robots(options, operator, (robot,), AUDIT, query)
             if robot not in older:
                 faults[robot] = f"did not tell its entries before number {before}; ask again"
                 break

@@ -19,7 +19,8 @@ from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.send import known_members
-from swarmd.core.messages import Presence, Reason, ResetRequest, RunRequest, State, Status
+from swarmd.core.messages import Presence, Reason, State, Status
+from swarmd.core.verbs import ResetRequest, RunRequest
 from swarmd.network.outcome import FAILED, REFUSED, TIMEOUT
 from swarmd.texts.values import printable
 

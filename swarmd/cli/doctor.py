@@ -18,7 +18,7 @@ from swarmd.cli.questions import ASK_TIME, MAX_ANSWER, in_reach
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import CodecError, ConfigError, NetworkError
 from swarmd.core.machine import measure_machine
-from swarmd.core.tool_messages import DoctorReply
+from swarmd.core.verbs import DOCTOR
 from swarmd.network.machine_network import measure_network
 from swarmd.texts import doctor as findings_of
 from swarmd.texts.doctor import Finding, Level, worst
@@ -83,11 +83,11 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
     names = robots_of(view, targets)
     time.sleep(LISTEN_TIME)
     asked = in_reach(view, names)
-    decode = Decoder(DoctorReply, MAX_ANSWER)
+    decode = Decoder(DOCTOR.answer, MAX_ANSWER)
     for robot in names:
         sent = time.time()
         wait = options.timeout or ASK_TIME
-        answer = operator.ask(robot, "doctor", timeout=wait) if robot in asked else None
+        answer = operator.ask(robot, DOCTOR.name, timeout=wait) if robot in asked else None
         returned = time.time()
         if answer is None:
             remedy = "see swarmctl members; look at its power, its network and its daemon"

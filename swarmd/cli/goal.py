@@ -14,7 +14,7 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.run_start import run_fields
 from swarmd.cli.send import known_members, report, stop_names, targets_of, time_left
-from swarmd.core.messages import GoalRequest, ResumeRequest, RunRequest
+from swarmd.core.verbs import GoalRequest, ResumeRequest, RunRequest
 from swarmd.network.next_goal import next_goal
 from swarmd.network.outcome import APPLIED, NO_TARGET, PARTIAL, TIMEOUT, Outcome, joined
 from swarmd.network.signed_goals import signed_goals

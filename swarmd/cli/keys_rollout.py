@@ -15,7 +15,8 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import warn
 from swarmd.cli.send import report, time_left
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.core.messages import Reply, RosterRequest
+from swarmd.core.messages import Reply
+from swarmd.core.verbs import RosterRequest
 from swarmd.network.outcome import NO_TARGET, Outcome
 from swarmd.security.identity import RosterFile, as_of, find_identity, load_identity, write_roster
 from swarmd.security.names import expand_names, select_names

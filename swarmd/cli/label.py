@@ -13,7 +13,7 @@ from swarmd.cli.labels import labels_of, unlabelled
 from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.send import known_members, report, targets_of, time_left
 from swarmd.core.keys import is_id
-from swarmd.core.messages import LabelRequest
+from swarmd.core.verbs import LabelRequest
 from swarmd.network.outcome import TIMEOUT, joined
 from swarmd.texts.labels import changed, read_changes
 

@@ -14,8 +14,7 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table
 from swarmd.cli.questions import ask_robots, end, in_reach
 from swarmd.cli.send import known_members
-from swarmd.core.codec import encode
-from swarmd.core.tool_messages import LinkReport, LinksQuery, LinksReply
+from swarmd.core.verbs import LINKS, LinkReport, LinksQuery, LinksReply
 from swarmd.texts.values import NOTHING, printable, seconds
 
 PING_TIME = 0.6  # s at least for robots to measure round trips, between two questions
@@ -52,12 +51,11 @@ def links(options: CommonOptions, targets: Targets, every: bool) -> None:
     with options.operator() as operator:
         view = known_members(options, operator)
         names = robots_of(view, targets)
-        ask = encode(LinksQuery(measures=True))
-        replies = ask_robots(options, operator, in_reach(view, names), "links", ask, LinksReply)
+        ask = LinksQuery(measures=True)
+        replies = ask_robots(options, operator, in_reach(view, names), LINKS, ask)
         if any(reply.links for reply in replies.values()):
             time.sleep(max(PING_TIME, 2.0 * view.round_trip))
-            ask = encode(LinksQuery())
-            replies |= ask_robots(options, operator, replies, "links", ask, LinksReply)
+            replies |= ask_robots(options, operator, replies, LINKS, LinksQuery())
         pairs = pairs_of(replies, set(view.expected) | set(replies))
         if options.is_json:
             missing = sorted(set(names) - replies.keys())

@@ -19,9 +19,9 @@ from swarmd.cli.output import has_colour, print_json, print_line, warn
 from swarmd.cli.questions import MAX_ANSWER, ask_robots, end, in_reach
 from swarmd.cli.send import gap, known_members
 from swarmd.cli.terminal import signals_end
-from swarmd.core.codec import Decoder, encode
+from swarmd.core.codec import Decoder
 from swarmd.core.log_ring import matching
-from swarmd.core.tool_messages import LOG_PAGE, LogBatch, LogRecord, LogsQuery
+from swarmd.core.verbs import LOG_PAGE, LOGS, LogBatch, LogRecord, LogsQuery
 from swarmd.texts.values import printable
 
 if TYPE_CHECKING:
@@ -77,9 +77,7 @@ def logs(
         if follow:
             with signals_end():
                 _follow(options, operator, targets, view, printer)
-        replies = ask_robots(
-            options, operator, in_reach(view, names), "logs", encode(query), LogBatch
-        )
+        replies = ask_robots(options, operator, in_reach(view, names), LOGS, query)
         lines = printer.new_lines(replies.values())
         if options.is_json:
             missing = sorted(set(names) - replies.keys())
@@ -110,8 +108,7 @@ def _follow(
             news.put(batch)
 
     def look_back(robots: Iterable[str]) -> None:
-        query = encode(printer.query)
-        replies = ask_robots(options, operator, robots, "logs", query, LogBatch) if robots else {}
+        replies = ask_robots(options, operator, robots, LOGS, printer.query) if robots else {}
         printer.print_new(replies.values())
 
     lives: dict[str, str] = {}

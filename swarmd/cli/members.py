@@ -17,7 +17,8 @@ from swarmd.cli.send import exit_code_of, known_members, report, time_left
 from swarmd.core import codec
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.goal import GoalState
-from swarmd.core.messages import ForgetRequest, Presence, State, Status
+from swarmd.core.messages import Presence, State, Status
+from swarmd.core.verbs import ForgetRequest
 from swarmd.network.members_view import Contact, SeenMember
 from swarmd.network.outcome import REFUSED
 from swarmd.texts.keys import end_of_certificate, key_warnings, own_remedy

@@ -12,7 +12,8 @@ from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import print_json, print_table
 from swarmd.cli.send import exit_code_of, known_members, send_to
 from swarmd.core.errors import unknown
-from swarmd.core.messages import Member, Param, ParamRequest
+from swarmd.core.messages import Member, Param
+from swarmd.core.verbs import ParamRequest
 from swarmd.texts.assignments import read_assignments
 from swarmd.texts.values import NOTHING, number
 

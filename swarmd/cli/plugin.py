@@ -15,7 +15,7 @@ from swarmd.cli.plugin_list import list_pushed
 from swarmd.cli.plugin_push import push, remove
 from swarmd.cli.send import send_to
 from swarmd.core.keys import is_id
-from swarmd.core.messages import ReloadRequest
+from swarmd.core.verbs import ReloadRequest
 from swarmd.texts.values import printable
 
 # A trial on a robot may take 10 s, and loading again 3 s more.

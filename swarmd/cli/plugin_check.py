@@ -33,6 +33,9 @@ DESCRIBE_TIMEOUT = 15.0
 MISSION_TIMEOUT = 30.0
 """Seconds for a mission: the child imports every pattern that it names."""
 
+STACK_TIMEOUT = 3.0
+"""Seconds within which a child that hangs writes its stack; a busy machine delays it."""
+
 NO_OUTPUT = "it prints nothing"
 NO_SIDE_EFFECTS = "it opens and starts nothing"
 SKIPPED = "the other points"
@@ -201,8 +204,10 @@ def _inspect(
         if hangs and begun is not None:  # else the child does not take the signal yet
             child.send_signal(signal.SIGUSR1)
             with contextlib.suppress(TimeoutError):
-                for line in _lines(child.stdout, 0.5):
+                for line in _lines(child.stdout, STACK_TIMEOUT):
                     place = place or _place_of(line, folder)
+                    if place:
+                        break
         how = f"is not done after {timeout:g} s" if hangs else how_it_ended(child.returncode)
         if begun is None:
             raise PluginError(f"the process that inspects patterns {how}")

@@ -13,7 +13,7 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.questions import ask_robots, in_reach
 from swarmd.cli.send import gap, known_members, targets_of
-from swarmd.core.messages import BehaviourReport, BehavioursReply
+from swarmd.core.verbs import PLUGINS, BehaviourReport, BehavioursReply
 from swarmd.network.outcome import PARTIAL, TIMEOUT
 from swarmd.texts.values import NOTHING
 
@@ -56,7 +56,7 @@ def behaviours_of(
     options: CommonOptions, operator: Operator, view: MembersView, names: Collection[str]
 ) -> dict[str, BehavioursReply]:
     """What robots in reach have, by robot; those that do not answer are left out."""
-    return ask_robots(options, operator, in_reach(view, names), "plugins", b"", BehavioursReply)
+    return ask_robots(options, operator, in_reach(view, names), PLUGINS)
 
 
 def _row(one: BehaviourReport) -> tuple[str, ...]:

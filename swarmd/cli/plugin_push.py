@@ -23,7 +23,8 @@ from swarmd.cli.send import known_members, report, targets_of
 from swarmd.core.behaviour import MAX_CODE, Manifest, Signed, encode_manifest, read_entry
 from swarmd.core.errors import CodecError, ConfigError, PluginError
 from swarmd.core.keys import check_id, is_id
-from swarmd.core.messages import BehaviourReport, BehavioursReply, Code, PushRequest
+from swarmd.core.messages import Code
+from swarmd.core.verbs import BehaviourReport, BehavioursReply, PushRequest
 from swarmd.network.outcome import PARTIAL, TIMEOUT
 
 if TYPE_CHECKING:

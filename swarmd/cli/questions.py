@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
+from msgspec import Struct
 
 from swarmd.cli.output import warn
-from swarmd.core.codec import Decoder
+from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.network.outcome import PARTIAL, TIMEOUT
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
+    from swarmd.core.verbs import Verb
     from swarmd.network.members_view import MembersView
     from swarmd.network.operator import Operator
 
@@ -33,14 +35,14 @@ def ask_robots(
     options: CommonOptions,
     operator: Operator,
     robots: Iterable[str],
-    name: str,
-    payload: bytes,
-    kind: type[T],
+    verb: Verb[Any, T],
+    question: Struct | None = None,
 ) -> dict[str, T]:
-    """The answers to `control/<name>`, by robot; warns of an answer that cannot be read."""
-    decode = Decoder(kind, MAX_ANSWER)
+    """The answers to a question, by robot; warns of an answer that cannot be read."""
+    decode = Decoder(verb.answer, MAX_ANSWER)
     answers = {}
-    found = operator.ask_all(robots, name, payload, timeout=options.timeout or ASK_TIME)
+    payload = b"" if question is None else encode(question)
+    found = operator.ask_all(robots, verb.name, payload, timeout=options.timeout or ASK_TIME)
     for robot, answer in sorted(found.items()):
         try:
             read = decode(answer)

@@ -16,12 +16,12 @@ from swarmd.cli.questions import ASK_TIME
 from swarmd.cli.record_merge import merge
 from swarmd.cli.send import known_members, send_to, targets_of
 from swarmd.core.errors import NetworkError
-from swarmd.core.messages import RecordRequest
+from swarmd.core.verbs import RecordRequest
 from swarmd.network.outcome import PARTIAL, TIMEOUT
 from swarmd.texts.values import NOTHING, megabytes, seconds
 
 if TYPE_CHECKING:
-    from swarmd.core.messages import RecordingFile, RecordingsReply
+    from swarmd.core.verbs import RecordingFile, RecordingsReply
     from swarmd.network.operator import Operator
 
 

@@ -17,7 +17,7 @@ from swarmd.cli.send import (
     targets_of,
     time_left,
 )
-from swarmd.core.messages import ResetRequest
+from swarmd.core.verbs import ResetRequest
 from swarmd.network.members_view import MembersView
 
 

@@ -15,7 +15,7 @@ from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.run_start import RunPlan, goal_targets, run_with_canary, start
 from swarmd.cli.send import known_members, report, targets_of
 from swarmd.core.keys import is_id
-from swarmd.core.messages import MAX_AHEAD
+from swarmd.core.verbs import MAX_AHEAD
 from swarmd.network.next_goal import next_goal
 from swarmd.texts.assignments import read_assignments
 

@@ -15,7 +15,7 @@ from swarmd.cli.output import warn
 from swarmd.cli.send import report, stop_names, stop_on_interrupt, time_left
 from swarmd.core.clock import TICK, boottime
 from swarmd.core.goal import LABEL
-from swarmd.core.messages import RunRequest
+from swarmd.core.verbs import RunRequest
 from swarmd.network.clock_query import read_clocks, start_times
 from swarmd.network.next_goal import next_generation, resigned
 from swarmd.network.outcome import FAILED, PARTIAL, Outcome

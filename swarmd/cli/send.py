@@ -23,7 +23,7 @@ from swarmd.texts.values import NOTHING, seconds
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
-    from swarmd.core.messages import AnyRequest
+    from swarmd.core.verbs import AnyRequest
     from swarmd.network.members_view import MembersView
     from swarmd.network.operator import Operator
 

@@ -16,32 +16,31 @@ import click
 
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import warn
+from swarmd.core import verbs
 from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
 
+_ELSEWHERE = {"stop": "requests", "estop": "requests", "reset": "requests", "resume": "goal"}
+"""The files of `cli/` that contain several verbs of robots."""
 # Verb -> its function, and its line for --help, which must not import the verbs.
 VERBS = {
-    "members": ("swarmd.cli.members:members", "List the robots of the swarm and their states."),
+    **{
+        row.name: (f"swarmd.cli.{_ELSEWHERE.get(row.name, row.name)}:{row.name}", row.help)
+        for row in verbs.VERBS.values()
+        if row.help
+    },
     "describe": (
         "swarmd.cli.describe:describe",
         "Show one robot in detail, and why it does not move.",
     ),
     "patterns": ("swarmd.cli.patterns:patterns", "List patterns and their parameters."),
     "mission": ("swarmd.cli.patterns:mission", "Check a mission before robots run it."),
-    "run": ("swarmd.cli.run:run", "Start a pattern on robots."),
-    "goal": ("swarmd.cli.goal:goal", "Show what robots are to do beside what they do."),
-    "resume": ("swarmd.cli.goal:resume", "Let robots take up the goal that they were offered."),
     "undo": ("swarmd.cli.goal:undo", "Set the goal before the present one again."),
     "wait": ("swarmd.cli.wait:wait", "Wait until robots are as they are wanted."),
     "diff": ("swarmd.cli.apply:diff", "Show what a swarm file would change."),
     "apply": ("swarmd.cli.apply:apply", "Set labels, goal and parameters of a swarm file."),
-    "label": ("swarmd.cli.label:label", "Give labels to robots, and take them away."),
-    "stop": ("swarmd.cli.requests:stop", "Stop robots, or all robots."),
-    "estop": ("swarmd.cli.requests:estop", "Emergency-stop robots, or all robots; latched."),
-    "reset": ("swarmd.cli.requests:reset", "Clear emergency stops and faults; moves nothing."),
-    "param": ("swarmd.cli.param:param", "Get or set parameters of running patterns."),
     "calibrate": (
         "swarmd.cli.calibrate:calibrate",
         "Measure brakes, delays and scales of a robot by a few short drives.",
@@ -49,11 +48,6 @@ VERBS = {
     "view": ("swarmd.cli.view:view", "Show a living swarm: map, list, details and commands."),
     "top": ("swarmd.cli.top:top", "Show the robots by load."),
     "events": ("swarmd.cli.events:events", "Print what happened to robots, and follow it."),
-    "logs": ("swarmd.cli.logs:logs", "Print the logs of robots and what patterns print."),
-    "audit": ("swarmd.cli.audit:audit", "Print the requests that robots had, and their answers."),
-    "links": ("swarmd.cli.links:links", "Show which robots hear which, and how well."),
-    "doctor": ("swarmd.cli.doctor:doctor", "Check this machine and robots; print what to do."),
-    "record": ("swarmd.cli.record:record", "Record robots, and fetch their recordings."),
     "replay": (
         "swarmd.cli.replay:replay",
         "Repeat a recorded run without a robot, and compare its commands.",
@@ -129,12 +123,12 @@ class Verbs(VerbGroup):
         """Offer verbs and options, without importing the verbs."""
         from click.shell_completion import CompletionItem
 
-        verbs = [
+        found = [
             CompletionItem(name, help=text)
             for name, text in _summaries()
             if name.startswith(incomplete)
         ]
-        return [*verbs, *click.Command.shell_complete(self, ctx, incomplete)]
+        return [*found, *click.Command.shell_complete(self, ctx, incomplete)]
 
 
 def _summaries() -> list[tuple[str, str]]:

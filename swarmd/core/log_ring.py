@@ -10,7 +10,7 @@ from collections import deque
 from collections.abc import Iterable
 
 from swarmd.core.token_bucket import TokenBucket
-from swarmd.core.tool_messages import LOG_PAGE, MAX_LOG_LINE, LogRecord, LogsQuery
+from swarmd.core.verbs import LOG_PAGE, MAX_LOG_LINE, LogRecord, LogsQuery
 
 CAPACITY = 1000
 RATE, BURST = 50.0, 200.0  # lines a second and at once, of each source

@@ -13,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from swarmd.core.files import write_fault
-from swarmd.core.tool_messages import DiskFacts, MachineFacts
+from swarmd.core.verbs import DiskFacts, MachineFacts
 
 _ADJTIMEX_BYTES = 512  # of struct timex, with room to spare
 _TIME_ERROR = 5  # adjtimex(2): the clock is not synchronised

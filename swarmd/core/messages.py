@@ -5,40 +5,27 @@ Unknown fields are ignored, so that a newer peer can add fields. Types with boun
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from enum import StrEnum
-from typing import Annotated, Literal, get_args
+from typing import Annotated, Literal
 
 from msgspec import Meta, Struct
 
 from swarmd.core.bounds import (
     BoundedScalar,
     Count,
-    FileName,
     Height,
-    Id,
     Line,
     Metres,
     Name,
-    ParamValues,
     Rate,
-    ReasonText,
     Seconds,
     Speed,
     Word,
 )
-from swarmd.core.goal import MAX_LABELS, Goal, GoalStatus
-
-MAX_LATE = 0.5
-"""A run that is to start at a time is refused so many seconds after it."""
-MAX_AHEAD = 60.0
-"""A run is to start at most so many seconds ahead."""
+from swarmd.core.goal import GoalStatus
 
 MAX_EVENTS = 10
 """Events that a robot keeps and tells."""
-MAX_FINDINGS = 1000
-"""Findings of assumption monitors in one request: three of each robot at most."""
-
 STATUS_SILENCE = 3.0
 """A status older than this, in s, is not the present one: robots send one each second."""
 
@@ -139,196 +126,6 @@ class Epoch(Struct, frozen=True):
 Epochs = dict[Name, Epoch | None]
 
 
-MAX_ROSTER_PART = 40 * 1024
-"""Bytes of a roster in one request: about 2000 names."""
-CertificatePem = Annotated[bytes, Meta(max_length=2048)]
-
-
-class _AnyRequest(Struct, frozen=True, kw_only=True, tag_field="verb"):
-    """The fields that every request has. On the wire `verb` names the type of request."""
-
-    id: Name
-    operator: Annotated[str, Meta(min_length=1, max_length=128)]
-
-    @property
-    def verb(self) -> str:
-        """The last chunk of the key on which this request is sent."""
-        return str(self.__struct_config__.tag)
-
-
-class _EpochRequest(_AnyRequest, frozen=True, kw_only=True):
-    """A request that changes a robot only if the robot's epoch is still the quoted one."""
-
-    targets: Epochs
-
-
-class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
-    """Run a pattern; the run ends after `seconds`, or when any condition of `until` holds.
-
-    `goal`: the goal that the run belongs to, with the same pattern, parameters and ends. It must
-    be greater than the goal that the robot holds, or the same. `at`: when each robot is to start,
-    in s on its own clock (CLOCK_BOOTTIME); the pattern is loaded before, and robots without an
-    entry start when it is loaded. More than MAX_LATE after that time the robot refuses. `age`:
-    seconds since the operator issued the request, with the longest round trip of its look added.
-    """
-
-    pattern: Name
-    params: ParamValues = {}
-    seconds: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
-    until: tuple[Word, ...] = ()
-    goal: Goal | None = None
-    at: dict[Name, Seconds] = {}
-    age: Seconds = 0.0
-
-
-class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
-    """Run the robot's own goal, which is offered or whose run has ended.
-
-    `digest`: of the goal that the operator saw, in hex; the robot refuses if it has another. Empty:
-    whichever it is. `age`: as that of RunRequest.
-    """
-
-    digest: Word = ""
-    age: Seconds = 0.0
-
-
-class GoalRequest(_EpochRequest, frozen=True, kw_only=True, tag="goal"):
-    """Set a goal without a run: robots stand by a goal without a pattern, and offer any other.
-
-    `age`: as that of RunRequest.
-    """
-
-    goal: Goal
-    age: Seconds = 0.0
-
-
-class LabelRequest(_EpochRequest, frozen=True, kw_only=True, tag="label"):
-    """Replace the labels of a robot; it keeps them on disk. None: those of its swarm file again."""
-
-    labels: Annotated[tuple[Id, ...], Meta(max_length=MAX_LABELS)] | None
-
-
-class ResetRequest(_EpochRequest, frozen=True, kw_only=True, tag="reset"):
-    """Clear the latches with these `ids`, and a fault.
-
-    `findings`: those of the assumption monitor to end, as the status names them. A running robot
-    refuses.
-    """
-
-    ids: tuple[Name, ...] = ()
-    findings: Annotated[tuple[Line, ...], Meta(max_length=MAX_FINDINGS)] = ()
-    reason: ReasonText = ""
-
-
-class ParamRequest(_EpochRequest, frozen=True, kw_only=True, tag="param"):
-    """Set parameters of the running pattern."""
-
-    params: Annotated[ParamValues, Meta(min_length=1)]
-
-
-class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
-    """Replace a pattern's code; with `is_rerun` a robot that runs the pattern runs it again.
-
-    `keeps_running`: a robot that runs the pattern goes on with the old code until its next run.
-    `age`: as that of RunRequest.
-    """
-
-    pattern: Name
-    is_rerun: bool = False
-    keeps_running: bool = False
-    age: Seconds = 0.0
-
-
-class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
-    """A piece of a behaviour for robots; with the last one they try it and take it.
-
-    `content` and `signature`: of the manifest (`core/behaviour.py`). `is_rerun`: as in
-    `ReloadRequest`; without it nothing moves or stops, and the epoch is not compared. `age`: as
-    that of RunRequest.
-    """
-
-    content: Annotated[bytes, Meta(max_length=8192)]
-    signature: Annotated[bytes, Meta(max_length=64)] = b""
-    offset: Count = 0
-    data: Annotated[bytes, Meta(max_length=32768)] = b""
-    is_rerun: bool = False
-    age: Seconds = 0.0
-
-
-class ForgetRequest(_EpochRequest, frozen=True, kw_only=True, tag="forget"):
-    """Remove the member `name`, which failed or left, from the list of members."""
-
-    name: Name
-
-
-class RecordRequest(_EpochRequest, frozen=True, kw_only=True, tag="record"):
-    """Start or stop the recording of a robot; it moves nothing, so the epoch is not compared."""
-
-    action: Literal["start", "stop"]
-
-
-class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):
-    """Take a signed roster, and the new certificate of the robot's name if there is one.
-
-    `secret`: the swarm's at that generation; empty for a robot that is no longer on it. It ends the
-    run, so the epoch is not compared. `certificates`: PEM, by robot, for the keys that they have.
-    """
-
-    roster: Annotated[bytes, Meta(max_length=MAX_ROSTER_PART)]
-    secret: Annotated[bytes, Meta(max_length=32)] = b""
-    certificates: Annotated[dict[Name, CertificatePem], Meta(max_length=32)] = {}
-
-
-class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
-    """Stop. `targets` None: every robot; the epochs are not compared.
-
-    `age`: seconds since the operator issued it. A run that came later is not stopped by it.
-    """
-
-    targets: Epochs | None = None
-    age: Seconds = 0.0
-
-
-class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
-    """Emergency stop. `scope` swarm: other robots take the latch over.
-
-    `is_relayed`: another robot handed it on. Such a copy does not latch again what was reset.
-    `age`: seconds since the operator issued it. The goal of a later run stays.
-    """
-
-    targets: Epochs | None = None
-    scope: Literal["swarm", "robots"] = "swarm"
-    reason: ReasonText = ""
-    is_relayed: bool = False
-    age: Seconds = 0.0
-
-
-Request = (
-    RunRequest
-    | StopRequest
-    | EstopRequest
-    | ResetRequest
-    | ParamRequest
-    | ReloadRequest
-    | ResumeRequest
-    | GoalRequest
-    | LabelRequest
-)
-AnyRequest = Request | ForgetRequest | RecordRequest | RosterRequest | PushRequest
-REQUEST_TYPES: Mapping[str, type[AnyRequest]] = {
-    str(kind.__struct_config__.tag): kind for kind in get_args(AnyRequest)
-}
-
-
-class RequestHeader(Struct, frozen=True, kw_only=True):
-    """The fields of a request that suffice to refuse it by name, whatever its version."""
-
-    id: str
-    verb: str
-    operator: str = ""
-    targets: dict[str, object] | None = None
-
-
 class ReplyHeader(Struct, frozen=True, kw_only=True):
     """The fields of a `Reply` that are read from every version."""
 
@@ -337,94 +134,6 @@ class ReplyHeader(Struct, frozen=True, kw_only=True):
     code: str
     refusal: str | None = None
     text: Line = ""
-
-
-class MembersQuery(Struct, frozen=True, kw_only=True):
-    """Asks every daemon for its `PeerView`, except those in `answered`."""
-
-    answered: tuple[Name, ...] = ()
-
-
-class RecordingFile(Struct, frozen=True, kw_only=True):
-    """A file of a recording. Times in s on the robot's clock, None if they are not known yet.
-
-    `crc`: the CRC-32 of a finished file. `dropped`: entries that were lost in it.
-    """
-
-    name: FileName
-    size: Count
-    is_open: bool
-    crc: Count | None = None
-    dropped: Count = 0
-    begin: Seconds | None = None
-    end: Seconds | None = None
-
-
-class RecordingsReply(Struct, frozen=True, kw_only=True):
-    """The recordings of a robot; `now` is its clock when it answered, `clock` names that clock.
-
-    `fault`: why the last recording ended, if not by a request.
-    """
-
-    robot: Name
-    now: Seconds
-    clock: Annotated[str, Meta(max_length=32)]
-    files: tuple[RecordingFile, ...]
-    fault: Line = ""
-
-
-class FetchQuery(Struct, frozen=True, kw_only=True):
-    """Asks for `length` bytes of a recording from `offset` on."""
-
-    file: FileName
-    offset: Count
-    length: Annotated[int, Meta(gt=0, le=32768)]
-
-
-class FetchReply(Struct, frozen=True, kw_only=True):
-    """Bytes of a recording and their CRC-32; `size` of the file, `text` why there are none."""
-
-    robot: Name
-    file: FileName
-    offset: Count
-    size: Count
-    data: bytes
-    crc: Count
-    text: Line = ""
-
-
-class BehaviourReport(Struct, frozen=True, kw_only=True):
-    """A pushed behaviour on a robot.
-
-    `standing`: provisional, held, returned, missing (not pulled yet) or removed. `version` and
-    `digest` (hex) of the code that a run takes, empty without code; `pushed`: the digest of the
-    newest push. `ran`: s without a fault. `source`: the operator or robot that handed it over.
-    `text`: why it was returned, or cannot be used.
-    """
-
-    name: Name
-    standing: Word
-    version: Word = ""
-    digest: Word = ""
-    pushed: Word = ""
-    ran: Seconds = 0.0
-    source: Line = ""
-    issuer: Word = ""
-    generation: Count = 0
-    text: Line = ""
-
-
-class BehavioursReply(Struct, frozen=True, kw_only=True):
-    """The pushed behaviours of a robot; `generation`: the greatest that it knows.
-
-    `newest`, `signature`: the manifest of that generation, which proves it.
-    """
-
-    robot: Name
-    generation: Count = 0
-    behaviours: tuple[BehaviourReport, ...] = ()
-    newest: Annotated[bytes, Meta(max_length=8192)] = b""
-    signature: Annotated[bytes, Meta(max_length=64)] = b""
 
 
 class Reply(Struct, frozen=True, kw_only=True):

@@ -5,33 +5,17 @@ The line is for the log of the daemon, and the entry for the audit log.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable
 
 from msgspec.structs import replace
 
-from swarmd.core.behaviour import Signed, read_entry
 from swarmd.core.clock import FIRST_WALL
-from swarmd.core.errors import CodecError
-from swarmd.core.messages import (
-    AnyRequest,
-    Code,
-    EstopRequest,
-    ForgetRequest,
-    GoalRequest,
-    LabelRequest,
-    ParamRequest,
-    PushRequest,
-    RecordRequest,
-    ReloadRequest,
-    Reply,
-    ResetRequest,
-    RunRequest,
-)
+from swarmd.core.messages import Code, Reply
 from swarmd.core.token_bucket import TokenBucket
-from swarmd.core.tool_messages import AuditEntry
+from swarmd.core.verbs import MAX_PART, VERBS, AnyRequest, AuditEntry, shortened
 
 MAX_LINE = 300
-MAX_WHAT, MAX_PART = 120, 60  # characters of a request, and of one text that its sender chose
+MAX_WHAT = 120  # characters of a request
 
 APPLIED_RATE, APPLIED_BURST = 2.0, 20.0
 OTHER_RATE, OTHER_BURST = 0.2, 5.0
@@ -90,8 +74,8 @@ class Audit:
             self._keep(replace(entry, targets=targets, left_out=left_out))
         if (left_out := lines.take(is_applied, now)) is None:
             return
-        who = f"by {_short(operator)} from {_short(source)}"
-        line = f"{_short(what, MAX_WHAT)}, {who}: {result}: {reply.text}"
+        who = f"by {shortened(operator)} from {shortened(source)}"
+        line = f"{shortened(what, MAX_WHAT)}, {who}: {result}: {reply.text}"
         line = _printable(line.removesuffix(": "))
         if left_out:
             line = f"[{left_out} requests left out of this log] {line}"
@@ -111,10 +95,10 @@ class Audit:
             boot=round(now, 3),
             clock=self._clock,
             wall=round(wall, 3) if wall >= FIRST_WALL else None,
-            operator=_printable(_short(operator, 128)),
-            source=_printable(_short(source)),
+            operator=_printable(shortened(operator, 128)),
+            source=_printable(shortened(source)),
             verb=_printable(what.partition(" ")[0][:MAX_PART]),
-            what=_printable(_short(what, MAX_WHAT)),
+            what=_printable(shortened(what, MAX_WHAT)),
             result=result[:MAX_PART],
             text=_printable(text[:MAX_LINE]),
         )
@@ -141,52 +125,7 @@ def describe_request(request: AnyRequest) -> str:
     """What a request asks, such as `run drive speed=0.1 to 3 robots`."""
     targets = request.targets
     count = "all robots" if targets is None else f"{len(targets)} robot{'s' * (len(targets) != 1)}"
-    return " ".join(filter(None, (request.verb, *_details(request), "to", count)))
-
-
-def _details(request: AnyRequest) -> Iterator[str]:
-    match request:
-        case RunRequest():
-            yield request.pattern
-            yield _assignments(request.params)
-            yield "" if request.seconds is None else f"for {request.seconds:g} s"
-            yield f"until {_short(' or '.join(request.until))}" if request.until else ""
-            yield "" if request.goal is None else f"as goal {request.goal.generation}"
-        case GoalRequest():
-            yield f"{request.goal.generation}: {request.goal.pattern or 'stand'}"
-        case LabelRequest():
-            labels = request.labels
-            yield "as configured" if labels is None else _short(", ".join(labels) or "none")
-        case PushRequest():
-            yield _pushed(request)
-        case ReloadRequest():
-            yield request.pattern
-        case RecordRequest():
-            yield request.action
-        case ForgetRequest():
-            yield request.name
-        case ParamRequest():
-            yield _assignments(request.params)
-        case ResetRequest():
-            yield f"of {_short('; '.join(request.findings))}" if request.findings else ""
-            yield f"({_short(request.reason)})" if request.reason else ""
-        case EstopRequest():
-            yield f"({_short(request.reason)})" if request.reason else ""
-
-
-def _pushed(request: PushRequest) -> str:
-    try:
-        return read_entry(Signed(request.content)).manifest.label
-    except CodecError:
-        return "what cannot be read"
-
-
-def _assignments(values: Mapping[str, object]) -> str:
-    return _short(" ".join(f"{name}={value}" for name, value in values.items()))
-
-
-def _short(text: str, length: int = MAX_PART) -> str:
-    return text if len(text) <= length else f"{text[: length - 3]}..."
+    return " ".join(filter(None, (request.verb, VERBS[request.verb].audit(request), "to", count)))
 
 
 def _printable(text: str) -> str:

@@ -18,7 +18,7 @@ from pathlib import Path
 import msgspec
 from msgspec.structs import replace
 
-from swarmd.core.tool_messages import AuditEntry, AuditQuery
+from swarmd.core.verbs import AuditEntry, AuditQuery
 
 MAX_BYTES = 1 << 20
 FILES = 4

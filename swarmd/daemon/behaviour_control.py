@@ -8,7 +8,8 @@ from collections.abc import Callable, Mapping
 from swarmd.core.clock import boottime
 from swarmd.core.errors import PluginError
 from swarmd.core.host_messages import TrialDone
-from swarmd.core.messages import Epoch, ReloadRequest, Reply, Request
+from swarmd.core.messages import Epoch, Reply
+from swarmd.core.verbs import ReloadRequest, Request
 from swarmd.daemon.recorded_robot import RecordedRobot
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.plugins import Origin

@@ -22,13 +22,8 @@ from swarmd.core.behaviour import (
 )
 from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import TrialDone
-from swarmd.core.messages import (
-    BehaviourReport,
-    BehavioursReply,
-    Epoch,
-    ReloadRequest,
-    Reply,
-)
+from swarmd.core.messages import Epoch, Reply
+from swarmd.core.verbs import BehaviourReport, BehavioursReply, ReloadRequest
 from swarmd.daemon.behaviour_files import BehaviourFiles
 from swarmd.daemon.record_writer import RecordWriter
 from swarmd.plugins import Origin

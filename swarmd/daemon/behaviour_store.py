@@ -18,8 +18,10 @@ from msgspec.structs import replace
 from swarmd.core.behaviour import Entry, Signed, merged, read_entry
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.host_messages import HostEvent, LoadRefused, TrialDone
-from swarmd.core.messages import Code, Epoch, PushRequest, Refusal, ReloadRequest, Reply
+from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.verbs import PushRequest, ReloadRequest
 from swarmd.daemon.behaviour_state import BehaviourState, Candidate
+from swarmd.daemon.requests import Answer
 from swarmd.network.inbound_queue import FAILED, DropCounter
 from swarmd.robot.pushed_code import Version
 
@@ -64,8 +66,12 @@ class BehaviourStore:
 
     # Pushes
 
-    def push(self, request: PushRequest) -> Reply | None:
-        """Take a piece of a behaviour; None if the reply follows."""
+    def on_push(self, request: PushRequest, answer: Answer) -> None:
+        """Take a piece of a behaviour; the reply to the last piece follows when it is written."""
+        if (reply := self._take_piece(request)) is not None:
+            answer(reply, is_audited=reply.code is not Code.APPLIED)
+
+    def _take_piece(self, request: PushRequest) -> Reply | None:
         try:
             entry = read_entry(Signed(request.content, request.signature))
         except CodecError as error:

@@ -14,9 +14,9 @@ from functools import partial
 
 from swarmd.core.behaviour import Entry, decode_table, encode_table
 from swarmd.core.clock import boottime
-from swarmd.core.codec import encode
 from swarmd.core.goal import generation_of
 from swarmd.core.messages import Code
+from swarmd.core.verbs import BehavioursReply, Nothing
 from swarmd.daemon.behaviour_state import BehaviourState
 from swarmd.daemon.behaviour_store import BehaviourStore
 from swarmd.network.bus import ZenohBus
@@ -27,7 +27,6 @@ from swarmd.network.pull import Blob, Puller, serve_shared
 log = logging.getLogger(__name__)
 
 TABLE, CODE = "behaviours", "behaviour"
-LIST_VERB = "plugins"
 # s until the same is asked of the same robot again: it may not have it, or its manifests may be
 # signed by an operator that the own roster does not have.
 TABLE_PERIOD, CODE_PERIOD = 30.0, 5.0
@@ -63,11 +62,14 @@ class BehaviourSync:
         self._false: dict[str, float] = {}  # until when nothing is pulled from a robot
 
     def serve(self, bus: ZenohBus) -> None:
-        """Answer operators and other robots."""
+        """Hand tables and code to other robots."""
         state = self._state
-        bus.serve("control", LIST_VERB, lambda query: query.reply(encode(state.report())))
         serve_shared(bus, TABLE, lambda name, asker: encode_table(state.table))
         serve_shared(bus, CODE, lambda name, asker: state.shared_code(name))
+
+    def on_plugins(self, _: Nothing) -> BehavioursReply:
+        """The pushed behaviours of this robot."""
+        return self._state.report()
 
     def close(self) -> None:
         """End a check under way."""

@@ -24,13 +24,9 @@ from swarmd.core.behaviour import Entry
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
-from swarmd.core.messages import (
-    REQUEST_TYPES,
-    Reply,
-    Request,
-    Status,
-)
+from swarmd.core.messages import Reply, Status
 from swarmd.core.values import Neighbor
+from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.behaviour_control import BehaviourControl
 from swarmd.daemon.behaviour_files import BehaviourFiles
@@ -49,7 +45,7 @@ from swarmd.daemon.neighbor_selection import NeighborSelection
 from swarmd.daemon.network import Network, NetworkHandlers
 from swarmd.daemon.network_inputs import NetworkInputs
 from swarmd.daemon.recording_service import RecordingService
-from swarmd.daemon.request_server import RequestServer
+from swarmd.daemon.requests import RequestServer
 from swarmd.daemon.robot_setup import make_robot, recording_head
 from swarmd.daemon.roster_service import RosterService
 from swarmd.daemon.systemd import Notifier
@@ -159,7 +155,6 @@ class Daemon:
             settings.recording,
             self._head,
             self._warn,
-            self._drops,
         )
         self._tools = FieldTools(
             settings,
@@ -174,12 +169,9 @@ class Daemon:
             settings.id,
             self._on_request,
             self._audit,
-            forget=self._network.forget,
-            record=self._recording.answer,
-            roster=self._rosters.answer,
-            is_secured=settings.identity is not None,
-            push=self._behaviours.push,
+            *(self._recording, self._rosters, self._behaviours, self._behaviour_sync, self._tools),
             drops=self._drops,
+            is_secured=settings.identity is not None,
         )
         self._ticks = 0
         self._shown_scan = -1  # sequence of the last scan for viewers
@@ -312,10 +304,8 @@ class Daemon:
 
     def _serve(self, bus: ZenohBus) -> None:
         """Answer requests on a bus that was opened, the first one or a later one."""
-        self._requests.serve(bus, [verb for verb in REQUEST_TYPES if verb not in ("stop", "estop")])
-        self._recording.serve(bus)
+        self._requests.serve(bus)
         self._behaviour_sync.serve(bus)
-        self._tools.serve(bus)
         bus.serve_view(
             self._status,
             lambda: tuple(self._network.members.values()),

@@ -12,23 +12,25 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import msgspec
 
 from swarmd.core.clock import FIRST_WALL, boottime, clock_id
-from swarmd.core.codec import Decoder, encode
+from swarmd.core.codec import encode
 from swarmd.core.kernels import describe_kernels
 from swarmd.core.log_ring import LogRing
 from swarmd.core.machine import measure_machine
-from swarmd.core.messages import KeySummary, Sandbox
+from swarmd.core.messages import Code, KeySummary, Refusal, Reply, Sandbox
 from swarmd.core.threads import hand_over
-from swarmd.core.tool_messages import (
+from swarmd.core.verbs import (
     LOG_PAGE,
     AuditEntry,
     AuditQuery,
     AuditReply,
     DoctorReply,
+    ForgetRequest,
     LinkReport,
     LinksQuery,
     LinksReply,
@@ -37,12 +39,12 @@ from swarmd.core.tool_messages import (
     LogsQuery,
     MachineFacts,
     NetworkFacts,
+    Nothing,
 )
 from swarmd.daemon.audit_log import AuditLog
 from swarmd.daemon.log_capture import LogCapture
 from swarmd.daemon.network import Network
-from swarmd.daemon.threaded_answers import ThreadedAnswers
-from swarmd.network.bus import Query, ZenohBus
+from swarmd.daemon.requests import Answer
 from swarmd.network.machine_network import measure_network
 from swarmd.settings.settings import DaemonSettings
 
@@ -53,8 +55,6 @@ MAX_BATCH = 48 * 1024  # bytes of records in a batch or an answer
 CACHE_TIME = 2.0  # s for which facts of the machine are not measured again
 
 log = logging.getLogger(__name__)
-
-_audit, _logs, _links = Decoder(AuditQuery), Decoder(LogsQuery), Decoder(LinksQuery)
 
 
 class FieldTools:
@@ -77,7 +77,6 @@ class FieldTools:
         self._settings, self._instance, self._network = settings, instance, network
         self._version, self._keys, self._sandbox = version, keys, sandbox
         self._loop = asyncio.get_running_loop()
-        self._answers = ThreadedAnswers(self._loop, network.drops)
         self._ring = LogRing()
         self._capture = LogCapture(self._ring)
         self._published = 0
@@ -92,13 +91,6 @@ class FieldTools:
             folder, lambda text: hand_over(self._loop, self._on_audit_event, text)
         )
 
-    def serve(self, bus: ZenohBus) -> None:
-        """Answer on a bus that was opened, the first one or a later one."""
-        self._answers.serve(bus, "audit", self._read_audit)
-        bus.serve("control", "logs", self._on_logs)
-        bus.serve("control", "links", self._on_links)
-        bus.serve("control", "doctor", self._on_doctor)
-
     def advance(self, now: float) -> None:
         """Publish new records to subscribers; the daemon's tick calls this."""
         if now < self._publish_at or self._ring.last == self._published:
@@ -112,12 +104,27 @@ class FieldTools:
         self.audit.close()
         self._capture.close()
 
+    # Members
+
+    def on_forget(self, request: ForgetRequest, answer: Answer) -> None:
+        """Remove a member from the list of members, unless the member is alive."""
+        name = request.name
+        code, refusal, text = Code.APPLIED, None, f"forgot {name}"
+        if not self._network.forget(name):
+            code, refusal, text = Code.REFUSED, Refusal.MEMBER_ALIVE, f"{name} is alive"
+        robot = self._settings.id
+        answer(Reply(id=request.id, robot=robot, code=code, refusal=refusal, text=text))
+
     # Audit
 
     def _on_audit_event(self, text: str) -> None:
         log.warning("%s", text)
 
-    def _read_audit(self, payload: bytes) -> bytes:
+    def on_audit(self, query: AuditQuery) -> Callable[[], AuditReply]:
+        """Entries of the audit log; read in a thread."""
+        return partial(self._read_audit, query)
+
+    def _read_audit(self, query: AuditQuery) -> AuditReply:
         now, clock, wall = boottime(), clock_id(), time.time()
 
         def age_of(entry: AuditEntry) -> float | None:
@@ -126,22 +133,20 @@ class FieldTools:
             is_known = entry.wall is not None and wall >= FIRST_WALL
             return max(wall - (entry.wall or 0.0), 0.0) if is_known else None
 
-        entries, has_more = self.audit.read(_audit(payload), age_of)
-        return encode(
-            AuditReply(
-                robot=self._settings.id,
-                entries=tuple(entries),
-                ages=tuple(map(age_of, entries)),
-                has_more=has_more,
-                fault=self.audit.fault[:1000],
-            )
+        entries, has_more = self.audit.read(query, age_of)
+        return AuditReply(
+            robot=self._settings.id,
+            entries=tuple(entries),
+            ages=tuple(map(age_of, entries)),
+            has_more=has_more,
+            fault=self.audit.fault[:1000],
         )
 
     # Logs
 
-    def _on_logs(self, query: Query) -> None:
-        asked = _logs(query.payload)
-        query.reply(encode(self._batch(self._ring.matching(asked))))
+    def on_logs(self, query: LogsQuery) -> LogBatch:
+        """The newest records that match."""
+        return self._batch(self._ring.matching(query))
 
     def _batch(self, records: list[LogRecord]) -> LogBatch:
         """The newest records that fit."""
@@ -162,10 +167,10 @@ class FieldTools:
 
     # Links
 
-    def _on_links(self, query: Query) -> None:
-        asked = _links(query.payload)
+    def on_links(self, query: LinksQuery) -> LinksReply:
+        """How well this robot hears others; pings some of them if the query asks for that."""
         links = sorted(self._network.links(), key=lambda link: link[1].age)
-        if asked.measures and links:
+        if query.measures and links:
             names = [robot for robot, _, _ in sorted(links)]
             first = self._pinged % len(names)
             self._network.ping((names[first:] + names[:first])[:MAX_PINGS])
@@ -175,17 +180,18 @@ class FieldTools:
             for robot, one, ways in links[:MAX_LINKS]
         )
         unlisted = max(len(links) - MAX_LINKS, 0)
-        query.reply(encode(LinksReply(robot=self._settings.id, links=reports, unlisted=unlisted)))
+        return LinksReply(robot=self._settings.id, links=reports, unlisted=unlisted)
 
     # Doctor
 
-    def _on_doctor(self, query: Query) -> None:
+    def on_doctor(self, _: Nothing) -> Callable[[], DoctorReply]:
+        """Facts of the machine and the network; measured in a thread."""
         alive = set(self._network.alive)
         ways = Counter(
             way for robot, _, ways in self._network.links() for way in ways if robot in alive
         )
         heard = {**ways, "any": len(alive)}
-        self._answers.begin("doctor", lambda _: encode(self._doctor(heard)), query)
+        return partial(self._doctor, heard)
 
     def _doctor(self, heard: dict[str, int]) -> DoctorReply:
         """In a thread. One measurement at a time, and an answer may be CACHE_TIME old."""

@@ -13,7 +13,8 @@ from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.files import write_whole
 from swarmd.core.goal import Goal, GoalRecord, digest_of
-from swarmd.core.messages import Code, GoalRequest, Refusal, Reply, Request, RunRequest
+from swarmd.core.messages import Code, Refusal, Reply
+from swarmd.core.verbs import GoalRequest, Request, RunRequest
 from swarmd.daemon.record_writer import RecordWriter
 from swarmd.network.goal_sync import GoalCheck, is_signed_goal
 from swarmd.security.identity import Identity

@@ -9,7 +9,7 @@ from swarmd.core.errors import fail_stop
 from swarmd.core.goal import Goal
 from swarmd.core.hazard import Hazard
 from swarmd.core.host_messages import HostEvent, Stepped
-from swarmd.core.messages import Body, Latch, Reason, Request, Status
+from swarmd.core.messages import Body, Latch, Reason, Status
 from swarmd.core.values import (
     ZERO,
     Neighbor,
@@ -19,6 +19,7 @@ from swarmd.core.values import (
     SharedPose,
     Value,
 )
+from swarmd.core.verbs import Request
 from swarmd.daemon.recorder import Recorder
 from swarmd.recording import frames
 from swarmd.robot.actions import Actions

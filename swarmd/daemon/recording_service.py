@@ -8,6 +8,7 @@ import logging
 import zlib
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,23 +16,18 @@ import msgspec
 
 from swarmd.core.bounds import FileName
 from swarmd.core.clock import boottime, clock_id
-from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import ConfigError, PluginError
-from swarmd.core.messages import (
-    Code,
+from swarmd.core.messages import Code, RecordingSummary, Refusal, Reply
+from swarmd.core.verbs import (
     FetchQuery,
     FetchReply,
+    Nothing,
     RecordingFile,
     RecordingsReply,
-    RecordingSummary,
     RecordRequest,
-    Refusal,
-    Reply,
 )
 from swarmd.daemon.recorder import Recorder
-from swarmd.daemon.threaded_answers import ThreadedAnswers
-from swarmd.network.bus import ZenohBus
-from swarmd.network.inbound_queue import DropCounter
+from swarmd.daemon.requests import Answer
 from swarmd.plugins import need
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import clock_of
@@ -40,8 +36,6 @@ from swarmd.settings.swarmfile import RecordingSection
 log = logging.getLogger(__name__)
 
 MAX_FILES = 500
-
-_fetch = Decoder(FetchQuery)
 
 
 class RecordingService:
@@ -53,13 +47,11 @@ class RecordingService:
         section: RecordingSection,
         head: Callable[[], RecordingHead],
         on_event: Callable[[str], None],
-        drops: DropCounter,
     ) -> None:
         self._robot, self._section, self._head = robot, section, head
         self._folder = Path(section.folder or "recordings")
         self._on_event = on_event
         loop = asyncio.get_running_loop()
-        self._answers = ThreadedAnswers(loop, drops)
         self.recorder = Recorder(loop, on_event)
 
     @property
@@ -73,8 +65,8 @@ class RecordingService:
             file=report.path[-1000:], size=report.bytes, dropped=recorder.dropped
         )
 
-    def answer(self, request: RecordRequest) -> Reply:
-        """Start or stop, and say so."""
+    def on_record(self, request: RecordRequest, answer: Answer) -> None:
+        """Start or stop the recording."""
         recorder, is_on = self.recorder, self.recorder.is_on
         code, refusal = Code.APPLIED, None
         if request.action == "start" and is_on:
@@ -93,7 +85,7 @@ class RecordingService:
                 text += f"; {recorder.dropped} entries were dropped: the disk is slow"
         else:
             text = "did not record"
-        return Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text[:300])
+        answer(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text[:300]))
 
     def start_if_wanted(self) -> None:
         """Record from the start of the daemon if its settings say so; a failure is an event."""
@@ -109,16 +101,19 @@ class RecordingService:
 
     # Recordings for operators
 
-    def serve(self, bus: ZenohBus) -> None:
-        """Answer which recordings there are, and hand out their bytes."""
-        self._answers.serve(bus, "recordings", self._list)
-        self._answers.serve(bus, "fetch", self._fetch)
+    def on_recordings(self, _: Nothing) -> Callable[[], RecordingsReply]:
+        """The recordings that there are; listed in a thread."""
+        return self._list
+
+    def on_fetch(self, query: FetchQuery) -> Callable[[], FetchReply]:
+        """Bytes of a recording; read in a thread."""
+        return partial(self._fetch, query)
 
     def close(self) -> None:
         """Finish the recording."""
         self.recorder.close()
 
-    def _list(self, _: bytes) -> bytes:
+    def _list(self) -> RecordingsReply:
         try:
             found = (path for path in self._folder.glob("*.mcap") if _is_told(path.name))
             paths = sorted(found)[-MAX_FILES:]
@@ -128,18 +123,15 @@ class RecordingService:
         lost = self.recorder.dropped
         files = [_described(path, lost if path.name == open_now else None) for path in paths]
         recorder = self.recorder
-        return encode(
-            RecordingsReply(
-                robot=self._robot,
-                now=boottime(),
-                clock=clock_id(),
-                files=tuple(one for one in files if one is not None),
-                fault=recorder.fault[:1000],
-            )
+        return RecordingsReply(
+            robot=self._robot,
+            now=boottime(),
+            clock=clock_id(),
+            files=tuple(one for one in files if one is not None),
+            fault=recorder.fault[:1000],
         )
 
-    def _fetch(self, payload: bytes) -> bytes:
-        query = _fetch(payload)
+    def _fetch(self, query: FetchQuery) -> FetchReply:
         data, size, text = b"", 0, ""
         try:
             if not query.file.endswith(".mcap"):
@@ -152,16 +144,14 @@ class RecordingService:
             text = "there is no such recording"
         except OSError as error:
             text = error.strerror or "cannot be read"
-        return encode(
-            FetchReply(
-                robot=self._robot,
-                file=query.file,
-                offset=query.offset,
-                size=size,
-                data=data,
-                crc=zlib.crc32(data),
-                text=text,
-            )
+        return FetchReply(
+            robot=self._robot,
+            file=query.file,
+            offset=query.offset,
+            size=size,
+            data=data,
+            crc=zlib.crc32(data),
+            text=text,
         )
 
 

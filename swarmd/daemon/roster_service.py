@@ -11,7 +11,9 @@ import logging
 from collections.abc import Callable, Coroutine
 
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.messages import Code, KeySummary, Refusal, Reply, RosterRequest
+from swarmd.core.messages import Code, KeySummary, Refusal, Reply
+from swarmd.core.verbs import RosterRequest
+from swarmd.daemon.requests import Answer
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.security.identity import Identity
 from swarmd.security.roster_change import (
@@ -54,14 +56,14 @@ class RosterService:
             return None
         return KeySummary(generation=identity.roster.generation, expires=identity.info.expires)
 
-    def answer(self, request: RosterRequest, reply: Callable[[Reply], None]) -> None:
+    def on_roster(self, request: RosterRequest, answer: Answer) -> None:
         """Take the roster of a request; the reply follows when the robot stands."""
 
-        def answer(code: Code, refusal: Refusal | None, text: str) -> None:
-            reply(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text))
+        def tell(code: Code, refusal: Refusal | None, text: str) -> None:
+            answer(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text))
 
         def refuse(code: Code, text: str) -> None:
-            answer(code, Refusal.INVALID_ROSTER if code is Code.REFUSED else None, text)
+            tell(code, Refusal.INVALID_ROSTER if code is Code.REFUSED else None, text)
 
         async def run() -> None:
             shared = SharedRoster(request.roster, request.secret)
@@ -71,7 +73,7 @@ class RosterService:
                 code = Code.APPLIED
                 if refusal is not None:
                     code = Code.FAILED if refusal is Refusal.NOT_WRITTEN else Code.REFUSED
-                answer(code, refusal, text)
+                tell(code, refusal, text)
 
         self._start(run())
 

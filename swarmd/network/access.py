@@ -5,8 +5,9 @@ silently for its sender. Zenoh compares the common name in the certificate of th
 link, exactly, and keeps the rules for the life of a session: another roster needs another session.
 
 - A robot takes questions on `control/<verb>/<asker>` from the operator of that name, and from the
-  viewer of that name for verbs that read. It sends `state/*` to operators and viewers, and answers
-  `shared/<what>/<asker>` to each name of the roster. It takes no puts.
+  viewer of that name for verbs whose row in `core/verbs.py` permits viewers. It sends `state/*` to
+  operators and viewers, and answers `shared/<what>/<asker>` to each name of the roster. It takes no
+  puts.
 - Operators and viewers take what comes on a key of a robot from the robot of that name only.
 """
 
@@ -17,10 +18,8 @@ from typing import Any
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import ANY, CONTROL, ROOT, SHARED, build
+from swarmd.core.verbs import VERBS
 from swarmd.security.roster import Role, Roster
-
-READ_VERBS = frozenset({"members", "recordings", "fetch", "logs", "links", "doctor", "plugins"})
-"""The verbs of `control` that only read, which viewers may ask; `audit` is for operators alone."""
 
 OPERATOR_SENDERS = "operator-$*"
 """The senders of datagrams by routers that are operators or viewers, see `routed.py`."""
@@ -31,7 +30,9 @@ _IN, _OUT = "ingress", "egress"
 
 def may_ask(role: Role, verb: str) -> bool:
     """True if a name with this role may ask `control/<verb>` of a robot."""
-    return role is Role.OPERATOR or (role is Role.VIEWER and verb in READ_VERBS)
+    row = VERBS.get(verb)
+    is_for_viewers = row is not None and row.is_for_viewers
+    return role is Role.OPERATOR or (role is Role.VIEWER and is_for_viewers)
 
 
 def robot_access(roster: Roster, robot: str) -> Access:
@@ -120,9 +121,11 @@ def subtree(roster: Roster, robot: str) -> str:
 def _questions(roster: Roster, name: str) -> list[str]:
     """The keys of `control`, of each robot and of all, that a name may ask."""
     role = roster.role_of(name)
+    if role is None:
+        return []
     if role is Role.OPERATOR:
         return [build(roster.swarm, ANY, CONTROL, ANY, name)]
-    verbs = sorted(READ_VERBS) if role is Role.VIEWER else ()
+    verbs = sorted(verb for verb in VERBS if may_ask(role, verb))
     return [build(roster.swarm, ANY, CONTROL, verb, name) for verb in verbs]
 
 

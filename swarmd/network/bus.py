@@ -23,7 +23,8 @@ import zenoh
 
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.keys import ANY, CONTROL, SHARED, Key, build, parse
-from swarmd.core.messages import Member, MembersQuery, PeerView, Status
+from swarmd.core.messages import Member, PeerView, Status
+from swarmd.core.verbs import MembersQuery
 from swarmd.network.inbound_queue import DropCounter, InboundQueue
 from swarmd.network.session import has_subscriber, undeclare
 

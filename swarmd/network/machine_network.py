@@ -15,7 +15,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from swarmd.core.errors import NetworkError
-from swarmd.core.tool_messages import NetworkFacts, PortFacts
+from swarmd.core.verbs import NetworkFacts, PortFacts
 from swarmd.network.interface_watch import InterfaceState, read_state
 from swarmd.network.udp import GROUP_PORT
 

@@ -8,7 +8,8 @@ from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode, version_of
 from swarmd.core.keys import ANY, CONTROL
-from swarmd.core.messages import MembersQuery, PeerView, StatusHeader
+from swarmd.core.messages import PeerView, StatusHeader
+from swarmd.core.verbs import MembersQuery
 from swarmd.network.arrivals import Arrivals
 from swarmd.network.discovery import Discovery
 from swarmd.network.members_view import MembersView

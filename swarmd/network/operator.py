@@ -27,7 +27,8 @@ from msgspec.structs import replace
 from swarmd.core.clock import boottime
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import ANY
-from swarmd.core.messages import AnyRequest, Epoch
+from swarmd.core.messages import Epoch
+from swarmd.core.verbs import AnyRequest
 from swarmd.network.access import may_ask
 from swarmd.network.arrivals import Arrivals
 from swarmd.network.datagram import (

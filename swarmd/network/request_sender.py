@@ -10,16 +10,12 @@ from swarmd.core import codec
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode, version_of
 from swarmd.core.keys import ANY, CONTROL
-from swarmd.core.messages import (
+from swarmd.core.messages import Code, Epoch, Refusal, Reply, ReplyHeader
+from swarmd.core.verbs import (
     AnyRequest,
-    Code,
-    Epoch,
     GoalRequest,
     PushRequest,
-    Refusal,
     ReloadRequest,
-    Reply,
-    ReplyHeader,
     ResumeRequest,
     RunRequest,
 )

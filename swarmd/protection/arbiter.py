@@ -7,21 +7,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping
 from types import MappingProxyType
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol, TypeGuard
 
 import numpy as np
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import NarrowestPassage, Reason
 from swarmd.core.values import ZERO, Array, Odometry, Platform, Scan, TouchZone, Twist
 from swarmd.protection.assumption_monitor import AssumptionMonitor
-from swarmd.protection.barrier import Barrier
-from swarmd.protection.compiled_barrier import CompiledBarrier, make_barrier
 from swarmd.protection.decision import NO_PERMIT, Decision, DecisionContext, ModeDecision, Permit
 from swarmd.protection.following import FollowingMonitor
 from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.modes import Off, PotentialField, StopZone
 from swarmd.protection.recovery import Clearance, Recovery
+
+if TYPE_CHECKING:
+    from swarmd.protection.barrier import Barrier
 
 _CORRIDOR_SPEED_SHARE = 0.95  # of the linear limit: the speed that a recovery corridor must allow
 _STOPPED = ModeDecision(ZERO, is_active=False)
@@ -51,6 +53,12 @@ class Arbiter(Protocol):
         """
 
 
+def make_barrier(platform: Platform) -> Barrier:
+    """The arbiter of mode `barrier`, compiled or interpreted."""
+    barrier: Barrier = load_kernel("swarmd.protection.barrier").Barrier(platform)
+    return barrier
+
+
 MODES: Mapping[str, Callable[[Platform], Arbiter]] = MappingProxyType(
     {
         "barrier": make_barrier,
@@ -64,7 +72,11 @@ MODES: Mapping[str, Callable[[Platform], Arbiter]] = MappingProxyType(
 
 def narrowest_passage(arbiter: Arbiter) -> NarrowestPassage | None:
     """What mode `barrier` lets the robot through; None for the other modes."""
-    return arbiter.narrowest_passage() if isinstance(arbiter, Barrier) else None
+    return arbiter.narrowest_passage() if _is_barrier(arbiter) else None
+
+
+def _is_barrier(arbiter: Arbiter) -> TypeGuard[Barrier]:
+    return arbiter.mode == "barrier"
 
 
 def make_arbiter(platform: Platform) -> Arbiter:
@@ -88,7 +100,7 @@ class Protection:
         self._footprint = Footprint(platform.footprint)
         self._geometry = ScanGeometry(platform.scan)
         # Of the modes only barrier assumes anything.
-        self._monitor = AssumptionMonitor(platform) if self._arbiter.mode == "barrier" else None
+        self._monitor = AssumptionMonitor(platform) if _is_barrier(self._arbiter) else None
         self._following = FollowingMonitor(platform)
         self._latency = platform.scan.latency
         self._is_running = False
@@ -119,7 +131,7 @@ class Protection:
         self._scan_seq, self._scan, self._context = scan.seq, scan, None
         arbiter, geometry = self._arbiter, self._geometry
         arbiter.observe(scan, geometry, context)
-        if isinstance(arbiter, CompiledBarrier):  # its kernel has looked at all returns
+        if _is_barrier(arbiter):  # which has looked at all returns
             self._min_gap = arbiter.min_gap
         else:
             self._min_gap = self._footprint.min_gap(scan, geometry)

@@ -2,146 +2,369 @@
 
 The speed at which the outline closes on a near return is linear in the twist. It must not exceed a
 cap from which the robot can still stop before the two touch, while the obstacle approaches at its
-assumed speed (constraints.py). The command is the one within these half-planes that is nearest to
-the requested one (projection.py), reduced if the outline would not stay clear while the robot
-brakes (stopping.py). The zero command always satisfies the constraints, moving away is free except
-for a creep speed in contact, and far from obstacles a requested command passes bit by bit.
+assumed speed. The command is the one within these half-planes that is nearest to the requested one,
+reduced if the outline would not stay clear while the robot brakes. The zero command always
+satisfies the constraints, moving away is free except for a creep speed in contact, and far from
+obstacles a requested command passes bit by bit.
 
 Sources: control barrier functions as command filters (Ames, Xu, Grizzle and Tabuada, IEEE TAC
 2017); for swarms Wang, Ames and Egerstedt, IEEE T-RO 2017; "passive safety", no own fault at
 contact: Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017. Unlike theirs, all inputs come from
 the robot's own lidar and odometry. docs/safety.md states what holds and under which assumptions.
+
+Cython compiles this file, and CPython runs it where it is not compiled (core/kernels.py). A NaN
+counts as the greatest and as the smallest number, so that a constraint that is not known forbids
+motion. A row is a constraint a x + b y <= cap on the two speeds, each over its limit.
 """
 
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, TypeAlias
+from array import array
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
-from numpy.typing import NDArray
 
 from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError
-from swarmd.core.messages import NarrowestPassage
-from swarmd.core.values import ZERO, Array, Platform, Pose, Scan, TouchZone, Twist
-from swarmd.protection.blind_zone import BlindZoneMemory, blind_zone_memory
-from swarmd.protection.constraints import (
-    CREEP_GAIN,
-    CREEP_SPEED,
-    LIMIT_BOX,
-    MIN_BRAKING,
-    SIDE_ANGLE,
-    SIDE_RESERVE,
-    SLOW_REQUEST,
-    BindingRange,
-    Constraints,
-    concatenated,
-    direction_and_speed,
-    envelope,
-    half_planes,
-    hidden_gaps,
-    in_touch_zone,
-    linear_limit,
-    passive_caps,
-    placed,
-    reciprocal_caps,
-    report,
-    side_constraints,
-    touch_directions,
+from swarmd.core.kernels import load_kernel
+from swarmd.core.messages import LimitingObstacle, NarrowestPassage
+from swarmd.core.values import (
+    MAX_SPEED,
+    MAX_STEP,
+    ZERO,
+    Array,
+    Limits,
+    Platform,
+    Pose,
+    Scan,
+    TouchZone,
+    Twist,
 )
-from swarmd.protection.dead_reckoning import REACTION_TIME, DeadReckoning
-from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
-from swarmd.protection.footprint import Footprint, ScanGeometry, Separations
-from swarmd.protection.projection import TOLERANCE, Point, nearest_feasible
+from swarmd.protection.binding_range import REACTION_TIME, BindingRange
+from swarmd.protection.decision import DecisionContext, ModeDecision
+from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.protection.recovery import Clearance
 from swarmd.protection.settings import BarrierSettings
-from swarmd.protection.stopping import SPEED_SHARES, StopCheck
-from swarmd.sensing.odometry_history import MAX_EXTRAPOLATION, relative
+from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
+from swarmd.sensing.rays import unit_vectors
 
-AGE_TOLERANCE = 1e-6  # s, for the rounding of ages
+if TYPE_CHECKING:  # Cython reads this import, CPython the other one
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import atan2, copysign, cos, fabs, hypot, remainder, sin, sqrt
+else:
+    from swarmd.core.cython_shadow import atan2, copysign, cos, fabs, hypot, remainder, sin, sqrt
+
+CREEP_SPEED = cython.declare(cython.double, 0.015)
+"""m/s: the fastest corner in contact, where part of the obstacle may be unseen.
+
+Also that of a robot that creeps towards an obstacle which stops any faster robot.
+"""
+SLOW_REQUEST = cython.declare(cython.double, 3.0 * CREEP_SPEED)
+"""m/s: a robot that is asked for more does not creep towards an obstacle."""
+CREEP_GAIN = cython.declare(cython.double, 1e-6)
+"""By which creeping must be nearer to the requested command, in speeds over their limits."""
+MIN_BRAKING = cython.declare(cython.double, 0.02)
+"""m/s2, for constraints that hardly any motion closes."""
+SIDE_ANGLE = math.radians(60.0)
+"""rad between a return and its two side constraints."""
+SIDE_RESERVE = 0.25
+"""Share of `others_speed` by which a corner passes an obstacle more slowly, if none is given.
+
+With 0 attackers met a Waffle Pi at up to 5.2 cm/s at a corner that slid past them, with 0.1 at 3.4,
+with 0.25 at 1.5.
+"""
+NEGLIGIBLE_SPEED = cython.declare(cython.double, 0.015)
+"""m/s: closing at a speed up to this is no approach."""
+FAULT_SPEED = cython.declare(cython.double, 0.02)
+"""m/s: a contact at a closing speed up to this is not a fault of the robot."""
+TOLERANCE = cython.declare(cython.double, 1e-12)
+"""By how much rounding may violate a constraint."""
+BINDING_TOLERANCE = cython.declare(cython.double, 1e-9)
+"""How near a constraint that counts as tight is to the point."""
+MAX_REPORTED = cython.declare(cython.Py_ssize_t, 4)
+"""Constraints that a decision reports."""
+
+_AGE_TOLERANCE = cython.declare(cython.double, 1e-6)  # s, for the rounding of ages
+# m: rounding decides the direction of a nearer place
+_AT_AXLE = cython.declare(cython.double, 1e-9)
+# m, of the way of an outline: prunes nothing that binds
+_ROUNDING = cython.declare(cython.double, 1e-9)
+_SLACK = cython.declare(cython.double, 1e-6)  # far beyond BINDING_TOLERANCE
+_SAME_FACE = 1e-9  # m by which corners of one face may differ
+_TOUCH_STEP = math.radians(15.0)  # directions between two of these are at most 1 % faster
 _PASSAGE_SLACK = 0.03  # m per side by which a passage must be wider: noise, a turning lidar
 _CORRIDOR_SPEED = 0.08  # m/s: what counts as passing a corridor
 _PLACES_BESIDE = 33  # along each wall of a corridor, odd: one lies beside a lidar in the middle
-_MAX_ENVELOPES = 8  # kept at a time: a holonomic base moves in any direction
+_STEPS = cython.declare(cython.Py_ssize_t, 4)  # poses of a simulated stop
+
+_tick = cython.declare(cython.double, TICK)
+_side_cos = cython.declare(cython.double, math.cos(SIDE_ANGLE))
+_side_sin = cython.declare(cython.double, math.sin(SIDE_ANGLE))
+_max_extrapolation = cython.declare(cython.double, MAX_EXTRAPOLATION)
+_max_step = cython.declare(cython.double, MAX_STEP)
+_max_speed = cython.declare(cython.double, MAX_SPEED)
+_reaction = cython.declare(cython.double, REACTION_TIME)
+_history = cython.declare(cython.Py_ssize_t, HISTORY)
+_inf = cython.declare(cython.double, math.inf)
+_pi = cython.declare(cython.double, math.pi)
 
 
-class _NearObstacles(NamedTuple):
-    """The near obstacles of one scan, in the base frame at the time it was taken.
-
-    Points `x`, `y` (k,) m in the order of rising `gaps` (k,) m, measured `ages` (k,) s before that
-    time. The first c of them lie on the outline, along the unit vectors `rays` (c, 2) of returns
-    that are too close to measure. `is_near`: an obstacle is so near that the envelope applies.
-    `oldest` is the greatest age of a ray of the scan in s.
-    """
-
-    x: Array
-    y: Array
-    gaps: Array
-    ages: Array
-    rays: Array
-    is_near: bool
-    oldest: float
+def _view(values: Array):
+    """`values` (n,) or (n, m) as the kernel reads them: in CPython as numbers of Python."""
+    table = np.ascontiguousarray(values, np.float64)
+    if not cython.compiled:
+        return memoryview(table) if table.ndim > 1 else table.tolist()
+    return table
 
 
-class _Placed(NamedTuple):
-    """All obstacles (o,) in the base frame at which a command takes effect: seen, then told ones.
-
-    Points `x`, `y` m at `gaps` m from the outline, measured `ages` s before; `free` m must stay
-    free around each. Within `contact` m unseen parts may touch the robot. `rows`: the index of the
-    first constraint of each.
-    """
-
-    rows: NDArray[np.intp]
-    x: Array
-    y: Array
-    gaps: Array
-    ages: Array
-    free: Array
-    contact: Array
-
-    def beyond(self, first: int) -> _Placed:
-        """Those from an index on."""
-        return _Placed(self.rows[first:], *(part[first:] for part in self[1:]))
-
-    def followed_by(self, other: _Placed) -> _Placed:
-        """These, then the others."""
-        rows = np.concatenate((self.rows, other.rows))
-        pairs = zip(self[1:], other[1:], strict=True)
-        return _Placed(rows, *(np.concatenate(pair) for pair in pairs))
+def _doubles(count):
+    """A buffer of `count` doubles, all 0."""
+    return array("d", bytes(8 * count)) if cython.compiled else [0.0] * count
 
 
-_Situation: TypeAlias = tuple[DecisionContext, Point, TouchZone | None]
+def _indices(count):
+    """A buffer of `count` indices, all 0."""
+    return array("q", bytes(8 * count)) if cython.compiled else [0] * count
 
 
-class _Feasible(NamedTuple):
-    """The feasible commands of a situation, with its obstacles and their constraints `rows`.
-
-    The first `seen` obstacles were seen, the others told. `normals` (r, 2) and `caps` (r,): the
-    constraints and the envelope, in speeds over their limits. `creeping`: both for a robot that
-    creeps instead; None where it must not.
-    """
-
-    situation: _Situation
-    rows: Constraints
-    placed: _Placed
-    seen: int
-    normals: Array
-    caps: Array
-    creeping: tuple[Array, Array] | None
+def _envelope_directions() -> Array:
+    angles = 2.0 * np.pi * np.arange(48) / 48
+    directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    directions /= np.abs(directions).max(axis=1)[:, None]
+    return directions
 
 
-_NO_RAYS = np.empty((0, 2))
-_NO_OBSTACLES = _NearObstacles(
-    np.empty(0), np.empty(0), np.empty(0), np.empty(0), _NO_RAYS, is_near=False, oldest=0.0
-)
+def _speed_shares() -> Array:
+    grid = (1.0, 0.75, 0.5, 0.25, 0.0)
+    shares = [(a, b) for a in grid for b in grid if (a, b) != (1.0, 1.0)]
+    shares.sort(key=lambda share: (1.0 - share[0]) ** 2 + (1.0 - share[1]) ** 2)
+    return np.array(shares)
 
 
+_ENVELOPE_DIRECTIONS = _view(_envelope_directions())
+"""(48, 2) directions of the envelope, on the box of the limits, whose corners are among them."""
+_SPEED_SHARES = _view(_speed_shares())
+"""Shares of the two speeds, those nearest to the whole first; the last is zero."""
+_NO_ROWS = _view(np.empty((0, 4)))
+_NO_AGES = _view(np.empty(0))
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _maximum(a: cython.double, b: cython.double) -> cython.double:
+    """The greater; NaN if one is."""
+    return a if a > b or a != a else b
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _sign(a: cython.double) -> cython.double:
+    return 1.0 if a > 0.0 else (-1.0 if a < 0.0 else 0.0)
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _same(a: cython.double, b: cython.double) -> cython.bint:
+    """True if they are equal, or both NaN."""
+    return a == b or (a != a and b != b)
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _mean(
+    now: cython.double, wanted: cython.double, rate: cython.double, seconds: cython.double
+) -> cython.double:
+    """The mean speed over `seconds` on a ramp of `rate` from `now` to `wanted`."""
+    change: cython.double = wanted - now
+    ramp: cython.double = fabs(change) / rate
+    if ramp >= seconds:
+        return now + copysign(0.5 * rate * seconds, change)
+    return now + change * (1.0 - 0.5 * ramp / seconds)
+
+
+@cython.final
+@cython.cclass
 class Barrier:
     """The arbiter of mode `barrier`. Units: m, s, rad."""
 
     mode = "barrier"
+
+    _settings: BarrierSettings
+    _spec: object
+    _limits: Limits
+    _outline: Footprint
+    _memory: object
+    _given: object  # directions of the rays, as the scan's geometry has them
+    _odometry: object
+    _touch: object
+    _told_ones: tuple
+    _decision: object
+    # The settings and what follows from them.
+    _others: cython.double
+    _unseen_extent: cython.double
+    _margin: cython.double
+    _braking_linear: cython.double
+    _braking_angular: cython.double
+    _surface_speed: cython.double
+    _is_passive: cython.bint
+    _keep_out: cython.double  # NaN: no circle
+    _angular_limit: cython.double
+    _offset_x: cython.double
+    _offset_y: cython.double
+    _radius: cython.double
+    _inner: cython.double
+    _outer: cython.double
+    _blind: cython.double
+    _fresh: cython.double
+    _fastest: cython.double
+    _within: cython.double
+    _stale: cython.double
+    _side_reserve: cython.double
+    _may_creep: cython.bint
+    # The outline: corners, and for each edge its direction, normal and their origins.
+    _edges: cython.Py_ssize_t
+    _corner_x: cython.double[::1]
+    _corner_y: cython.double[::1]
+    _axis_x: cython.double[::1]
+    _axis_y: cython.double[::1]
+    _origin: cython.double[::1]
+    _length: cython.double[::1]
+    # The separation found last.
+    _gap_found: cython.double
+    _nx: cython.double
+    _ny: cython.double
+    _lever: cython.double
+    # Readings of odometry, seven numbers each, the last at `_last`.
+    _readings: cython.double[::1]
+    _last: cython.Py_ssize_t
+    _known: cython.Py_ssize_t
+    _version: cython.Py_ssize_t
+    _resets: cython.Py_ssize_t
+    # The pose found last, and that of the last scan; of the motion between two scans.
+    _pose_x: cython.double
+    _pose_y: cython.double
+    _pose_yaw: cython.double
+    _taken_x: cython.double
+    _taken_y: cython.double
+    _taken_yaw: cython.double
+    _taken: cython.double
+    _lag: cython.double
+    _oldest: cython.double
+    _late: cython.double
+    _scan_resets: cython.Py_ssize_t
+    _moved_x: cython.double
+    _moved_y: cython.double
+    _moved_yaw: cython.double
+    _seconds: cython.double
+    # The rays, and the near obstacles of the last scan: contacts first, then by rising gaps.
+    _directions: cython.double[:, ::1]
+    _points: cython.Py_ssize_t
+    _contacts: cython.Py_ssize_t
+    _is_near: cython.bint
+    _x: cython.double[::1]
+    _y: cython.double[::1]
+    _gap: cython.double[::1]
+    _age: cython.double[::1]
+    _ray_x: cython.double[::1]
+    _ray_y: cython.double[::1]
+    _ray_age: cython.double[::1]
+    _found_x: cython.double[::1]
+    _found_y: cython.double[::1]
+    _found_gap: cython.double[::1]
+    _found_age: cython.double[::1]
+    _order: cython.longlong[::1]
+    _spare: cython.longlong[::1]
+    # Obstacles that the robot is told of: rows of x, y, radius, age; the first `_discs` may bind.
+    _told: cython.double[:, ::1]
+    _discs: cython.Py_ssize_t
+    _disc: cython.longlong[::1]
+    # The touch zone: speed, direction, cosine of its half width, and rows of nx, ny, x, y.
+    _has_touch: cython.bint
+    _touch_speed: cython.double
+    _touch_x: cython.double
+    _touch_y: cython.double
+    _touch_cos: cython.double
+    _touch_table: cython.double[:, ::1]
+    # The situation of the feasible set.
+    _has_situation: cython.bint
+    _now: cython.double
+    _scan_age: cython.double
+    _odometry_age: cython.double
+    _at_version: cython.Py_ssize_t
+    _along_x: cython.double
+    _along_y: cython.double
+    _limit: cython.double
+    # The feasible set: placed points, `_count` seen and then `_discs` told ones, and rows: of seen
+    # points, then of told ones, and of the envelope.
+    _free: cython.double
+    _count: cython.Py_ssize_t
+    _rows: cython.Py_ssize_t
+    _all: cython.Py_ssize_t
+    _placed_x: cython.double[::1]
+    _placed_y: cython.double[::1]
+    _placed_gap: cython.double[::1]
+    _placed_free: cython.double[::1]
+    _placed_age: cython.double[::1]
+    _placed_contact: cython.double[::1]
+    _radius_of: cython.double[::1]
+    _first_row: cython.longlong[::1]
+    _normal_x: cython.double[::1]
+    _normal_y: cython.double[::1]
+    _near: cython.longlong[::1]
+    _inside: cython.longlong[::1]
+    _row_x: cython.double[::1]
+    _row_y: cython.double[::1]
+    _row_cap: cython.double[::1]
+    _row_gap: cython.double[::1]
+    _kept_cap: cython.double[::1]
+    # The cap of a robot that creeps in m/s; 0 where it must not.
+    _creep_cap: cython.double
+    _is_creeping: cython.bint
+    _source: cython.longlong[::1]
+    # Two envelopes: while creeping and else.
+    _envelope_x: cython.double[:, ::1]
+    _envelope_y: cython.double[:, ::1]
+    _envelope_cap: cython.double[:, ::1]
+    _envelope_along_x: cython.double[2]
+    _envelope_along_y: cython.double[2]
+    _way_x: cython.double[::1]
+    _way_y: cython.double[::1]
+    # The polygon of a projection, and the one clipped from it.
+    _sides: cython.Py_ssize_t
+    _poly_x: cython.double[::1]
+    _poly_y: cython.double[::1]
+    _clip_x: cython.double[::1]
+    _clip_y: cython.double[::1]
+    _point_x: cython.double
+    _point_y: cython.double
+    # The stop check: poses of a simulated stop, of which the first `_poses` count.
+    _stop_x: cython.double[4]
+    _stop_y: cython.double[4]
+    _stop_cos: cython.double[4]
+    _stop_sin: cython.double[4]
+    _stop_way: cython.double[4]
+    _stop_v: cython.double[4]
+    _stop_w: cython.double[4]
+    _poses: cython.Py_ssize_t
+    _shares: cython.double[:, ::1]
+    _forbidding: cython.Py_ssize_t
+    _beside: cython.Py_ssize_t
+    # The last request and its result.
+    _is_decided: cython.bint
+    _is_limited: cython.bint
+    _asked_speed: cython.double
+    _asked_angular: cython.double
+    _linear: cython.double
+    _angular: cython.double
+    _min_gap: object
 
     def __init__(self, platform: Platform) -> None:
         given = platform.protection["barrier"]
@@ -152,56 +375,89 @@ class Barrier:
             )
         self._settings = settings = msgspec.convert(given, BarrierSettings)
         self._limits, self._spec = platform.limits, platform.scan
-        self._outline = Footprint(platform.footprint)
-        self._offset = platform.scan.offset
-        self._envelopes: dict[tuple[Point, float], tuple[Array, Array]] = {}
-        self._feasible: _Feasible | None = None
-        self._decided: tuple[_Feasible, Twist, ModeDecision] | None = None
-        self._dead_reckoning = DeadReckoning(settings.braking_linear, settings.braking_angular)
-        self._binding_range = BindingRange(platform, settings, TICK)
-        self._surface_speed = self._binding_range.surface
-        self._memory: BlindZoneMemory | None = None
-        if self._spec.near == "lost" and self._spec.range_min > 0.0:
-            speed = settings.others_speed + self._binding_range.own
-            self._memory = blind_zone_memory(self._spec.range_min, speed, 1.0 / self._spec.rate)
+        self._outline = outline = Footprint(platform.footprint)
+        is_passive = settings.responsibility == "passive"
+        self._others = settings.others_speed
+        self._unseen_extent = settings.unseen_extent
+        self._margin = settings.margin
+        self._braking_linear = settings.braking_linear
+        self._braking_angular = settings.braking_angular
+        self._is_passive = is_passive
+        self._keep_out = math.nan if settings.keep_out is None else settings.keep_out
+        self._angular_limit = platform.limits.angular
+        self._offset_x, self._offset_y = offset = platform.scan.offset
         self._radius = float(np.hypot(*platform.footprint.T).max())
-        self._stop_check = StopCheck(
-            self._outline, settings.braking_linear, settings.braking_angular, TICK
-        )
+        self._inner, self._outer = outline.circles(offset)
+        binding = BindingRange(platform, settings, TICK)
+        self._surface_speed, self._stale = binding.surface, binding.stale
+        self._fresh, self._fastest = binding.fresh, binding.fastest
+        within = settings.envelope_within
+        self._within = binding.for_envelope() if within is None else within
         can_hide = platform.scan.near != "reported" and settings.keep_out is None
         self._blind = platform.scan.range_min if can_hide else 0.0
         reserve = settings.side_reserve
         reserve = SIDE_RESERVE * settings.others_speed if reserve is None else reserve
-        self._side_reserve = reserve if settings.responsibility == "passive" else 0.0
+        self._side_reserve = reserve if is_passive else 0.0
         # Where a disc may touch the robot is not known well enough to creep past it.
-        self._may_creep = platform.ranges is None and settings.keep_out is None
-        self._may_creep &= settings.responsibility == "passive"
-        self._obstacles, self._taken_at, self._taken = _NO_OBSTACLES, Pose(), -math.inf
-        self._lag, self._clock_resets = 0.0, 0
-        self._outer = float(np.hypot(*(platform.footprint - self._offset).T).max())
-        self._stale, given_within = self._binding_range.stale, settings.envelope_within
-        self._within = self._binding_range.for_envelope() if given_within is None else given_within
+        self._may_creep = platform.ranges is None and settings.keep_out is None and is_passive
+        if platform.scan.near == "lost" and platform.scan.range_min > 0.0:
+            speed = settings.others_speed + binding.own
+            blind_zone = load_kernel("swarmd.protection.blind_zone")
+            self._memory = blind_zone.BlindZoneMemory(
+                platform.scan.range_min, speed, 1.0 / platform.scan.rate
+            )
+        self._edges = len(outline.corners)
+        self._corner_x, self._corner_y = (_view(column) for column in outline.corners.T)
+        self._axis_x, self._axis_y = (_view(column) for column in outline.axes.T)
+        self._origin, self._length = _view(outline.origins), _view(outline.lengths)
+        self._readings = _doubles(7 * HISTORY)
+        self._taken = -_inf
+        self._directions = self._told = self._touch_table = _NO_ROWS
+        self._told_ones, self._decision = (), ModeDecision(ZERO, is_active=False)
+        self._reserve_points(64)
+        self._reserve_placed(64)
+        self._disc = _indices(8)
+        self._ray_x, self._ray_y, self._ray_age = _doubles(16), _doubles(16), _doubles(16)
+        self._reserve_rows(256)
+        count: cython.Py_ssize_t = len(_ENVELOPE_DIRECTIONS)
+        self._way_x, self._way_y = _doubles(count), _doubles(count)
+        self._envelope_x = _view(np.zeros((2, count)))
+        self._envelope_y = _view(np.zeros((2, count)))
+        self._envelope_cap = _view(np.zeros((2, count)))
+        self._poly_x, self._poly_y = _doubles(64), _doubles(64)
+        self._clip_x, self._clip_y = _doubles(64), _doubles(64)
+        self._shares = _SPEED_SHARES
+
+    # The room that the robot needs.
 
     def clearance(self, speed: float) -> Clearance:
         """The clearance needed to drive at `speed`: ahead, and to each side."""
-        settings, braking = self._settings, np.array([self._settings.braking_linear])
-        age = 0.5 / self._spec.rate + self._spec.latency + REACTION_TIME
+        i: cython.Py_ssize_t
+        settings = self._settings
+        corners = self._outline.corners
+        age: cython.double = 0.5 / self._spec.rate + self._spec.latency + REACTION_TIME
+        front: cython.double = float(corners[:, 0].max())
+        ahead: cython.double = 5.0
+        for i in range(100):
+            if self._fastest_at(0.05 * i, front, age) >= speed:
+                ahead = 0.05 * i
+                break
+        body = float(np.abs(corners[:, 1]).max())
+        beside = body + settings.margin + settings.unseen_extent + 0.06
+        return Clearance(ahead, max(beside, settings.keep_out or 0.0), body)
 
-        def fastest(distance: float) -> float:
-            """The speed ahead that an obstacle at a distance from the axle allows."""
-            gap = distance - float(self._outline.corners[:, 0].max())
-            room = np.array([gap - settings.margin - settings.unseen_extent])
-            caps = self._caps(room, braking, age)
-            if settings.keep_out is not None:
-                left = np.array([distance - self._offset[0] - settings.keep_out])
-                caps = np.minimum(caps, reciprocal_caps(left, braking, age, TICK))
-            return float(caps[0])
-
-        ahead = next((d for d in np.arange(0.0, 5.0, 0.05) if fastest(d) >= speed), 5.0)
-        beside = float(np.abs(self._outline.corners[:, 1]).max())
-        body = beside
-        beside += settings.margin + settings.unseen_extent + 0.06
-        return Clearance(float(ahead), max(beside, settings.keep_out or 0.0), body)
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _fastest_at(
+        self, distance: cython.double, front: cython.double, age: cython.double
+    ) -> cython.double:
+        """The speed ahead that an obstacle at a distance from the axle allows."""
+        room: cython.double = distance - front - self._margin - self._unseen_extent
+        cap: cython.double = self._cap(room, self._braking_linear, age)
+        if self._keep_out == self._keep_out:
+            room = distance - self._offset_x - self._keep_out
+            cap = min(cap, self._reciprocal_cap(room, self._braking_linear, age))
+        return cap
 
     def narrowest_passage(self) -> NarrowestPassage:
         """The narrowest door, corridor and meeting that protection lets this robot through.
@@ -233,11 +489,14 @@ class Barrier:
     def _contact_gap_beside(self) -> float:
         """m from the outline within which a wall along the way may touch the robot unseen."""
         corners = self._outline.corners[:, 0]
-        places = np.linspace(corners.min(), corners.max(), _PLACES_BESIDE)
-        x = np.concatenate((places, places))
-        y = np.repeat((-2.0 * self._outer, 2.0 * self._outer), _PLACES_BESIDE)
-        hidden = hidden_gaps(self._outline.separations(x, y), x, y, self._offset, self._blind)
-        return self._settings.margin + self._settings.unseen_extent + float(hidden.max())
+        hidden: cython.double = 0.0
+        for x in np.linspace(corners.min(), corners.max(), _PLACES_BESIDE).tolist():
+            for y in (-2.0 * self._outer, 2.0 * self._outer):
+                self._separate(x, y)
+                hidden = _maximum(hidden, self._hidden_gap(x, y))
+        return self._margin + self._unseen_extent + hidden
+
+    # What an arbiter is given, and its decisions.
 
     def observe(self, scan: Scan, geometry: ScanGeometry, context: DecisionContext) -> None:
         """Take in a new scan: find the returns that are near enough to constrain the robot.
@@ -246,27 +505,29 @@ class Barrier:
         the conditioner remembers of that sector. A scan that is not newer than the last one by this
         age is ignored: the last one is dead-reckoned, the remembered sector is not.
         """
-        self._dead_reckoning.update(context)
-        ages = np.zeros(len(scan.ranges)) if scan.ages is None else scan.ages
-        oldest = float(ages.max(initial=0.0))
-        latency = self._newest_age(scan) + context.scan_delay
-        age = context.scan_age or 0.0
-        taken = context.now - latency - age
-        if age > 0.0 and taken < self._taken + AGE_TOLERANCE:
+        if context.odometry is not None:
+            self._record(context.odometry)
+        directions = geometry.directions(scan)
+        if directions is not self._given:
+            self._given, self._directions = directions, _view(directions)
+        ranges = _view(scan.ranges)
+        ages = _NO_AGES if scan.ages is None else _view(scan.ages)
+        age: cython.double = context.scan_age or 0.0
+        odometry_age: cython.double = context.odometry_age or 0.0
+        newest = self._newest_age(scan)
+        if not self._begin_scan(context.now, age, newest, context.scan_delay, odometry_age, ages):
+            self._find_min_gap(ranges, scan.range_min)
             return
-        pose = self._dead_reckoning.pose(context, latency)
-        if self._memory is not None:
-            seconds, last = max(taken - self._taken, 0.0), self._taken_at
-            if self._clock_resets != self._dead_reckoning.clock_resets:  # by the speed alone
-                last = self._dead_reckoning.pose(context, latency + min(seconds, self._stale))
-            self._memory.update(scan, geometry, relative(pose, last), seconds)
-        self._taken_at, self._taken = pose, taken
-        self._lag, self._clock_resets = age, self._dead_reckoning.clock_resets
-        late = context.scan_delay + oldest
-        self._obstacles = self._near_obstacles(scan, geometry, ages, oldest, late)
-        self._feasible = None
+        hidden = _NO_ROWS
+        memory = self._memory
+        if memory is not None:
+            moved = Pose(self._moved_x, self._moved_y, self._moved_yaw)
+            memory.update(scan, geometry, moved, self._seconds)
+            if len(memory.bearings):
+                hidden = _view(_rays_and_ranges(memory.bearings, memory.nearest))
+        self._take_scan(ranges, scan.range_min, ages, hidden)
 
-    def _newest_age(self, scan: Scan) -> float:
+    def _newest_age(self, scan):
         """How old the newest ray of a scan was on arrival in s, by the platform's latency.
 
         Rays of the scan before, which fill a sector that a turn left unmeasured, change the mean of
@@ -278,366 +539,1506 @@ class Barrier:
         mean = float(ages.mean()) if ages is not None and len(ages) else 0.0
         return max(self._spec.latency - mean, 0.0)
 
+    @property
+    def min_gap(self) -> float | None:
+        """The m from the outline to the nearest return of the last scan; None without a return."""
+        return self._min_gap
+
     def decide(
         self, requested: Twist, context: DecisionContext, *, command: Twist, touch: TouchZone | None
     ) -> ModeDecision:
         """The feasible command nearest to `requested`; `requested` itself if it is feasible."""
-        self._dead_reckoning.update(context)
-        obstacles = self._obstacles
-        is_free = touch is None and not (obstacles.is_near or len(obstacles.x))
-        is_free = is_free and not self._told_near(context)
-        if requested.is_zero or is_free:
+        odometry = context.odometry
+        if odometry is not None and odometry is not self._odometry:
+            self._record(odometry)
+        if touch is not self._touch and touch != self._touch:
+            self._grant(touch)
+        told = context.told + context.near if context.near else context.told
+        if told != self._told_ones:
+            self._set_told(told)
+        self._find_discs()
+        is_free: cython.bint = not (self._has_touch or self._is_near or self._points or self._discs)
+        along_x: cython.double = 1.0
+        along_y: cython.double = 0.0
+        speed: cython.double = requested.linear
+        angular: cython.double = requested.angular
+        lateral: cython.double = requested.lateral
+        if is_free or (speed == 0.0 and angular == 0.0 and lateral == 0.0):
             return ModeDecision(requested, is_active=False)
-        if self._clock_resets != self._dead_reckoning.clock_resets:
-            return ModeDecision(ZERO, is_active=True)  # the last scan has no valid pose any more
-        along, speed = direction_and_speed(requested)
-        limits = linear_limit(self._limits, along), self._limits.angular
-        feasible = self._feasible_commands((context, along, touch), command, limits)
-        if (
-            self._decided is None
-            or self._decided[0] is not feasible
-            or self._decided[1] != requested
-        ):
-            self._decided = feasible, requested, self._limited(requested, speed, limits, feasible)
-        return self._decided[2]
-
-    def _limited(
-        self, requested: Twist, speed: float, limits: Point, feasible: _Feasible
-    ) -> ModeDecision:
-        """The decision on a request at a linear `speed` in m/s in the direction of `feasible`."""
-        along = feasible.situation[1]
-        wanted = speed / limits[0], requested.angular / limits[1]
-        point, tight = nearest_feasible(wanted, LIMIT_BOX, feasible.normals, feasible.caps)
-        s, angular = point[0] * limits[0], point[1] * limits[1]
-        s, angular = self._with_clear_stop(s, angular, limits, feasible)
-        if point == wanted and (s, angular) == (point[0] * limits[0], point[1] * limits[1]):
+        if self._scan_resets != self._resets:  # the last scan has no valid pose any more
+            return ModeDecision(ZERO, is_active=True)
+        limit: cython.double = self._limits.linear
+        if lateral != 0.0:
+            speed = hypot(requested.linear, lateral)
+            along_x, along_y = requested.linear / speed, lateral / speed
+            limit = linear_limit(self._limits, along_x, along_y)
+        is_same: cython.bint = self._keep_situation(
+            context.now,
+            math.nan if context.scan_age is None else context.scan_age,
+            math.nan if context.odometry_age is None else context.odometry_age,
+            -1 if odometry is None else self._version,
+            along_x,
+            along_y,
+        )
+        if not is_same:
+            self._limit = limit
+            self._build(command.linear, command.angular, command.lateral)
+            self._has_situation = True
+        elif self._is_decided and self._asked_speed == speed and self._asked_angular == angular:
+            return self._decision if self._is_limited else ModeDecision(requested, is_active=False)
+        self._is_decided = False
+        self._asked_speed, self._asked_angular = speed, angular
+        self._is_limited = self._judge(speed, angular)
+        self._is_decided = True
+        if not self._is_limited:
             return ModeDecision(requested, is_active=False)
-        rows = feasible.rows
-        if feasible.creeping is not None and 0.0 < abs(speed) <= SLOW_REQUEST:
-            slow, by = nearest_feasible(wanted, LIMIT_BOX, *feasible.creeping)
-            off = math.hypot(s / limits[0] - wanted[0], angular / limits[1] - wanted[1])
-            if math.hypot(slow[0] - wanted[0], slow[1] - wanted[1]) < off - CREEP_GAIN:
-                s, angular, tight = slow[0] * limits[0], slow[1] * limits[1], by
-                rows = rows._replace(caps=feasible.creeping[1][: len(rows.caps)])
-        if not tight and len(feasible.placed.rows):  # limited by the stop: the nearest obstacle
-            first = feasible.placed.rows
-            tight = [int(first[rows.gaps[first].argmin()])]
-        twist = Twist(s * along[0], angular, s * along[1])
-        return ModeDecision(twist, is_active=True, rows=report(rows, tight, self._outline))
+        twist = Twist(self._linear * along_x, self._angular, self._linear * along_y)
+        self._decision = ModeDecision(twist, is_active=True, rows=self._report())
+        return self._decision
 
-    def _feasible_commands(self, situation: _Situation, command: Twist, limits: Point) -> _Feasible:
-        """The feasible commands, computed once for all requested commands of one situation."""
-        if self._feasible is None or self._feasible.situation != situation:
-            context, along, touch = situation
-            rows, seen = self._constraints(self._obstacles, context, command, along, touch)
-            placed, told = seen, self._told_near(context)
-            for one in told:
-                rows, placed = self._with_told(rows, placed, one, context, command, along)
-            is_touching = bool(((seen.gaps <= seen.contact) & (rows.caps[seen.rows] <= 0.0)).any())
-            is_touching |= self._may_touch(placed.beyond(len(seen.rows)))
-            speed = CREEP_SPEED if is_touching else self._surface_speed
-            normals = np.array((rows.linear * limits[0], rows.lever * limits[1])).T
-            bounds, creeping = (normals, rows.caps), None
-            is_near = self._obstacles.is_near
-            if is_near or told:
-                bounds = self._with_envelope(normals, rows.caps, along, limits, speed)
-            rest = 0.5 * (seen.gaps - seen.contact) / (seen.ages + TICK)
-            least = float(rest.min(initial=CREEP_SPEED))
-            if self._may_creep and least > 0.0 and touch is None and not told and is_near:
-                caps = np.maximum(rows.caps, least)
-                creeping = self._with_envelope(normals, caps, along, limits, CREEP_SPEED)
-            self._feasible = _Feasible(situation, rows, placed, len(seen.rows), *bounds, creeping)
-        return self._feasible
-
-    def _with_clear_stop(
-        self, s: float, angular: float, limits: Point, feasible: _Feasible
-    ) -> tuple[float, float]:
-        """The speeds, or less if the outline would not stay clear while the robot brakes."""
-        _, along, touch = feasible.situation
-        settings, first = self._settings, len(self._obstacles.rays)
-        placed = feasible.placed
-        seconds = TICK + max(
-            abs(s) / settings.braking_linear, abs(angular) / settings.braking_angular
-        )
-        others = settings.others_speed if settings.responsibility == "passive" else 0.0
-        need = placed.free + others * placed.ages
-        reached = need + others * seconds + (abs(s) + abs(angular) * self._radius) * seconds
-        near = np.flatnonzero(placed.gaps[first:] <= reached[first:]) + first
-        if touch is not None:
-            separations = self._outline.separations(placed.x[near], placed.y[near])
-            near = near[~in_touch_zone(separations, touch) | (near >= feasible.seen)]
-        if not len(near):
-            return s, angular
-        # Of two speeds, one of which opens what the other closes, a share of one may close.
-        wanted = np.array((s / limits[0], angular / limits[1]))
-        excess = (SPEED_SHARES * wanted) @ feasible.normals.T - feasible.caps
-        shares = SPEED_SHARES[(excess <= TOLERANCE).all(axis=1)]
-        points = np.stack((placed.x[near], placed.y[near]), axis=1)
-        speeds = self._stop_check.limited(
-            np.array((s, angular)),
-            np.array(along),
-            points,
-            placed.gaps[near],
-            need[near],
-            need[near] - settings.margin,
-            others,
-            shares,
-        )
-        return float(speeds[0]), float(speeds[1])
-
-    def _may_touch(self, told: _Placed) -> bool:
-        """Whether a told obstacle may touch the robot.
-
-        It is somewhere in its disc. Once the disc may have reached the outline, the direction to
-        its middle does not show on which side the obstacle is.
-        """
-        settings = self._settings
-        left = told.gaps - (told.free - settings.margin)
-        return bool((left <= settings.others_speed * (told.ages + TICK)).any())
-
-    def _with_envelope(
-        self, normals: Array, caps: Array, along: Point, limits: Point, speed: float
-    ) -> tuple[Array, Array]:
-        """Normals and caps, with those of the envelope for a speed in m/s."""
-        key = along, speed
-        if key not in self._envelopes:
-            if len(self._envelopes) > _MAX_ENVELOPES:
-                self._envelopes.clear()
-            self._envelopes[key] = half_planes(
-                envelope(self._outline.corners, along, limits, speed)
-            )
-        more, others = self._envelopes[key]
-        return np.concatenate((normals, more)), np.concatenate((caps, others))
-
-    def _constraints(
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _keep_situation(
         self,
-        obstacles: _NearObstacles,
-        context: DecisionContext,
-        command: Twist,
-        along: Point,
-        touch: TouchZone | None,
-    ) -> tuple[Constraints, _Placed]:
-        """All constraints of seen obstacles, first one for each near point, and these points."""
-        frame = relative(self._taken_at, self._dead_reckoning.predicted_pose(context, command))
-        age = context.now - self._taken + REACTION_TIME
-        furthest = self._binding_range.for_scan_age(age + obstacles.oldest)
-        count = int(obstacles.gaps.searchsorted(furthest))
-        ages = age + obstacles.ages[:count]
-        x, y = placed(obstacles.x[:count], obstacles.y[:count], frame)
-        separations = self._outline.separations(x, y)
-        frees = np.full(count, self._free(context))
-        contact = frees + hidden_gaps(separations, x, y, self._offset, self._blind)
-        seen = _Placed(np.arange(count), x, y, separations.gap, ages, frees, contact)
-        rows = self._obstacle_constraints(separations, seen, along)
-        if self._settings.unseen_extent > 0.0:
-            contacts = len(obstacles.rays)  # their places on the outline are a guess
-            rows = concatenated(rows, self._corner_constraints(seen.beyond(contacts), along))
-        if len(obstacles.rays):
-            rows = self._with_contacts(rows, obstacles, frame, along)
-        if self._settings.keep_out is not None:
-            rows = self._with_keep_out(rows, self._settings.keep_out, along, ages)
-        if touch is not None:
-            rows = self._with_touch_zone(rows, touch, along)
-        return rows, seen
+        now: cython.double,
+        scan_age: cython.double,
+        odometry_age: cython.double,
+        version: cython.Py_ssize_t,
+        along_x: cython.double,
+        along_y: cython.double,
+    ) -> cython.int:
+        """1 if the constraints of the last decision hold again; else take the new situation."""
+        if (
+            self._has_situation
+            and self._now == now
+            and self._at_version == version
+            and _same(self._scan_age, scan_age)
+            and _same(self._odometry_age, odometry_age)
+            and self._along_x == along_x
+            and self._along_y == along_y
+        ):
+            return 1
+        self._has_situation = self._is_decided = False
+        self._now, self._scan_age, self._odometry_age = now, scan_age, odometry_age
+        self._at_version = version
+        self._along_x, self._along_y = along_x, along_y
+        return 0
 
-    def _told_near(self, context: DecisionContext) -> list[ToldObstacle]:
-        """The obstacles that the robot is told of which can bind it; far ones change nothing."""
-        radius = self._radius
-        return [
-            one
-            for one in context.told + context.near
-            if not math.hypot(one.x, one.y) - one.radius - radius
-            > self._binding_range.for_age(one.age + REACTION_TIME)
-        ]
+    # Dead reckoning.
 
-    def _with_told(
-        self, rows: Constraints, placed_ones: _Placed, told: ToldObstacle,
-        context: DecisionContext, command: Twist, along: Point,
-    ) -> tuple[Constraints, _Placed]:  # fmt: skip
-        """The constraints and obstacles with those of a disc that the robot is told of.
+    @cython.cfunc
+    def _record(self, odometry):
+        """Record a reading of odometry if it is new.
+
+        A new reading whose stamp does not rise, or whose pose jumps, is a reset: poses before it
+        are not valid any more.
+        """
+        self._odometry = odometry
+        pose, twist = odometry.pose, odometry.twist
+        stamp: cython.double = odometry.stamp
+        x: cython.double = pose.x
+        y: cython.double = pose.y
+        yaw: cython.double = pose.yaw
+        linear: cython.double = twist.linear
+        angular: cython.double = twist.angular
+        lateral: cython.double = twist.lateral
+        r: cython.double[::1] = self._readings
+        at: cython.Py_ssize_t = 7 * self._last
+        if self._known:
+            if (
+                r[at] == stamp
+                and r[at + 1] == x
+                and r[at + 2] == y
+                and r[at + 3] == yaw
+                and r[at + 4] == linear
+                and r[at + 5] == angular
+                and r[at + 6] == lateral
+            ):
+                return
+            apart: cython.double = _maximum(
+                hypot(x - r[at + 1], y - r[at + 2]), fabs(remainder(yaw - r[at + 3], 2.0 * _pi))
+            )
+            if stamp <= r[at] or apart > _max_step + _max_speed * (stamp - r[at]):
+                self._known = 0
+                self._resets += 1
+        self._last = (self._last + 1) % _history
+        self._known = min(self._known + 1, _history)
+        self._version += 1
+        at = 7 * self._last
+        r[at], r[at + 1], r[at + 2], r[at + 3] = stamp, x, y, yaw
+        r[at + 4], r[at + 5], r[at + 6] = linear, angular, lateral
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _pose(self, odometry_age: cython.double, ago: cython.double) -> cython.int:
+        """The pose `ago` s before the decision."""
+        r: cython.double[::1] = self._readings
+        if self._known == 0:
+            self._pose_x = self._pose_y = self._pose_yaw = 0.0
+            return 0
+        k: cython.Py_ssize_t
+        early: cython.Py_ssize_t
+        late: cython.Py_ssize_t = 7 * self._last
+        at: cython.double = r[late] + odometry_age - ago
+        for k in range(self._known):
+            early = 7 * ((self._last - k + _history) % _history)
+            if r[early] <= at:
+                if k == 0:
+                    seconds: cython.double = at - r[early]
+                    if _max_extrapolation < seconds:
+                        seconds = _max_extrapolation
+                    return self._move(early, r[early + 4], r[early + 5], r[early + 6], seconds)
+                share: cython.double = (at - r[early]) / (r[late] - r[early])
+                turn: cython.double = remainder(r[late + 3] - r[early + 3], 2.0 * _pi)
+                self._pose_x = r[early + 1] + share * (r[late + 1] - r[early + 1])
+                self._pose_y = r[early + 2] + share * (r[late + 2] - r[early + 2])
+                self._pose_yaw = r[early + 3] + share * turn
+                return 0
+            late = early
+        return self._move(late, r[late + 4], r[late + 5], r[late + 6], at - r[late])
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _predicted_pose(
+        self,
+        odometry_age: cython.double,
+        linear: cython.double,
+        angular: cython.double,
+        lateral: cython.double,
+    ) -> cython.int:
+        """The pose at which the next command takes effect.
+
+        From the last reading on the robot approaches the present command at its lowest rates.
+        """
+        r: cython.double[::1] = self._readings
+        if self._known == 0:
+            self._pose_x = self._pose_y = self._pose_yaw = 0.0
+            return 0
+        last: cython.Py_ssize_t = 7 * self._last
+        seconds: cython.double = odometry_age
+        if _max_extrapolation < seconds:
+            seconds = _max_extrapolation
+        seconds += _reaction
+        return self._move(
+            last,
+            _mean(r[last + 4], linear, self._braking_linear, seconds),
+            _mean(r[last + 5], angular, self._braking_angular, seconds),
+            _mean(r[last + 6], lateral, self._braking_linear, seconds),
+            seconds,
+        )
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _move(
+        self,
+        at: cython.Py_ssize_t,
+        linear: cython.double,
+        angular: cython.double,
+        lateral: cython.double,
+        seconds: cython.double,
+    ) -> cython.int:
+        """The pose of a reading after `seconds` at a constant twist, along the chord of its arc."""
+        r: cython.double[::1] = self._readings
+        turn: cython.double = angular * seconds
+        yaw: cython.double = r[at + 3] + 0.5 * turn
+        ahead: cython.double = linear * seconds
+        left: cython.double = lateral * seconds
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        self._pose_x = r[at + 1] + c * ahead - s * left
+        self._pose_y = r[at + 2] + s * ahead + c * left
+        self._pose_yaw = r[at + 3] + turn
+        return 0
+
+    # The scan.
+
+    @cython.cfunc
+    def _begin_scan(
+        self,
+        now: cython.double,
+        age: cython.double,
+        newest_age: cython.double,
+        delay: cython.double,
+        odometry_age: cython.double,
+        ages: cython.const[cython.double][:],
+    ):
+        """False if a scan is not newer than the last one; else the motion between the two.
+
+        `newest_age`: how old its newest ray was on arrival by the platform's latency; `delay`: how
+        much later than that it arrives. `ages` (n,) of its rays; empty: all are 0.
+        """
+        i: cython.Py_ssize_t
+        oldest: cython.double = 0.0
+        for i in range(len(ages)):
+            if ages[i] > oldest:
+                oldest = ages[i]
+        latency: cython.double = newest_age + delay
+        taken: cython.double = now - latency - age
+        if age > 0.0 and taken < self._taken + _AGE_TOLERANCE:
+            return False
+        self._oldest, self._late = oldest, delay + oldest
+        self._seconds = _maximum(taken - self._taken, 0.0)
+        if self._scan_resets != self._resets:  # the motion since the last scan by the speed alone
+            self._pose(odometry_age, latency + min(self._seconds, self._stale))
+            self._taken_x, self._taken_y = self._pose_x, self._pose_y
+            self._taken_yaw = self._pose_yaw
+        self._pose(odometry_age, latency)
+        dx: cython.double = self._pose_x - self._taken_x
+        dy: cython.double = self._pose_y - self._taken_y
+        c: cython.double = cos(self._taken_yaw)
+        s: cython.double = sin(self._taken_yaw)
+        self._moved_x, self._moved_y = c * dx + s * dy, c * dy - s * dx
+        self._moved_yaw = self._pose_yaw - self._taken_yaw
+        self._taken_x, self._taken_y, self._taken_yaw = self._pose_x, self._pose_y, self._pose_yaw
+        self._taken, self._lag, self._scan_resets = taken, age, self._resets
+        return True
+
+    @cython.cfunc
+    def _find_min_gap(self, ranges: cython.const[cython.double][:], range_min: cython.double):
+        """Set the m to the nearest return; None without a return."""
+        i: cython.Py_ssize_t
+        nearest: cython.double = _inf
+        for i in range(len(ranges)):
+            if ranges[i] < nearest:
+                nearest = ranges[i]
+        within: cython.double = self._ring(nearest, range_min)
+        smallest: cython.double = _inf
+        for i in range(len(ranges)):
+            if ranges[i] <= within:
+                self._place(i, ranges[i], range_min, 0)
+                if self._found_gap[0] < smallest:
+                    smallest = self._found_gap[0]
+        self._set_min_gap(nearest, smallest)
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _ring(self, nearest: cython.double, range_min: cython.double) -> cython.double:
+        """The range up to which a return may be the nearest to the outline.
+
+        The outline lies between two circles around the lidar.
+        """
+        if nearest == _inf or nearest == -_inf:
+            return -_inf
+        nearest = nearest if nearest > range_min else range_min
+        return _maximum(nearest - self._inner, 0.0) + self._outer
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _set_min_gap(self, nearest: cython.double, smallest: cython.double) -> cython.int:
+        if nearest == _inf:
+            self._min_gap = None
+        else:
+            self._min_gap = 0.0 if nearest == -_inf else smallest
+        return 0
+
+    @cython.cfunc
+    def _take_scan(
+        self,
+        ranges: cython.const[cython.double][:],
+        range_min: cython.double,
+        ages: cython.const[cython.double][:],
+        hidden: cython.double[:, ::1],
+    ):
+        """Find the near obstacles of a scan, and among `hidden` (m, 3): rays, and m from the lidar.
+
+        `ages` (n,) of the rays; empty: all are 0.
+        A hidden obstacle that may touch the robot counts as a return too close to measure. A scan
+        that is refused leaves the obstacles of the last scan.
+        """
+        count: cython.Py_ssize_t = len(ranges)
+        unseen: cython.Py_ssize_t = len(hidden)
+        if count > len(self._directions):
+            raise IndexError(f"{count} ranges, but {len(self._directions)} rays")
+        has_ages: cython.bint = len(ages) > 0
+        if has_ages and len(ages) != count:
+            raise IndexError(f"{count} ranges, but {len(ages)} ages")
+        self._reserve_points(count + unseen)
+        if len(self._ray_x) < count + unseen:
+            self._ray_x, self._ray_y = _doubles(count + unseen), _doubles(count + unseen)
+            self._ray_age = _doubles(count + unseen)
+        self._has_situation = False
+        self._points = self._contacts = 0
+        i: cython.Py_ssize_t
+        found: cython.Py_ssize_t = 0
+        contacts: cython.Py_ssize_t = 0
+        nearest: cython.double = _inf
+        for i in range(count):
+            if ranges[i] < nearest:
+                nearest = ranges[i]
+        within: cython.double = self._within + self._others * self._late
+        furthest: cython.double = self._binding_range(self._stale + self._late)
+        outermost: cython.double = (within if within > furthest else furthest) + self._outer
+        # All returns among which the nearest to the outline is; see Footprint.nearest.
+        ring: cython.double = self._ring(nearest, range_min)
+        smallest: cython.double = _inf  # gap of all returns
+        closest: cython.double = _inf  # gap of the near ones
+        for i in range(count):
+            away: cython.double = ranges[i]
+            if away == -_inf:
+                self._ray_x[contacts] = self._directions[i, 0]
+                self._ray_y[contacts] = self._directions[i, 1]
+                self._ray_age[contacts] = ages[i] if has_ages else 0.0
+                contacts += 1
+            elif away <= outermost or away <= ring:
+                self._place(i, away, range_min, found)
+                self._found_age[found] = ages[i] if has_ages else 0.0
+                gap: cython.double = self._found_gap[found]
+                if gap < smallest:
+                    smallest = gap
+                if away <= outermost:
+                    if gap < closest:
+                        closest = gap
+                    if gap <= furthest:
+                        found += 1
+        self._set_min_gap(nearest, smallest)
+        for i in range(unseen):
+            if hidden[i, 2] > self._along_ray(hidden[i, 0], hidden[i, 1]):
+                x: cython.double = self._offset_x + hidden[i, 2] * hidden[i, 0]
+                y: cython.double = self._offset_y + hidden[i, 2] * hidden[i, 1]
+                gap = self._gap_of(x, y)
+                self._found_x[found], self._found_y[found], self._found_gap[found] = x, y, gap
+                self._found_age[found] = self._oldest
+                if gap < closest:
+                    closest = gap
+                if gap <= furthest:
+                    found += 1
+            else:
+                self._ray_x[contacts], self._ray_y[contacts] = hidden[i, 0], hidden[i, 1]
+                self._ray_age[contacts] = self._oldest
+                contacts += 1
+        self._is_near = contacts > 0 or closest <= within
+        self._sort(found)
+        for i in range(contacts):
+            away = self._along_ray(self._ray_x[i], self._ray_y[i])
+            self._x[i] = self._offset_x + away * self._ray_x[i]
+            self._y[i] = self._offset_y + away * self._ray_y[i]
+            self._gap[i], self._age[i] = 0.0, self._ray_age[i]
+        at: cython.Py_ssize_t
+        for i in range(found):
+            at = self._order[i]
+            self._x[contacts + i] = self._found_x[at]
+            self._y[contacts + i] = self._found_y[at]
+            self._gap[contacts + i] = self._found_gap[at]
+            self._age[contacts + i] = self._found_age[at]
+        self._points, self._contacts = contacts + found, contacts
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _place(
+        self,
+        ray: cython.Py_ssize_t,
+        away: cython.double,
+        range_min: cython.double,
+        at: cython.Py_ssize_t,
+    ) -> cython.int:
+        """The point and the gap of a return, at an index of those found."""
+        if away < range_min:
+            away = range_min
+        self._found_x[at] = self._offset_x + away * self._directions[ray, 0]
+        self._found_y[at] = self._offset_y + away * self._directions[ray, 1]
+        self._found_gap[at] = self._gap_of(self._found_x[at], self._found_y[at])
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _sort(self, count: cython.Py_ssize_t) -> cython.int:
+        """Merge sort: the order of rising gaps; equal gaps keep their order."""
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        first: cython.Py_ssize_t
+        middle: cython.Py_ssize_t
+        end: cython.Py_ssize_t
+        for i in range(count):
+            self._order[i] = i
+        run: cython.Py_ssize_t = 1
+        while run < count:
+            first = 0
+            while first < count:
+                middle = min(first + run, count)
+                end = min(first + 2 * run, count)
+                i, j = first, middle
+                for k in range(first, end):
+                    if i < middle and (
+                        j >= end
+                        or self._found_gap[self._order[i]] <= self._found_gap[self._order[j]]
+                    ):
+                        self._spare[k] = self._order[i]
+                        i += 1
+                    else:
+                        self._spare[k] = self._order[j]
+                        j += 1
+                first = end
+            self._order, self._spare = self._spare, self._order
+            run *= 2
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _reserve_points(self, count: cython.Py_ssize_t) -> cython.int:
+        """Buffers for so many points of a scan."""
+        if self._x is not None and len(self._x) >= count:
+            return 0
+        self._x, self._y, self._gap = _doubles(count), _doubles(count), _doubles(count)
+        self._found_x, self._found_y = _doubles(count), _doubles(count)
+        self._age, self._found_gap, self._found_age = (
+            _doubles(count),
+            _doubles(count),
+            _doubles(count),
+        )
+        self._order, self._spare = _indices(count), _indices(count)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _reserve_placed(self, count: cython.Py_ssize_t) -> cython.int:
+        """Buffers for so many points of a decision."""
+        if self._placed_x is not None and len(self._placed_x) >= count:
+            return 0
+        self._placed_x, self._placed_y = _doubles(count), _doubles(count)
+        self._placed_gap, self._placed_free = _doubles(count), _doubles(count)
+        self._placed_age, self._radius_of = _doubles(count), _doubles(count)
+        self._placed_contact = _doubles(count)
+        self._normal_x, self._normal_y = _doubles(count), _doubles(count)
+        self._near, self._inside = _indices(count), _indices(count)
+        self._first_row = _indices(count)
+        return 0
+
+    # The outline.
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _gap_of(self, x: cython.double, y: cython.double) -> cython.double:
+        """The distance in m from the outline to a point; 0 for a point inside."""
+        k: cython.Py_ssize_t
+        edges: cython.Py_ssize_t = self._edges
+        least: cython.double = _inf
+        for k in range(edges):
+            above: cython.double = (
+                self._axis_x[edges + k] * x + self._axis_y[edges + k] * y - self._origin[edges + k]
+            )
+            if above <= 0.0:
+                continue
+            along: cython.double = self._axis_x[k] * x + self._axis_y[k] * y - self._origin[k]
+            beyond: cython.double = 0.0
+            if along < 0.0:
+                beyond = along
+            elif along > self._length[k]:
+                beyond = along - self._length[k]
+            square: cython.double = beyond * beyond + above * above
+            if square < least or square != square:
+                least = square
+        return 0.0 if least == _inf else sqrt(least)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _separate(self, x: cython.double, y: cython.double) -> cython.int:
+        """Gap, direction and lever of a point."""
+        k: cython.Py_ssize_t
+        edges: cython.Py_ssize_t = self._edges
+        edge: cython.Py_ssize_t = 0
+        least: cython.double = _inf
+        highest: cython.double = -_inf
+        far: cython.double = 0.0
+        high: cython.double = 0.0
+        share: cython.double = 0.0
+        for k in range(edges):
+            along: cython.double = self._axis_x[k] * x + self._axis_y[k] * y - self._origin[k]
+            above: cython.double = (
+                self._axis_x[edges + k] * x + self._axis_y[edges + k] * y - self._origin[edges + k]
+            )
+            on: cython.double = along if along > 0.0 else 0.0
+            if on > self._length[k]:
+                on = self._length[k]
+            beyond: cython.double = along - on
+            square: cython.double = beyond * beyond + above * above
+            if square < least or square != square:
+                least, edge, far, high, share = square, k, beyond, above, on
+            if above > highest:
+                highest = above
+        gap: cython.double = 0.0 if highest <= 0.0 and least == least else sqrt(least)
+        if gap < 1e-9:
+            far, high = 0.0, 1.0
+        else:
+            inverse: cython.double = 1.0 / gap
+            far *= inverse
+            high *= inverse
+        ax: cython.double = self._axis_x[edge]
+        ay: cython.double = self._axis_y[edge]
+        nx: cython.double = far * ax + high * ay
+        ny: cython.double = far * ay - high * ax
+        self._lever = (self._corner_x[edge] + share * ax) * ny - (
+            self._corner_y[edge] + share * ay
+        ) * nx
+        self._gap_found, self._nx, self._ny = gap, nx, ny
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _along_ray(self, ray_x: cython.double, ray_y: cython.double) -> cython.double:
+        """m from the lidar to the outline along a ray; 0 from outside."""
+        k: cython.Py_ssize_t
+        least: cython.double = _inf
+        for k in range(self._edges, 2 * self._edges):
+            approach: cython.double = ray_x * self._axis_x[k] + ray_y * self._axis_y[k]
+            if approach > 1e-12:
+                height: cython.double = self._origin[k] - (
+                    self._axis_x[k] * self._offset_x + self._axis_y[k] * self._offset_y
+                )
+                if height / approach < least:
+                    least = height / approach
+        return _maximum(least, 0.0)
+
+    # The touch zone.
+
+    @cython.cfunc
+    def _grant(self, zone):
+        """Grant a touch zone; None: no zone."""
+        self._touch, self._has_touch, self._has_situation = zone, zone is not None, False
+        if zone is not None:
+            self._touch_speed, self._touch_cos = zone.speed, cos(zone.half_width)
+            self._touch_x, self._touch_y = cos(zone.bearing), sin(zone.bearing)
+            self._touch_table = _view(np.stack(touch_directions(self._outline.corners, zone), 1))
+
+    # Told obstacles.
+
+    @cython.cfunc
+    def _set_told(self, told):
+        """The obstacles that the robot is told of."""
+        self._told_ones, self._has_situation = told, False
+        table = [(one.x, one.y, one.radius, one.age) for one in told]
+        self._told = _view(np.array(table, np.float64).reshape(-1, 4))
+        if len(self._disc) < len(told):
+            self._disc = _indices(len(told))
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _find_discs(self) -> cython.int:
+        """Those of the told obstacles which can bind the robot."""
+        i: cython.Py_ssize_t
+        told: cython.double[:, ::1] = self._told
+        self._discs = 0
+        for i in range(len(told)):
+            gap: cython.double = hypot(told[i, 0], told[i, 1]) - told[i, 2] - self._radius
+            age: cython.double = told[i, 3] + _reaction
+            if not (gap > self._fresh + (self._others + self._fastest) * age):
+                self._disc[self._discs] = i
+                self._discs += 1
+        return 0
+
+    # The decision.
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _judge(self, speed: cython.double, angular: cython.double) -> cython.int:
+        """1 if a request must be limited, to `linear` and `angular`."""
+        wanted_x: cython.double = speed / self._limit
+        wanted_y: cython.double = angular / self._angular_limit
+        if self._is_creeping:
+            self._end_creeping()
+        self._project(wanted_x, wanted_y)
+        self._linear = self._point_x * self._limit
+        self._angular = self._point_y * self._angular_limit
+        is_reduced: cython.bint = self._limit_stop()
+        if not is_reduced and self._point_x == wanted_x and self._point_y == wanted_y:
+            return 0
+        if self._creep_cap > 0.0 and 0.0 < fabs(speed) <= SLOW_REQUEST:
+            x: cython.double = self._point_x
+            y: cython.double = self._point_y
+            off: cython.double = hypot(
+                self._linear / self._limit - wanted_x,
+                self._angular / self._angular_limit - wanted_y,
+            )
+            self._begin_creeping()
+            self._project(wanted_x, wanted_y)
+            if hypot(self._point_x - wanted_x, self._point_y - wanted_y) < off - CREEP_GAIN:
+                self._linear = self._point_x * self._limit
+                self._angular = self._point_y * self._angular_limit
+            else:
+                self._end_creeping()
+                self._point_x, self._point_y = x, y
+        return 1
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _begin_creeping(self) -> cython.int:
+        """Use the caps and the envelope of a robot that creeps."""
+        i: cython.Py_ssize_t
+        for i in range(self._all):
+            self._kept_cap[i] = self._row_cap[i]
+        for i in range(self._rows):
+            self._row_cap[i] = _maximum(self._row_cap[i], self._creep_cap)
+        self._is_creeping = True
+        return self._set_envelope(0)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _end_creeping(self) -> cython.int:
+        """Use the caps and the envelope of a robot that does not creep."""
+        i: cython.Py_ssize_t
+        for i in range(self._rows):
+            self._row_cap[i] = self._kept_cap[i]
+        self._is_creeping = False
+        return self._set_envelope(1)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _build(
+        self, linear: cython.double, angular: cython.double, lateral: cython.double
+    ) -> cython.int:
+        """All constraints of the situation; the arguments are the present command."""
+        odometry_age: cython.double = self._odometry_age
+        if odometry_age != odometry_age:
+            odometry_age = 0.0
+        self._predicted_pose(odometry_age, linear, angular, lateral)
+        dx: cython.double = self._taken_x - self._pose_x
+        dy: cython.double = self._taken_y - self._pose_y
+        c: cython.double = cos(self._pose_yaw)
+        s: cython.double = sin(self._pose_yaw)
+        frame_x: cython.double = c * dx + s * dy
+        frame_y: cython.double = c * dy - s * dx
+        frame_yaw: cython.double = self._taken_yaw - self._pose_yaw
+        c, s = cos(frame_yaw), sin(frame_yaw)
+        age: cython.double = self._now - self._taken + _reaction
+        late: cython.double = _maximum(odometry_age - _max_extrapolation, 0.0)
+        self._free = self._margin + self._unseen_extent + (late + self._lag) * self._surface_speed
+        furthest: cython.double = self._binding_range(age + self._oldest)
+        count: cython.Py_ssize_t = 0
+        while count < self._points and not (self._gap[count] >= furthest):
+            count += 1
+        self._count = count
+        contacts: cython.Py_ssize_t = min(self._contacts, count)
+        touch_rows: cython.Py_ssize_t = len(self._touch_table) if self._has_touch else 0
+        self._reserve_placed(count + self._discs)
+        self._reserve_rows(
+            (count + self._discs) * (4 + self._edges) + contacts + touch_rows + len(self._way_x)
+        )
+        self._rows = 0
+        i: cython.Py_ssize_t
+        for i in range(count):
+            self._placed_free[i], self._placed_age[i] = self._free, age + self._age[i]
+            self._add_point(
+                i,
+                frame_x + c * self._x[i] - s * self._y[i],
+                frame_y + s * self._x[i] + c * self._y[i],
+                0.0,
+            )
+            hidden: cython.double = self._hidden_gap(self._placed_x[i], self._placed_y[i])
+            self._placed_contact[i] = self._free + hidden
+        self._add_sides(0, count)
+        if self._unseen_extent > 0.0:
+            self._add_corners(contacts, count)
+        for i in range(contacts):
+            self._row_cap[i] = 0.0
+            nx: cython.double = c * self._ray_x[i] - s * self._ray_y[i]
+            ny: cython.double = s * self._ray_x[i] + c * self._ray_y[i]
+            lever: cython.double = self._placed_x[i] * ny - self._placed_y[i] * nx
+            self._add(nx * self._along_x + ny * self._along_y, lever, 0.0, 0.0, i)
+        if self._keep_out == self._keep_out:
+            self._add_keep_out(count)
+        if self._has_touch:
+            self._grant_touch(count)
+        if self._discs:
+            self._add_told(odometry_age, late)
+        self._all = self._rows
+        self._is_creeping = False
+        if self._is_near or self._discs:
+            self._set_envelope(0 if self._is_touching() else 1)
+        self._creep_cap = 0.0
+        if self._may_creep and self._is_near and not (self._has_touch or self._discs):
+            self._creep_cap = CREEP_SPEED
+            for i in range(count):
+                rest: cython.double = 0.5 * (self._placed_gap[i] - self._placed_contact[i])
+                rest /= self._placed_age[i] + _tick
+                self._creep_cap = min(self._creep_cap, rest)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_point(
+        self,
+        i: cython.Py_ssize_t,
+        x: cython.double,
+        y: cython.double,
+        radius: cython.double,
+    ) -> cython.int:
+        """A row for a placed point, the centre of a disc of that radius."""
+        self._placed_x[i], self._placed_y[i], self._radius_of[i] = x, y, radius
+        self._separate(x, y)
+        self._normal_x[i], self._normal_y[i] = self._nx, self._ny
+        self._placed_gap[i], self._first_row[i] = self._gap_found, self._rows
+        linear: cython.double = self._nx * self._along_x + self._ny * self._along_y
+        cap: cython.double = self._cap(
+            self._gap_found - self._placed_free[i],
+            self._braking(linear, self._lever),
+            self._placed_age[i],
+        )
+        self._add(linear, self._lever, cap, self._gap_found - radius, i)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _hidden_gap(self, x: cython.double, y: cython.double) -> cython.double:
+        """m by which the blind zone reaches beyond the outline towards the point separated last.
+
+        An obstacle that is seen at the point continues unseen only within the blind zone, a circle
+        around the lidar. It is left at this gap on the shortest line from the outline to the point.
+        """
+        dx: cython.double = x - self._offset_x
+        dy: cython.double = y - self._offset_y
+        across: cython.double = dx * self._ny - dy * self._nx
+        half: cython.double = self._blind * self._blind - across * across
+        if not half > 0.0:  # square of half of the chord on the line
+            return 0.0
+        ahead: cython.double = dx * self._nx + dy * self._ny - self._gap_found
+        return _maximum(sqrt(half) - ahead, 0.0)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_told(self, odometry_age: cython.double, late: cython.double) -> cython.int:
+        """The rows of the discs that the robot is told of.
 
         The gap to a disc is that to its centre less its radius, along the same line. So its radius
         adds to what must stay free around the centre, as that of unseen parts does for returns.
         """
-        predicted = self._dead_reckoning.predicted_pose(context, command)
-        frame = relative(self._dead_reckoning.pose(context, told.age), predicted)
-        x, y = placed(np.array([told.x]), np.array([told.y]), frame)
-        separations = self._outline.separations(x, y)
-        least = self._settings.margin + told.radius
-        free = np.array([least + self._late(context) * self._surface_speed])
-        ages, first = np.array([told.age + REACTION_TIME]), np.array([len(rows.caps)])
-        disc = _Placed(first, x, y, separations.gap, ages, free, free)
-        more = self._obstacle_constraints(separations, disc, along)
-        more = concatenated(more, self._corner_constraints(disc, along))
-        rim_x, rim_y = x - told.radius * separations.nx, y - told.radius * separations.ny
-        count = len(more.caps)
-        more = more._replace(
-            x=np.repeat(rim_x, count), y=np.repeat(rim_y, count), gaps=more.gaps - told.radius
-        )
-        return concatenated(rows, more), placed_ones.followed_by(disc)
+        k: cython.Py_ssize_t
+        told: cython.double[:, ::1] = self._told
+        predicted_x: cython.double = self._pose_x
+        predicted_y: cython.double = self._pose_y
+        predicted_yaw: cython.double = self._pose_yaw
+        c: cython.double = cos(predicted_yaw)
+        s: cython.double = sin(predicted_yaw)
+        for k in range(self._discs):
+            i: cython.Py_ssize_t = self._count + k
+            n: cython.Py_ssize_t = self._disc[k]
+            self._pose(odometry_age, told[n, 3])
+            dx: cython.double = self._pose_x - predicted_x
+            dy: cython.double = self._pose_y - predicted_y
+            turn: cython.double = self._pose_yaw - predicted_yaw
+            radius: cython.double = told[n, 2]
+            x: cython.double = cos(turn) * told[n, 0] - sin(turn) * told[n, 1]
+            y: cython.double = sin(turn) * told[n, 0] + cos(turn) * told[n, 1]
+            least: cython.double = self._margin + radius
+            self._placed_free[i] = least + late * self._surface_speed
+            self._placed_age[i] = told[n, 3] + _reaction
+            self._add_point(i, c * dx + s * dy + x, c * dy - s * dx + y, radius)
+            self._placed_contact[i] = self._placed_free[i]
+            self._add_sides(i, i + 1)
+            self._add_corners(i, i + 1)
+        return 0
 
-    def _obstacle_constraints(
-        self, separations: Separations, placed: _Placed, along: Point
-    ) -> Constraints:
-        """One constraint for each obstacle, then the side constraints."""
-        x, y, ages = placed.x, placed.y, placed.ages
-        rows = self._point_constraints(
-            separations, separations.gap - placed.free, x, y, along, ages
-        )
-        rest = 0.5 * (separations.gap - placed.contact) / (ages + TICK)
-        rest -= self._side_reserve
-        corners = self._outline.corners
-        return concatenated(
-            rows, side_constraints(rows, separations, corners, along, rest, CREEP_SPEED)
-        )
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _binding_range(self, age: cython.double) -> cython.double:
+        """The gap in m beyond which nothing binds; see BindingRange.for_scan_age."""
+        gap: cython.double = self._fresh + (self._others + self._fastest) * age
+        if self._keep_out != self._keep_out:
+            return gap
+        speed: cython.double = self._fastest
+        half: cython.double = speed * (2.0 * _tick + age + 0.5 * speed / self._braking_linear)
+        other: cython.double = self._keep_out + 2.0 * half + speed * age
+        return other if other > gap else gap
 
-    def _point_constraints(
-        self, separations: Separations, room: Array, x: Array, y: Array, along: Point, ages: Array
-    ) -> Constraints:
-        """The constraints of points at `x`, `y` (k,) with so much room (k,) in m."""
-        linear = separations.nx * along[0] + separations.ny * along[1]
-        caps = self._caps(room, self._braking(linear, separations.lever), ages)
-        return Constraints(linear, separations.lever, caps, x, y, separations.gap)
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(check=False)
+    def _cap(
+        self, room: cython.double, braking: cython.double, unseen: cython.double
+    ) -> cython.double:
+        """The cap in m/s on the closing speed, for an obstacle that approaches at `others_speed`.
 
-    def _corner_constraints(self, placed: _Placed, along: Point) -> Constraints:
-        """Constraints of each own corner, for obstacles that extend beyond their visible part.
+        From the cap the robot can still stop before the two use up `room` m, the gap less what
+        stays free. `braking` m/s2 is the rate at which the closing speed can fall, `unseen` s the
+        time since the obstacle was seen. Solves
+        s tick + s^2 / 2b + V (unseen + tick + s / b) = room. After the dynamic window with moving
+        obstacles and "passive safety" (Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017).
+        """
+        if not self._is_passive:
+            return self._reciprocal_cap(room, braking, unseen)
+        left: cython.double = room - self._others * (unseen + _tick)
+        first: cython.double = braking * _tick + self._others
+        root: cython.double = sqrt(first * first + 2.0 * braking * _maximum(left, 0.0))
+        return _maximum(root - first, 0.0)
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(check=False)
+    def _reciprocal_cap(
+        self, room: cython.double, braking: cython.double, unseen: cython.double
+    ) -> cython.double:
+        """The cap in m/s towards robots with the same rule: each may use half of the room.
+
+        As `_cap`, with others at rest and a reaction of two ticks plus the time unseen. After
+        barrier certificates that share the distance (Wang, Ames and Egerstedt, IEEE T-RO 2017).
+        """
+        half: cython.double = 0.5 * _maximum(room, 0.0)
+        first: cython.double = braking * (2.0 * _tick + unseen)
+        return _maximum(sqrt(first * first + 2.0 * braking * half) - first, 0.0)
+
+    @cython.cfunc
+    @cython.inline
+    @cython.exceptval(check=False)
+    def _braking(self, linear: cython.double, lever: cython.double) -> cython.double:
+        """m/s2: the rate at which the closing speed of a constraint can fall."""
+        braking: cython.double = fabs(linear) * self._braking_linear
+        braking += fabs(lever) * self._braking_angular
+        return _maximum(braking, MIN_BRAKING)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add(
+        self,
+        linear: cython.double,
+        lever: cython.double,
+        cap: cython.double,
+        gap: cython.double,
+        source: cython.Py_ssize_t,
+    ) -> cython.int:
+        """A row, in speeds over their limits; `source` is its point."""
+        at: cython.Py_ssize_t = self._rows
+        self._row_x[at], self._row_y[at] = linear * self._limit, lever * self._angular_limit
+        self._row_cap[at], self._row_gap[at], self._source[at] = cap, gap, source
+        self._rows = at + 1
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_sides(self, first: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
+        """Two rows for each point whose cap is 0: obstacles that are passed sideways.
+
+        A robot that slides along a face does not close on it, as long as the face stands still. Two
+        robots that slide towards the same place each pass what they saw there last, until their
+        corners meet: a moving obstacle may no longer be where it was seen. So the corners that are
+        foremost 60 degrees to either side of the obstacle may approach only so fast that two such
+        robots do not touch before both have a new scan. The creep speed is always allowed. Moving
+        away stays free.
+        """
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        side: cython.Py_ssize_t
+        for side in range(2):
+            turn: cython.double = _side_sin if side == 0 else -_side_sin
+            for i in range(first, end):
+                if not (self._row_cap[self._first_row[i]] <= 0.0):
+                    continue
+                nx: cython.double = self._normal_x[i]
+                ny: cython.double = self._normal_y[i]
+                ax: cython.double = _side_cos * nx - turn * ny
+                ay: cython.double = turn * nx + _side_cos * ny
+                foremost: cython.Py_ssize_t = 0
+                most: cython.double = self._corner_x[0] * ax + self._corner_y[0] * ay
+                for k in range(1, self._edges):
+                    ahead: cython.double = self._corner_x[k] * ax + self._corner_y[k] * ay
+                    if ahead > most:
+                        most, foremost = ahead, k
+                lever: cython.double = self._corner_x[foremost] * ay - self._corner_y[foremost] * ax
+                gap: cython.double = self._placed_gap[i]
+                rest: cython.double = 0.5 * (gap - self._placed_contact[i])
+                rest /= self._placed_age[i] + _tick
+                rest -= self._side_reserve
+                linear: cython.double = ax * self._along_x + ay * self._along_y
+                self._add(linear, lever, _maximum(rest, CREEP_SPEED), gap - self._radius_of[i], i)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_corners(self, first: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
+        """A row of each own corner for each near point, which extends beyond its visible part.
 
         Then the nearest place of the outline is not the only one that can touch the obstacle: a
         corner that swings past it can, too.
         """
-        reach = 2.0 * placed.free + self._settings.others_speed * (placed.ages + TICK)
-        near = np.flatnonzero(placed.gaps <= reach)
-        corners = self._outline.corners
-        x, y, ages, free = (
-            np.tile(part[near], len(corners))
-            for part in (placed.x, placed.y, placed.ages, placed.free)
-        )
-        own_x, own_y = np.repeat(corners[:, 0], len(near)), np.repeat(corners[:, 1], len(near))
-        dx, dy = x - own_x, y - own_y
-        distance = np.maximum(np.hypot(dx, dy), 1e-9)
-        nx, ny = dx / distance, dy / distance
-        separations = Separations(distance, nx, ny, own_x * ny - own_y * nx)
-        return self._point_constraints(separations, distance - free, x, y, along, ages)
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        at: cython.Py_ssize_t = self._rows
+        x: cython.double[::1] = self._placed_x
+        y: cython.double[::1] = self._placed_y
+        gap: cython.double[::1] = self._placed_gap
+        frees: cython.double[::1] = self._placed_free
+        ages: cython.double[::1] = self._placed_age
+        row_x: cython.double[::1] = self._row_x
+        row_y: cython.double[::1] = self._row_y
+        row_cap: cython.double[::1] = self._row_cap
+        row_gap: cython.double[::1] = self._row_gap
+        along_x: cython.double = self._along_x
+        along_y: cython.double = self._along_y
+        limit: cython.double = self._limit
+        angular_limit: cython.double = self._angular_limit
+        # A row that no twist within the limits violates is left out.
+        for k in range(self._edges):
+            own_x: cython.double = self._corner_x[k]
+            own_y: cython.double = self._corner_y[k]
+            for i in range(first, end):
+                if not (gap[i] <= 2.0 * frees[i] + self._others * (ages[i] + _tick)):
+                    continue
+                dx: cython.double = x[i] - own_x
+                dy: cython.double = y[i] - own_y
+                away: cython.double = _maximum(hypot(dx, dy), 1e-9)
+                dx /= away
+                dy /= away
+                linear: cython.double = dx * along_x + dy * along_y
+                lever: cython.double = own_x * dy - own_y * dx
+                cap: cython.double = self._cap(
+                    away - frees[i], self._braking(linear, lever), ages[i]
+                )
+                linear *= limit
+                lever *= angular_limit
+                if cap > fabs(linear) + fabs(lever) + _SLACK:
+                    continue
+                row_x[at], row_y[at], row_cap[at] = linear, lever, cap
+                row_gap[at], self._source[at] = away - self._radius_of[i], i
+                at += 1
+        self._rows = at
+        return 0
 
-    def _braking(self, linear: Array, lever: Array) -> Array:
-        """(k,) m/s2: the rate at which the closing speeds of constraints (k,) can fall."""
-        braking: Array = np.abs(linear) * self._settings.braking_linear
-        braking += np.abs(lever) * self._settings.braking_angular
-        np.maximum(braking, MIN_BRAKING, out=braking)
-        return braking
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _add_keep_out(self, count: cython.Py_ssize_t) -> cython.int:
+        """A second row for each point: the circle around a sensor with a blind zone stays free.
 
-    def _caps(self, room: Array, braking: Array, unseen: Array | float) -> Array:
-        settings = self._settings
-        if settings.responsibility == "reciprocal":
-            return reciprocal_caps(room, braking, unseen, TICK)
-        return passive_caps(room, braking, settings.others_speed, unseen, TICK)
-
-    def _with_contacts(
-        self, rows: Constraints, obstacles: _NearObstacles, frame: Pose, along: Point
-    ) -> Constraints:
-        """Returns too close to measure count as contact: cap 0, also along their rays.
-
-        Without the constraint along the ray, a corner that grazes a slanted surface would have only
-        a constraint across its path.
+        Each of two robots keeps out of the circle by half of the distance.
         """
-        count = len(obstacles.rays)
-        caps = rows.caps.copy()
-        caps[:count] = 0.0
-        cos, sin = math.cos(frame.yaw), math.sin(frame.yaw)
-        nx = cos * obstacles.rays[:, 0] - sin * obstacles.rays[:, 1]
-        ny = sin * obstacles.rays[:, 0] + cos * obstacles.rays[:, 1]
-        x, y = rows.x[:count], rows.y[:count]
-        zeros = np.zeros(len(x))
-        return concatenated(
-            rows._replace(caps=caps),
-            Constraints(nx * along[0] + ny * along[1], x * ny - y * nx, zeros, x, y, zeros),
-        )
+        i: cython.Py_ssize_t
+        for i in range(count):
+            dx: cython.double = self._placed_x[i] - self._offset_x
+            dy: cython.double = self._placed_y[i] - self._offset_y
+            away: cython.double = _maximum(hypot(dx, dy), 1e-9)
+            dx /= away
+            dy /= away
+            linear: cython.double = dx * self._along_x + dy * self._along_y
+            lever: cython.double = self._offset_x * dy - self._offset_y * dx
+            cap: cython.double = self._reciprocal_cap(
+                away - self._keep_out, self._braking(linear, lever), self._placed_age[i]
+            )
+            self._add(linear, lever, cap, self._row_gap[i], i)
+        return 0
 
-    def _with_keep_out(
-        self, rows: Constraints, radius: float, along: Point, ages: Array
-    ) -> Constraints:
-        """Constraints that keep the circle around a sensor with a blind zone free.
-
-        Each of two robots keeps out of the circle by half of the distance. The first of `rows` are
-        those of the points, which were seen `ages` (k,) s ago.
-        """
-        x, y, gaps = (part[: len(ages)] for part in (rows.x, rows.y, rows.gaps))
-        dx, dy = x - self._offset[0], y - self._offset[1]
-        distance = np.maximum(np.hypot(dx, dy), 1e-9)
-        nx, ny = dx / distance, dy / distance
-        linear = nx * along[0] + ny * along[1]
-        lever = self._offset[0] * ny - self._offset[1] * nx  # of the centre: a circle has no corner
-        caps = reciprocal_caps(distance - radius, self._braking(linear, lever), ages, TICK)
-        return concatenated(rows, Constraints(linear, lever, caps, x, y, gaps))
-
-    def _with_touch_zone(self, rows: Constraints, touch: TouchZone, along: Point) -> Constraints:
-        """The constraints with the speed of the touch zone granted for obstacles in its sector.
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _grant_touch(self, count: cython.Py_ssize_t) -> cython.int:
+        """Raise the caps in the touch zone, and limit any motion in its directions.
 
         The direction from the outline decides, not the bearing from the axle: seen from the axle a
         pushed box is wider than any sector. No corner may move faster in the zone's directions,
         since a pushed object is not always seen.
         """
-        separations = self._outline.separations(rows.x, rows.y)
-        is_inside = in_touch_zone(separations, touch)
-        caps = np.where(is_inside, np.maximum(rows.caps, touch.speed), rows.caps)
-        nx, ny, x, y = touch_directions(self._outline.corners, touch)
-        speeds, gaps = np.full(len(x), touch.speed), np.full(len(x), np.inf)  # without a return
-        linear, lever = nx * along[0] + ny * along[1], x * ny - y * nx
-        return concatenated(
-            rows._replace(caps=caps), Constraints(linear, lever, speeds, x, y, gaps)
+        i: cython.Py_ssize_t
+        for i in range(count):
+            ahead: cython.double = self._normal_x[i] * self._touch_x
+            self._inside[i] = ahead + self._normal_y[i] * self._touch_y >= self._touch_cos
+        for i in range(self._rows):
+            if self._inside[self._source[i]]:
+                self._row_cap[i] = _maximum(self._row_cap[i], self._touch_speed)
+        for i in range(len(self._touch_table)):
+            nx: cython.double = self._touch_table[i, 0]
+            ny: cython.double = self._touch_table[i, 1]
+            linear: cython.double = nx * self._along_x + ny * self._along_y
+            lever: cython.double = self._touch_table[i, 2] * ny - self._touch_table[i, 3] * nx
+            self._add(linear, lever, self._touch_speed, _inf, 0)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _is_touching(self) -> cython.int:
+        """1 if an obstacle may touch the robot."""
+        i: cython.Py_ssize_t
+        for i in range(self._count):
+            is_within: cython.bint = self._placed_gap[i] <= self._placed_contact[i]
+            if is_within and self._row_cap[self._first_row[i]] <= 0.0:
+                return 1
+        # A told obstacle is somewhere in its disc. Once the disc may have reached the outline, the
+        # direction to its middle does not show on which side the obstacle is.
+        for i in range(self._count, self._count + self._discs):
+            left: cython.double = self._placed_gap[i] - (self._placed_free[i] - self._margin)
+            if left <= self._others * (self._placed_age[i] + _tick):
+                return 1
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _set_envelope(self, which: cython.Py_ssize_t) -> cython.int:
+        """The rows of an envelope, while creeping (0) or else (1), which are not reported."""
+        i: cython.Py_ssize_t
+        if not (
+            self._envelope_along_x[which] == self._along_x
+            and self._envelope_along_y[which] == self._along_y
+        ):
+            self._find_envelope(which, CREEP_SPEED if which == 0 else self._surface_speed)
+            self._envelope_along_x[which] = self._along_x
+            self._envelope_along_y[which] = self._along_y
+        self._all = self._rows
+        for i in range(len(self._way_x)):
+            self._row_x[self._all] = self._envelope_x[which, i]
+            self._row_y[self._all] = self._envelope_y[which, i]
+            self._row_cap[self._all] = self._envelope_cap[which, i]
+            self._all += 1
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _find_envelope(self, which: cython.Py_ssize_t, speed: cython.double) -> cython.int:
+        """The rows of the envelope, in which no corner exceeds `speed` m/s.
+
+        Every robot assumes that no surface around it moves faster than `others_speed`; the envelope
+        makes that true of this robot, corners in a turn included. The polygon is an inner
+        approximation of a convex set; its vertices are exact.
+        """
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        after: cython.Py_ssize_t
+        count: cython.Py_ssize_t = len(self._way_x)
+        table: cython.double[:, ::1] = _ENVELOPE_DIRECTIONS
+        for i in range(count):
+            linear: cython.double = table[i, 0] * self._limit
+            angular: cython.double = table[i, 1] * self._angular_limit
+            fastest: cython.double = 0.0
+            for k in range(self._edges):
+                x: cython.double = linear * self._along_x - angular * self._corner_y[k]
+                y: cython.double = linear * self._along_y + angular * self._corner_x[k]
+                fastest = _maximum(fastest, hypot(x, y))
+            share: cython.double = speed / _maximum(fastest, 1e-12)
+            if share > 1.0:
+                share = 1.0
+            self._way_x[i], self._way_y[i] = table[i, 0] * share, table[i, 1] * share
+        for i in range(count):
+            after = i + 1 if i + 1 < count else 0
+            x = self._way_x[after] - self._way_x[i]
+            y = self._way_y[after] - self._way_y[i]
+            length: cython.double = hypot(y, -x)
+            y, x = y / length, -x / length
+            self._envelope_x[which, i], self._envelope_y[which, i] = y, x
+            self._envelope_cap[which, i] = y * self._way_x[i] + x * self._way_y[i]
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _reserve_rows(self, count: cython.Py_ssize_t) -> cython.int:
+        if self._row_x is not None and len(self._row_x) >= count:
+            return 0
+        self._row_x, self._row_y = _doubles(count), _doubles(count)
+        self._row_cap, self._row_gap = _doubles(count), _doubles(count)
+        self._kept_cap = _doubles(count)
+        self._source = _indices(count)
+        return 0
+
+    # The projection.
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _project(self, x: cython.double, y: cython.double) -> cython.int:
+        """The feasible point nearest to a requested one: exact, for two variables.
+
+        The axes are the two speeds over their limits, so that "nearest" weighs them alike. The loop
+        adds the most violated row each time: a point that is nearest within some of the rows and
+        violates no other is nearest within all. Each polygon contains the origin.
+        """
+        i: cython.Py_ssize_t
+        worst: cython.Py_ssize_t
+        self._poly_x[0] = self._poly_x[1] = self._poly_y[1] = self._poly_y[2] = 1.0
+        self._poly_x[2] = self._poly_x[3] = self._poly_y[0] = self._poly_y[3] = -1.0
+        self._sides = 4
+        row_x: cython.double[::1] = self._row_x
+        row_y: cython.double[::1] = self._row_y
+        row_cap: cython.double[::1] = self._row_cap
+        self._nearest(x, y)
+        for _ in range(self._all):
+            worst = 0
+            most: cython.double = -_inf
+            px: cython.double = self._point_x
+            py: cython.double = self._point_y
+            for i in range(self._all):
+                excess: cython.double = row_x[i] * px + row_y[i] * py - row_cap[i]
+                if not (excess <= most):
+                    most, worst = excess, i
+                    if excess != excess:
+                        break
+            if most <= TOLERANCE:
+                break
+            self._clip(self._row_x[worst], self._row_y[worst], self._row_cap[worst])
+            self._nearest(x, y)
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    @cython.inline
+    def _excess(self, row: cython.Py_ssize_t) -> cython.double:
+        """By how much the point violates a row."""
+        return (
+            self._row_x[row] * self._point_x + self._row_y[row] * self._point_y - self._row_cap[row]
         )
 
-    def _near_obstacles(
-        self, scan: Scan, geometry: ScanGeometry, ages: Array, oldest: float, late: float
-    ) -> _NearObstacles:
-        """The returns that can bind the robot, and the rays that are too close to measure.
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _clip(self, a: cython.double, b: cython.double, cap: cython.double) -> cython.int:
+        """Cut off the part of the polygon where a x + b y > cap (Sutherland and Hodgman 1974)."""
+        if len(self._clip_x) < 2 * self._sides:
+            self._clip_x, self._clip_y = _doubles(4 * self._sides), _doubles(4 * self._sides)
+        i: cython.Py_ssize_t
+        kept: cython.Py_ssize_t = 0
+        x0: cython.double = self._poly_x[self._sides - 1]
+        y0: cython.double = self._poly_y[self._sides - 1]
+        over0: cython.double = a * x0 + b * y0 - cap
+        for i in range(self._sides):
+            x1: cython.double = self._poly_x[i]
+            y1: cython.double = self._poly_y[i]
+            over1: cython.double = a * x1 + b * y1 - cap
+            if (over0 > 0.0) != (over1 > 0.0):
+                share: cython.double = over0 / (over0 - over1)
+                self._clip_x[kept] = x0 + share * (x1 - x0)
+                self._clip_y[kept] = y0 + share * (y1 - y0)
+                kept += 1
+            if over1 <= 0.0:
+                self._clip_x[kept], self._clip_y[kept] = x1, y1
+                kept += 1
+            x0, y0, over0 = x1, y1, over1
+        if kept == 0:
+            self._clip_x[0] = self._clip_y[0] = 0.0
+            kept = 1
+        self._sides = kept
+        self._poly_x, self._clip_x = self._clip_x, self._poly_x
+        self._poly_y, self._clip_y = self._clip_y, self._poly_y
+        return 0
 
-        `ages` (n,) and `oldest` in s are those of the rays; `late` s more than the platform's
-        latency may have passed since the oldest.
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _nearest(self, x: cython.double, y: cython.double) -> cython.int:
+        """The point of the polygon nearest to a requested one; a line or a point has no inside."""
+        i: cython.Py_ssize_t
+        best_x: cython.double = 0.0
+        best_y: cython.double = 0.0
+        best: cython.double = _inf
+        is_inside: cython.bint = True
+        x0: cython.double = self._poly_x[self._sides - 1]
+        y0: cython.double = self._poly_y[self._sides - 1]
+        for i in range(self._sides):
+            x1: cython.double = self._poly_x[i]
+            y1: cython.double = self._poly_y[i]
+            dx: cython.double = x1 - x0
+            dy: cython.double = y1 - y0
+            px: cython.double = x - x0
+            py: cython.double = y - y0
+            if dx * py - dy * px <= 0.0:
+                is_inside = False
+            square: cython.double = dx * dx + dy * dy
+            share: cython.double = (px * dx + py * dy) / square if square > 0.0 else 0.0
+            if share < 0.0:
+                share = 0.0
+            if share > 1.0:
+                share = 1.0
+            on_x: cython.double = x0 + share * dx
+            on_y: cython.double = y0 + share * dy
+            away: cython.double = (x - on_x) * (x - on_x) + (y - on_y) * (y - on_y)
+            if away < best:
+                best_x, best_y, best = on_x, on_y, away
+            x0, y0 = x1, y1
+        if is_inside or best <= TOLERANCE * TOLERANCE:
+            self._point_x, self._point_y = x, y
+        else:
+            self._point_x, self._point_y = best_x, best_y
+        return 0
+
+    # The stop check.
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _limit_stop(self) -> cython.int:
+        """1 if the speeds are reduced so that the outline stays clear while the robot brakes.
+
+        A row bounds how fast the nearest place of the outline closes on an obstacle now. But a
+        corner swings outwards while a turn ends, and of two speeds, one of which opens what the
+        other closes, one may reach zero first. So the stop is simulated, as in the dynamic window
+        approach (Fox, Burgard and Thrun, IEEE RAM 1997): with both brakes as weak as assumed, and
+        with either of them ideal. An obstacle may also move along the outline, to where a turn
+        moves the outline outwards. So at each pose no place that an obstacle can have reached by
+        then may move outwards by the turn.
         """
-        furthest = self._binding_range.for_scan_age(self._stale + late)
-        within = self._within + self._settings.others_speed * late
-        outermost = max(within, furthest) + self._outer
-        shown = np.flatnonzero((scan.ranges <= outermost) & (scan.ranges > -np.inf))
-        points, since = geometry.points_of_rays(scan, shown), ages[shown]
-        gaps = self._outline.gaps(points)
-        is_close = scan.ranges == -np.inf
-        rays, close_since = geometry.directions(scan)[is_close], ages[is_close]
-        if self._memory is not None and len(self._memory.bearings):
-            touching, hidden = self._remembered(self._memory)
-            rays = np.concatenate((rays, touching))
-            close_since = np.concatenate((close_since, np.full(len(touching), oldest)))
-            points = np.concatenate((points, hidden))
-            since = np.concatenate((since, np.full(len(hidden), oldest)))
-            gaps = np.concatenate((gaps, self._outline.gaps(hidden)))
-        is_near = bool(len(rays)) or float(gaps.min(initial=np.inf)) <= within
-        order = np.argsort(gaps, kind="stable")[: np.count_nonzero(gaps <= furthest)]
-        gaps, since, (x, y) = gaps.take(order), since.take(order), points.take(order, axis=0).T
-        if not len(rays):
-            return _NearObstacles(x, y, gaps, since, _NO_RAYS, is_near, oldest)
-        depths = self._outline.along_rays(self._offset, rays)
-        contacts = (self._offset + depths[:, None] * rays).T
-        x, y = np.concatenate((contacts[0], x)), np.concatenate((contacts[1], y))
-        gaps = np.concatenate((np.zeros(len(rays)), gaps))
-        since = np.concatenate((close_since, since))
-        return _NearObstacles(x, y, gaps, since, rays, is_near, oldest)
+        i: cython.Py_ssize_t
+        s: cython.double = self._linear
+        w: cython.double = self._angular
+        slow: cython.double = fabs(s) / self._braking_linear
+        turning: cython.double = fabs(w) / self._braking_angular
+        seconds: cython.double = _tick + (turning if turning > slow else slow)
+        others: cython.double = self._others if self._is_passive else 0.0
+        way: cython.double = (fabs(s) + fabs(w) * self._radius) * seconds
+        self._beside = 0
+        for i in range(self._contacts, self._count + self._discs):
+            if self._has_touch and i < self._count and self._inside[i]:
+                continue
+            need: cython.double = self._placed_free[i] + others * self._placed_age[i]
+            if self._placed_gap[i] <= need + others * seconds + way:
+                self._near[self._beside] = i
+                self._beside += 1
+        if self._beside == 0:
+            return 0
+        self._forbidding = 0
+        if self._is_clear(s, w, others):
+            return 0
+        self._linear = self._angular = 0.0
+        # Of two speeds, one of which opens what the other closes, a share of one may close.
+        for i in range(len(self._shares)):
+            some: cython.double = self._shares[i, 0] * s
+            turn: cython.double = self._shares[i, 1] * w
+            if not self._is_feasible(some / self._limit, turn / self._angular_limit):
+                continue
+            if self._is_clear(some, turn, others):
+                self._linear, self._angular = some, turn
+                break
+        # The zero command is always clear; shares of a speed of 0 are 0.
+        return not (self._linear == s and self._angular == w)
 
-    def _remembered(self, memory: BlindZoneMemory) -> tuple[Array, Array]:
-        """Rays (k, 2) to hidden obstacles that may touch the robot, points (m, 2) of others."""
-        rays = np.stack((np.cos(memory.bearings), np.sin(memory.bearings)), axis=1)
-        outline = self._outline.along_rays(self._offset, rays)
-        is_beyond = memory.nearest > outline
-        points = self._offset + memory.nearest[is_beyond, None] * rays[is_beyond]
-        return rays[~is_beyond], points
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _is_feasible(self, x: cython.double, y: cython.double) -> cython.int:
+        """1 if a point violates no row."""
+        i: cython.Py_ssize_t
+        for i in range(self._all):
+            if not (self._row_x[i] * x + self._row_y[i] * y - self._row_cap[i] <= TOLERANCE):
+                return 0
+        return 1
 
-    def _free(self, context: DecisionContext) -> float:
-        """m that must stay free around each return, for unseen parts and unknown motion.
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _is_clear(self, s: cython.double, w: cython.double, others: cython.double) -> cython.int:
+        """1 if every stop from two speeds stays clear.
 
-        Odometry may be old, and the remembered part of a scan is not dead-reckoned.
+        The gap that a point must keep grows at `others` m/s. The outline comes
+        no nearer to a point than by its own way: points beyond need no distance. The point that
+        forbade the last speeds is asked first.
         """
-        blurred = (self._late(context) + self._lag) * self._surface_speed
-        return self._settings.margin + self._settings.unseen_extent + blurred
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        v: cython.double = fabs(s)
+        turning: cython.double = fabs(w)
+        for k in range(3):  # both brakes as assumed, then one of them ideal
+            slow: cython.double = 0.0 if k == 1 else v / self._braking_linear
+            until: cython.double = 0.0 if k == 2 else turning / self._braking_angular
+            last: cython.double = _tick + (until if until > slow else slow)
+            step: cython.double = last / _STEPS
+            way: cython.double = self._simulate(k, s, w, v, turning, step)
+            if self._forbids(self._near[self._forbidding], way, step, others):
+                return 0
+            for i in range(self._beside):
+                if self._forbids(self._near[i], way, step, others):
+                    self._forbidding = i
+                    return 0
+        return 1
 
-    def _late(self, context: DecisionContext) -> float:
-        """s for which the motion of the robot is not known."""
-        return max((context.odometry_age or 0.0) - MAX_EXTRAPOLATION, 0.0)
+    @cython.cfunc
+    @cython.exceptval(-1.0, check=True)
+    def _simulate(
+        self,
+        brake: cython.Py_ssize_t,
+        s: cython.double,
+        w: cython.double,
+        v: cython.double,
+        turning: cython.double,
+        step: cython.double,
+    ) -> cython.double:
+        """The four poses of a stop; at most so far in m does a place of the outline move."""
+        j: cython.Py_ssize_t
+        linear: cython.double = 1e9 if brake == 1 else self._braking_linear
+        angular: cython.double = 1e9 if brake == 2 else self._braking_angular
+        way: cython.double = 0.0
+        x: cython.double = 0.0
+        y: cython.double = 0.0
+        yaw: cython.double = 0.0
+        self._poses = 0
+        for j in range(_STEPS):
+            braked: cython.double = _maximum(step * (j + 0.5) - _tick, 0.0)
+            shed: cython.double = linear * braked if braked > 0.0 else 0.0
+            move: cython.double = _maximum(v - shed, 0.0) * step * _sign(s)
+            shed = angular * braked if braked > 0.0 else 0.0
+            turn: cython.double = _maximum(turning - shed, 0.0) * step * _sign(w)
+            yaw += turn
+            c: cython.double = cos(yaw - 0.5 * turn)
+            d: cython.double = sin(yaw - 0.5 * turn)
+            x += move * (c * self._along_x - d * self._along_y)
+            y += move * (d * self._along_x + c * self._along_y)
+            self._stop_x[j], self._stop_y[j] = x, y
+            until: cython.double = _maximum(step * j - _tick, 0.0)
+            shed = linear * until if until > 0.0 else 0.0
+            self._stop_v[j] = _maximum(v - shed, 0.0) * _sign(s)
+            shed = angular * until if until > 0.0 else 0.0
+            self._stop_w[j] = _maximum(turning - shed, 0.0) * _sign(w)
+            self._stop_cos[j], self._stop_sin[j] = cos(yaw), sin(yaw)
+            fastest: cython.double = fabs(self._stop_v[j]) + fabs(self._stop_w[j]) * self._radius
+            if not (fastest + 1e-12 <= NEGLIGIBLE_SPEED):
+                self._poses = j + 1  # those after it close on nothing
+            way += fabs(move) + fabs(turn) * self._radius
+            self._stop_way[j] = -way
+        return way
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _forbids(
+        self,
+        point: cython.Py_ssize_t,
+        way: cython.double,
+        step: cython.double,
+        others: cython.double,
+    ) -> cython.int:
+        """1 if the outline closes on a point within its gap during the simulated stop."""
+        j: cython.Py_ssize_t
+        gap: cython.double = self._placed_gap[point]
+        need: cython.double = self._placed_free[point] + others * self._placed_age[point]
+        least: cython.double = need + others * (step * _STEPS) + way + _ROUNDING
+        if gap >= least:
+            return 0
+        before: cython.double = gap
+        for j in range(self._poses):
+            dx: cython.double = self._placed_x[point] - self._stop_x[j]
+            dy: cython.double = self._placed_y[point] - self._stop_y[j]
+            c: cython.double = self._stop_cos[j]
+            d: cython.double = self._stop_sin[j]
+            x: cython.double = c * dx + d * dy
+            y: cython.double = c * dy - d * dx
+            left: cython.double = self._gap_of(x, y)
+            is_free: cython.bint = left >= need + others * (step * (j + 1.0))
+            if not is_free and not (before - left <= NEGLIGIBLE_SPEED * step):
+                return 1
+            within: cython.double = need - self._margin + others * (step * (j + 0.5))
+            if left < within and self._swings(x, y, within, self._stop_v[j], self._stop_w[j]):
+                return 1
+            if left - self._stop_way[j] >= least:
+                return 0
+            before = left
+        return 0
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _swings(
+        self,
+        x: cython.double,
+        y: cython.double,
+        within: cython.double,
+        v: cython.double,
+        w: cython.double,
+    ) -> cython.int:
+        """1 if a turn moves a place of the outline outwards within a distance of a point.
+
+        Along an edge the outward speed is linear, so it is greatest where the circle around the
+        point, or the edge, begins or ends.
+        """
+        k: cython.Py_ssize_t
+        edges: cython.Py_ssize_t = self._edges
+        for k in range(edges):
+            nx: cython.double = self._axis_x[edges + k]
+            ny: cython.double = self._axis_y[edges + k]
+            above: cython.double = nx * x + ny * y - self._origin[edges + k]
+            if not above < within:
+                continue
+            length: cython.double = self._length[k]
+            along: cython.double = self._axis_x[k] * x + self._axis_y[k] * y - self._origin[k]
+            first: cython.double
+            last: cython.double
+            if above > 0.0:
+                half: cython.double = sqrt(within * within - above * above)
+                first, last = along - half, along + half
+            else:  # from behind the edge's line the way leads around the nearer corner
+                past: cython.double = -along if along < 0.0 else along - length
+                if not past > 0.0:
+                    continue
+                left: cython.double = within - hypot(past, above)
+                if not left > 0.0:
+                    continue
+                first = 0.0 if along < 0.0 else length - left
+                last = left if along < 0.0 else length
+            first = first if first > 0.0 else 0.0
+            last = last if last < length else length
+            if first > last:
+                continue
+            turned: cython.double = w * (
+                self._corner_x[k] * ny - self._corner_y[k] * nx - (first if w > 0.0 else last)
+            )
+            moved: cython.double = v * (self._along_x * nx + self._along_y * ny)
+            if turned > FAULT_SPEED and turned + moved > FAULT_SPEED:
+                return 1
+        return 0
+
+    # The report.
+
+    @cython.cfunc
+    def _report(self) -> tuple:
+        """The rows that bind the last limited request, those with the lowest caps first.
+
+        The gap of a row is measured from the outline, also where the row is that of one corner.
+        Rows of the envelope and of a touch zone, which have no return, are not reported. The
+        bearing of a place at the axle is 0.
+        """
+        i: cython.Py_ssize_t
+        tight: cython.Py_ssize_t = 0
+        found: list = []
+        for i in range(self._all):
+            if self._excess(i) >= -BINDING_TOLERANCE:
+                tight += 1
+                if i < self._rows:
+                    self._rank(found, i)
+        points: cython.Py_ssize_t = self._count + self._discs
+        if tight == 0 and points:  # limited by the stop alone: the nearest obstacle
+            nearest: cython.Py_ssize_t = self._first_row[0]
+            for i in range(1, points):
+                if self._row_gap[self._first_row[i]] < self._row_gap[nearest]:
+                    nearest = self._first_row[i]
+            self._rank(found, nearest)
+        shown: list = []
+        for i in found:
+            point: cython.Py_ssize_t = self._source[i]
+            radius: cython.double = self._radius_of[point]
+            x: cython.double = self._placed_x[point] - radius * self._normal_x[point]
+            y: cython.double = self._placed_y[point] - radius * self._normal_y[point]
+            bearing: cython.double = 0.0 if hypot(x, y) < _AT_AXLE else atan2(y, x)
+            shown.append(LimitingObstacle(bearing, self._gap_of(x, y), self._row_cap[i]))
+        return tuple(shown)
+
+    @cython.cfunc
+    @cython.exceptval(-1)
+    def _rank(self, found: list, row: cython.Py_ssize_t) -> cython.int:
+        """Insert a row among those with the lowest caps, and of these the smallest gaps."""
+        cap: cython.double = self._row_cap[row]
+        gap: cython.double = self._row_gap[row]
+        if not gap < _inf:
+            return 0
+        at: cython.Py_ssize_t = len(found)
+        other: cython.Py_ssize_t
+        while at > 0:
+            other = found[at - 1]
+            if self._row_cap[other] < cap or (
+                self._row_cap[other] == cap and self._row_gap[other] <= gap
+            ):
+                break
+            at -= 1
+        if at < MAX_REPORTED:
+            found.insert(at, row)
+            del found[MAX_REPORTED:]
+        return 0
+
+
+def linear_limit(limits: Limits, along_x: float, along_y: float) -> float:
+    """The limit of the linear speed in m/s in the direction of a unit vector."""
+    ahead, aside = abs(along_x), abs(along_y)
+    return min(
+        limits.linear / ahead if ahead else math.inf, limits.lateral / aside if aside else math.inf
+    )
+
+
+def touch_directions(corners: Array, zone: TouchZone) -> tuple[Array, Array, Array, Array]:
+    """Directions nx, ny (n,) of the zone, and the corners x, y (n,) in m foremost in each.
+
+    A lidar does not show what touches the robot, and a pushed object moves with it. So the speed
+    of a touch zone limits any motion in its directions, not only motion towards a return.
+    """
+    count = math.ceil(2.0 * zone.half_width / _TOUCH_STEP)
+    angles = np.linspace(zone.bearing - zone.half_width, zone.bearing + zone.half_width, count + 1)
+    edges = np.roll(corners, -1, axis=0) - corners
+    faces = np.arctan2(-edges[:, 0], edges[:, 1])  # outward normals of a counter-clockwise outline
+    off = (faces - zone.bearing + np.pi) % (2.0 * np.pi) - np.pi
+    angles = np.concatenate((angles, faces[np.abs(off) <= zone.half_width]))
+    directions = np.stack((np.cos(angles), np.sin(angles)), axis=1)
+    heights = directions @ corners.T
+    direction, corner = np.nonzero(heights >= heights.max(axis=1, keepdims=True) - _SAME_FACE)
+    return (*directions[direction].T, *corners[corner].T)
+
+
+def _rays_and_ranges(bearings: Array, nearest: Array) -> Array:
+    """(n, 3) unit vectors to hidden obstacles, and the m that each may be from the lidar."""
+    return np.column_stack((unit_vectors(bearings), nearest))

@@ -1,19 +1,636 @@
-"""The memory of obstacles in the blind zone, by the rules of blind_zone_numpy: compiled or not."""
+"""Memory of obstacles in the blind zone of a sensor that reports nothing closer than range_min.
+
+Such a sensor gives no return for an obstacle inside its blind zone. So a ray with a return proves
+its part of the zone empty; a ray without one may be hidden or see nothing. `BlindZoneMemory` works
+by these rules:
+
+- An obstacle becomes hidden when it was near the rim, may have crossed it, no return lies near its
+  place any more, and the rays there are empty. It then approaches unseen at the assumed speed.
+- An obstacle too wide to vanish continues inside where returns show it crossing the rim: at one
+  end of an empty sector, the part seen there last becomes hidden; at both ends, the obstacle fills
+  the sector, no nearer than a square corner between the ends.
+- A hidden obstacle moves with its empty sector and fills it unless the sector is too wide.
+- It is forgotten once returns show its place to be empty, once it reappears, or once the robot has
+  moved away; without these exits a memory would hold the robot for ever. It does not expire by
+  time, since a robot may be held in contact for minutes.
+"""
 
 from __future__ import annotations
 
-from swarmd.core.kernels import compiled_kernel
-from swarmd.protection import blind_zone_numpy
-from swarmd.protection.blind_zone_numpy import BlindZoneMemory
+import math
+from typing import TYPE_CHECKING
 
-__all__ = ["BlindZoneMemory", "blind_zone_memory"]
+import numpy as np
+
+from swarmd.core.values import Pose, Scan
+from swarmd.protection.footprint import ScanGeometry
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other one
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import (
+        INFINITY,
+        atan2,
+        cos,
+        fabs,
+        fmod,
+        hypot,
+        isfinite,
+        isinf,
+        sin,
+    )
+else:
+    from swarmd.core.cython_shadow import (
+        INFINITY,
+        atan2,
+        cos,
+        fabs,
+        fmod,
+        hypot,
+        isfinite,
+        isinf,
+        sin,
+    )
+
+# s for which an empty sector too narrow for a robot is remembered
+_NARROW_MEMORY = cython.declare(cython.double, 2.0)
+# of range_min: a robot that moved this far has left hidden obstacles behind
+_FORGET_DISTANCE = cython.declare(cython.double, 2.0)
+_RANGE_NOISE = cython.declare(cython.double, 0.03)  # m
+# of range_min: closer than this, obstacles do not move sideways
+_MIN_HIDDEN_RANGE = cython.declare(cython.double, 0.6)
+# m by which the visible part of an obstacle may change beside its motion
+_SHAPE_CHANGE = cython.declare(cython.double, 0.05)
+# near returns compared: they lie within 1 cm of one another then
+_MAX_POINTS = cython.declare(cython.Py_ssize_t, 720)
+# rays side by side without a return; fewer are drop-outs
+_MIN_EMPTY_RUN = cython.declare(cython.Py_ssize_t, 4)
+_MIN_WIDTH = cython.declare(cython.double, 0.07)  # m: no robot that a lidar sees is narrower
+# a wider empty sector is open space
+_MAX_SECTOR = cython.declare(cython.double, math.radians(120.0))
+# a near face hides less of the horizon than this
+_MAX_FACE = cython.declare(cython.double, math.pi)
+# beside an empty sector, at most, from which a face is extrapolated
+_EDGE_RAYS = cython.declare(cython.Py_ssize_t, 8)
+# m by which a face approaches over these rays, more than noise does
+_MIN_APPROACH = cython.declare(cython.double, 0.02)
+_MAX_SLOPE = cython.declare(cython.double, 0.06)  # m per ray by which a face approaches at most
+# half width: an obstacle in a narrower sector is level at its ends
+_FLAT = cython.declare(cython.double, math.radians(20.0))
+
+_PI = cython.declare(cython.double, math.pi)
+_TURN = cython.declare(cython.double, 2.0 * math.pi)
 
 
-def blind_zone_memory(range_min: float, speed: float, period: float) -> BlindZoneMemory:
-    """A memory of a sensor blind within `range_min` m, with a scan every `period` s.
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _mod(angle: cython.double) -> cython.double:
+    """The angle modulo a full turn, with the bits of numpy's %."""
+    if 0.0 <= angle < _TURN:
+        return angle
+    if -_TURN < angle < 0.0:  # as fmod, which is exact and slow
+        return angle + _TURN
+    if _TURN <= angle < 2.0 * _TURN:
+        return angle - _TURN
+    rest: cython.double = fmod(angle, _TURN)
+    if rest < 0.0:
+        rest += _TURN
+    return rest
 
-    Obstacles approach at up to `speed` m/s.
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _apart(one: cython.double, other: cython.double) -> cython.double:
+    """The angle between two directions."""
+    return fabs(_mod(one - other + _PI) - _PI)
+
+
+@cython.cfunc
+def _nearest(
+    rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double
+) -> cython.Py_ssize_t:
+    """The place of the nearest of n > 0 rising angles."""
+    angle: cython.double = _mod(wanted)
+    low: cython.Py_ssize_t = 0
+    high: cython.Py_ssize_t = n
+    middle: cython.Py_ssize_t
+    while low < high:
+        middle = (low + high) // 2
+        if rising[middle] < angle:
+            low = middle + 1
+        else:
+            high = middle
+    after: cython.Py_ssize_t = low if low < n else 0
+    before: cython.Py_ssize_t = after - 1 if after else n - 1
+    if _apart(rising[before], wanted) < _apart(rising[after], wanted):
+        return before
+    return after
+
+
+_NOTHING = np.empty(0)
+
+
+def _zeros(n, kind=np.float64):
+    """A buffer of n numbers; of numbers of Python in CPython."""
+    return np.zeros(n, kind) if cython.compiled else np.zeros(n, kind).tolist()
+
+
+def _grown(old, n):
+    new = _zeros(n)
+    new[: len(old)] = old
+    return new
+
+
+@cython.cclass
+class BlindZoneMemory:
+    """Hidden obstacles by their `bearings` (n,), in rad in the base frame of the last scan.
+
+    `nearest` (n,) m from the sensor: no hidden obstacle along the bearings is nearer.
     """
-    module = compiled_kernel("swarmd.protection.blind_zone_kernel") or blind_zone_numpy
-    memory: BlindZoneMemory = module.BlindZoneMemory(range_min, speed, period)
-    return memory
+
+    bearings = cython.declare(object, visibility="readonly")
+    nearest = cython.declare(object, visibility="readonly")
+    _blind: cython.double
+    _speed: cython.double
+    _period: cython.double
+    _narrow: cython.double
+    _given: object
+    _n: cython.Py_ssize_t
+    _reserved: cython.Py_ssize_t
+    # Per ray, in the order of rising bearings.
+    _order: cython.longlong[::1]
+    _bearing: cython.double[::1]
+    _rising: cython.double[::1]
+    _cos: cython.double[::1]
+    _sin: cython.double[::1]
+    _range: cython.double[::1]
+    _is_empty: cython.uchar[::1]
+    _inside: cython.uchar[::1]
+    _age_of: cython.double[::1]
+    _nearest_of: cython.double[::1]
+    _face_of: cython.uchar[::1]
+    _exact: cython.double[::1]
+    # Empty sectors: the first ray, the number of rays, and what `_EmptySector` has.
+    _sectors: cython.Py_ssize_t
+    _first: cython.Py_ssize_t[::1]
+    _width: cython.Py_ssize_t[::1]
+    _crossings: cython.Py_ssize_t[::1]
+    _corner: cython.double[::1]
+    # Near points of this scan, of the last one, and rays without return of the last one.
+    _points: cython.Py_ssize_t
+    _x: cython.double[::1]
+    _y: cython.double[::1]
+    _old_points: cython.Py_ssize_t
+    _old_x: cython.double[::1]
+    _old_y: cython.double[::1]
+    _were_empty: cython.Py_ssize_t
+    _empty_bearing: cython.double[::1]
+    _turned: cython.double[::1]
+    # Angles that rise, to search in, and the rays to which they belong.
+    _found: cython.Py_ssize_t
+    _angle: cython.double[::1]
+    _ray: cython.Py_ssize_t[::1]
+    # Hidden obstacles, then those that have vanished since.
+    _hidden: cython.Py_ssize_t
+    _candidates: cython.Py_ssize_t
+    _bearings: object
+    _ranges: object
+    _hidden_at: cython.double[::1]
+    _age: cython.double[::1]
+    _near: cython.double[::1]
+    _is_face: cython.double[::1]
+    _is_hidden: cython.uchar[::1]
+    _entered_x: cython.double
+    _entered_y: cython.double
+
+    def __init__(self, range_min: float, speed: float, period: float) -> None:
+        """Blind within `range_min` m; obstacles approach at up to `speed` m/s; `period` s."""
+        self._blind, self._speed, self._period = range_min, speed, period
+        # rad: the narrowest sector in which a robot may be hidden
+        self._narrow = 2.0 * math.asin(min(0.5 * _MIN_WIDTH / range_min, 1.0))
+        self._given = None
+        self._n = self._reserved = self._points = self._old_points = self._were_empty = (
+            self._hidden
+        ) = 0
+        self._entered_x = self._entered_y = 0.0
+        self._x = self._y = self._old_x = self._old_y = self._empty_bearing = _NOTHING
+        self._hidden_at = self._age = self._near = self._is_face = _NOTHING
+        self.bearings = self.nearest = _NOTHING
+
+    def update(self, scan: Scan, geometry: ScanGeometry, moved: Pose, seconds: float) -> None:
+        """Take in a scan, taken `seconds` after the last one; `moved` is the motion since then."""
+        if scan.bearings is not self._given:
+            self._set_bearings(scan.bearings, geometry.directions(scan))
+        table = np.ascontiguousarray(scan.ranges, np.float64)
+        given: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
+        n: cython.Py_ssize_t = self._n
+        step: cython.double = self._speed * min(seconds, 5.0 * self._period) + _RANGE_NOISE
+        limit: cython.double = self._blind + 2.0 * step
+        least: cython.double = scan.range_min
+        ahead: cython.double = geometry.offset[0]
+        left: cython.double = geometry.offset[1]
+        i: cython.Py_ssize_t
+        distance: cython.double
+        self._x, self._old_x = self._old_x, self._x
+        self._y, self._old_y = self._old_y, self._y
+        self._old_points, self._points = self._points, 0
+        for i in range(n):
+            distance = given[self._order[i]]
+            self._range[i] = distance
+            if -INFINITY < distance <= limit:
+                distance = max(distance, least)
+                self._x[self._points] = ahead + distance * self._cos[i]
+                self._y[self._points] = left + distance * self._sin[i]
+                self._points += 1
+        if self._points or self._old_points or self._hidden:
+            self._find(moved.x, moved.y, moved.yaw, ahead, left, seconds, step)
+        self._were_empty = 0
+        for i in range(n):
+            if isinf(self._range[i]):
+                self._empty_bearing[self._were_empty] = self._bearing[i]
+                self._were_empty += 1
+
+    @cython.cfunc
+    def _set_bearings(self, bearings, directions):
+        """Take the rays of other bearings; those of a robot that moves differ with each scan."""
+        table = np.ascontiguousarray(bearings, np.float64)
+        values: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
+        ways: cython.const[cython.double][:, ::1] = (
+            directions if cython.compiled else memoryview(directions)
+        )
+        n: cython.Py_ssize_t = len(values)
+        if n > self._reserved:
+            self._reserve(n + n // 4)
+        self._given, self._n = bearings, n
+        if not self._sort(values):
+            sorted_rays: cython.longlong[::1] = np.argsort(table % _TURN, kind="stable")
+            self._order[:n] = sorted_rays
+        i: cython.Py_ssize_t
+        ray: cython.Py_ssize_t
+        for i in range(n):
+            ray = self._order[i]
+            self._bearing[i], self._rising[i] = values[ray], _mod(values[ray])
+            self._cos[i], self._sin[i] = ways[ray, 0], ways[ray, 1]
+
+    @cython.cfunc
+    def _sort(self, values: cython.const[cython.double][::1]) -> cython.bint:
+        """Order the rays by rising angles, equal ones as they are; false: too disordered for this.
+
+        From the lowest one on most sensors' angles rise, or fall, but for a few: an insertion sort.
+        """
+        n: cython.Py_ssize_t = self._n
+        first: cython.Py_ssize_t = 0
+        rises: cython.Py_ssize_t = 0
+        moves: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        ray: cython.Py_ssize_t
+        angle: cython.double
+        for i in range(1, n):
+            rises += 1 if values[i] > values[i - 1] else -1
+            if _mod(values[i]) < _mod(values[first]):
+                first = i
+        for i in range(n):
+            ray = (first + i) % n if rises >= 0 else (first - i + n) % n
+            angle, k = _mod(values[ray]), i
+            while k > 0 and (
+                self._rising[k - 1] > angle
+                or (self._rising[k - 1] == angle and self._order[k - 1] > ray)
+            ):
+                self._rising[k], self._order[k] = self._rising[k - 1], self._order[k - 1]
+                k -= 1
+            self._rising[k], self._order[k] = angle, ray
+            moves += i - k
+            if moves > 8 * n:
+                return False
+        return True
+
+    @cython.cfunc
+    def _reserve(self, size: cython.Py_ssize_t):
+        """Room for so many rays; keeps what is remembered."""
+        self._reserved = size
+        self._order = _zeros(size, np.int64)
+        self._bearing, self._rising = _zeros(size), _zeros(size)
+        self._cos, self._sin = _zeros(size), _zeros(size)
+        self._range, self._exact, self._corner = _zeros(size), _zeros(size), _zeros(size)
+        self._age_of, self._nearest_of = _zeros(size), _zeros(size)
+        self._is_empty, self._inside = _zeros(size, np.uint8), _zeros(size, np.uint8)
+        self._face_of = _zeros(size, np.uint8)
+        self._first, self._width = _zeros(size, np.intp), _zeros(size, np.intp)
+        self._crossings, self._ray = _zeros(size, np.intp), _zeros(size, np.intp)
+        self._x, self._y = _grown(self._x, size), _grown(self._y, size)
+        self._old_x, self._old_y = _grown(self._old_x, size), _grown(self._old_y, size)
+        self._empty_bearing = _grown(self._empty_bearing, size)
+        self._angle, self._turned = _zeros(size), _zeros(size)
+        # As many vanish as there were near points, beside as many hidden ones as there were rays.
+        self._bearings = self._hidden_at = _grown(self._hidden_at, 2 * size)
+        self._ranges = self._near = _grown(self._near, 2 * size)
+        self._age, self._is_face = _grown(self._age, 2 * size), _grown(self._is_face, 2 * size)
+        self._is_hidden = _zeros(2 * size, np.uint8)
+
+    @cython.cfunc
+    def _find(
+        self,
+        moved_x: cython.double,
+        moved_y: cython.double,
+        turned: cython.double,
+        ahead: cython.double,
+        left: cython.double,
+        seconds: cython.double,
+        step: cython.double,
+    ):
+        """Find the obstacles that are hidden now; `step` is the m one can move per scan."""
+        n: cython.Py_ssize_t = self._n
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        c: cython.double = cos(turned)
+        s: cython.double = sin(turned)
+        x: cython.double = self._entered_x - moved_x
+        y: cython.double = self._entered_y - moved_y
+        self._entered_x, self._entered_y = c * x + s * y, c * y - s * x
+        self._find_sectors()
+        if not self._sectors:
+            self._keep(0)
+            return
+        is_entered: cython.bint = False
+        for i in range(n):
+            self._inside[i] = False
+        for k in range(self._sectors):
+            if self._crossings[k]:
+                is_entered = True
+                for i in range(self._first[k], self._first[k] + self._width[k]):
+                    self._inside[i % n] = True
+        for i in range(self._hidden):
+            self._hidden_at[i] -= turned
+            self._near[i] = max(self._near[i] - self._speed * seconds, 0.0)
+            if self._near[i] == 0.0:
+                self._is_face[i] = 0.0
+        self._candidates = self._hidden
+        self._vanish(moved_x, moved_y, c, s, ahead, left, step, is_entered)
+        if self._candidates > self._hidden or is_entered:
+            self._entered_x = self._entered_y = 0.0
+        self._place(turned, step)
+        self._fill(seconds)
+        k = 0
+        for i in range(n):
+            if self._age_of[i] < INFINITY:
+                self._hidden_at[k], self._age[k] = self._exact[i], self._age_of[i]
+                self._near[k], self._is_face[k] = self._nearest_of[i], self._face_of[i]
+                k += 1
+        self._keep(k)
+
+    @cython.cfunc
+    def _keep(self, count: cython.Py_ssize_t):
+        self._hidden = count
+        self.bearings = np.array(self._bearings[:count]) if count else _NOTHING
+        self.nearest = np.array(self._ranges[:count]) if count else _NOTHING
+
+    @cython.cfunc
+    def _find_sectors(self) -> cython.int:
+        """Find the runs of rays without return, `_MIN_EMPTY_RUN` at least."""
+        n: cython.Py_ssize_t = self._n
+        i: cython.Py_ssize_t
+        first: cython.Py_ssize_t = 0
+        end: cython.Py_ssize_t
+        self._sectors = 0
+        for i in range(n):
+            self._is_empty[i] = False
+        while first < n and isinf(self._range[first]):
+            first += 1
+        if first == n:  # a ring without any return
+            if n >= _MIN_EMPTY_RUN:
+                self._add_sector(0, n)
+            return 0
+        # Behind a ray with a return, so that no run spans the end of the arrays.
+        last: cython.Py_ssize_t = first + n
+        i = first
+        while i < last:
+            end = i
+            while end < last and isinf(self._range[end % n]):
+                end += 1
+            if end - i >= _MIN_EMPTY_RUN:
+                self._add_sector(i % n, end - i)
+            i = end + 1
+        return 0
+
+    @cython.cfunc
+    def _add_sector(self, first: cython.Py_ssize_t, width: cython.Py_ssize_t) -> cython.int:
+        n: cython.Py_ssize_t = self._n
+        k: cython.Py_ssize_t = self._sectors
+        i: cython.Py_ssize_t
+        for i in range(first, first + width):
+            self._is_empty[i % n] = True
+        half: cython.double = width * _PI / n
+        is_flat: cython.bint = half < _FLAT
+        self._first[k], self._width[k] = first, width
+        self._crossings[k] = 0
+        if self._crosses_rim((first + n - 1) % n, -1, is_flat):
+            self._crossings[k] += 1
+        if self._crosses_rim((first + width) % n, 1, is_flat):
+            self._crossings[k] += 1
+        self._corner[k] = max(self._blind * (cos(half) - sin(half)), 0.0)
+        self._sectors += 1
+        return 0
+
+    @cython.cfunc
+    def _crosses_rim(
+        self, ray: cython.Py_ssize_t, direction: cython.Py_ssize_t, is_flat: cython.bint
+    ) -> cython.bint:
+        """True if the face seen beside an empty sector lies within the rim one ray further in."""
+        n: cython.Py_ssize_t = self._n
+        if is_flat:
+            return self._range[ray] <= self._blind + _MAX_SLOPE
+        first: cython.double = self._finite(ray)
+        last: cython.double = first
+        after: cython.double
+        count: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t = ray
+        while count < _EDGE_RAYS:
+            i = (i + direction + n) % n
+            after = self._finite(i)
+            if not fabs(after - last) < 2.0 * _MAX_SLOPE:
+                break
+            last = after
+            count += 1
+        approach: cython.double = last - first
+        if count < 3 or approach < _MIN_APPROACH:
+            return False
+        return first - min(approach / count, _MAX_SLOPE) <= self._blind + _RANGE_NOISE
+
+    @cython.cfunc
+    def _finite(self, ray: cython.Py_ssize_t) -> cython.double:
+        return self._range[ray] if isfinite(self._range[ray]) else 1e9
+
+    @cython.cfunc
+    def _vanish(
+        self,
+        moved_x: cython.double,
+        moved_y: cython.double,
+        c: cython.double,
+        s: cython.double,
+        ahead: cython.double,
+        left: cython.double,
+        step: cython.double,
+        is_entered: cython.bint,
+    ) -> cython.int:
+        """Add the earlier returns that may have crossed the rim and are not seen any more."""
+        stride: cython.Py_ssize_t = 1 + self._points // _MAX_POINTS
+        limit: cython.double = step + _SHAPE_CHANGE
+        x: cython.double
+        y: cython.double
+        x_here: cython.double
+        y_here: cython.double
+        bearing: cython.double
+        is_gone: cython.bint
+        start: cython.Py_ssize_t = 0  # neighbours are seen again beside one another
+        count: cython.Py_ssize_t = (self._points + stride - 1) // stride
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        for i in range(self._old_points):
+            x_here, y_here = self._old_x[i] - moved_x, self._old_y[i] - moved_y
+            x, y = c * x_here + s * y_here, c * y_here - s * x_here
+            if not hypot(x - ahead, y - left) < self._blind + step:
+                continue
+            is_gone = True
+            for j in range(count):
+                k = start + j
+                if k >= count:
+                    k -= count
+                x_here = self._x[k * stride] - x
+                y_here = self._y[k * stride] - y
+                if (
+                    fabs(x_here) <= limit
+                    and fabs(y_here) <= limit
+                    and hypot(x_here, y_here) <= limit
+                ):
+                    is_gone, start = False, k
+                    break
+            bearing = atan2(y - left, x - ahead)
+            if is_gone or (is_entered and self._inside[_nearest(self._rising, self._n, bearing)]):
+                k = self._candidates
+                self._hidden_at[k], self._age[k] = bearing, 0.0
+                self._near[k], self._is_face[k] = self._blind - step, not is_gone
+                self._candidates += 1
+        return 0
+
+    @cython.cfunc
+    def _place(self, turned: cython.double, step: cython.double) -> cython.int:
+        """Give each candidate that is still hidden its ray."""
+        n: cython.Py_ssize_t = self._n
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        ray: cython.Py_ssize_t
+        off: cython.double
+        shift: cython.double = min(step / (_MIN_HIDDEN_RANGE * self._blind), 0.25 * _PI)
+        is_here: cython.bint = (
+            hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._blind
+        )
+        self._find_reappeared(turned, step)
+        for k in range(self._candidates):
+            self._is_hidden[k] = is_here and self._age[k] < _NARROW_MEMORY
+            if k < self._hidden and self._found:
+                i = _nearest(self._angle, self._found, self._hidden_at[k])
+                if _apart(self._angle[i], self._hidden_at[k]) <= shift:
+                    self._is_hidden[k] = False
+        self._found = 0
+        for i in range(n):
+            self._exact[i] = self._bearing[i]
+            self._age_of[i] = self._nearest_of[i] = INFINITY
+            self._face_of[i] = True
+            if self._is_empty[i]:
+                self._angle[self._found], self._ray[self._found] = self._rising[i], i
+                self._found += 1
+        for k in range(self._candidates):
+            if not self._is_hidden[k]:
+                continue
+            i = _nearest(self._angle, self._found, self._hidden_at[k])
+            off = _apart(self._angle[i], self._hidden_at[k])
+            if off > shift:
+                continue
+            ray = self._ray[i]
+            self._age_of[ray] = min(self._age_of[ray], self._age[k])
+            self._nearest_of[ray] = min(self._nearest_of[ray], self._near[k])
+            self._face_of[ray] = self._face_of[ray] and self._is_face[k] != 0.0
+            if off <= _PI / n:  # a slow turn would be lost in whole rays
+                self._exact[ray] = self._hidden_at[k]
+        return 0
+
+    @cython.cfunc
+    def _find_reappeared(self, turned: cython.double, step: cython.double) -> cython.int:
+        """Find the returns near the rim whose rays were empty in the last scan."""
+        n: cython.Py_ssize_t = self._n
+        count: cython.Py_ssize_t = self._were_empty
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        is_turned: cython.bint = False
+        self._found = 0
+        if not count:
+            return 0
+        for i in range(n):
+            if -INFINITY < self._range[i] <= self._blind + step:
+                if not is_turned:
+                    self._turn_empty(turned)
+                    is_turned = True
+                k = _nearest(self._turned, count, self._bearing[i])
+                if _apart(self._turned[k], self._bearing[i]) <= _PI / n:
+                    self._angle[self._found] = self._rising[i]
+                    self._found += 1
+        return 0
+
+    @cython.cfunc
+    def _turn_empty(self, turned: cython.double) -> cython.int:
+        """Keep the bearings of rays that were empty as rising angles, in the present frame."""
+        count: cython.Py_ssize_t = self._were_empty
+        first: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        angle: cython.double
+        for i in range(1, count):  # they rise but for one place
+            if _mod(self._empty_bearing[i] - turned) < _mod(self._empty_bearing[i - 1] - turned):
+                first = i
+        for i in range(count):
+            k = first + i
+            angle = _mod(self._empty_bearing[k - count if k >= count else k] - turned)
+            k = i
+            while k > 0 and self._turned[k - 1] > angle:  # by rounding
+                self._turned[k] = self._turned[k - 1]
+                k -= 1
+            self._turned[k] = angle
+        return 0
+
+    @cython.cfunc
+    def _fill(self, seconds: cython.double) -> cython.int:
+        """Extend each hidden obstacle over its empty sector."""
+        n: cython.Py_ssize_t = self._n
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        first: cython.Py_ssize_t
+        end: cython.Py_ssize_t
+        width: cython.double
+        youngest: cython.double
+        nearest: cython.double
+        for k in range(self._sectors):
+            first, end = self._first[k], self._first[k] + self._width[k]
+            youngest = nearest = INFINITY
+            for i in range(first, end):
+                youngest = min(youngest, self._age_of[i % n])
+                nearest = min(nearest, self._nearest_of[i % n])
+            width = self._width[k] * 2.0 * _PI / n
+            if self._crossings[k] == 2 and width < _MAX_FACE:
+                for i in range(first, end):
+                    self._age_of[i % n] = 0.0
+                    if self._face_of[i % n]:
+                        self._nearest_of[i % n] = self._corner[k]
+            elif youngest < INFINITY and width <= _MAX_SECTOR:
+                if self._crossings[k] or width >= self._narrow:
+                    youngest = 0.0
+                else:
+                    youngest += seconds
+                for i in range(first, end):
+                    self._age_of[i % n], self._nearest_of[i % n] = youngest, nearest
+        return 0

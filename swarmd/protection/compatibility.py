@@ -16,7 +16,7 @@ import msgspec
 from swarmd.core.clock import TICK
 from swarmd.core.messages import Body, PeerFinding
 from swarmd.core.values import Platform
-from swarmd.protection.constraints import BindingRange
+from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.settings import BarrierSettings
 
 

@@ -3,26 +3,12 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array, Scan, ScanSpec
 from swarmd.sensing.rays import unit_vectors
-
-
-class Separations(NamedTuple):
-    """Distance, direction and lever of n points from an outline, each (n,), in the base frame.
-
-    `gap` in m, 0 for points inside; `nx`, `ny` the unit vector from the nearest place of the
-    outline to the point; `lever` in m per rad: how far a turn moves that place along the vector.
-    """
-
-    gap: Array
-    nx: Array
-    ny: Array
-    lever: Array
 
 
 class ScanGeometry:
@@ -73,7 +59,6 @@ class Footprint:
         starts = np.tile(self.corners, (2, 1))
         self.origins = self.axes[:, 0] * starts[:, 0] + self.axes[:, 1] * starts[:, 1]
         self._outward = outward
-        self._edges = np.concatenate((along.T, self.corners.T))
         self._known: dict[tuple[float, float], tuple[float, float]] = {}
 
     def gaps(self, points: Array) -> Array:
@@ -86,31 +71,6 @@ class Footprint:
         squares[squares == np.inf] = 0.0
         distances: Array = np.sqrt(squares)
         return distances
-
-    def separations(self, x: Array, y: Array) -> Separations:
-        """The separations of points at `x`, `y` (n,) from the outline."""
-        along, above = self._placed(x, y)
-        on = np.minimum(np.maximum(along, 0.0), self.lengths[:, None])
-        beyond = along - on
-        squares = beyond * beyond
-        squares += above * above
-        edge = squares.argmin(axis=0)
-        cell = edge * len(x) + np.arange(len(x))
-        gap = np.sqrt(squares.take(cell))
-        gap[above.max(axis=0) <= 0.0] = 0.0
-        far, high = beyond.take(cell), above.take(cell)
-        # On and inside the outline the vector has no length: the edge's normal replaces it.
-        at = gap < 1e-9
-        if at.any():
-            far[at], high[at] = 0.0, 1.0
-        inverse = 1.0 / np.where(at, 1.0, gap)
-        far *= inverse
-        high *= inverse
-        along_x, along_y, start_x, start_y = self._edges.take(edge, axis=1)
-        nx, ny = far * along_x + high * along_y, far * along_y - high * along_x
-        share = on.take(cell)
-        lever = (start_x + share * along_x) * ny - (start_y + share * along_y) * nx
-        return Separations(gap, nx, ny, lever)
 
     def _placed(self, x: Array, y: Array) -> tuple[Array, Array]:
         """Coordinates (k, n) of points along each edge, and above it.

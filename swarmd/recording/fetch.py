@@ -14,7 +14,14 @@ import msgspec
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError, NetworkError
-from swarmd.core.messages import FetchQuery, FetchReply, RecordingFile, RecordingsReply
+from swarmd.core.verbs import (
+    FETCH,
+    RECORDINGS,
+    FetchQuery,
+    FetchReply,
+    RecordingFile,
+    RecordingsReply,
+)
 from swarmd.recording.clock_offset import Exchange
 from swarmd.recording.reader import crc_of
 
@@ -47,7 +54,7 @@ class Copy(NamedTuple):
 
 def recordings_of(ask: Ask, robot: str) -> RecordingsReply:
     """The recordings of a robot; NetworkError if it does not answer."""
-    answer = ask(robot, "recordings", b"")
+    answer = ask(robot, RECORDINGS.name, b"")
     if answer is None:
         raise NetworkError(f"{robot} does not answer; its recordings are not known")
     try:
@@ -151,7 +158,7 @@ def _unused(path: Path) -> Path:
 
 
 def _piece(ask: Ask, robot: str, name: str, offset: int, length: int) -> FetchReply:
-    answer = ask(robot, "fetch", encode(FetchQuery(file=name, offset=offset, length=length)))
+    answer = ask(robot, FETCH.name, encode(FetchQuery(file=name, offset=offset, length=length)))
     if answer is None:
         raise NetworkError(f"{robot} does not answer; {name} has {offset} bytes here; fetch again")
     try:

@@ -26,8 +26,9 @@ from swarmd.core.host_messages import (
     StartTrial,
     Stepped,
 )
-from swarmd.core.messages import Body, Latch, Reason, Request, State, StopRequest
+from swarmd.core.messages import Body, Latch, Reason, State
 from swarmd.core.values import ZERO, PeerPlace, Platform, Scan, Twist
+from swarmd.core.verbs import Request, StopRequest
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.recording import messages

@@ -8,17 +8,14 @@ from __future__ import annotations
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import Goal, GoalState
-from swarmd.core.messages import (
-    Epoch,
+from swarmd.core.messages import Epoch, Reason, Refusal, State
+from swarmd.core.verbs import (
     EstopRequest,
     GoalRequest,
     LabelRequest,
-    Reason,
-    Refusal,
     Request,
     ResumeRequest,
     RunRequest,
-    State,
     StopRequest,
 )
 from swarmd.kit.conditions import parse_conditions

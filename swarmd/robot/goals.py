@@ -34,7 +34,8 @@ from swarmd.core.goal import (
     HeldGoal,
     KnownGoal,
 )
-from swarmd.core.messages import Refusal, RunRequest
+from swarmd.core.messages import Refusal
+from swarmd.core.verbs import RunRequest
 
 MAX_STOPS = 64  # ids of stops that are remembered
 MAX_ISSUER = 63

@@ -30,22 +30,24 @@ from swarmd.core.host_messages import (
 )
 from swarmd.core.messages import (
     MAX_EVENTS,
-    MAX_LATE,
     Code,
     Epoch,
     Latch,
     LoggedEvent,
-    ParamRequest,
     Reason,
     Refusal,
-    ReloadRequest,
     Reply,
-    Request,
-    ResumeRequest,
-    RunRequest,
     State,
 )
 from swarmd.core.values import Scalar
+from swarmd.core.verbs import (
+    MAX_LATE,
+    ParamRequest,
+    ReloadRequest,
+    Request,
+    ResumeRequest,
+    RunRequest,
+)
 from swarmd.kit.touch import effective_zone
 from swarmd.protection.decision import Permit
 from swarmd.robot.actions import Effects, FailedCode

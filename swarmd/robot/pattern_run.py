@@ -11,8 +11,8 @@ from msgspec import Struct
 
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import Loaded, Stepped
-from swarmd.core.messages import ReloadRequest, ResumeRequest, RunRequest
 from swarmd.core.values import Scalar, Twist
+from swarmd.core.verbs import ReloadRequest, ResumeRequest, RunRequest
 from swarmd.protection.decision import NO_PERMIT, Permit
 
 LOAD_TIMEOUT = 3.0  # s

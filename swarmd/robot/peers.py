@@ -21,6 +21,7 @@ from swarmd.core.values import (
     SharedPose,
     Twist,
 )
+from swarmd.protection.binding_range import REACTION_TIME, BindingRange
 from swarmd.protection.compatibility import (
     Accepts,
     assumed_speed,
@@ -30,8 +31,6 @@ from swarmd.protection.compatibility import (
     radius_of,
     sees,
 )
-from swarmd.protection.constraints import BindingRange
-from swarmd.protection.dead_reckoning import REACTION_TIME
 from swarmd.protection.decision import ToldObstacle
 
 TOLD_TIMEOUT = 1.0  # s after which a place that a neighbour was told at says nothing any more

@@ -22,6 +22,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from typing import Any
 
 from swarmd.core.goal import GoalState
 from swarmd.core.host_messages import (
@@ -32,23 +33,21 @@ from swarmd.core.host_messages import (
     TrialDone,
 )
 from swarmd.core.keys import is_id
-from swarmd.core.messages import (
+from swarmd.core.messages import Latch, Reason, Refusal, State
+from swarmd.core.verbs import (
     MAX_AHEAD,
     MAX_LATE,
-    Epoch,
+    VERBS,
     EstopRequest,
     GoalRequest,
+    Handler,
     LabelRequest,
-    Latch,
     ParamRequest,
-    Reason,
-    Refusal,
     ReloadRequest,
     Request,
     ResetRequest,
     ResumeRequest,
     RunRequest,
-    State,
     StopRequest,
 )
 from swarmd.protection.arbiter import Protection
@@ -84,40 +83,37 @@ class RequestHandler:
         self._stood = -math.inf
         self._stopped = -math.inf  # when a stop, an emergency stop or a reset raised the epoch last
         self.reset_at = -math.inf  # when the robot was reset last
+        self._handlers: dict[str, Callable[[Any, Effects], None]] = {
+            row.name: getattr(self, f"on_{row.name}")
+            for row in VERBS.values()
+            if row.handler is Handler.ROBOT
+        }
 
     def answer(self, request: Request, effects: Effects) -> None:
         """Carry the request out or refuse it; no reply if it targets only other robots."""
         if request.targets is not None and self._robot not in request.targets:
             return
-        if isinstance(request, EstopRequest):
-            self._estop(request, effects)
-        elif isinstance(request, StopRequest):
-            self._stop(request, effects)
-        elif self._lifecycle.revoked and not isinstance(request, ResetRequest):
-            text = f"{self._lifecycle.revoked}; it is no longer a robot of this swarm"
-            self._lifecycle.refuse(effects, request, Refusal.REVOKED, text)
-        elif not self._is_fresh(request, request.targets[self._robot]):
-            text = f"robot changed since you looked, by {self._lifecycle.changed_by}"
-            self._lifecycle.refuse(effects, request, Refusal.STALE_EPOCH, text)
-        elif isinstance(request, RunRequest | ResumeRequest):
-            self._run(request, effects)
-        elif isinstance(request, GoalRequest):
-            self._goals.set_goal(request, effects)
-        elif isinstance(request, LabelRequest):
-            self._goals.set_labels(request, effects)
-        elif isinstance(request, ResetRequest):
-            self._reset(request, effects)
-        elif isinstance(request, ReloadRequest):
-            self._begin_trial(request, effects)
+        if VERBS[request.verb].needs_epoch and (refusal := self._refusal_of(request)):
+            self._lifecycle.refuse(effects, request, *refusal)
         else:
-            self._set_params(request, effects)
+            self._handlers[request.verb](request, effects)
 
-    def _is_fresh(self, request: Request, quoted: Epoch | None) -> bool:
-        """True if nothing but the goal of this request changed the robot since the epoch quoted."""
+    def _refusal_of(self, request: Request) -> tuple[Refusal, str] | None:
+        """Why a request of another epoch, or to a revoked robot, is refused."""
+        revoked, quoted = self._lifecycle.revoked, (request.targets or {})[self._robot]
+        if revoked and not isinstance(request, ResetRequest):
+            return Refusal.REVOKED, f"{revoked}; it is no longer a robot of this swarm"
+        # Nothing but the goal of this request may have changed the robot since the epoch quoted.
         is_same = quoted == self._lifecycle.epoch
-        return is_same or self._goals.is_of_found_goal(request, quoted)
+        if not is_same and not self._goals.is_of_found_goal(request, quoted):
+            text = f"robot changed since you looked, by {self._lifecycle.changed_by}"
+            return Refusal.STALE_EPOCH, text
+        return None
 
-    def _stop(self, request: StopRequest, effects: Effects) -> None:
+    # Requests, by the names of their verbs
+
+    def on_stop(self, request: StopRequest, effects: Effects) -> None:
+        """Stop, unless what runs was asked for after the stop was issued."""
         lifecycle, now, run = self._lifecycle, effects.now, self._lifecycle.pattern_run
         # A copy of a stop that was carried out is at least as old as the time since then. The age
         # of a refused copy is not kept: a forged one would make the true stop look older.
@@ -149,7 +145,8 @@ class RequestHandler:
         self._goals.on_stop(request, effects)
         lifecycle.applied(effects, request, self._stop_text(now))
 
-    def _estop(self, request: EstopRequest, effects: Effects) -> None:
+    def on_estop(self, request: EstopRequest, effects: Effects) -> None:
+        """Latch, unless a relayed copy of this emergency stop was reset."""
         latch_id = request.id if is_id(request.id) else "unnamed"
         if request.is_relayed and self._lifecycle.latches.is_cleared(latch_id):
             lifecycle = self._lifecycle
@@ -161,18 +158,11 @@ class RequestHandler:
         self._goals.on_stop(request, effects)
         self._lifecycle.applied(effects, request, self._stop_text(effects.now))
 
-    def _run(self, request: RunRequest | ResumeRequest, effects: Effects) -> None:
-        lifecycle, machine = self._lifecycle, self._lifecycle.state_machine
-        if machine.state in (State.ESTOPPED, State.FAULTED):
-            is_estopped = machine.state is State.ESTOPPED
-            refusal = Refusal.ESTOPPED if is_estopped else Refusal.FAULTED
-            text = f"{machine.state} ({machine.reason}) {machine.detail}; reset it first"
-            lifecycle.refuse(effects, request, refusal, text)
-        elif text := under_way(lifecycle):
-            lifecycle.refuse(effects, request, Refusal.BUSY, text)
-        elif isinstance(request, ResumeRequest):
-            self._goals.resume(request, self._wish_of(request, effects.now), effects)
-        elif why := self._refusal_of(request, effects.now):
+    def on_run(self, request: RunRequest, effects: Effects) -> None:
+        """Load the pattern; the reply follows when the pattern is ready."""
+        lifecycle = self._lifecycle
+        why = self._refusal_to_start() or self._refusal_to_run(request, effects.now)
+        if why is not None:
             lifecycle.refuse(effects, request, *why)
         else:
             lifecycle.raise_revision(f"{request.operator} (run {request.pattern})")
@@ -188,6 +178,31 @@ class RequestHandler:
                 start_at=request.at.get(self._robot),
             )
 
+    def on_resume(self, request: ResumeRequest, effects: Effects) -> None:
+        """Run the robot's own goal."""
+        if why := self._refusal_to_start():
+            self._lifecycle.refuse(effects, request, *why)
+        else:
+            self._goals.resume(request, self._wish_of(request, effects.now), effects)
+
+    def on_goal(self, request: GoalRequest, effects: Effects) -> None:
+        """Set the goal without a run."""
+        self._goals.set_goal(request, effects)
+
+    def on_label(self, request: LabelRequest, effects: Effects) -> None:
+        """Replace the labels."""
+        self._goals.set_labels(request, effects)
+
+    def _refusal_to_start(self) -> tuple[Refusal, str] | None:
+        """Why no run can start in the present state."""
+        machine = self._lifecycle.state_machine
+        if machine.state in (State.ESTOPPED, State.FAULTED):
+            is_estopped = machine.state is State.ESTOPPED
+            refusal = Refusal.ESTOPPED if is_estopped else Refusal.FAULTED
+            return refusal, f"{machine.state} ({machine.reason}) {machine.detail}; reset it first"
+        text = under_way(self._lifecycle)
+        return (Refusal.BUSY, text) if text else None
+
     def _wish_of(self, request: RunRequest | ResumeRequest | ReloadRequest, now: float) -> Wish:
         """The time at which the operator issued the request.
 
@@ -195,7 +210,7 @@ class RequestHandler:
         """
         return Wish(max(now - request.age, self._stopped), request.operator)
 
-    def _refusal_of(self, request: RunRequest, now: float) -> tuple[Refusal, str] | None:
+    def _refusal_to_run(self, request: RunRequest, now: float) -> tuple[Refusal, str] | None:
         """Why a run is refused because of its conditions, its time or its goal."""
         if fault := fault_of(request.until):
             return Refusal.INVALID_CONDITION, fault
@@ -207,7 +222,8 @@ class RequestHandler:
             return Refusal.INVALID_REQUEST, text
         return self._lifecycle.goals.refusal_of(request)
 
-    def _reset(self, request: ResetRequest, effects: Effects) -> None:
+    def on_reset(self, request: ResetRequest, effects: Effects) -> None:
+        """Clear the named latches and a fault; moves nothing."""
         lifecycle = self._lifecycle
         if lifecycle.duplicate is not None:
             text = f"this id is still held by {lifecycle.duplicate}"
@@ -257,7 +273,8 @@ class RequestHandler:
         for text in ended:
             self._lifecycle.log(f"ended by {by}: {text}", effects.now)
 
-    def _set_params(self, request: ParamRequest, effects: Effects) -> None:
+    def on_param(self, request: ParamRequest, effects: Effects) -> None:
+        """Set parameters; the reply follows when the pattern has taken them."""
         lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
         if run.running is None or not lifecycle.is_running or run.is_restarting:
             lifecycle.refuse(effects, request, Refusal.NOT_RUNNING, "no pattern is running")
@@ -270,7 +287,7 @@ class RequestHandler:
                 SetParams(run.running.generation, request.id, dict(request.params))
             )
 
-    def _begin_trial(self, request: ReloadRequest, effects: Effects) -> None:
+    def on_reload(self, request: ReloadRequest, effects: Effects) -> None:
         """Start a trial of the new code, or refuse; the reply follows when the trial ends."""
         lifecycle, pattern = self._lifecycle, request.pattern
         if text := under_way(lifecycle):

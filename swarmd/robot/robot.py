@@ -14,7 +14,7 @@ from msgspec.structs import astuple
 from swarmd.core.goal import Goal, GoalRecord, HeldGoal
 from swarmd.core.hazard import Hazard
 from swarmd.core.host_messages import HostEvent, Step, TrialDone
-from swarmd.core.messages import Body, Epoch, Latch, Motion, Reason, Request, State, Status
+from swarmd.core.messages import Body, Epoch, Latch, Motion, Reason, State, Status
 from swarmd.core.values import (
     Neighbor,
     Odometry,
@@ -25,6 +25,7 @@ from swarmd.core.values import (
     SharedPose,
     Value,
 )
+from swarmd.core.verbs import Request
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import NO_PERMIT, Decision
 from swarmd.robot.actions import Actions, Effects

@@ -25,8 +25,8 @@ from swarmd.core.values import (
     Value,
     input_fault,
 )
+from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
-from swarmd.protection.constraints import BindingRange
 from swarmd.protection.footprint import Footprint
 from swarmd.protection.settings import (
     BarrierSettings,

@@ -7,7 +7,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 from swarmd.core.clock import FIRST_WALL
-from swarmd.core.tool_messages import DiskFacts, DoctorReply, MachineFacts, NetworkFacts
+from swarmd.core.verbs import DiskFacts, DoctorReply, MachineFacts, NetworkFacts
 from swarmd.texts.keys import end_of_certificate, life
 from swarmd.texts.values import sandbox_text
 

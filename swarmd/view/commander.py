@@ -10,7 +10,7 @@ from typing import Any, Literal, TypeVar
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.keys import is_id
-from swarmd.core.messages import LabelRequest, ParamRequest, ResetRequest, RunRequest
+from swarmd.core.verbs import LabelRequest, ParamRequest, ResetRequest, RunRequest
 from swarmd.network.members_view import MembersView
 from swarmd.network.next_goal import next_goal
 from swarmd.network.operator import Operator

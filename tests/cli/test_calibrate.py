@@ -14,21 +14,21 @@ from typing import Any
 import pytest
 
 from swarmd.calibration.figures import Figure
-from swarmd.cli.calibrate import _end_findings
-from swarmd.core.messages import State, Status
+from swarmd.cli.calibrate import _end_findings, _floor
+from swarmd.core.messages import ScanDelaySummary, State, Status
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from swarmd.sim.live.fleet import Fleet, FleetSpec
-from swarmd.sim.live.live_scenario import LiveScenario
 from swarmd.sim.live.starting import statuses_of
-from swarmd.sim.scenarios.scenariofile import scenario_of
 from tests.support.processes import unique_swarm, wait_until
 from tests.support.statuses import status as make_status
 
 pytestmark = pytest.mark.integration
 ROBOT = "r01"
+DISTURBED = 7
+"""Exit code of a calibration whose robot was held, as for scans that a busy machine delays."""
 
 
 @pytest.fixture(scope="module")
@@ -46,42 +46,6 @@ def swarm(tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
         assert fleet
         wait_until(lambda: scans(name), "the robot scans", 60.0)
         yield name
-
-
-@pytest.fixture
-def late_swarm(tmp_path: Path) -> Iterator[str]:
-    """A Jackal whose scans come 0.23 s late, in a room of 6 x 5.8 m."""
-    scenario = scenario_of(
-        {
-            "duration": 600.0,
-            "realism": {"preset": "realistic", "lidar": {"bias": 0.0, "delay": 0.23}},
-            "arena": {
-                "size": [6.0, 5.8],
-                "boxes": [{"name": "crate", "at": [2.8, 2.0], "size": [0.3, 0.3]}],
-            },
-            "groups": {"all": {"platform": "jackal", "robots": [ROBOT]}},
-            "start": {"layout": "row"},
-            "events": [],
-        }
-    )
-    name = unique_swarm()
-    spec = FleetSpec(
-        swarm=name,
-        robots={ROBOT: "jackal"},
-        folder=tmp_path,
-        arena="",
-        layout="",
-        scenario=LiveScenario(scenario),
-    )
-    with Fleet(spec) as fleet:
-        assert fleet
-        wait_until(lambda: is_late(name), "the robot measures that its scans are late", 60.0)
-        yield name
-
-
-def is_late(swarm: str) -> bool:
-    found = status(swarm)
-    return found is not None and found.scan_delay is not None and found.scan_delay.added > 0.2
 
 
 def status(swarm: str) -> Status | None:
@@ -152,15 +116,18 @@ def test_a_calibration_finds_weak_brakes_and_writes_them(swarm: str, tmp_path: P
         "braking_angular": pytest.approx(2.4, rel=0.15),
         "scan_delay": pytest.approx(0.1, abs=0.02),
     }
-    for _ in range(3):  # the drives are in real time, so that other work may disturb some
+    for _ in range(5):  # the drives are in real time, so that other work may disturb some
         file.unlink(missing_ok=True)
         process = calibrate(swarm, *options)
         out, error = process.communicate(timeout=180.0)
+        if process.returncode == DISTURBED and "held: " in error:
+            continue
         assert process.returncode == 0, error
         figures = {name: one["value"] for name, one in json.loads(out)["figures"].items()}
         found = {name: figures[name] for name in wanted}
         if found == wanted:
             break
+    assert process.returncode == 0, error
     assert found == wanted
     file.write_text(file.read_text().replace("extends: ./weak.yaml", "extends: burger"))
     barrier = load_platform(str(file)).protection["barrier"]
@@ -208,21 +175,13 @@ def test_a_calibration_ends_findings_that_it_does_not_confirm(braking: float, en
     assert all(one["epochs"] == {ROBOT: found.epoch} for one in operator.asked)
 
 
-@pytest.mark.timeout(600)
-def test_a_calibration_of_late_scans_writes_their_latency(late_swarm: str, tmp_path: Path) -> None:
-    """They are later than the robot permits to every other pattern."""
-    found = status(late_swarm)
-    assert found is not None
-    assert found.scan_delay is not None
-    assert found.scan_delay.added > found.scan_delay.bound
-    file = tmp_path / "mine.yaml"
-    options = ("--yes", "--repeats", "1", "--write", str(file))
-    for _ in range(3):  # as above
-        file.unlink(missing_ok=True)
-        process = calibrate(late_swarm, *options)
-        _, error = process.communicate(timeout=180.0)
-        assert process.returncode == 0, error
-        latency = load_platform(str(file)).scan.latency
-        if latency == pytest.approx(0.28, rel=0.1):
-            break
-    assert latency == pytest.approx(0.28, rel=0.1)
+def test_late_scans_need_a_larger_floor() -> None:
+    """As a robot measures them, since each drive ends with the scans of its stop."""
+    delays = [
+        None,
+        *(ScanDelaySummary(declared=0.05, added=added, bound=0.1) for added in (0.0, 0.23)),
+    ]
+    none, known, late = (
+        _floor(make_status(ROBOT, platform="jackal", scan_delay=delay)) for delay in delays
+    )
+    assert none == known < late

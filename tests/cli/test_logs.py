@@ -8,7 +8,7 @@ import pytest
 
 from swarmd.cli.links import pairs_of, summary
 from swarmd.cli.logs import _Printer
-from swarmd.core.tool_messages import LinkReport, LinksReply, LogBatch, LogRecord, LogsQuery
+from swarmd.core.verbs import LinkReport, LinksReply, LogBatch, LogRecord, LogsQuery
 
 
 def batch(*numbers: int, life: str = "a", left_out: int = 0, level: int = logging.INFO) -> LogBatch:

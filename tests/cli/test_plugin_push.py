@@ -14,7 +14,7 @@ from swarmd.cli.plugin_list import _differing
 from swarmd.cli.plugin_push import greatest_of, read_source
 from swarmd.core.behaviour import MAX_CODE, Manifest, encode_manifest
 from swarmd.core.errors import SwarmError
-from swarmd.core.messages import BehaviourReport, BehavioursReply
+from swarmd.core.verbs import BehaviourReport, BehavioursReply
 from swarmd.security.content_signature import Purpose, sign
 from swarmd.security.private_keys import load_private_key
 from tests.support.keys import SwarmKeys

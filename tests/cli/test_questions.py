@@ -9,7 +9,7 @@ import pytest
 
 from swarmd.cli.questions import ask_robots
 from swarmd.core.codec import encode
-from swarmd.core.tool_messages import LinksReply
+from swarmd.core.verbs import LINKS, LinksReply
 
 
 def test_an_answer_in_the_name_of_another_robot_is_left_out(
@@ -19,5 +19,5 @@ def test_an_answer_in_the_name_of_another_robot_is_left_out(
     answers = {"r1": encode(own), "r2": encode(forged)}
     operator: Any = SimpleNamespace(ask_all=lambda *_, **__: answers)
     options: Any = SimpleNamespace(timeout=None)
-    assert ask_robots(options, operator, answers, "links", b"", LinksReply) == {"r1": own}
+    assert ask_robots(options, operator, answers, LINKS) == {"r1": own}
     assert "r2: its answer is in the name of r1?[2J" in capsys.readouterr().err

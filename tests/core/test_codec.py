@@ -10,7 +10,8 @@ from msgspec import Struct
 
 from swarmd.core.codec import MAX_DEPTH, MAX_MESSAGE, Decoder, decode_value, encode, encode_value
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import DecisionSummary, Epoch, LimitingObstacle, RequestHeader, RunRequest
+from swarmd.core.messages import DecisionSummary, Epoch, LimitingObstacle
+from swarmd.core.verbs import RequestHeader, RunRequest
 
 OPEN = st.recursive(
     st.none() | st.booleans() | st.integers(-(2**63), 2**64 - 1) | st.floats() | st.text(),

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from swarmd.core import clock, kernels
-from swarmd.core.kernels import KERNELS, compiled_kernel, describe_kernels, load_kernel
+from swarmd.core.kernels import KERNELS, describe_kernels, load_kernel
 
 
 def test_no_library_is_loaded_where_it_is_not_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SWARMD_COMPILED", "0")
-    assert [compiled_kernel(name) for name in KERNELS] == [None] * len(KERNELS)
+    assert [kernels._compiled(name) for name in KERNELS] == [None] * len(KERNELS)
     assert load_kernel("swarmd.core.clock") is clock
     assert describe_kernels() == "interpreted (SWARMD_COMPILED=0)"
 
@@ -24,7 +24,7 @@ def test_no_library_is_loaded_where_it_is_not_wanted(monkeypatch: pytest.MonkeyP
 def test_a_kernel_that_was_not_built_is_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
     monkeypatch.setattr(kernels, "KERNELS", ("swarmd.core.clock",))
-    assert compiled_kernel("swarmd.core.clock") is None
+    assert kernels._compiled("swarmd.core.clock") is None
     assert load_kernel("swarmd.core.clock") is clock
     assert describe_kernels() == "interpreted (not compiled)"
     monkeypatch.setattr(kernels, "KERNELS", (*KERNELS, "swarmd.protection.absent"))
@@ -48,7 +48,7 @@ def test_a_kernel_that_was_cut_off_is_not_loaded_and_named(
     share: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    whole = _library("swarmd.protection.barrier_kernel").read_bytes()
+    whole = _library("swarmd.protection.barrier").read_bytes()
     (tmp_path / "_cut.abi3.so").write_bytes(whole[: int(share * len(whole))])
     assert _said_of_cut_kernel(tmp_path) == "None interpreted (not compiled)"
 
@@ -57,7 +57,7 @@ def test_a_kernel_of_another_processor_is_not_loaded_and_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    foreign = bytearray(_library("swarmd.protection.barrier_kernel").read_bytes())
+    foreign = bytearray(_library("swarmd.protection.barrier").read_bytes())
     foreign[18:20] = b"\xff\x7f"  # e_machine
     (tmp_path / "_cut.abi3.so").write_bytes(foreign)
     assert _said_of_cut_kernel(tmp_path) == "None interpreted (not compiled)"
@@ -73,7 +73,7 @@ def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
     script = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from swarmd.core import kernels;"
         "kernels.KERNELS = ('base',);"
-        "print([kernels.compiled_kernel('base') is not None for _ in range(2)],"
+        "print([kernels._compiled('base') is not None for _ in range(2)],"
         " kernels.describe_kernels())"
     )
 
@@ -105,7 +105,7 @@ def _said_of_cut_kernel(folder: Path) -> str:
         f"import sys; sys.path.insert(0, {str(folder)!r}); from swarmd.core import kernels;"
         "kernels.KERNELS = ('cut',);"
         "said = kernels.describe_kernels();"
-        "print(kernels.compiled_kernel('cut'), said)"
+        "print(kernels._compiled('cut'), said)"
     )
     command = [sys.executable, "-c", script]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 
 from swarmd.core.log_ring import BURST, CAPACITY, LogRing
-from swarmd.core.tool_messages import LOG_PAGE, MAX_LOG_LINE, LogsQuery
+from swarmd.core.verbs import LOG_PAGE, MAX_LOG_LINE, LogsQuery
 
 INFO, WARNING = logging.INFO, logging.WARNING
 

@@ -5,23 +5,20 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.goal import Goal
-from swarmd.core.messages import (
+from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.verbs import (
     AnyRequest,
-    Code,
-    Epoch,
+    AuditEntry,
     EstopRequest,
     ForgetRequest,
     GoalRequest,
     LabelRequest,
     ParamRequest,
-    Refusal,
     ReloadRequest,
-    Reply,
     ResetRequest,
     RunRequest,
     StopRequest,
 )
-from swarmd.core.tool_messages import AuditEntry
 from swarmd.daemon.audit import (
     APPLIED_BURST,
     ENTRY_BURST,

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.tool_messages import AuditEntry, AuditQuery
+from swarmd.core.verbs import AuditEntry, AuditQuery
 from swarmd.daemon.audit_log import FILES, MAX_PENDING, AuditLog
 
 ENTRY = AuditEntry(

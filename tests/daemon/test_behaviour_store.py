@@ -25,7 +25,8 @@ from swarmd.core.behaviour import (
 from swarmd.core.clock import boottime
 from swarmd.core.errors import ChangedCodeError
 from swarmd.core.host_messages import Load, Loaded, LoadRefused, TrialDone
-from swarmd.core.messages import Code, Epoch, PushRequest, Refusal, ReloadRequest, Reply
+from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.verbs import PushRequest, ReloadRequest
 from swarmd.daemon import behaviour_state
 from swarmd.daemon.behaviour_files import BehaviourFiles
 from swarmd.daemon.behaviour_runs import CodeRuns
@@ -175,14 +176,13 @@ class Rig:
             signature=signature,
             data=code,
         )
-        reply = self.store.push(request)
-        count = len(self.control.replies)
+        replies, count = list[Reply](), len(self.control.replies)
+        self.store.on_push(request, lambda reply, **_: replies.append(reply))
         async with asyncio.timeout(20.0):
-            while reply is None:
+            while not replies:
                 await asyncio.sleep(0.005)
-                if len(self.control.replies) > count:
-                    reply = self.control.replies[-1]
-        return reply
+                replies += self.control.replies[count:]
+        return replies[-1]
 
     def origin(self, name: str = "own", *, generation: int = 1, is_restart: bool = False) -> str:
         """Where a load finds a pattern; empty: nowhere."""
@@ -465,7 +465,9 @@ async def test_a_push_of_what_is_being_pulled_waits_and_is_applied(rig: Rig) -> 
     request = PushRequest(
         id="p1", operator="alice", targets={"r1": EPOCH}, content=entry.signed.content, data=CODE
     )
-    assert rig.store.push(request) is None
+    replies: list[Reply] = []
+    rig.store.on_push(request, lambda reply, **_: replies.append(reply))
+    assert replies == []  # the reply follows
     async with asyncio.timeout(20.0):
         while len(rig.control.replies) < 2:
             await asyncio.sleep(0.005)

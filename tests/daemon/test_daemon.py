@@ -16,8 +16,9 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.files import write_whole
 from swarmd.core.goal import GoalRecord
-from swarmd.core.messages import Code, Epoch, LabelRequest, Reply
+from swarmd.core.messages import Code, Epoch, Reply
 from swarmd.core.values import Twist
+from swarmd.core.verbs import LabelRequest
 from swarmd.daemon import behaviour_files, goal_service
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.latchfile import LatchFile

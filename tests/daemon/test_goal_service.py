@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.goal import Goal, GoalRecord
-from swarmd.core.messages import GoalRequest
+from swarmd.core.verbs import GoalRequest
 from swarmd.daemon import record_writer
 from swarmd.daemon.goal_service import GoalFile, GoalService
 from swarmd.network.next_goal import sign_goal

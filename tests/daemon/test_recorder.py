@@ -21,12 +21,11 @@ import numpy as np
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.codec import Decoder
-from swarmd.core.messages import LimitingObstacle, RecordingsReply
+from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Odometry, Pose, Scan, Twist
+from swarmd.core.verbs import Nothing, RecordingsReply
 from swarmd.daemon.recorder import Recorder
 from swarmd.daemon.recording_service import RecordingService
-from swarmd.network.inbound_queue import DropCounter
 from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages, process
@@ -220,13 +219,13 @@ def test_a_folder_that_cannot_be_written_is_an_event_and_stands_in_the_list(
 
     async def run() -> RecordingsReply:
         section = RecordingSection(from_start=True, folder=str(tmp_path / "file" / "folder"))
-        service = RecordingService("a", section, head, events.append, DropCounter())
+        service = RecordingService("a", section, head, events.append)
         service.start_if_wanted()
         service.recorder.scan(scan(1), 0.0)
         service.recorder.flush()
         await until(lambda: events)
         service.close()
-        return Decoder(RecordingsReply, 10_000)(service._list(b""))
+        return service.on_recordings(Nothing())()
 
     listed = asyncio.run(run())
     assert events == ["recording ends: no file: Not a directory"]

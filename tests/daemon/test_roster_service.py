@@ -7,7 +7,8 @@ import asyncio
 import pytest
 
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import Code, Epoch, Refusal, Reply, RosterRequest
+from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.verbs import RosterRequest
 from swarmd.daemon import roster_service
 from swarmd.daemon.roster_service import RosterService
 from swarmd.network.inbound_queue import DropCounter
@@ -32,9 +33,8 @@ async def test_a_fault_of_the_service_is_a_failure_and_no_refusal_of_the_roster(
     identity = Keyring(("r1",)).identity("r1")
     service = RosterService("r1", identity, lambda taken: None, DropCounter())
     targets: dict[str, Epoch | None] = {"r1": None}
-    service.answer(
-        RosterRequest(id="q", operator="a", targets=targets, roster=b""), replies.put_nowait
-    )
+    request = RosterRequest(id="q", operator="a", targets=targets, roster=b"")
+    service.on_roster(request, lambda reply, **_: replies.put_nowait(reply))
     async with asyncio.timeout(20.0):
         reply = await replies.get()
     assert (reply.code, reply.refusal) == (code, refusal)

@@ -18,8 +18,8 @@ from swarmd.cli.daemon import swarmd
 from swarmd.cli.swarmctl import VERBS, cli
 from swarmd.core.clock import TICK
 from swarmd.plugins import DRIVERS
+from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
-from swarmd.protection.constraints import BindingRange
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.sim.experiments.requirements import RUNS, parse_requirement
 from swarmd.sim.metrics.catalog import METRICS

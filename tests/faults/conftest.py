@@ -17,8 +17,9 @@ import zenoh
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder
 from swarmd.core.keys import build
-from swarmd.core.messages import REQUEST_TYPES, Code, Epoch, Reason, Reply, State, Status
+from swarmd.core.messages import Code, Epoch, Reason, Reply, State, Status
 from swarmd.core.values import Twist, Value
+from swarmd.core.verbs import VERBS
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
@@ -176,7 +177,7 @@ class Bench:
     def ask(self, verb: str, *, epoch: Epoch | None = None, **args: Any) -> Reply:
         """Its answer to a request that quotes the epoch it has now, or the one given."""
         targets = {ROBOT: epoch or self.status().epoch}
-        outcome = self.operator.request(REQUEST_TYPES[verb], targets, **args, timeout=10.0)
+        outcome = self.operator.request(VERBS[verb].asked, targets, **args, timeout=10.0)
         assert not outcome.missing, f"no answer to {verb}; its log: {self.daemon.text()[-2000:]}"
         return outcome.replies[ROBOT]
 

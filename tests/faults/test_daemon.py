@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Code, Reason, RunRequest, State
+from swarmd.core.messages import Code, Reason, State
+from swarmd.core.verbs import RunRequest
 from swarmd.network.datagram import STATES, Flag
 from swarmd.testing.driver_contract import is_running
 from tests.faults.conftest import ROBOT

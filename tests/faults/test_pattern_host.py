@@ -14,7 +14,7 @@ import pytest
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.messages import Code, Reason, State
-from swarmd.core.tool_messages import LogBatch, LogsQuery
+from swarmd.core.verbs import LogBatch, LogsQuery
 from swarmd.robot.pattern_run import FIRST_BACKOFF
 from swarmd.testing.driver_contract import is_running
 from tests.faults.conftest import ROBOT

@@ -34,18 +34,15 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from swarmd.core.goal import Goal, GoalState
-from swarmd.core.messages import (
-    Code,
+from swarmd.core.messages import Code, Reason, Reply, State
+from swarmd.core.verbs import (
     EstopRequest,
     GoalRequest,
     LabelRequest,
-    Reason,
-    Reply,
     Request,
     ResetRequest,
     ResumeRequest,
     RunRequest,
-    State,
     StopRequest,
 )
 from swarmd.network.datagram import Datagram, Stop

@@ -18,12 +18,11 @@ from msgspec.structs import replace
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import Goal
-from swarmd.core.messages import (
+from swarmd.core.messages import Epoch, Reply
+from swarmd.core.verbs import (
     AnyRequest,
-    Epoch,
     GoalRequest,
     LabelRequest,
-    Reply,
     ResetRequest,
     ResumeRequest,
     RunRequest,

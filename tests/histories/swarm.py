@@ -38,21 +38,18 @@ from swarmd.core.host_messages import (
     Stepped,
     TrialDone,
 )
-from swarmd.core.messages import (
-    Code,
+from swarmd.core.messages import Code, PeerView, Refusal, Reply
+from swarmd.core.values import ZERO, Odometry, Outputs, Platform, Pose, Scan, Twist
+from swarmd.core.verbs import (
     ForgetRequest,
-    PeerView,
     PushRequest,
     RecordRequest,
-    Refusal,
     ReloadRequest,
-    Reply,
     Request,
     RosterRequest,
 )
-from swarmd.core.values import ZERO, Odometry, Outputs, Platform, Pose, Scan, Twist
 from swarmd.daemon.audit import Audit
-from swarmd.daemon.request_server import RequestServer
+from swarmd.daemon.requests import RequestServer
 from swarmd.network.admission import Admission
 from swarmd.network.datagram import Ack, Address, Datagram, Stop
 from swarmd.network.goal_sync import FoundGoal
@@ -66,6 +63,7 @@ from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
 from swarmd.security.roster import Role
 from swarmd.settings.settings import load_platform
+from tests.support.fake_services import FakeServices
 
 LEASE, SETTLE = 3.0, 1.0  # of profile field
 DELAY = 0.005  # s
@@ -320,10 +318,7 @@ class VirtualDaemon(Node):
             self.name,
             self._on_request,
             audit,
-            forget=lambda name: False,
-            record=self._refuse,
-            roster=lambda request, reply: None,
-            push=lambda request: None,
+            FakeServices(),
             drops=DropCounter(),
         )
         self._observe()
@@ -445,9 +440,6 @@ class VirtualDaemon(Node):
         self.event = request
         self._carry_out(self.robot.on_request(request, self.swarm.now))
         self.event = None
-
-    def _refuse(self, request: RecordRequest) -> Reply:
-        return Reply(id=request.id, robot=self.name, code=Code.REFUSED)
 
     def _ack(self, stop: Stop, source: Address, reply: Reply) -> None:
         if not self.peer.owns_id or not self.peer.wants_ack(stop, source, self.swarm.now):

@@ -10,7 +10,8 @@ import pytest
 import zenoh
 
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
-from swarmd.core.messages import Member, MembersQuery, PeerView, Presence, Status
+from swarmd.core.messages import Member, PeerView, Presence, Status
+from swarmd.core.verbs import MembersQuery
 from swarmd.network.bus import Query, ZenohBus, without_mapping
 from swarmd.network.inbound_queue import CAPACITY, DropCounter
 from swarmd.network.session import open_listening, open_with

@@ -18,16 +18,9 @@ import zenoh
 
 from swarmd.core.codec import VERSION, Decoder, encode
 from swarmd.core.keys import ANY, CONTROL, SHARED, build
-from swarmd.core.messages import (
-    REQUEST_TYPES,
-    Code,
-    Epoch,
-    MembersQuery,
-    Reply,
-    RunRequest,
-    Status,
-)
+from swarmd.core.messages import Code, Epoch, Reply, Status
 from swarmd.core.values import Value
+from swarmd.core.verbs import VERBS, MembersQuery, RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.session import open_with, operator_options, tls_options
 from swarmd.network.settings import NetworkSettings
@@ -38,7 +31,7 @@ from tests.support.processes import DaemonProcess, free_endpoint, unique_swarm, 
 
 WILD = ("**", "swarm/**", "swarm/*/*/control/**", "swarm/*/r1/state/*")
 LINK_TIME = 1.0  # s in which an attacker that is let in has its link; it takes 10 ms
-VERBS = tuple(verb for verb in REQUEST_TYPES if verb not in ("stop", "estop"))
+REQUESTS = tuple(r.name for r in VERBS.values() if r.is_request and not r.is_datagram)
 _reply = Decoder(Reply)
 
 
@@ -161,7 +154,7 @@ def assert_all_denied(
     besieged: Besieged, attacking: Attacker, askers: tuple[str, ...], verbs: tuple[str, ...]
 ) -> None:
     """No verb of any of these askers is answered, at r1 or at all robots; no key can be heard."""
-    payloads = {verb: besieged.request(verb) for verb in VERBS}
+    payloads = {verb: besieged.request(verb) for verb in REQUESTS}
     for robot, verb, asker in itertools.product(("r1", ANY), verbs, askers):
         key = build(besieged.name, robot, CONTROL, verb, asker)
         assert attacking.ask(key, payloads.get(verb, b"")) == [], key
@@ -216,7 +209,8 @@ def test_an_open_link_ends_with_the_certificate_of_its_other_end(
 def test_a_stolen_certificate_of_a_robot_commands_no_other_robot(besieged: Besieged) -> None:
     with unchanged(besieged), attacker(besieged, besieged.keys["r2"]) as attacking:
         assert attacking.is_linked()
-        assert_all_denied(besieged, attacking, ("r2", "alice", ANY), (*VERBS, "members", "audit"))
+        verbs = (*REQUESTS, "members", "audit")
+        assert_all_denied(besieged, attacking, ("r2", "alice", ANY), verbs)
         assert attacking.ask(build(besieged.name, "r1", "state", "status")) == []
 
 
@@ -234,7 +228,7 @@ def test_a_viewer_reads_and_commands_nothing(besieged: Besieged) -> None:
         assert attacking.is_linked()
         key = build(besieged.name, "r1", CONTROL, "members", "eve")
         wait_until(lambda: attacking.ask(key, encode(MembersQuery())) != [], "eve reads members")
-        assert_all_denied(besieged, attacking, ("eve", "alice", ANY), VERBS)
+        assert_all_denied(besieged, attacking, ("eve", "alice", ANY), REQUESTS)
         assert attacking.ask(build(besieged.name, "r1", CONTROL, "members", "alice")) == []
 
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from swarmd.core.messages import RunRequest
+from swarmd.core.verbs import RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import NO_TARGET
 from swarmd.network.settings import NetworkSettings

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.core.messages import ResetRequest
+from swarmd.core.verbs import ResetRequest
 from swarmd.network.datagram import Stop
 from swarmd.network.operator import Operator
 from swarmd.network.operator_text import operator_name

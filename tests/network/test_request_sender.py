@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from msgspec.structs import replace
 
-from swarmd.core.messages import Code, RunRequest
+from swarmd.core.messages import Code
+from swarmd.core.verbs import RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import PARTIAL
 from swarmd.network.request_sender import REPEAT_PERIOD

@@ -14,7 +14,8 @@ import zenoh
 from swarmd.cli.keys_router import router_configuration
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.keys import CONTROL, build
-from swarmd.core.messages import Presence, RunRequest
+from swarmd.core.messages import Presence
+from swarmd.core.verbs import RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.session import open_with, operator_options
 from swarmd.network.settings import NetworkSettings

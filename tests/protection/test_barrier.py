@@ -14,11 +14,11 @@ from hypothesis.extra.numpy import arrays
 
 from swarmd.core.values import ZERO, Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
 from swarmd.protection.arbiter import Protection
-from swarmd.protection.constraints import CREEP_SPEED
+from swarmd.protection.barrier import CREEP_SPEED
 from swarmd.protection.decision import DecisionContext
-from swarmd.protection.footprint import Footprint
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import mirrored, reordered, scan_from
+from tests.support.barrier_parts import interpreted, separation
 from tests.support.filter_sim import decided, outline_point, under_barrier
 
 TICK = 0.05
@@ -350,7 +350,6 @@ def within(platform: Platform, scan: Scan, ray: int, zone: TouchZone) -> bool:
     way = np.array([math.cos(bearing), math.sin(bearing)])
     is_seen = math.isfinite(scan.ranges[ray])
     place = platform.scan.offset + scan.ranges[ray] * way if is_seen else edge_along(platform, way)
-    separations = Footprint(platform.footprint).separations(place[:1], place[1:])
-    way_there = math.atan2(float(separations.ny[0]), float(separations.nx[0]))
-    off = math.remainder(way_there - zone.bearing, 2.0 * math.pi)
+    _, x, y = separation(interpreted(platform), *place.tolist())
+    off = math.remainder(math.atan2(y, x) - zone.bearing, 2.0 * math.pi)
     return abs(off) <= zone.half_width + 1e-6

@@ -9,12 +9,11 @@ import msgspec
 import numpy as np
 import pytest
 
-from swarmd.core.clock import TICK
 from swarmd.core.values import Odometry, Platform, Pose, Twist
-from swarmd.protection.constraints import reciprocal_caps
-from swarmd.protection.dead_reckoning import REACTION_TIME
+from swarmd.protection.binding_range import REACTION_TIME
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import scan_from
+from tests.support.barrier_parts import reciprocal_cap
 from tests.support.filter_sim import FilterSim, Shape, box, decided, pole, under_barrier
 
 BURGER, JACKAL = under_barrier(load_platform("burger")), under_barrier(load_platform("jackal"))
@@ -95,7 +94,7 @@ def test_keep_out_leaves_half_of_the_room_to_the_other() -> None:
     ranges[0] = 1.2
     safe = decided(platform, scan_from(platform, ranges, platform.scan.bearings), AHEAD).safe
     age = platform.scan.latency + REACTION_TIME
-    (cap,) = reciprocal_caps(np.array([1.2 - 0.85]), np.array([1.0]), age, TICK)
+    cap = reciprocal_cap(1.2 - 0.85, 1.0, age)
     assert 0.0 < safe.linear == pytest.approx(cap)
 
 

@@ -13,8 +13,8 @@ from numpy.random import Generator
 from swarmd.core.clock import TICK
 from swarmd.core.messages import Reason
 from swarmd.core.values import Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
+from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
-from swarmd.protection.constraints import BindingRange
 from swarmd.protection.decision import NO_PERMIT, Permit
 from swarmd.settings.settings import load_platform
 from tests.support.filter_sim import (

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.values import Pose
-from swarmd.protection.blind_zone import BlindZoneMemory, blind_zone_memory
+from swarmd.protection.blind_zone import BlindZoneMemory
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import reordered, scan_from
@@ -49,20 +49,20 @@ def look(
 
 def hiding() -> BlindZoneMemory:
     """A memory after a near obstacle ahead has vanished."""
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     look(memory, empty=WIDE)
     return memory
 
 
 def test_near_obstacle_that_vanishes_is_hidden() -> None:
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     assert look(memory, WIDE) == []
     assert look(memory, empty=WIDE) == list(WIDE)
 
 
 def test_order_of_the_rays_does_not_matter() -> None:
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     for distance in (0.85, math.inf):
         ranges = np.full(360, 3.0)
         ranges[20:29] = distance
@@ -106,7 +106,7 @@ def face(memory: BlindZoneMemory, distance: float, first: int = -90, last: int =
 @pytest.mark.parametrize("speed", [0.02, 0.1, 0.6])
 def test_wide_face_continues_between_its_visible_ends(speed: float) -> None:
     """No point of the face vanishes without a visible one beside it."""
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     for distance in np.arange(1.0, 0.35, -speed * PERIOD):
         half = math.degrees(math.acos(min(distance / JACKAL.scan.range_min, 1.0)))
         inside = face(memory, float(distance))
@@ -122,7 +122,7 @@ def test_wide_face_continues_between_its_visible_ends(speed: float) -> None:
 
 
 def test_end_of_a_face_is_hidden_as_far_as_it_was_seen() -> None:
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     for distance in np.arange(1.0, 0.45, -0.03):
         inside = face(memory, float(distance), 0, 90)
     assert set(range(5, 55)) <= set(inside)
@@ -134,7 +134,7 @@ def test_end_of_a_face_is_hidden_as_far_as_it_was_seen() -> None:
 
 @pytest.mark.parametrize("distance", [1.1, 2.0])
 def test_far_obstacle_that_vanishes_is_not_hidden(distance: float) -> None:
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, distance=distance)
     assert look(memory, empty=WIDE) == []
 
@@ -145,7 +145,7 @@ def test_the_blind_zone_is_around_the_lidar_not_the_axle(
     bearing: int, distance: float, is_hidden: bool
 ) -> None:
     geometry = ScanGeometry(replace(JACKAL.scan, offset=(0.3, 0.2)))
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     rays = range(bearing - 4, bearing + 5)
     look(memory, rays, distance=distance, geometry=geometry)
     hidden = look(memory, empty=rays, geometry=geometry)
@@ -153,13 +153,13 @@ def test_the_blind_zone_is_around_the_lidar_not_the_axle(
 
 
 def test_pause_of_the_scans_hides_nothing_beyond_five_periods() -> None:
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, distance=1.6, seconds=2.0, beyond=math.inf)
     assert look(memory, seconds=2.0, beyond=math.inf) == []
 
 
 def test_nothing_is_hidden_without_an_earlier_obstacle() -> None:
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     assert look(memory, WIDE, empty=range(100, 140)) == []
 
@@ -172,7 +172,7 @@ def test_return_behind_it_clears_a_hidden_obstacle() -> None:
 
 def test_obstacle_that_reappears_beside_its_place_is_not_hidden() -> None:
     """In the open, rays are empty before the obstacle comes and after it has left."""
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, beyond=math.inf)
     assert look(memory, beyond=math.inf) == list(WIDE)
     assert look(memory, range(5, 14), beyond=math.inf) == []
@@ -180,7 +180,7 @@ def test_obstacle_that_reappears_beside_its_place_is_not_hidden() -> None:
 
 def test_standing_neighbor_does_not_count_as_reappearance() -> None:
     """The legs on both sides of the empty sector were visible before."""
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     near, legs = range(-1, 3), [*range(-24, -13), *range(15, 26)]
     look(memory, [*near, *legs])
     for _ in range(5):
@@ -188,7 +188,7 @@ def test_standing_neighbor_does_not_count_as_reappearance() -> None:
 
 
 def test_obstacle_that_vanishes_before_a_wall_is_hidden() -> None:
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, distance=0.85, beyond=1.05)
     for _ in range(20):
         assert look(memory, empty=WIDE, beyond=1.05) == list(WIDE)
@@ -196,7 +196,7 @@ def test_obstacle_that_vanishes_before_a_wall_is_hidden() -> None:
 
 def test_slow_turns_move_hidden_obstacles() -> None:
     """A turn per scan of less than the angle between two rays."""
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE, beyond=math.inf)
     look(memory, beyond=math.inf)
     for _ in range(120):
@@ -206,7 +206,7 @@ def test_slow_turns_move_hidden_obstacles() -> None:
 
 def test_shadow_narrower_than_a_robot_expires() -> None:
     """The edge of an obstacle that has turned away leaves such a sector."""
-    memory, shadow = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD), range(4)
+    memory, shadow = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(4)
     look(memory, shadow)
     seconds = 0.0
     while look(memory, empty=shadow):
@@ -219,7 +219,7 @@ def test_shadow_narrower_than_a_robot_expires() -> None:
 @pytest.mark.parametrize("width", [6, 9])
 def test_hidden_obstacle_does_not_expire(width: int, beyond: float) -> None:
     """The lidar of a Jackal is 8.5 cm wide: 6 degrees at the rim."""
-    memory, shadow = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD), range(width)
+    memory, shadow = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD), range(width)
     look(memory, shadow, beyond=beyond)
     for _ in range(1000):
         assert set(shadow) <= set(look(memory, empty=shadow, seconds=0.5, beyond=beyond))
@@ -248,6 +248,6 @@ def test_hidden_obstacle_keeps_its_place_when_the_robot_turns() -> None:
 
 
 def test_single_lost_ray_hides_nothing() -> None:
-    memory = blind_zone_memory(JACKAL.scan.range_min, SPEED, PERIOD)
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     look(memory, WIDE)
     assert look(memory, range(-4, 4), empty=range(4, 5)) == []

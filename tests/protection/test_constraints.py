@@ -12,27 +12,24 @@ from hypothesis import strategies as st
 
 from swarmd.core.clock import TICK
 from swarmd.core.values import Array, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
-from swarmd.protection.barrier import Barrier
-from swarmd.protection.constraints import (
-    CREEP_SPEED,
-    LIMIT_BOX,
-    BindingRange,
-    Constraints,
-    envelope,
-    half_planes,
-    hidden_gaps,
-    linear_limit,
-    passive_caps,
-    reciprocal_caps,
-    report,
-    touch_directions,
-)
-from swarmd.protection.dead_reckoning import REACTION_TIME
+from swarmd.protection.arbiter import Arbiter
+from swarmd.protection.barrier import CREEP_SPEED, Barrier, linear_limit, touch_directions
+from swarmd.protection.binding_range import REACTION_TIME, BindingRange
+from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.decision import DecisionContext
-from swarmd.protection.footprint import Footprint, ScanGeometry
-from swarmd.protection.projection import nearest, nearest_feasible
+from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
+from tests.support.barrier_parts import (
+    envelope,
+    interpreted,
+    nearest,
+    nearest_feasible,
+    passive_cap,
+    reciprocal_cap,
+    separation,
+    with_outline,
+)
 from tests.support.filter_sim import decided, under_barrier
 
 
@@ -41,7 +38,7 @@ from tests.support.filter_sim import decided, under_barrier
 )
 def test_linear_limit_of_a_direction(degrees: float, limit: float) -> None:
     along = (math.cos(math.radians(degrees)), math.sin(math.radians(degrees)))
-    assert linear_limit(Limits(0.5, 2.0, 0.2), along) == pytest.approx(limit, abs=1e-4)
+    assert linear_limit(Limits(0.5, 2.0, 0.2), *along) == pytest.approx(limit, abs=1e-4)
 
 
 ROOM = st.floats(-0.5, 5.0)
@@ -50,36 +47,24 @@ OTHERS_SPEED = st.floats(0.0, 1.5)
 SECONDS = st.floats(0.0, 1.0)
 
 
-def array_of(value: float) -> Array:
-    return np.array([value])
-
-
-def passive(room: float, braking: float, others: float, unseen: float, tick: float) -> float:
-    return float(passive_caps(array_of(room), array_of(braking), others, unseen, tick)[0])
-
-
-def reciprocal(room: float, braking: float, unseen: float, tick: float) -> float:
-    return float(reciprocal_caps(array_of(room), array_of(braking), unseen, tick)[0])
-
-
-@given(ROOM, BRAKING, OTHERS_SPEED, SECONDS, SECONDS)
+@given(ROOM, BRAKING, OTHERS_SPEED, SECONDS)
 def test_stop_from_the_passive_cap_uses_up_the_room(
-    room: float, braking: float, others: float, unseen: float, tick: float
+    room: float, braking: float, others: float, unseen: float
 ) -> None:
-    cap = passive(room, braking, others, unseen, tick)
-    own = cap * tick + cap**2 / (2.0 * braking)
-    theirs = others * (unseen + tick + cap / braking)
-    least = others * (unseen + tick)  # they approach that far even if the robot stands
+    cap = passive_cap(room, braking, others, unseen)
+    own = cap * TICK + cap**2 / (2.0 * braking)
+    theirs = others * (unseen + TICK + cap / braking)
+    least = others * (unseen + TICK)  # they approach that far even if the robot stands
     assert cap >= 0.0  # so the zero command is always feasible
     assert own + theirs == pytest.approx(max(room, least), rel=1e-9, abs=1e-9)
 
 
-@given(ROOM, BRAKING, SECONDS, SECONDS)
+@given(ROOM, BRAKING, SECONDS)
 def test_stop_from_the_reciprocal_cap_uses_half_the_room(
-    room: float, braking: float, unseen: float, tick: float
+    room: float, braking: float, unseen: float
 ) -> None:
-    cap = reciprocal(room, braking, unseen, tick)
-    own = cap * (2.0 * tick + unseen) + cap**2 / (2.0 * braking)
+    cap = reciprocal_cap(room, braking, unseen)
+    own = cap * (2.0 * TICK + unseen) + cap**2 / (2.0 * braking)
     assert cap >= 0.0
     assert own == pytest.approx(0.5 * max(room, 0.0), rel=1e-9, abs=1e-9)
 
@@ -91,8 +76,7 @@ AHEAD, LEFT = (1.0, 0.0), (0.0, 1.0)
 
 
 def polygon_of(platform: Platform, speed: float, along: tuple[float, float] = AHEAD) -> Array:
-    limits = (platform.limits.linear, platform.limits.angular)
-    return np.array(envelope(platform.footprint, along, limits, speed))
+    return envelope(platform, speed, along)[0]
 
 
 def fastest_corner(platform: Platform, twist: Array, along: tuple[float, float] = AHEAD) -> float:
@@ -136,10 +120,10 @@ def test_envelope_is_exact_straight_and_on_the_spot(platform: Platform) -> None:
 def test_half_planes_describe_the_polygon(
     platform: Platform, speed: float, v: float, w: float
 ) -> None:
-    polygon = [tuple(point) for point in polygon_of(platform, speed).tolist()]
-    normals, caps = half_planes(polygon)
-    allowed, _ = nearest_feasible((v, w), LIMIT_BOX, normals, caps)
-    assert allowed == pytest.approx(nearest(polygon, (v, w)), abs=1e-9)
+    polygon, normals, caps = envelope(platform, speed, AHEAD)
+    allowed, _ = nearest_feasible((v, w), normals, caps)
+    corners = [tuple(point) for point in polygon.tolist()]
+    assert allowed == pytest.approx(nearest(corners, (v, w)), abs=1e-9)
 
 
 WAFFLE = under_barrier(load_platform("waffle_pi"), unseen_extent=0.0)
@@ -246,29 +230,33 @@ def test_touch_directions_cover_the_zone_within_1_percent(
 
 
 def test_reported_constraints_bind_and_have_a_return() -> None:
-    x, caps = np.array([1.0, 2.0, 3.0, 4.0]), np.array([0.3, 0.1, 0.2, 0.0])
-    gaps = np.array([0.9, 1.9, 2.9, math.inf])
-    rows = Constraints(np.ones(4), np.zeros(4), caps, x, np.zeros(4), gaps)
-    outline = Footprint(np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]))
-    found = report(rows, [0, 2, 3, 7], outline)
+    one = with_outline(np.array([[-0.1, -0.1], [0.1, -0.1], [0.1, 0.1], [-0.1, 0.1]]))
+    one._count = one._rows = 4
+    one._all, one._point_x, one._point_y = 5, 1.0, 0.0  # the last row is of the envelope
+    one._row_cap = [0.3, 0.1, 0.2, 0.0, 0.0]
+    one._row_x, one._row_y = [0.3, 0.0, 0.2, 0.0, 0.0], [0.0] * 5  # all but the second are tight
+    one._row_gap, one._source = [0.9, 1.9, 2.9, math.inf, 0.0], list(range(5))
+    one._placed_x, one._placed_y = [1.0, 2.0, 3.0, 4.0], [0.0] * 4
+    found = one._report()
     assert [(row.cap, row.bearing) for row in found] == [(0.2, 0.0), (0.3, 0.0)]
     assert [row.gap for row in found] == pytest.approx([2.9, 0.9])
 
 
 def test_constraint_across_the_motion_brakes_by_its_lever_only() -> None:
     """The stop check hides a wrong brake from tests of decisions."""
-    barrier = Barrier(under_barrier(load_platform("burger")))  # brakes: 1 m/s2 and 3 rad/s2
-    linear, lever = np.array([0.0, 1.0, -0.6, 0.0]), np.array([-0.1, 0.0, 0.1, 0.0])
-    assert barrier._braking(linear, lever) == pytest.approx([0.3, 1.0, 0.9, 0.02])
+    barrier = interpreted(load_platform("burger"))  # brakes: 1 m/s2 and 3 rad/s2
+    rows = (0.0, -0.1), (1.0, 0.0), (-0.6, 0.1), (0.0, 0.0)
+    assert [barrier._braking(*row) for row in rows] == pytest.approx([0.3, 1.0, 0.9, 0.02])
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.2])
 def test_binding_range_ends_where_the_cap_reaches_the_speed(speed: float) -> None:
     platform = under_barrier(load_platform("burger"), braking_angular=100.0)
-    settings = Barrier(platform)._settings
+    settings = barrier_settings(platform)
+    assert settings is not None
     gap = BindingRange(platform, settings, TICK).for_fresh_scan(speed)
     room = gap - settings.margin - settings.unseen_extent
-    reached = passive(room, settings.braking_linear, settings.others_speed, 0.0, TICK)
+    reached = passive_cap(room, settings.braking_linear, settings.others_speed, 0.0)
     assert reached == pytest.approx(speed)
 
 
@@ -283,20 +271,12 @@ BEGIN = 10.0
 FAR = 100.0
 
 
-class Everywhere(BindingRange):
-    """A binding range without limit."""
-
-    def for_scan_age(self, age: float) -> float:
-        return FAR
-
-
 class SeesAll(Barrier):
     """A barrier that considers every return."""
 
-    def __init__(self, platform: Platform) -> None:
-        super().__init__(platform)
-        assert self._binding_range.for_scan_age(self._stale) < FAR
-        self._binding_range = Everywhere(platform, self._settings, TICK)
+    def _binding_range(self, age: float) -> float:
+        assert super()._binding_range(age) < FAR
+        return FAR
 
 
 def driving(twist: Twist, seconds: float) -> Odometry:
@@ -308,7 +288,7 @@ def driving(twist: Twist, seconds: float) -> Odometry:
 
 
 def decided_by(
-    barrier: Barrier, platform: Platform, returns: Sequence[tuple[int, int, float]], twist: Twist,
+    barrier: Arbiter, platform: Platform, returns: Sequence[tuple[int, int, float]], twist: Twist,
     age: float,
 ) -> Twist:  # fmt: skip
     """The decision on a request to go on at the same twist, `age` s after a scan."""
@@ -339,24 +319,19 @@ SECTORS = st.lists(st.floats(0.05, 1.0), min_size=3, max_size=9)
 LENGTH = st.floats(-0.5, 0.5)
 
 
-def hidden_at(outline: Footprint, place: Array, lidar: tuple[float, float], blind: float) -> float:
-    """The hidden gap towards a place (2,)."""
-    x, y = place[:1], place[1:]
-    return float(hidden_gaps(outline.separations(x, y), x, y, lidar, blind)[0])
-
-
 @given(SECTORS, st.floats(0.05, 1.0), LENGTH, LENGTH, st.floats(0.01, 0.8), st.floats(-4.0, 4.0))
 def test_what_is_farther_than_the_hidden_gap_is_beyond_range_min(
     sectors: list[float], radius: float, ahead: float, left: float, blind: float, bearing: float
 ) -> None:
     angles = 2.0 * np.pi * np.cumsum(sectors) / sum(sectors)
     ring = np.stack((np.cos(angles), np.sin(angles)), axis=1)
-    outline, lidar = Footprint(radius * ring), (ahead, left)
+    lidar = (ahead, left)
+    robot = with_outline(radius * ring, lidar, blind)
     towards = np.array((math.cos(bearing), math.sin(bearing)))
     for way in (0.0, 0.02, 0.1, 0.5, 2.0):
         place = np.array(lidar) + (blind + way) * towards
-        gap, nx, ny, _ = (float(part[0]) for part in outline.separations(place[:1], place[1:]))
-        hidden = hidden_at(outline, place, lidar, blind)
+        gap, nx, ny = separation(robot, *place.tolist())
+        hidden = robot._hidden_gap(*place.tolist())
         if gap == 0.0:
             continue
         if way == 0.0:  # where an obstacle enters the blind zone, it may be in contact
@@ -374,8 +349,8 @@ def test_what_is_farther_than_the_hidden_gap_is_beyond_range_min(
 )
 def test_hidden_gap_of_a_burger(ahead: float, left: float, hidden: float) -> None:
     burger = load_platform("burger")
-    outline = Footprint(burger.footprint)
-    corner = outline.corners.max(axis=0)
-    place = corner * (ahead, left) + (0.04 * ahead, 0.04 * left)
-    found = hidden_at(outline, place, burger.scan.offset, burger.scan.range_min)
-    assert found == pytest.approx(hidden, abs=1e-3)
+    corner = burger.footprint.max(axis=0)
+    place = (corner * (ahead, left) + (0.04 * ahead, 0.04 * left)).tolist()
+    robot = with_outline(burger.footprint, burger.scan.offset, burger.scan.range_min)
+    separation(robot, *place)
+    assert robot._hidden_gap(*place) == pytest.approx(hidden, abs=1e-3)

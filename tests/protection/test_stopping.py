@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.values import Array, Platform, Pose
-from swarmd.protection.footprint import Footprint
-from swarmd.protection.stopping import NEGLIGIBLE_SPEED, StopCheck
+from swarmd.protection.barrier import NEGLIGIBLE_SPEED
 from swarmd.settings.platforms import load_platform
+from tests.support.barrier_parts import after_stop_check
 from tests.support.filter_sim import outline_point, placed
 
 TICK, LINEAR, ANGULAR = 0.05, 1.0, 3.0
@@ -29,19 +29,19 @@ def cleared(
     speeds: tuple[float, float],
     *points: tuple[float, float],
     free: tuple[float, float] = (0.01, 0.0),
-    reach: float = 0.0,
     platform: Platform = BURGER,
     along: tuple[float, float] = (1.0, 0.0),
 ) -> tuple[float, float]:
     """The speeds that the stop check leaves beside points in the base frame."""
-    outline, seen = Footprint(platform.footprint), np.array(points).reshape(-1, 2)
-    check = StopCheck(outline, LINEAR, ANGULAR, TICK)
-    left = check.limited(
-        np.array(speeds), np.array(along), seen, outline.gaps(seen), np.full(len(seen), free[0]),
-        np.full(len(seen), reach),
-        free[1],
-    )  # fmt: skip
-    return float(left[0]), float(left[1])
+    return after_stop_check(
+        platform,
+        speeds,
+        points,
+        along=along,
+        free=free[0],
+        others_speed=free[1],
+        braking=(LINEAR, ANGULAR),
+    )
 
 
 def way(speed: float) -> float:

@@ -14,7 +14,7 @@ import pytest
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import NetworkError
-from swarmd.core.messages import FetchQuery, FetchReply, RecordingFile, RecordingsReply
+from swarmd.core.verbs import FetchQuery, FetchReply, RecordingFile, RecordingsReply
 from swarmd.recording.fetch import PIECE, fetch, note_clock, read_exchanges
 
 CONTENT = bytes(range(256)) * 500  # 128 kB

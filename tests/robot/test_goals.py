@@ -9,16 +9,8 @@ from msgspec.structs import replace
 
 from swarmd.core.goal import MAX_UNSIGNED, Goal, GoalRecord, GoalState, GoalStatus, digest_of
 from swarmd.core.host_messages import Load, Loaded
-from swarmd.core.messages import (
-    Code,
-    EstopRequest,
-    Latch,
-    Reason,
-    Refusal,
-    Reply,
-    State,
-    StopRequest,
-)
+from swarmd.core.messages import Code, Latch, Reason, Refusal, Reply, State
+from swarmd.core.verbs import EstopRequest, StopRequest
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import LatchRecord
 from tests.support.robot_harness import RobotHarness

@@ -26,19 +26,17 @@ from swarmd.core.host_messages import (
     Stepped,
     TrialDone,
 )
-from swarmd.core.messages import (
-    Epoch,
+from swarmd.core.messages import Epoch, Latch, Reason
+from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Twist
+from swarmd.core.verbs import (
     EstopRequest,
-    Latch,
     ParamRequest,
-    Reason,
     ReloadRequest,
     Request,
     ResetRequest,
     RunRequest,
     StopRequest,
 )
-from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Twist
 from swarmd.robot.actions import Actions, Effects
 from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -13,12 +13,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import compiled_kernel
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist
-from swarmd.protection.arbiter import Arbiter, Protection, make_arbiter
-from swarmd.protection.barrier import Barrier
-from swarmd.protection.compiled_barrier import CompiledBarrier
+from swarmd.protection.arbiter import Protection, make_arbiter, narrowest_passage
 from swarmd.protection.decision import Decision
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.protection.settings import Mode
@@ -124,14 +121,13 @@ def test_a_field_of_both_weighs_them_equally() -> None:
     assert abs(rig.decide(5.06, ZERO).safe.linear) < 0.01 * platform.limits.linear
 
 
-@pytest.mark.parametrize("make", [make_arbiter, Barrier])
-def test_a_robot_with_a_ring_creeps_past_nothing(make: Callable[[Platform], Arbiter]) -> None:
+def test_a_robot_with_a_ring_creeps_past_nothing() -> None:
     """A return of the ring is a disc, whose side that may touch the robot is not known."""
     widths = []
     for platform in (load_platform("burger"), BURGER):
-        arbiter = make(platform)
-        assert isinstance(arbiter, Barrier)
-        widths.append(arbiter.narrowest_passage().door)
+        passage = narrowest_passage(make_arbiter(platform))
+        assert passage is not None
+        widths.append(passage.door)
     assert widths[1] > widths[0] + 0.01
 
 
@@ -323,11 +319,11 @@ class History:
     obstacles that others tell of.
     """
 
-    def __init__(self, platform: Platform, make: type[Barrier] | None) -> None:
+    def __init__(self, platform: Platform) -> None:
         self.platform, self.geometry = platform, ScanGeometry(platform.scan)
         lidar = replace(platform, ranges=None)
         self.both, self.lidar, self.ring = (
-            _arbiter(one, make) for one in (platform, lidar, platform)
+            make_arbiter(one) for one in (platform, lidar, platform)
         )
         self.is_barrier = platform.protection["mode"] == "barrier"
         self.sensors = Sensors(platform)
@@ -397,25 +393,11 @@ class History:
         self.command = safe
 
 
-def _arbiter(platform: Platform, make: type[Barrier] | None) -> Arbiter:
-    if platform.protection["mode"] != "barrier":
-        return make_arbiter(platform)
-    if make is CompiledBarrier:
-        return CompiledBarrier(platform, KERNEL)
-    return Barrier(platform)
-
-
-KERNEL = compiled_kernel("swarmd.protection.barrier_kernel")
-
-
-@pytest.mark.parametrize("make", [Barrier, CompiledBarrier])
 @settings(max_examples=examples(300), deadline=None)
 @given(st.sampled_from(VARIANTS), EVENTS)
 def test_a_safe_command_is_permitted_by_each_source_alone(
-    make: type[Barrier], platform: Platform, events: list[Seen | Near | Drive | Ask]
+    platform: Platform, events: list[Seen | Near | Drive | Ask]
 ) -> None:
-    if make is CompiledBarrier and KERNEL is None:
-        pytest.skip("no kernel")
-    history = History(platform, make)
+    history = History(platform)
     for event in (*events, Ask(1.0, 0.2)):
         history.take(event)

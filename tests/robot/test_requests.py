@@ -10,16 +10,8 @@ import pytest
 from swarmd.api import Outputs, Twist
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import KillHost, Loaded, PatternFailed, Stepped
-from swarmd.core.messages import (
-    Code,
-    Epoch,
-    Latch,
-    Reason,
-    Refusal,
-    Reply,
-    State,
-    StopRequest,
-)
+from swarmd.core.messages import Code, Epoch, Latch, Reason, Refusal, Reply, State
+from swarmd.core.verbs import StopRequest
 from swarmd.robot.latches import MAX_HELD
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, Forward, standing_state, started

@@ -17,7 +17,8 @@ from swarmd.core.host_messages import (
     Step,
     TrialDone,
 )
-from swarmd.core.messages import Code, Reason, Refusal, Request, State
+from swarmd.core.messages import Code, Reason, Refusal, State
+from swarmd.core.verbs import Request
 from swarmd.robot.requests import TRIAL_TIMEOUT
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS, Forward, standing_state

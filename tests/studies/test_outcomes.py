@@ -12,10 +12,11 @@ from studies.outcomes.line_formation import SHORT
 from studies.outcomes.outcome import Outcome, at_least, at_most
 
 SHORT_FORM: Mapping[str, Mapping[str, Any]] = {
+    "attraction": {"duration": 40.0},
     "circle_formation": {"settings": (SHORT,)},
     "discussed_dispersion": {"seconds": 46.0},
     "line_formation": {"settings": (SHORT,)},
-    "random_walk": {"duration": 60.0},
+    "random_walk": {"duration": 40.0},
     "flocking": {"duration": 30.0},
     "voter_model": {"has_times": False},  # a mean time needs a hundred debates
 }

@@ -25,7 +25,8 @@ _SENSORS = (dds.LaserScan,)
 class DdsNode:
     """Publishes and subscribes to topics, full names such as `/scan`, each with its type.
 
-    It announces itself on `ros_discovery_info`, as each node does; a bridge requires that. `qos`:
+    It announces itself on `ros_discovery_info`, as each node does; a bridge requires that. With an
+    empty name it does not, as a program that knows nothing of ROS. `qos`:
     of topics that have not the usual one. `actions`: full names such as `/dock` of actions that it
     serves; `goals` publishes the states of an action's goals.
     """
@@ -48,7 +49,8 @@ class DdsNode:
         `latched`: topics with durability TRANSIENT_LOCAL.
         """
         self._latched = latched
-        self._participant = DomainParticipant(domain)
+        enclave = Qos(Policy.Userdata(b"enclave=/;")) if name else None  # as each ROS process
+        self._participant = DomainParticipant(domain, enclave)
         self._qos = {**(qos or {}), **{f"{name}/_action/status": _KEPT for name in actions}}
         self._served = [entity for name in actions for entity in self._action(name)]
         statuses = {f"{name}/_action/status": dds.GoalStatusArray for name in actions}
@@ -62,10 +64,12 @@ class DdsNode:
             topic: DataReader(self._participant, self._topic(topic, kind))
             for topic, kind in self._subscribed.items()
         }
-        kept = dds.ParticipantEntitiesInfo
-        about = Topic(self._participant, "ros_discovery_info", kept, _KEPT)
-        self._about = DataWriter(self._participant, about)
-        self._about.write(self._info(name, namespace))
+        self._about: DataWriter[Any] | None = None
+        if name:
+            kept = dds.ParticipantEntitiesInfo
+            about = Topic(self._participant, "ros_discovery_info", kept, _KEPT)
+            self._about = DataWriter(self._participant, about)
+            self._about.write(self._info(name, namespace))
 
     def publish(self, topic: str, message: object) -> None:
         self._writers[topic].write(message)

@@ -14,7 +14,7 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.values import Odometry, Platform, Scan, Twist
-from swarmd.protection.barrier import Barrier
+from swarmd.protection.arbiter import Arbiter
 from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform
@@ -28,7 +28,7 @@ _NOTHING, _TOO_CLOSE = -1, -2  # a range in mm
 class Event(Struct, array_like=True):
     """A decision on `requested`, or a scan: `ranges` in mm.
 
-    `twist` and `is_active`: what the numpy code decided when the file was written. `bearings` in
+    `twist` and `is_active`: what was decided when the file was written. `bearings` in
     tenths of mrad and `ages` in ms are those of a scan that was moved to the time of its newest
     ray; empty: the platform's, all of one instant.
     """
@@ -58,7 +58,7 @@ def platform_of(stream: Stream) -> Platform:
     return under_barrier(load_platform(stream.kind), **stream.settings)
 
 
-def decided(stream: Stream, barrier: Barrier) -> Iterator[tuple[Event, ModeDecision]]:
+def decided(stream: Stream, barrier: Arbiter) -> Iterator[tuple[Event, ModeDecision]]:
     """The decisions of an arbiter that is given the events."""
     platform = platform_of(stream)
     geometry = ScanGeometry(platform.scan)

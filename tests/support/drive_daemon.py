@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from swarmd.core.messages import Code, RunRequest, State, Status
+from swarmd.core.messages import Code, State, Status
+from swarmd.core.verbs import RunRequest
 from swarmd.network.operator import Operator
 from tests.support.processes import wait_until
 

@@ -14,19 +14,11 @@ from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, Self
 
+from swarmd.core import verbs
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import (
-    REQUEST_TYPES,
-    AnyRequest,
-    Code,
-    Epoch,
-    Reason,
-    Refusal,
-    Reply,
-    State,
-    Status,
-)
+from swarmd.core.messages import Code, Epoch, Reason, Refusal, Reply, State, Status
+from swarmd.core.verbs import AnyRequest
 from swarmd.daemon.network import Network, NetworkHandlers
 from swarmd.network.bus import Query, ZenohBus
 from swarmd.network.datagram import Stop
@@ -39,7 +31,7 @@ from tests.support.statuses import status
 VERBS = ("run", "reset", "param", "forget")
 
 
-_DECODERS = {verb: Decoder(kind) for verb, kind in REQUEST_TYPES.items()}
+_DECODERS = {verb: Decoder(verbs.VERBS[verb].asked) for verb in VERBS}
 # How to answer a request; None: not at all.
 Answer = Callable[[AnyRequest | Stop], Code | None]
 

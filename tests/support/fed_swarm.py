@@ -18,7 +18,6 @@ import numpy as np
 from swarmd.cli.web import WebOptions, serve
 from swarmd.core.codec import encode
 from swarmd.core.messages import (
-    AnyRequest,
     Code,
     DecisionSummary,
     Epoch,
@@ -29,11 +28,11 @@ from swarmd.core.messages import (
     Reason,
     Refusal,
     Reply,
-    RunRequest,
     State,
     Status,
 )
 from swarmd.core.values import Scan
+from swarmd.core.verbs import AnyRequest, RunRequest
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.members_view import MembersView, SeenMember
 from swarmd.network.outcome import Outcome

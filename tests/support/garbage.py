@@ -15,7 +15,7 @@ from msgspec import Struct, inspect
 
 from swarmd.core.behaviour import Manifest, Signed
 from swarmd.core.goal import Goal
-from swarmd.core.messages import PushRequest, RosterRequest
+from swarmd.core.verbs import PushRequest, RosterRequest
 from swarmd.network.datagram import GoalReport
 from swarmd.security.roster import Roster, SignedRoster
 from swarmd.security.roster_change import SharedRoster

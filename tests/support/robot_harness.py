@@ -21,19 +21,12 @@ from swarmd.core.clock import TICK
 from swarmd.core.errors import UnknownPatternError, unknown
 from swarmd.core.goal import Goal, GoalRecord
 from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
-from swarmd.core.messages import (
-    REQUEST_TYPES,
-    Code,
-    Epoch,
-    ForgetRequest,
-    PushRequest,
-    RecordRequest,
-    Reply,
-    Request,
-    RosterRequest,
-    Status,
-)
+from swarmd.core.messages import Code, Epoch, Reply, Status
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, TouchZone, Twist
+from swarmd.core.verbs import (
+    VERBS,
+    Request,
+)
 from swarmd.kit.behavior import Pattern
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.runner import InlineRunner
@@ -144,13 +137,12 @@ class RobotHarness:
         """A request that targets this robot at the given epoch (None: the present one)."""
         self._requests += 1
         operator = args.pop("operator", "alice")
-        request = REQUEST_TYPES[verb](
+        request: Request = VERBS[verb].asked(
             id=args.pop("id", f"r{self._requests}"),
             operator=operator,
             targets={self.robot.id: epoch or self.epoch},
             **args,
         )
-        assert not isinstance(request, ForgetRequest | RecordRequest | RosterRequest | PushRequest)
         return request
 
     def send(self, request: Request) -> Reply | None:

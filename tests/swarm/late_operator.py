@@ -11,7 +11,8 @@ import sys
 from pathlib import Path
 
 from swarmd.cli.options import CommonOptions
-from swarmd.core.messages import Epoch, RunRequest
+from swarmd.core.messages import Epoch
+from swarmd.core.verbs import RunRequest
 from swarmd.network.operator import Operator
 
 

@@ -12,7 +12,8 @@ from types import UnionType
 
 import pytest
 
-from swarmd.core.messages import Presence, ResetRequest, State, Status
+from swarmd.core.messages import Presence, State, Status
+from swarmd.core.verbs import ResetRequest
 from swarmd.network.datagram import (
     KIND_OFFSET,
     Ack,

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.core.messages import Code, Reason, Refusal, ResetRequest, State
+from swarmd.core.messages import Code, Reason, Refusal, State
+from swarmd.core.verbs import ResetRequest
 from tests.support.processes import wait_until
 
 if TYPE_CHECKING:

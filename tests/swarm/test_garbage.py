@@ -19,23 +19,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from msgspec import Struct, to_builtins
 
-from swarmd.core import messages, tool_messages
+from swarmd.core import messages, verbs
 from swarmd.core.behaviour import Signed
 from swarmd.core.clock import boottime
 from swarmd.core.codec import MAX_CONTROL, MAX_SENSOR_PAYLOAD, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import Goal
 from swarmd.core.keys import CONTROL, SHARED, build
-from swarmd.core.messages import (
-    REQUEST_TYPES,
-    AnyRequest,
-    Epoch,
-    FetchQuery,
-    MembersQuery,
-    Presence,
-    State,
-)
+from swarmd.core.messages import Epoch, Presence, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Twist
+from swarmd.core.verbs import VERBS, AnyRequest, FetchQuery, MembersQuery
 from swarmd.daemon.daemon import Daemon
 from swarmd.driver_api.hw_codec import (
     encode_neighbors,
@@ -164,18 +157,21 @@ def request(verb: str) -> AnyRequest:
         "push": {"content": b"behaviour"},
         "roster": {"roster": b"roster"},
     }
-    return REQUEST_TYPES[verb](
+    request: AnyRequest = VERBS[verb].asked(
         id="f00d",
         operator="eve@x",
         targets={"r1": Epoch(instance="0123456789ab", revision=3)},
         **fields.get(verb, {}),
     )
+    return request
 
 
 def mesh_targets(swarm: str) -> Iterator[Target]:
     """Every key on which a daemon answers."""
     requests = {
-        verb: encode(request(verb)) for verb in REQUEST_TYPES if verb not in ("stop", "estop")
+        row.name: encode(request(row.name))
+        for row in VERBS.values()
+        if row.is_request and not row.is_datagram
     }
     for verb, valid in {**requests, "members": encode(MembersQuery(answered=("r1",)))}.items():
         key = build(swarm, "r1", CONTROL, verb, "eve")
@@ -306,8 +302,10 @@ def messages_of(*modules: ModuleType) -> list[type[Struct]]:
     ]
 
 
-ASKED = messages_of(messages, tool_messages, pull)
-REQUESTS: Mapping[type[Struct], str] = {kind: verb for verb, kind in REQUEST_TYPES.items()}
+ASKED = messages_of(messages, verbs, pull)
+REQUESTS: Mapping[type[Struct], str] = {
+    row.asked: row.name for row in VERBS.values() if row.is_request
+}
 DATAGRAMS: Mapping[type[Struct], int] = {kind: no for no, kind in datagram._TYPES.items()}
 
 
@@ -431,7 +429,7 @@ class Handlers:
             message = {**message, "targets": targets, "id": f"q{next(self._numbers)}"}
         payload = b"\x01" + packed(message)
         for (plane, name), handler in self.bus.handlers.items():
-            is_request = plane == CONTROL and name in REQUEST_TYPES
+            is_request = plane == CONTROL and name in VERBS and VERBS[name].is_request
             if is_request == (verb is not None) and (verb is None or verb == name):
                 self.try_message(handler, Asked(payload, "anna"))
 

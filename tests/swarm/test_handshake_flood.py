@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core.messages import ResetRequest, RunRequest, State
+from swarmd.core.messages import State
+from swarmd.core.verbs import ResetRequest, RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.support.handshakes import KINDS

@@ -21,7 +21,8 @@ from msgspec.structs import replace
 from swarmd.core.clock import boottime
 from swarmd.core.goal import Goal, encode_goal
 from swarmd.core.keys import ANY, SHARED, build, parse
-from swarmd.core.messages import Presence, RunRequest, State
+from swarmd.core.messages import Presence, State
+from swarmd.core.verbs import RunRequest
 from swarmd.network.datagram import (
     Ack,
     Address,

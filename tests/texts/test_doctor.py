@@ -8,13 +8,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.messages import Sandbox
-from swarmd.core.tool_messages import (
-    DiskFacts,
-    DoctorReply,
-    MachineFacts,
-    NetworkFacts,
-    PortFacts,
-)
+from swarmd.core.verbs import DiskFacts, DoctorReply, MachineFacts, NetworkFacts, PortFacts
 from swarmd.texts.doctor import Finding, Level, identity, of_machine, of_network, of_robot, worst
 
 NOW = 1.8e9

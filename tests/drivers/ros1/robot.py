@@ -36,8 +36,9 @@ class Robot:
         self._rate = 0.0
         self._lock = threading.Lock()
         kind = Range if args.scan_type == "Range" else LaserScan
-        self._scans = raw_publisher("scan", kind)
-        self._odometry = raw_publisher("odom", Odometry)
+        if not args.no_sensors:
+            self._scans = raw_publisher("scan", kind)
+            self._odometry = raw_publisher("odom", Odometry)
         self._raws: dict[str, Any] = {}
         self._bumper = rospy.Publisher("bumper", Bool, queue_size=5)
         self._imu = rospy.Publisher("imu", Imu, queue_size=5)
@@ -162,6 +163,7 @@ def main() -> None:
     parser.add_argument("--scan-type", default="LaserScan")
     parser.add_argument("--command-type", default="Twist")
     parser.add_argument("--no-base", action="store_true")
+    parser.add_argument("--no-sensors", action="store_true")
     parser.add_argument("--latch", action="store_true")
     args = parser.parse_args()
     rospy.init_node(args.name, argv=[], disable_signals=True, disable_rosout=True)

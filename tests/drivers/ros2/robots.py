@@ -161,6 +161,13 @@ class BridgedRobot(Robot):
         self.listed[key] = json.dumps(ends).encode()
         return key
 
+    def list_reader(self, participant: str) -> str:
+        """List a reader of the commands in DDS; its key."""
+        key = f"@/{self.hub.zid()}/ros2/dds/{participant}/reader/{participant}04/rt/cmd_vel"
+        told = {"topic_name": "rt/cmd_vel", "type_name": "geometry_msgs::msg::dds_::Twist_"}
+        self.listed[key] = json.dumps({**told, "qos": {}}).encode()
+        return key
+
     def make(self, options: Mapping[str, Value]) -> RosDriver:
         return ros2dds.make_driver(
             swarm="s", robot="r", platform=self.platform, options=self.options(options)

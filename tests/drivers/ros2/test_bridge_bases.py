@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import subprocess
 import sys
 import threading
@@ -16,9 +17,10 @@ from swarmd.core.values import Twist
 from swarmd.testing.driver_contract import DriverHarness, play
 from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.harness import check, drive, reported
+from tests.drivers.ros2.robots import open_session
 from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
-from tests.support.ros2_bridge import why_no_bridge
+from tests.support.ros2_bridge import Bridge, why_no_bridge
 
 ROOT = Path(__file__).parents[3]
 TAKES = {"/cmd_vel": dds.Twist}
@@ -48,7 +50,7 @@ def test_no_command_but_zero_ever_reaches_two_bases(name: str, words: str) -> No
         await harness.until(is_held, publishing=True)
         await harness.until(lambda: is_held() and len(taken) >= 40, publishing=True)
         assert set(taken) == {0.0}
-        assert reported(harness, words, is_up=True)
+        await harness.until(lambda: reported(harness, words, is_up=True), publishing=True)
         other.close()
         await harness.until(lambda: harness.sink.hold is None, publishing=True)
 
@@ -76,6 +78,67 @@ def test_a_base_that_comes_later_gets_zero_and_both_stand() -> None:
     play(robot, story)
 
 
+def test_no_command_but_zero_ever_reaches_a_reader_that_is_no_node() -> None:
+    robot = DdsRobot()
+    other = DdsNode(robot.domain, "", {}, TAKES)
+    taken: list[float] = []
+
+    async def story(harness: DriverHarness) -> None:
+        def is_held() -> bool:
+            harness.driver.send(Twist(0.1), 1, 1)
+            taken.extend(command.linear.x for command in other.take("/cmd_vel"))
+            return harness.sink.hold is Reason.BASE_CONFLICT
+
+        await harness.until(is_held, publishing=True)
+        await harness.until(lambda: is_held() and len(taken) >= 20, publishing=True)
+        assert set(taken) == {0.0}
+        assert reported(harness, "/dds_reader_python", is_up=True)
+        other.close()
+        await harness.until(lambda: harness.sink.hold is None, publishing=True)
+
+    play(robot, story, connected=False)
+
+
+def test_a_reader_that_is_no_node_and_comes_later_gets_zero_once_it_is_known() -> None:
+    robot = DdsRobot()
+
+    async def story(harness: DriverHarness) -> None:
+        await drive(harness)
+        other = DdsNode(robot.domain, "", {}, TAKES)
+
+        def is_held() -> bool:
+            harness.driver.send(Twist(0.1), 3, 3)
+            return harness.sink.hold is Reason.BASE_CONFLICT
+
+        await harness.until(is_held, publishing=True)
+        robot.commands()
+        assert is_held()
+        assert (await harness.command()).is_zero
+        other.close()
+        await harness.until(lambda: harness.sink.hold is None, publishing=True)
+
+    play(robot, story)
+
+
+def test_a_second_bridge_that_takes_the_commands_holds_the_robot(tmp_path: Path) -> None:
+    robot = DdsRobot()
+
+    async def story(harness: DriverHarness) -> None:
+        await drive(harness)
+        with (
+            Bridge(tmp_path, robot.domain) as second,
+            open_session("client", "connect/endpoints", second.endpoint) as far,
+        ):
+            far.declare_subscriber("cmd_vel", lambda sample: None)
+            await harness.until(  # at first it is a reader of some process
+                lambda: reported(harness, "/zenoh_bridge_ros2dds takes /cmd_vel", is_up=True),
+                publishing=True,
+            )
+            assert harness.sink.hold is Reason.BASE_CONFLICT
+
+    play(robot, story)
+
+
 def test_two_lidars_hold_the_robot_and_fail_the_check() -> None:
     robot = DdsRobot()
     other = DdsNode(robot.domain, "lidar2", {"/scan": dds.LaserScan})
@@ -99,17 +162,26 @@ def test_check_fails_for_two_bases_with_their_names_and_the_remedy() -> None:
             assert word in found[subject].text
 
 
-@pytest.mark.parametrize("name", ["rosbag2_recorder", "_ros2cli_4711", "ekf_filter_node"])
-def test_a_node_that_records_commands_holds_nothing(name: str) -> None:
+@pytest.mark.parametrize("name", ["rosbag2_recorder", "_ros2cli_4711", "ekf_filter_node", ""])
+@pytest.mark.parametrize("is_first", [True, False])
+def test_what_records_commands_holds_nothing(name: str, is_first: bool) -> None:
     robot = DdsRobot()
-    recorder = DdsNode(robot.domain, name, {}, TAKES)
+    nodes = [DdsNode(robot.domain, name, {}, TAKES)] if is_first else []
 
     async def story(harness: DriverHarness) -> None:
         await drive(harness)
+        nodes[1:] = [DdsNode(robot.domain, name, {}, TAKES)]
+        for _ in range(60):  # longer than the bridge's whole list is old
+            robot.publish()
+            await asyncio.sleep(0.05)
+        assert all(
+            text.startswith("zenoh-bridge-ros2dds") for up, text in harness.sink.states if up
+        )
         assert harness.sink.hold is None
 
-    play(robot, story, cmd_vel_listeners=["ekf_*"])
-    recorder.close()
+    play(robot, story, cmd_vel_listeners=["ekf_*", "dds_reader_*"])
+    for node in nodes:
+        node.close()
 
 
 def test_a_base_that_crashed_and_is_back_is_stopped_before_it_is_forgotten() -> None:

@@ -18,8 +18,9 @@ from swarmd.drivers.ros.messages import Twist as TwistMessage
 from swarmd.drivers.ros.messages import TwistStamped
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
+from swarmd.drivers.ros2.admin_space import PERIOD, WATCH_PERIOD
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
-from swarmd.drivers.ros2.node_list import MAX_AGE, MAX_FIRST, PERIOD, NodeList
+from swarmd.drivers.ros2.node_list import MAX_AGE, MAX_FIRST, NAMING_TIME, NodeList
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import DriverHarness, play
 from tests.drivers.ros2.harness import announce, check, drive, reported
@@ -69,6 +70,7 @@ def conflict(
     graph = Graph(
         middleware=scheme,
         endpoints=with_nodes(announced, listed.endpoints, now),
+        strays=listed.strays,
         options=read,
         now=now,
     )
@@ -210,6 +212,175 @@ def test_junk_is_left_out(junk: bytes) -> None:
     assert not listed_once({**whole, "@/ab/ros2/config": junk}).endpoints
 
 
+# Readers in DDS without a node
+
+
+def in_dds(*readers: str, process: str = "", kind: str = "reader", is_ros: bool = True) -> Answers:
+    """What bridge `ab` answers of the participants in DDS that read the commands."""
+    told = {"topic_name": "rt/cmd_vel", "type_name": "geometry_msgs::msg::dds_::Twist_", "qos": {}}
+    qos: dict[str, object] = {"properties": {"__ProcessName": process} if process else {}}
+    about = {"qos": {**qos, "user_data": list(b"enclave=/;")} if is_ros else qos}
+    root = "@/ab/ros2/dds"
+    return {
+        **{f"{root}/{one}/{kind}/{one}04/rt/cmd_vel": json.dumps(told).encode() for one in readers},
+        **{f"{root}/{one}": json.dumps(about).encode() for one in readers},
+    }
+
+
+def with_readers(given: Answers, named_for: float = NAMING_TIME) -> NodeList:
+    """A list after two equal answers."""
+    made = listed_once(given)
+    made.take(given, {"ab"}, named_for)
+    return made
+
+
+BRIDGE = ("02/zenoh_bridge_ros2dds", BASE)
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        ({**answers(("01/base", BASE)), **in_dds("01", "02")}, "/dds_reader"),
+        (
+            {**answers(("01/base", BASE)), **in_dds("01", "02", process="mover")},
+            "/dds_reader_mover",
+        ),
+        ({**answers(("01/base", BASE), BRIDGE), **in_dds("01", "02")}, "/zenoh_bridge_ros2dds"),
+        ({**answers(("01/base", BASE), ("02/b", LIDAR)), **in_dds("01", "02")}, "/dds_reader"),
+    ],
+    ids=["no process", "a process", "another bridge", "a node that takes no commands"],
+)
+def test_a_reader_of_commands_that_is_no_nodes_is_a_conflict_unless_it_is_named_as_a_listener(
+    given: Answers, name: str
+) -> None:
+    found = conflict(with_readers(given), NAMING_TIME)
+    assert found is not None
+    assert found.reason is Reason.BASE_CONFLICT
+    assert found.text.startswith(f"{name} takes /cmd_vel: ")
+    for listener in (name, name.removeprefix("/"), "dds_reader*"):
+        held = conflict(with_readers(given), NAMING_TIME, cmd_vel_listeners=(listener,))
+        assert (held is None) is (listener in name or "reader" in name)
+
+
+@pytest.mark.parametrize(
+    "given",
+    [
+        in_dds("01"),
+        in_dds("01", "02", kind="writer"),
+        {key.replace("cmd_vel", "b/cmd_vel"): told.replace(b"cmd_vel", b"b/cmd_vel")
+         for key, told in in_dds("02").items()},
+        {key: b"[]" for key in in_dds("02")},
+        in_dds("01\n", "02", process="a\nb", kind="writer"),
+    ],
+    ids=["the base's own", "a writer", "another topic", "junk", "names with a line"],
+)  # fmt: skip
+def test_what_else_is_in_dds_is_no_conflict(given: Answers) -> None:
+    made = with_readers({**answers(("01/base", BASE)), **given})
+    assert conflict(made, NAMING_TIME) is None
+
+
+def test_a_reader_has_time_to_get_the_name_of_its_node() -> None:
+    """A node's reader is found in DDS before the node is listed, and may outlive it."""
+    base, recorder = ("01/base", BASE), ("02/rosbag2_recorder", BASE)
+    made = listed_once({**answers(base), **in_dds("01")})
+    made.take({**answers(base), **in_dds("01")}, {"ab"}, 0.5)
+    assert not made.is_awaited({"ab"})
+    steps = [
+        (answers(base), True),
+        (answers(base), True),
+        (answers(base, recorder), False),
+        (answers(base), True),
+    ]
+    for count, (listed, is_naming) in enumerate(steps):
+        now = 9.0 + 0.9 * NAMING_TIME * count
+        made.take({**listed, **in_dds("01", "02")}, {"ab"}, now)
+        assert made.is_naming is made.is_awaited({"ab"}) is is_naming
+        assert conflict(made, now) is None
+    made.take({**answers(base), **in_dds("01", "02")}, {"ab"}, now + NAMING_TIME)
+    assert conflict(made, now + NAMING_TIME) is not None
+
+
+def test_a_reader_in_a_process_that_is_not_of_ros_has_no_time() -> None:
+    base, others = answers(("01/base", BASE)), in_dds("02", is_ros=False)
+    made = listed_once({**base, **others})
+    assert conflict(made, 0.0) is not None
+    made.take({**base, **in_dds("01"), "@/ab/ros2/dds/02": b"{}"}, {"ab"}, 1.0)
+    assert conflict(made, 1.0) is None
+
+
+def test_a_reader_that_is_still_unnamed_as_the_bridge_falls_silent_is_a_conflict() -> None:
+    made = listed_once({**answers(("01/base", BASE)), **in_dds("01", "02")})
+    assert conflict(made, 0.0) is None
+    made.take(None, {"ab"}, NAMING_TIME)
+    assert conflict(made, NAMING_TIME) is not None
+
+
+NOT_OF_ROS = "", "zenoh_bridge_ros2dds"
+
+
+class Readers:
+    """Who reads the commands of a base in DDS: tools, bases, other bridges, programs without ROS.
+
+    Each has a reader from its start on. A node is listed up to 0.3 s later, and its reader stays up
+    to 0.3 s after it.
+    """
+
+    def __init__(self, seed: int) -> None:
+        self.random = random.Random(seed)
+        self.now, self.count = 0.0, 0
+        self.there: dict[str, tuple[str, float, float, float]] = {}  # name, reader, node, end
+
+    def step(self) -> None:
+        self.now += WATCH_PERIOD
+        self.there = {one: seen for one, seen in self.there.items() if self.now < seen[3]}
+        if self.random.random() < 0.15:
+            self.count += 1
+            name = self.random.choice(("rviz2", "other", "", "zenoh_bridge_ros2dds", "_ros2cli_7"))
+            listed = self.now + self.random.uniform(0.0, 0.3)
+            lasts = self.random.choice((0.4, 3.0, 10.0))
+            self.there[f"1{self.count}"] = name, self.now, listed, self.now + lasts
+
+    def answers(self) -> Answers:
+        nodes = [
+            (f"{one}/{name}", BASE)
+            for one, (name, _, listed, end) in self.there.items()
+            if name and listed <= self.now < end - 0.3
+        ]
+        plain = [one for one, (name, *_) in self.there.items() if name in NOT_OF_ROS]
+        of_ros = set(self.there) - set(plain)
+        ends = {**in_dds("01", *of_ros), **in_dds(*plain, is_ros=False)}
+        return {**answers(("01/base", BASE), *nodes), **ends}
+
+    def holds(self) -> bool:
+        """Whether another program or bridge reads, or the node of another base is known."""
+        return any(
+            name in NOT_OF_ROS or (name == "other" and listed <= self.now < end - 0.3)
+            for name, _, listed, end in self.there.values()
+        )
+
+    def may_hold(self) -> bool:
+        return any(name in (*NOT_OF_ROS, "other") for name, *_ in self.there.values())
+
+
+def test_in_any_history_nothing_moves_while_an_unknown_reader_is_known_and_no_tool_holds() -> None:
+    held, free = 0, 0
+    for readers in map(Readers, range(12)):
+        made = NodeList()
+        for _ in range(200):
+            readers.step()
+            made.take(readers.answers(), {"ab"}, readers.now)
+            found = conflict(made, readers.now)
+            if readers.holds():
+                held += 1
+                assert found is not None
+                assert found.reason is Reason.BASE_CONFLICT
+            elif not readers.may_hold():
+                free += 1
+                assert found is None
+    assert held > 400
+    assert free > 400
+
+
 def test_names_add_no_second_line() -> None:
     odd = {"publishers": [], "subscribers": [{"name": "/cmd_vel\nok", "type": TWIST}]}
     assert not listed_once(answers(("01/base", odd), ("02/b\nase", BASE))).endpoints
@@ -237,7 +408,7 @@ def test_a_bridge_that_lists_no_nodes_is_not_awaited_for_ever(given: Answers | N
         assert made.is_awaited({"ab"})
         made.take(given, {"ab"}, 0.1 * count)
     assert not made.is_awaited({"ab"})
-    assert not made.bridges
+    assert not made.namespaces
 
 
 def test_an_answer_that_timed_out_changes_nothing_until_it_is_too_old() -> None:
@@ -368,7 +539,7 @@ async def only_zero_arrives(harness: DriverHarness) -> None:
         harness.rig.publish()
         is_held()
         await asyncio.sleep(0.05)
-    assert harness.sink.is_up
+    await harness.until(is_held, publishing=True)  # also where a busy machine lost the base for 1 s
     assert all(twist.is_zero for twist in taken)
 
 
@@ -400,6 +571,56 @@ def test_a_second_base_holds_a_robot_that_drives_and_its_end_frees_it() -> None:
         del robot.listed[key]
         await harness.until(lambda: harness.sink.hold is None, publishing=True)
         await drive_again(harness)
+
+    play(robot, story, connected=False)
+
+
+def test_no_motion_reaches_a_reader_without_a_node_that_is_there_from_the_start() -> None:
+    robot = BridgedRobot()
+    alone(robot)
+    robot.list_reader("02")
+
+    async def story(harness: DriverHarness) -> None:
+        await only_zero_arrives(harness)
+        assert reported(harness, "/dds_reader takes /cmd_vel: ", is_up=True)
+
+    play(robot, story, connected=False)
+
+
+def test_a_reader_without_a_node_holds_a_robot_that_drives_and_its_end_frees_it() -> None:
+    robot = BridgedRobot()
+    alone(robot)
+
+    async def story(harness: DriverHarness) -> None:
+        await harness.connect()
+        await drive(harness)
+        key = robot.list_reader("02")
+        await harness.until(lambda: harness.sink.hold is Reason.BASE_CONFLICT, publishing=True)
+        robot.commands()
+        harness.driver.send(Twist(0.1), 3, 3)
+        assert (await harness.command()).is_zero
+        del robot.listed[key]
+        await harness.until(lambda: harness.sink.hold is None, publishing=True)
+        await drive_again(harness)
+
+    play(robot, story, connected=False)
+
+
+def test_a_reader_that_gets_its_node_in_time_holds_nothing() -> None:
+    robot = BridgedRobot()
+    alone(robot)
+
+    async def story(harness: DriverHarness) -> None:
+        await harness.connect()
+        await drive(harness)
+        robot.list_reader("02")
+        await asyncio.sleep(0.2)
+        robot.list_node("02", "rviz2", {}, {"/cmd_vel": TWIST})
+        for _ in range(40):
+            robot.publish()
+            await asyncio.sleep(0.05)
+        assert harness.sink.hold is None
+        assert all("takes /cmd_vel" not in text for _, text in harness.sink.states)
 
     play(robot, story, connected=False)
 

@@ -10,7 +10,8 @@ from typing import Any, cast
 import pytest
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
-from swarmd.core.messages import Code, Epoch, Reply, RunRequest, State
+from swarmd.core.messages import Code, Epoch, Reply, State
+from swarmd.core.verbs import RunRequest
 from swarmd.network.members_view import MembersView, SeenMember
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome

@@ -6,7 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.core.messages import Reason, RunRequest, State, Status
+from swarmd.core.messages import Reason, State, Status
+from swarmd.core.verbs import RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.fleet import Fleet, FleetSpec, world_command

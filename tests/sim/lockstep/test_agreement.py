@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from swarmd.core.messages import RunRequest
 from swarmd.core.values import Array
+from swarmd.core.verbs import RunRequest
 from swarmd.network.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.demo_run import WorldWatcher

@@ -40,7 +40,7 @@ def crossings(passage: Passage, seed: int) -> int:
 def test_a_robot_passes_the_narrowest_door_and_none_much_narrower(
     width: float, is_passed: bool
 ) -> None:
-    door = Passage(width * burger().door, duration=60.0)
+    door = Passage(width * burger().door, duration=36.0)
     assert (crossings(door, 2) > 0) == is_passed
 
 
@@ -48,13 +48,13 @@ def test_a_robot_passes_the_narrowest_door_and_none_much_narrower(
 def test_a_robot_passes_the_narrowest_corridor_and_none_much_narrower(
     width: float, is_passed: bool
 ) -> None:
-    corridor = Passage(width * burger().corridor, 1.0, duration=60.0)
+    corridor = Passage(width * burger().corridor, 1.0, duration=48.0)
     assert (crossings(corridor, 1) > 0) == is_passed
 
 
 def test_of_two_that_meet_in_a_corridor_one_yields() -> None:
-    assert crossings(Passage(0.445, 1.0, 1, 1, duration=100.0), 1) > 0
+    assert crossings(Passage(0.445, 1.0, 1, 1, duration=75.0), 1) > 0
 
 
 def test_a_robot_passes_a_door_of_two_bodies() -> None:
-    assert crossings(Passage(2.0 * 0.178, duration=60.0), 1) > 0
+    assert crossings(Passage(2.0 * 0.178, duration=28.0), 1) > 0

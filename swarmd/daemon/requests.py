@@ -1,14 +1,18 @@
-"""Reads the requests of operators, hands them to the robot, and sends the robot's replies.
+"""Reads what operators ask, hands it to the robot or to a service, and sends the replies.
 
-The daemon refuses a request of another version, or with a field that is missing, of a wrong type
-or out of bounds, as long as its id and its targets can be read.
+The table of `core/verbs.py` names who answers a verb. The daemon refuses a request of another
+version, or with a field that is missing, of a wrong type or out of bounds, as long as its id and
+its targets can be read.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+import asyncio
+from collections import defaultdict
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import partial
+from typing import Any, Protocol
 
 import msgspec
 
@@ -17,19 +21,16 @@ from swarmd.core.bounds import MAX_SECONDS
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
-from swarmd.core.messages import (
-    REQUEST_TYPES,
+from swarmd.core.keys import CONTROL
+from swarmd.core.messages import Code, Refusal, Reply
+from swarmd.core.verbs import (
+    VERBS,
     AnyRequest,
-    Code,
     EstopRequest,
-    ForgetRequest,
-    PushRequest,
-    RecordRequest,
-    Refusal,
-    Reply,
+    Handler,
+    Nothing,
     Request,
     RequestHeader,
-    RosterRequest,
     StopRequest,
 )
 from swarmd.daemon.audit import Audit, describe_request
@@ -43,9 +44,10 @@ MAX_ID = 63
 MAX_OPERATOR = 128
 MAX_TEXT = 300
 
-_DECODERS = {
-    verb: Decoder(kind) for verb, kind in REQUEST_TYPES.items() if verb not in ("stop", "estop")
-}
+MAX_ANSWERS = 8
+"""Answers from threads to one verb at a time; further questions are dropped, and repeated."""
+
+_DECODERS = {row.name: Decoder(row.asked) for row in VERBS.values()}
 _header = Decoder(RequestHeader, any_version=True)
 
 
@@ -58,18 +60,26 @@ class _Pending:
     query: Query | None = None  # None: a datagram
 
 
+class Answer(Protocol):
+    """Sends the reply to a request, at once or later; `RequestServer.reply`."""
+
+    def __call__(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:
+        """See `RequestServer.reply`."""
+
+
 class RequestServer:
-    """Answers the requests to one robot. `on_request` carries one out; its reply may follow later.
+    """Answers what is asked of one robot. `on_request` hands a request to the robot.
+
+    A service in `services` has a method `on_<verb>` for each verb of the daemon that it answers:
+    `on_<verb>(request, answer)` carries a request out, and `on_<verb>(question)` returns the
+    answer, or a function that makes the answer in a thread. LookupError if a verb has no service.
 
     An operator repeats a request until it has the reply. A repeat is not carried out again: it gets
     the reply of its id, now or once there is one. Only a stop or estop is carried out each time.
     Beyond MAX_PENDING requests without a reply further ones are dropped, never a stop or estop.
-    `audit` takes each request that was answered: operator, address, request, result.
-    `forget` removes a member, and returns False if that is alive; `record` starts or stops a
-    recording; `roster` takes a roster and replies later; `push` takes a behaviour, and
-    returns None if its reply follows. `drops` counts requests that cannot be handled: they are
-    refused. If the swarm `is_secured`, the operator is the asker that the link has proved, not the
-    name in the request.
+    `audit` takes each request that was answered: operator, address, request, result. `drops` counts
+    requests that cannot be handled: they are refused. If the swarm `is_secured`, the operator is
+    the asker that the link has proved, not the name in the request.
     """
 
     def __init__(
@@ -77,30 +87,32 @@ class RequestServer:
         robot: str,
         on_request: Callable[[Request], None],
         audit: Audit,
-        *,
-        forget: Callable[[str], bool],
-        record: Callable[[RecordRequest], Reply],
-        roster: Callable[[RosterRequest, Callable[[Reply], None]], None],
-        push: Callable[[PushRequest], Reply | None],
+        *services: object,
         drops: DropCounter,
         is_secured: bool = False,
     ) -> None:
         self._drops = drops
         self._is_secured = is_secured
-        self._push = push
         self._robot = robot
-        self._forget_member = forget
-        self._record = record
-        self._take_roster = roster
         self._on_request = on_request
+        self._handlers: dict[str, Callable[..., Any]] = {
+            row.name: _handler(f"on_{row.name}", services)
+            if row.handler is Handler.DAEMON
+            else lambda request, answer: on_request(request)
+            for row in VERBS.values()
+            if row.handler is not Handler.NETWORK
+        }
+        self._threads: dict[str, set[asyncio.Task[None]]] = defaultdict(set)
         self._audit = audit
         self._pending: dict[str, _Pending] = {}
         self._replies: dict[str, Reply] = {}  # the last MAX_REPLIES, by request id
 
-    def serve(self, bus: ZenohBus, verbs: Iterable[str]) -> None:
-        """Answer requests with these verbs."""
-        for verb in verbs:
-            bus.serve("control", verb, partial(self.handle, verb))
+    def serve(self, bus: ZenohBus) -> None:
+        """Answer all verbs on a bus that was opened, but those that the bus itself answers."""
+        for row in VERBS.values():
+            if row.handler is not Handler.NETWORK and not row.is_datagram:
+                handle = self.handle if row.is_request else self.ask
+                bus.serve(CONTROL, row.name, partial(handle, row.name))
 
     def reply(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:
         """Send a reply. `is_stored` False: the latches could not be written to disk.
@@ -168,6 +180,27 @@ class RequestServer:
         with self._drops.refusing(f"control/{verb}", partial(self._refuse, query)):
             self._carry_out(_DECODERS[verb](query.payload), query)
 
+    def ask(self, verb: str, query: Query) -> None:
+        """Answer the question in a query that came on the key of `verb`."""
+        asked = Nothing() if VERBS[verb].asked is Nothing else _DECODERS[verb](query.payload)
+        found = self._handlers[verb](asked)
+        if not callable(found):
+            query.reply(encode(found))
+            return
+        tasks = self._threads[verb]
+        if len(tasks) >= MAX_ANSWERS:
+            query.drop()
+            return
+        task = asyncio.get_running_loop().create_task(self._answer_from_thread(verb, found, query))
+        tasks.add(task)
+        task.add_done_callback(tasks.discard)
+
+    async def _answer_from_thread(
+        self, verb: str, make: Callable[[], msgspec.Struct], query: Query
+    ) -> None:
+        with self._drops.refusing(f"control/{verb}", lambda code, text: query.drop()):
+            query.reply(encode(await asyncio.to_thread(make)))
+
     def _carry_out(self, request: AnyRequest, query: Query) -> None:
         if self._is_secured:
             request = msgspec.structs.replace(request, operator=query.asker)
@@ -185,19 +218,8 @@ class RequestServer:
                 lambda: query.source,
                 query=query,
             )
-            if isinstance(request, ForgetRequest):
-                self._forget(request)
-            elif isinstance(request, RecordRequest):
-                self.reply(self._record(request))
-            elif is_pending:
-                return
-            elif isinstance(request, RosterRequest):
-                self._take_roster(request, self.reply)
-            elif isinstance(request, PushRequest):
-                if (answer := self._push(request)) is not None:
-                    self.reply(answer, is_audited=answer.code is not Code.APPLIED)
-            else:
-                self._on_request(request)
+            if not is_pending:
+                self._handlers[request.verb](request, self.reply)
 
     def _keep(self, reply: Reply) -> bool:
         """Keep a reply for repeats; True if the id had one."""
@@ -247,10 +269,11 @@ class RequestServer:
             count = len(header.targets or ())
             self._audit.record(verb, operator, query.source, reply, boottime(), targets=count)
 
-    def _forget(self, request: ForgetRequest) -> None:
-        name = request.name
-        if not self._forget_member(name):
-            code, refusal, text = Code.REFUSED, Refusal.MEMBER_ALIVE, f"{name} is alive"
-        else:
-            code, refusal, text = Code.APPLIED, None, f"forgot {name}"
-        self.reply(Reply(id=request.id, robot=self._robot, code=code, refusal=refusal, text=text))
+
+def _handler(name: str, services: tuple[object, ...]) -> Callable[..., Any]:
+    """The method of that name of the one service that has such a method. LookupError."""
+    found = [getattr(service, name) for service in services if hasattr(service, name)]
+    if len(found) != 1:
+        raise LookupError(f"{len(found)} services have {name}; expected 1")
+    handler: Callable[..., Any] = found[0]
+    return handler

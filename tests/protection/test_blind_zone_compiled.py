@@ -1,4 +1,4 @@
-"""The compiled blind-zone memory remembers what numpy's remembers."""
+"""The blind-zone memory remembers the same compiled and interpreted."""
 
 from __future__ import annotations
 
@@ -10,16 +10,16 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import compiled_kernel
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Pose, Scan, ScanSpec
-from swarmd.protection import blind_zone_numpy
+from swarmd.protection import blind_zone as interpreted
 from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform, platform_names
 from tests.support.examples import examples
 
-kernel = compiled_kernel("swarmd.protection.blind_zone_kernel")
-if kernel is None:
-    pytest.skip("blind_zone_kernel was not built", allow_module_level=True)
+compiled = load_kernel("swarmd.protection.blind_zone")
+if compiled is interpreted:
+    pytest.skip("the kernels are not compiled", allow_module_level=True)
 
 SPECS = [load_platform(name).scan for name in platform_names()]
 SPECS = [spec for spec in SPECS if spec.range_min > 0.0]
@@ -74,7 +74,7 @@ class Surroundings:
 
 @given(st.data(), st.sampled_from(SPECS), SEEDS, st.sampled_from((0.02, 0.3, 1.1)))
 @settings(max_examples=examples(60), deadline=None)
-def test_hidden_obstacles_are_those_of_numpy(
+def test_hidden_obstacles_are_the_same(
     data: st.DataObject, spec: ScanSpec, seed: int, speed: float
 ) -> None:
     """A robot that turns and moves among faces that come and go; the bearings change at times."""
@@ -84,8 +84,7 @@ def test_hidden_obstacles_are_those_of_numpy(
     geometry = ScanGeometry(replace(spec, offset=offset))
     period = 1.0 / spec.rate
     pair = [
-        module.BlindZoneMemory(spec.range_min, speed, period)
-        for module in (blind_zone_numpy, kernel)
+        module.BlindZoneMemory(spec.range_min, speed, period) for module in (interpreted, compiled)
     ]
     around = Surroundings(spec, rng)
     turn = float(rng.choice((0.0, 0.003, 0.05, 0.4)))

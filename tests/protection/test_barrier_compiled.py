@@ -1,23 +1,21 @@
-"""The compiled kernel of mode `barrier` decides as the numpy code does, for every input."""
+"""Mode `barrier` decides alike compiled and interpreted, for every input."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from itertools import pairwise
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import compiled_kernel
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import ZERO, Limits, Odometry, Platform, Pose, Scan, TouchZone, Twist
-from swarmd.protection.barrier import Barrier
-from swarmd.protection.compiled_barrier import CompiledBarrier
+from swarmd.protection import barrier as interpreted
 from swarmd.protection.decision import DecisionContext, ModeDecision, ToldObstacle
-from swarmd.protection.footprint import ScanGeometry
+from swarmd.protection.footprint import Footprint, ScanGeometry
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import platform_names
 from swarmd.testing.scans import scan_from
@@ -25,8 +23,8 @@ from tests.support.decision_corpus import Stream, decided, platform_of, read
 from tests.support.examples import examples
 from tests.support.filter_sim import under_barrier
 
-KERNEL = compiled_kernel("swarmd.protection.barrier_kernel")
-pytestmark = pytest.mark.skipif(KERNEL is None, reason="the kernels are not compiled")
+compiled = load_kernel("swarmd.protection.barrier")
+needs_compiled = pytest.mark.skipif(compiled is interpreted, reason="the kernels are not compiled")
 
 AGREEMENT = 1e-12
 GIVEN = [load_platform(name) for name in sorted(platform_names())]
@@ -137,7 +135,8 @@ class Pair:
 
     def __init__(self, platform: Platform) -> None:
         self.platform, self.geometry = platform, ScanGeometry(platform.scan)
-        self.numpy, self.compiled = Barrier(platform), CompiledBarrier(platform, KERNEL)
+        self.paths = interpreted.Barrier(platform), compiled.Barrier(platform)
+        self.outline = Footprint(platform.footprint)
         self.now, self.pose, self.seq, self.command = 5.0, Pose(1.0, -2.0, 3.0), 0, ZERO
         self.readings = [Odometry(self.now, self.pose, ZERO)]
         self.decisions: list[ModeDecision] = []
@@ -158,11 +157,12 @@ class Pair:
             ages = seen.sweep * np.linspace(1.0, 0.0, len(scan.ranges))
             scan = replace(scan, ages=ages)
         context = DecisionContext(self.now, seen.age, self.readings[-1], 0.0, seen.delay)
-        self.numpy.observe(scan, self.geometry, context)
-        self.compiled.observe(scan, self.geometry, context)
-        expected = self.numpy._outline.min_gap(scan, self.geometry)
-        found = self.compiled._kernel.min_gap
-        assert found == (None if expected is None else pytest.approx(expected, abs=AGREEMENT))
+        expected = self.outline.min_gap(scan, self.geometry)
+        for path in self.paths:
+            path.observe(scan, self.geometry, context)
+            assert path.min_gap == (
+                None if expected is None else pytest.approx(expected, abs=1e-12)
+            )
 
     def _move(self, moved: Moved) -> None:
         limits = self.platform.limits
@@ -189,7 +189,7 @@ class Pair:
             for _ in range(2):  # the second time from memory
                 one, other = (
                     path.decide(requested, context, command=self.command, touch=asked.touch)
-                    for path in (self.numpy, self.compiled)
+                    for path in self.paths
                 )
                 assert_same(one, other)
             self.command = limits.clip(one.twist)
@@ -223,6 +223,7 @@ def numbers(decision: ModeDecision) -> list[float]:
     return found
 
 
+@needs_compiled
 @settings(max_examples=examples(600))
 @given(st.sampled_from(VARIANTS), SEEN, EVENTS)
 def test_both_paths_decide_alike(
@@ -233,34 +234,11 @@ def test_both_paths_decide_alike(
         pair.take(event)
 
 
-@pytest.mark.parametrize("platform", VARIANTS)
-def test_both_paths_decide_alike_in_a_crowd(platform: Platform) -> None:
-    """Most of these requests are limited, by several constraints or by the stop alone."""
-    pair, rng = Pair(platform), np.random.default_rng(5)
-    for _ in range(40):
-        distances = rng.uniform(0.0, rng.choice([0.1, 0.4, 1.5]), 4)
-        places, widths = rng.uniform(0.0, 1.0, 4), rng.uniform(0.0, 0.2, 4)
-        faces = [Face(*one, 0.001) for one in zip(places, widths, distances, strict=True)]
-        pair.take(Moved(0.0, *rng.uniform(-1.0, 1.0, 3)))
-        pair.take(Seen(faces, 0.0, rng.choice([0.0, 0.2])))
-        for after in (0.01, 0.05, 0.1):
-            zone = TouchZone(rng.uniform(-3.0, 3.0), 0.5, 0.05) if rng.random() < 0.2 else None
-            requests = [tuple(rng.uniform(-1.0, 1.0, 3)), (1.0, 0.0, 0.0)]
-            places = rng.uniform(-0.5, 0.5, (2, 2)).tolist() if rng.random() < 0.3 else []
-            told = tuple(ToldObstacle(x, y, 0.15, 0.1) for x, y in places)
-            pair.take(Asked(after, requests, zone, 0.02, -1, told))
-    assert sum(decision.is_active for decision in pair.decisions) > 60
-    assert any(len(decision.rows) == 4 for decision in pair.decisions)
-    assert any(one != other for one, other in pairwise(pair.decisions))
-
-
 @pytest.mark.parametrize("number", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("place", ["stamp", "x", "yaw", "linear"])
 def test_odometry_that_is_not_finite_lets_no_command_pass(place: str, number: float) -> None:
     """Protection gives zero for a command that is not finite."""
     values = {"stamp": 5.0, "x": 0.0, "yaw": 0.0, "linear": 0.0, place: number}
-    if place == "yaw" and math.isinf(number):
-        pytest.skip("the numpy code raises, and such a reading does not get so far")
     pair = Pair(WAFFLE)
     pose = Pose(values["x"], 0.0, values["yaw"])
     pair.readings = [Odometry(values["stamp"], pose, Twist(values["linear"]))]
@@ -343,8 +321,8 @@ def test_scan_is_placed_alike_between_readings_and_after_the_last(age: float) ->
         odometry = Odometry(stamp + 1.0, Pose(0.0, 0.0, yaw), Twist(0.2, 0.3))
         context = DecisionContext(6.0, 0.0, odometry, age)
         scan = scan_of(WAFFLE, [Face(0.0, 0.1, 0.4, 0.0)], 1)
-        pair.numpy.observe(scan, pair.geometry, context)
-        pair.compiled.observe(scan, pair.geometry, context)
+        for path in pair.paths:
+            path.observe(scan, pair.geometry, context)
     pair.readings.append(odometry)
     pair.now = 6.0
     pair.take(Asked(0.05, [(1.0, 0.0, 0.0), (0.5, 1.0, 0.0)], None, 0.0, -1))
@@ -355,24 +333,21 @@ def test_ranges_may_be_of_any_number_type(kind: type) -> None:
     pair = Pair(JACKAL)
     scan = scan_from(JACKAL, np.full(360, 1, kind), JACKAL.scan.bearings)
     context = DecisionContext(pair.now, 0.0, pair.readings[-1], 0.0)
-    for path in (pair.numpy, pair.compiled):
+    for path in pair.paths:
         path.observe(scan, pair.geometry, context)
     pair.take(Asked(0.01, [(1.0, 0.3, 0.0)], None, 0.0, -1))
     assert pair.decisions[-1].is_active
 
 
-def test_a_scan_with_more_ranges_than_rays_is_refused_and_frees_no_way() -> None:
-    barrier = CompiledBarrier(BURGER, KERNEL)
-    kernel = barrier._kernel
-    kernel.set_rays(np.array([[1.0, 0.0]]))
-    ages, hidden = np.empty(0), np.empty((0, 3))
-    kernel.begin_scan(1.0, 0.0, 0.0, 0.0, 0.0, ages)
-    kernel.take_scan(np.array([0.2]), 0.1, ages, hidden)
-    with pytest.raises(IndexError):
-        kernel.take_scan(np.full(2, np.inf), 0.1, ages, hidden)
-    with pytest.raises(IndexError):
-        kernel.take_scan(np.array([np.inf]), 0.1, np.zeros(2), hidden)
-    context = DecisionContext(1.0, 0.0)
+@pytest.mark.parametrize("module", [interpreted, compiled])
+def test_a_scan_with_more_ranges_than_rays_is_refused_and_frees_no_way(module: Any) -> None:
+    barrier, geometry = module.Barrier(BURGER), ScanGeometry(BURGER.scan)
+    context, bearings = DecisionContext(1.0, 0.0), np.zeros(1)
+    scan = Scan(1, 1.0, np.array([0.2]), bearings, 0.1, 3.5)
+    barrier.observe(scan, geometry, context)
+    for ranges, ages in ((np.full(2, np.inf), None), (np.array([np.inf]), np.zeros(2))):
+        with pytest.raises(IndexError):
+            barrier.observe(replace(scan, ranges=ranges, ages=ages), geometry, context)
     decision = barrier.decide(Twist(0.22), context, command=ZERO, touch=None)
     assert decision.is_active
     assert decision.twist.linear < 0.22
@@ -382,8 +357,8 @@ def test_a_scan_with_more_ranges_than_rays_is_refused_and_frees_no_way() -> None
 def test_recorded_decisions_are_made_again(stream: Stream) -> None:
     """Robots in crowds and among rammers; studies/record_decisions.py wrote the file."""
     platform = platform_of(stream)
-    one = decided(stream, Barrier(platform))
-    other = decided(stream, CompiledBarrier(platform, KERNEL))
+    one = decided(stream, interpreted.Barrier(platform))
+    other = decided(stream, compiled.Barrier(platform))
     for (event, expected), (_, found) in zip(one, other, strict=True):
         assert_same(expected, found)
         assert event.twist is not None

@@ -12,22 +12,13 @@ import pytest
 from swarmd.core import codec
 from swarmd.core.bounds import Seconds
 from swarmd.core.codec import Decoder, encode
-from swarmd.core.messages import (
-    REQUEST_TYPES,
-    Code,
-    Epoch,
-    EstopRequest,
-    RecordRequest,
-    Refusal,
-    Reply,
-    Request,
-    RunRequest,
-    StopRequest,
-)
+from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.verbs import VERBS, EstopRequest, Request, RunRequest, StopRequest
 from swarmd.daemon.audit import Audit
-from swarmd.daemon.request_server import MAX_PENDING, RequestServer
+from swarmd.daemon.requests import MAX_PENDING, RequestServer
 from swarmd.network.datagram import Stop
 from swarmd.network.inbound_queue import DropCounter
+from tests.support.fake_services import FakeServices
 
 EPOCH = Epoch("0123456789ab", 1)
 
@@ -60,19 +51,13 @@ def server_of(
     *,
     is_secured: bool = False,
 ) -> RequestServer:
-    def record(request: RecordRequest) -> Reply:
-        return Reply(id=request.id, robot=robot, code=Code.APPLIED, text=request.action)
-
     return RequestServer(
         robot,
         on_request,
         Audit(on_audit),
-        forget=lambda name: True,
-        record=record,
-        roster=lambda request, answer: None,
-        is_secured=is_secured,
-        push=lambda request: None,
+        FakeServices(),
         drops=DropCounter(),
+        is_secured=is_secured,
     )
 
 
@@ -89,7 +74,7 @@ def test_a_request_arrives_as_it_was_sent(verb: str) -> None:
         "reset": {"ids": ("e1",), "reason": "drill"},
     }
     targets: dict[str, Epoch | None] = {"tb3-01": EPOCH}
-    request = REQUEST_TYPES[verb](id="r1", operator="anna", targets=targets, **fields[verb])
+    request = VERBS[verb].asked(id="r1", operator="anna", targets=targets, **fields[verb])
     taken: list[Request] = []
     server_of("tb3-01", taken.append).handle(verb, RecordingQuery(encode(request)))
     assert request.verb == verb

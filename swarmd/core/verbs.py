@@ -1,0 +1,717 @@
+"""The verbs of the plane `control`: what operators ask of robots, and a row for each verb.
+
+The table `VERBS` decides which service of a daemon answers a verb, which roles may ask, whether
+the robot compares its epoch, the line of the audit log and the line of `swarmctl --help`. A new
+verb is a struct and a row here, a method `on_<verb>` of its handler, and a file of `cli/`.
+
+Unknown fields of the structs are ignored, so that a newer peer can add fields. Bounds: bounds.py.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from enum import Enum
+from typing import Annotated, Any, Generic, Literal, TypeVar
+
+from msgspec import Meta, Struct
+
+from swarmd.core.bounds import (
+    Count,
+    FileName,
+    Id,
+    Line,
+    Name,
+    ParamValues,
+    ReasonText,
+    Seconds,
+    Word,
+)
+from swarmd.core.errors import CodecError
+from swarmd.core.goal import MAX_LABELS, Goal
+from swarmd.core.messages import Epochs, PeerView, Reply, Sandbox
+
+MAX_LATE = 0.5
+"""A run that is to start at a time is refused so many seconds after it."""
+MAX_AHEAD = 60.0
+"""A run is to start at most so many seconds ahead."""
+
+MAX_FINDINGS = 1000
+"""Findings of assumption monitors in one request: three of each robot at most."""
+
+
+# Requests
+
+MAX_ROSTER_PART = 40 * 1024
+"""Bytes of a roster in one request: about 2000 names."""
+CertificatePem = Annotated[bytes, Meta(max_length=2048)]
+
+
+class _AnyRequest(Struct, frozen=True, kw_only=True, tag_field="verb"):
+    """The fields that every request has. On the wire `verb` names the type of request."""
+
+    id: Name
+    operator: Annotated[str, Meta(min_length=1, max_length=128)]
+
+    @property
+    def verb(self) -> str:
+        """The last chunk of the key on which this request is sent."""
+        return str(self.__struct_config__.tag)
+
+
+class _EpochRequest(_AnyRequest, frozen=True, kw_only=True):
+    """A request that changes a robot only if the robot's epoch is still the quoted one."""
+
+    targets: Epochs
+
+
+class RunRequest(_EpochRequest, frozen=True, kw_only=True, tag="run"):
+    """Run a pattern; the run ends after `seconds`, or when any condition of `until` holds.
+
+    `goal`: the goal that the run belongs to, with the same pattern, parameters and ends. It must
+    be greater than the goal that the robot holds, or the same. `at`: when each robot is to start,
+    in s on its own clock (CLOCK_BOOTTIME); the pattern is loaded before, and robots without an
+    entry start when it is loaded. More than MAX_LATE after that time the robot refuses. `age`:
+    seconds since the operator issued the request, with the longest round trip of its look added.
+    """
+
+    pattern: Name
+    params: ParamValues = {}
+    seconds: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
+    until: tuple[Word, ...] = ()
+    goal: Goal | None = None
+    at: dict[Name, Seconds] = {}
+    age: Seconds = 0.0
+
+
+class ResumeRequest(_EpochRequest, frozen=True, kw_only=True, tag="resume"):
+    """Run the robot's own goal, which is offered or whose run has ended.
+
+    `digest`: of the goal that the operator saw, in hex; the robot refuses if it has another. Empty:
+    whichever it is. `age`: as that of RunRequest.
+    """
+
+    digest: Word = ""
+    age: Seconds = 0.0
+
+
+class GoalRequest(_EpochRequest, frozen=True, kw_only=True, tag="goal"):
+    """Set a goal without a run: robots stand by a goal without a pattern, and offer any other.
+
+    `age`: as that of RunRequest.
+    """
+
+    goal: Goal
+    age: Seconds = 0.0
+
+
+class LabelRequest(_EpochRequest, frozen=True, kw_only=True, tag="label"):
+    """Replace the labels of a robot; it keeps them on disk. None: those of its swarm file again."""
+
+    labels: Annotated[tuple[Id, ...], Meta(max_length=MAX_LABELS)] | None
+
+
+class ResetRequest(_EpochRequest, frozen=True, kw_only=True, tag="reset"):
+    """Clear the latches with these `ids`, and a fault.
+
+    `findings`: those of the assumption monitor to end, as the status names them. A running robot
+    refuses.
+    """
+
+    ids: tuple[Name, ...] = ()
+    findings: Annotated[tuple[Line, ...], Meta(max_length=MAX_FINDINGS)] = ()
+    reason: ReasonText = ""
+
+
+class ParamRequest(_EpochRequest, frozen=True, kw_only=True, tag="param"):
+    """Set parameters of the running pattern."""
+
+    params: Annotated[ParamValues, Meta(min_length=1)]
+
+
+class ReloadRequest(_EpochRequest, frozen=True, kw_only=True, tag="reload"):
+    """Replace a pattern's code; with `is_rerun` a robot that runs the pattern runs it again.
+
+    `keeps_running`: a robot that runs the pattern goes on with the old code until its next run.
+    `age`: as that of RunRequest.
+    """
+
+    pattern: Name
+    is_rerun: bool = False
+    keeps_running: bool = False
+    age: Seconds = 0.0
+
+
+class PushRequest(_EpochRequest, frozen=True, kw_only=True, tag="push"):
+    """A piece of a behaviour for robots; with the last one they try it and take it.
+
+    `content` and `signature`: of the manifest (`core/behaviour.py`). `is_rerun`: as in
+    `ReloadRequest`; without it nothing moves or stops, and the epoch is not compared. `age`: as
+    that of RunRequest.
+    """
+
+    content: Annotated[bytes, Meta(max_length=8192)]
+    signature: Annotated[bytes, Meta(max_length=64)] = b""
+    offset: Count = 0
+    data: Annotated[bytes, Meta(max_length=32768)] = b""
+    is_rerun: bool = False
+    age: Seconds = 0.0
+
+
+class ForgetRequest(_EpochRequest, frozen=True, kw_only=True, tag="forget"):
+    """Remove the member `name`, which failed or left, from the list of members."""
+
+    name: Name
+
+
+class RecordRequest(_EpochRequest, frozen=True, kw_only=True, tag="record"):
+    """Start or stop the recording of a robot; it moves nothing, so the epoch is not compared."""
+
+    action: Literal["start", "stop"]
+
+
+class RosterRequest(_EpochRequest, frozen=True, kw_only=True, tag="roster"):
+    """Take a signed roster, and the new certificate of the robot's name if there is one.
+
+    `secret`: the swarm's at that generation; empty for a robot that is no longer on it. It ends the
+    run, so the epoch is not compared. `certificates`: PEM, by robot, for the keys that they have.
+    """
+
+    roster: Annotated[bytes, Meta(max_length=MAX_ROSTER_PART)]
+    secret: Annotated[bytes, Meta(max_length=32)] = b""
+    certificates: Annotated[dict[Name, CertificatePem], Meta(max_length=32)] = {}
+
+
+class StopRequest(_AnyRequest, frozen=True, kw_only=True, tag="stop"):
+    """Stop. `targets` None: every robot; the epochs are not compared.
+
+    `age`: seconds since the operator issued it. A run that came later is not stopped by it.
+    """
+
+    targets: Epochs | None = None
+    age: Seconds = 0.0
+
+
+class EstopRequest(_AnyRequest, frozen=True, kw_only=True, tag="estop"):
+    """Emergency stop. `scope` swarm: other robots take the latch over.
+
+    `is_relayed`: another robot handed it on. Such a copy does not latch again what was reset.
+    `age`: seconds since the operator issued it. The goal of a later run stays.
+    """
+
+    targets: Epochs | None = None
+    scope: Literal["swarm", "robots"] = "swarm"
+    reason: ReasonText = ""
+    is_relayed: bool = False
+    age: Seconds = 0.0
+
+
+Request = (
+    RunRequest
+    | StopRequest
+    | EstopRequest
+    | ResetRequest
+    | ParamRequest
+    | ReloadRequest
+    | ResumeRequest
+    | GoalRequest
+    | LabelRequest
+)
+AnyRequest = Request | ForgetRequest | RecordRequest | RosterRequest | PushRequest
+
+
+class RequestHeader(Struct, frozen=True, kw_only=True):
+    """The fields of a request that suffice to refuse it by name, whatever its version."""
+
+    id: str
+    verb: str
+    operator: str = ""
+    targets: dict[str, object] | None = None
+
+
+# Questions and their answers
+
+
+class Nothing(Struct, frozen=True):
+    """The question of a verb whose payload is empty."""
+
+
+class MembersQuery(Struct, frozen=True, kw_only=True):
+    """Asks every daemon for its `PeerView`, except those in `answered`."""
+
+    answered: tuple[Name, ...] = ()
+
+
+class RecordingFile(Struct, frozen=True, kw_only=True):
+    """A file of a recording. Times in s on the robot's clock, None if they are not known yet.
+
+    `crc`: the CRC-32 of a finished file. `dropped`: entries that were lost in it.
+    """
+
+    name: FileName
+    size: Count
+    is_open: bool
+    crc: Count | None = None
+    dropped: Count = 0
+    begin: Seconds | None = None
+    end: Seconds | None = None
+
+
+class RecordingsReply(Struct, frozen=True, kw_only=True):
+    """The recordings of a robot; `now` is its clock when it answered, `clock` names that clock.
+
+    `fault`: why the last recording ended, if not by a request.
+    """
+
+    robot: Name
+    now: Seconds
+    clock: Annotated[str, Meta(max_length=32)]
+    files: tuple[RecordingFile, ...]
+    fault: Line = ""
+
+
+class FetchQuery(Struct, frozen=True, kw_only=True):
+    """Asks for `length` bytes of a recording from `offset` on."""
+
+    file: FileName
+    offset: Count
+    length: Annotated[int, Meta(gt=0, le=32768)]
+
+
+class FetchReply(Struct, frozen=True, kw_only=True):
+    """Bytes of a recording and their CRC-32; `size` of the file, `text` why there are none."""
+
+    robot: Name
+    file: FileName
+    offset: Count
+    size: Count
+    data: bytes
+    crc: Count
+    text: Line = ""
+
+
+class BehaviourReport(Struct, frozen=True, kw_only=True):
+    """A pushed behaviour on a robot.
+
+    `standing`: provisional, held, returned, missing (not pulled yet) or removed. `version` and
+    `digest` (hex) of the code that a run takes, empty without code; `pushed`: the digest of the
+    newest push. `ran`: s without a fault. `source`: the operator or robot that handed it over.
+    `text`: why it was returned, or cannot be used.
+    """
+
+    name: Name
+    standing: Word
+    version: Word = ""
+    digest: Word = ""
+    pushed: Word = ""
+    ran: Seconds = 0.0
+    source: Line = ""
+    issuer: Word = ""
+    generation: Count = 0
+    text: Line = ""
+
+
+class BehavioursReply(Struct, frozen=True, kw_only=True):
+    """The pushed behaviours of a robot; `generation`: the greatest that it knows.
+
+    `newest`, `signature`: the manifest of that generation, which proves it.
+    """
+
+    robot: Name
+    generation: Count = 0
+    behaviours: tuple[BehaviourReport, ...] = ()
+    newest: Annotated[bytes, Meta(max_length=8192)] = b""
+    signature: Annotated[bytes, Meta(max_length=64)] = b""
+
+
+AUDIT_PAGE = 100
+"""Entries of an answer."""
+LOG_PAGE = 200
+"""Records of an answer, and of a batch that a robot publishes."""
+MAX_LOG_LINE = 500
+"""Characters of a record."""
+
+Wall = Annotated[float, Meta(ge=0.0, le=1e11)]
+OperatorName = Annotated[str, Meta(max_length=128)]
+LogLine = Annotated[str, Meta(max_length=MAX_LOG_LINE)]
+
+
+class AuditEntry(Struct, frozen=True, kw_only=True, omit_defaults=True):
+    """A request that a robot answered, or a latch that it took from a peer.
+
+    `seq` counts the entries of a robot. `boot`: the clock `clock` of the robot in s; `wall` in s
+    since 1970 (UTC), None if its clock had not been set. `targets` None: all robots. `left_out`:
+    earlier entries that were not written, since there were too many or the disk failed.
+    """
+
+    seq: Count = 0
+    boot: Seconds
+    clock: Word
+    wall: Wall | None = None
+    operator: OperatorName
+    source: Word
+    verb: Word
+    targets: Count | None = None
+    what: Line
+    result: Word
+    text: Line = ""
+    left_out: Count = 0
+
+
+class AuditQuery(Struct, frozen=True, kw_only=True):
+    """Asks for the last `count` entries, with a `seq` below `before`, of the last `since` s."""
+
+    before: Count | None = None
+    since: Seconds | None = None
+    count: Annotated[int, Meta(ge=1, le=AUDIT_PAGE)] = AUDIT_PAGE
+
+
+class AuditReply(Struct, frozen=True, kw_only=True):
+    """Entries, the oldest first, and the age of each in s; None: it was before the last boot.
+
+    `has_more`: older ones fit the question. `fault`: why entries are not written at present.
+    """
+
+    robot: Name
+    entries: Annotated[tuple[AuditEntry, ...], Meta(max_length=AUDIT_PAGE)]
+    ages: Annotated[tuple[Seconds | None, ...], Meta(max_length=AUDIT_PAGE)]
+    has_more: bool
+    fault: Line = ""
+
+
+class LogRecord(Struct, frozen=True, array_like=True):
+    """A line of a daemon's log, or a line that its pattern printed (`pattern`).
+
+    `seq` counts the records of an instance; `at` on the robot's clock; `level` as in `logging`.
+    """
+
+    seq: Count
+    at: Seconds
+    level: Annotated[int, Meta(ge=0, le=100)]
+    source: Word
+    text: LogLine
+
+
+class LogsQuery(Struct, frozen=True, kw_only=True):
+    """Asks for the last `count` records of at least `level` that hold `grep`, in any case."""
+
+    count: Annotated[int, Meta(ge=1, le=LOG_PAGE)] = 50
+    level: Annotated[int, Meta(ge=0, le=100)] = 0
+    grep: Annotated[str, Meta(max_length=200)] = ""
+
+
+class LogBatch(Struct, frozen=True, kw_only=True):
+    """Records of a robot, the oldest first; `now` is its clock, `last` its latest number.
+
+    `left_out`: lines of this life of the daemon that were too many to be kept.
+    """
+
+    robot: Name
+    instance: Name
+    now: Seconds
+    last: Count
+    records: Annotated[tuple[LogRecord, ...], Meta(max_length=LOG_PAGE)]
+    left_out: Count = 0
+
+
+class LinkReport(Struct, frozen=True, array_like=True):
+    """How a robot hears another one; see `LinkQuality`. `ways`: multicast, broadcast, unicast."""
+
+    robot: Name
+    received: Count
+    lost: Count
+    age: Seconds
+    round_trip: Seconds | None
+    ways: Annotated[tuple[Word, ...], Meta(max_length=4)] = ()
+
+
+class LinksQuery(Struct, frozen=True, kw_only=True):
+    """Asks how a robot hears others; with `measures` it measures round trips for a later answer."""
+
+    measures: bool = False
+
+
+class LinksReply(Struct, frozen=True, kw_only=True):
+    """The links of a robot, those that were heard last first; `unlisted`: further ones."""
+
+    robot: Name
+    links: Annotated[tuple[LinkReport, ...], Meta(max_length=512)]
+    unlisted: Count = 0
+
+
+class DiskFacts(Struct, frozen=True, kw_only=True):
+    """A folder and its disk: bytes free for this user and in all; `fault`: why it is unwritable."""
+
+    purpose: Word
+    path: Line
+    free: Count = 0
+    size: Count = 0
+    fault: Line = ""
+
+
+class MachineFacts(Struct, frozen=True, kw_only=True):
+    """A machine: load of the last minute, memory in bytes, `wall` in s since 1970 (UTC).
+
+    `is_synced`: whether the kernel holds its clock for synchronised; None: not known.
+    """
+
+    host: Word
+    python: Word
+    cores: Count
+    load: Annotated[float, Meta(ge=0.0, le=1e6)]
+    memory: Count
+    free_memory: Count
+    wall: Wall
+    is_synced: bool | None
+    disks: Annotated[tuple[DiskFacts, ...], Meta(max_length=8)] = ()
+
+
+class PortFacts(Struct, frozen=True, kw_only=True):
+    """The process that listens on a port, such as `swarmd (412)`; empty: free; `?`: not known."""
+
+    protocol: Word
+    port: Count
+    users: Annotated[tuple[Word, ...], Meta(max_length=32)] = ()
+
+
+class NetworkFacts(Struct, frozen=True, kw_only=True):
+    """An interface and what may keep datagrams out.
+
+    `mtu`, `has_multicast`: None if not known. `firewall`: none, open, drops or unknown, with the
+    rules that drop, or the reason, in `firewall_text`.
+    """
+
+    interface: Word
+    exists: bool
+    is_up: bool
+    addresses: Annotated[tuple[Word, ...], Meta(max_length=32)]
+    mtu: Count | None
+    has_multicast: bool | None
+    is_wireless: bool
+    ports: Annotated[tuple[PortFacts, ...], Meta(max_length=8)]
+    firewall: Word
+    firewall_text: Line = ""
+
+
+class DoctorReply(Struct, frozen=True, kw_only=True):
+    """What a robot measures of itself for `swarmctl doctor`.
+
+    `identity_expires`: s since 1970 (UTC), `roster`: its generation; None without keys. `heard`:
+    robots that are alive by the way in which their datagrams come. `storage`: why latches would be
+    lost by a restart. `sandbox`: of the pattern host.
+    """
+
+    robot: Name
+    version: Word
+    kernels: Word
+    profile: Word
+    machine: MachineFacts
+    network: NetworkFacts
+    identity_expires: Wall | None = None
+    roster: Count | None = None
+    heard: dict[Word, Count] = {}
+    storage: Line = ""
+    sandbox: Sandbox | None = None
+
+
+# Lines of the audit log
+
+MAX_PART = 60
+"""Characters of one text in the audit log that its sender chose."""
+
+
+def shortened(text: str, length: int = MAX_PART) -> str:
+    """The text, cut with an ellipsis beyond `length` characters."""
+    return text if len(text) <= length else f"{text[: length - 3]}..."
+
+
+def _assignments(values: Mapping[str, object]) -> str:
+    return shortened(" ".join(f"{name}={value}" for name, value in values.items()))
+
+
+def _joined(*parts: str) -> str:
+    return " ".join(filter(None, parts))
+
+
+def _run_line(request: RunRequest) -> str:
+    return _joined(
+        request.pattern,
+        _assignments(request.params),
+        "" if request.seconds is None else f"for {request.seconds:g} s",
+        f"until {shortened(' or '.join(request.until))}" if request.until else "",
+        "" if request.goal is None else f"as goal {request.goal.generation}",
+    )
+
+
+def _label_line(request: LabelRequest) -> str:
+    labels = request.labels
+    return "as configured" if labels is None else shortened(", ".join(labels) or "none")
+
+
+def _reset_line(request: ResetRequest) -> str:
+    findings = f"of {shortened('; '.join(request.findings))}" if request.findings else ""
+    return _joined(findings, _reason_line(request))
+
+
+def _reason_line(request: ResetRequest | EstopRequest) -> str:
+    return f"({shortened(request.reason)})" if request.reason else ""
+
+
+def _push_line(request: PushRequest) -> str:
+    from swarmd.core.behaviour import Signed, read_entry  # not at each start of swarmctl
+
+    try:
+        return read_entry(Signed(request.content)).manifest.label
+    except CodecError:
+        return "what cannot be read"
+
+
+# The table
+
+
+class Handler(Enum):
+    """What answers a verb in a daemon, by its method `on_<verb>`."""
+
+    ROBOT = "robot"
+    """`RequestHandler` in robot/requests.py; the reply is one of the robot's actions."""
+    DAEMON = "daemon"
+    """A service of the daemon, see `RequestServer` in daemon/requests.py."""
+    NETWORK = "network"
+    """`ZenohBus.serve_view`."""
+
+
+Asked = TypeVar("Asked", bound=Struct)
+Answer = TypeVar("Answer")
+
+
+@dataclass(frozen=True, slots=True)
+class Verb(Generic[Asked, Answer]):
+    """A row of the table. `name`: the chunk of the key after `control/`.
+
+    `asked`: the payload; `Nothing`: the payload is empty. `needs_epoch`: the request may start
+    motion, or change what moves, so that the robot refuses any epoch but its present one.
+    `is_datagram`: a `Stop` datagram carries the request, no key of Zenoh. `is_for_viewers`: viewers
+    may ask; operators may ask every verb, robots ask none. `audit`: the request in the audit log,
+    between verb and targets. `help`: the line of the verb of that name in `swarmctl --help`.
+    """
+
+    name: str
+    asked: type[Asked]
+    answer: type[Answer]
+    handler: Handler
+    needs_epoch: bool = False
+    is_datagram: bool = False
+    is_for_viewers: bool = False
+    audit: Callable[[Asked], str] = lambda request: ""
+    help: str = ""
+
+    @property
+    def is_request(self) -> bool:
+        """True for a request, which is audited and repeated under one id; False for a question."""
+        return issubclass(self.asked, _AnyRequest)
+
+
+def _of_robot(
+    asked: type[Asked], audit: Callable[[Asked], str] = lambda request: "", help: str = ""
+) -> Verb[Asked, Reply]:
+    """The row of a request that a robot decides and that may start motion."""
+    return Verb(_tag(asked), asked, Reply, Handler.ROBOT, needs_epoch=True, audit=audit, help=help)
+
+
+def _of_daemon(
+    asked: type[Asked], audit: Callable[[Asked], str] = lambda request: "", help: str = ""
+) -> Verb[Asked, Reply]:
+    """The row of a request that a service of the daemon carries out."""
+    return Verb(_tag(asked), asked, Reply, Handler.DAEMON, audit=audit, help=help)
+
+
+def _question(
+    name: str,
+    asked: type[Asked],
+    answer: type[Answer],
+    help: str = "",
+    *,
+    is_for_viewers: bool = True,
+    handler: Handler = Handler.DAEMON,
+) -> Verb[Asked, Answer]:
+    """The row of a question, which changes nothing."""
+    return Verb(name, asked, answer, handler, is_for_viewers=is_for_viewers, help=help)
+
+
+def _tag(kind: type[Any]) -> str:
+    return str(kind.__struct_config__.tag)
+
+
+MEMBERS = _question(
+    "members",
+    MembersQuery,
+    PeerView,
+    "List the robots of the swarm and their states.",
+    handler=Handler.NETWORK,
+)
+RECORDINGS = _question("recordings", Nothing, RecordingsReply)
+FETCH = _question("fetch", FetchQuery, FetchReply)
+PLUGINS = _question("plugins", Nothing, BehavioursReply)
+LOGS = _question("logs", LogsQuery, LogBatch, "Print the logs of robots and what patterns print.")
+AUDIT = _question(
+    "audit",
+    AuditQuery,
+    AuditReply,
+    "Print the requests that robots had, and their answers.",
+    is_for_viewers=False,
+)
+LINKS = _question("links", LinksQuery, LinksReply, "Show which robots hear which, and how well.")
+DOCTOR = _question(
+    "doctor", Nothing, DoctorReply, "Check this machine and robots; print what to do."
+)
+_ROWS: tuple[Verb[Any, Any], ...] = (
+    MEMBERS,
+    _of_robot(RunRequest, _run_line, "Start a pattern on robots."),
+    _of_robot(ResumeRequest, help="Let robots take up the goal that they were offered."),
+    _of_robot(
+        GoalRequest,
+        lambda request: f"{request.goal.generation}: {request.goal.pattern or 'stand'}",
+        "Show what robots are to do beside what they do.",
+    ),
+    _of_robot(LabelRequest, _label_line, "Give labels to robots, and take them away."),
+    Verb(
+        "stop",
+        StopRequest,
+        Reply,
+        Handler.ROBOT,
+        is_datagram=True,
+        help="Stop robots, or all robots.",
+    ),
+    Verb(
+        "estop",
+        EstopRequest,
+        Reply,
+        Handler.ROBOT,
+        is_datagram=True,
+        audit=_reason_line,
+        help="Emergency-stop robots, or all robots; latched.",
+    ),
+    _of_robot(ResetRequest, _reset_line, "Clear emergency stops and faults; moves nothing."),
+    _of_robot(
+        ParamRequest,
+        lambda request: _assignments(request.params),
+        "Get or set parameters of running patterns.",
+    ),
+    _of_robot(ReloadRequest, lambda request: request.pattern),
+    _of_daemon(PushRequest, _push_line),
+    _of_daemon(ForgetRequest, lambda request: request.name),
+    _of_daemon(
+        RecordRequest,
+        lambda request: request.action,
+        "Record robots, and fetch their recordings.",
+    ),
+    _of_daemon(RosterRequest),
+    RECORDINGS,
+    FETCH,
+    PLUGINS,
+    LOGS,
+    AUDIT,
+    LINKS,
+    DOCTOR,
+)
+VERBS: Mapping[str, Verb[Any, Any]] = {row.name: row for row in _ROWS}

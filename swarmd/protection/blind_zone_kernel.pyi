@@ -1,1 +1,0 @@
-from swarmd.protection.blind_zone_numpy import BlindZoneMemory as BlindZoneMemory
