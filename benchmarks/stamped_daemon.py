@@ -127,7 +127,7 @@ async def serve(config: Path) -> None:
         options=settings.driver_options,
     )
     daemon = Daemon(settings, driver)
-    daemon.sink = StampedSink(daemon._robot, daemon._carry_out, daemon._neighborhood)
+    daemon.sink = StampedSink(daemon.step, daemon._neighborhood)
     await daemon.run(stop)
 
 

@@ -11,19 +11,17 @@ from contextlib import ExitStack, suppress
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from signal import SIGTERM
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
 from swarmd.cli.options import VerbGroup
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.exp_check import check
-from swarmd.sim.cli.exp_export import export
 from swarmd.sim.cli.exp_plot import plot
-from swarmd.sim.cli.exp_report import report
+from swarmd.sim.cli.exp_results import check, export, report, view
 from swarmd.sim.cli.exp_video import video
-from swarmd.sim.cli.exp_view import view
 from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_option, scenarios
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 
@@ -131,7 +129,7 @@ def run(
     Exit code 0 if every run finished, 3 if some failed, 1 if all failed.
     """
     need("mujoco")
-    from swarmd.sim.cli.progress import ends_on_sigterm, progress, time_span
+    from swarmd.sim.cli.progress import progress, time_span
     from swarmd.sim.experiments.arguments import (
         parse_seeds,
         parse_sets,
@@ -180,7 +178,7 @@ def run(
     begin = time.monotonic()
     try:
         with ExitStack() as stack:
-            stack.enter_context(ends_on_sigterm())
+            stack.enter_context(signals_end(SIGTERM))
             if scheduler is None:
                 share = cores or 1
                 at_once = jobs or max(1, usable_cores() // share)
@@ -222,13 +220,13 @@ def rerun(
     Exit code 0 if all are identical to the last bit, 3 if some are, 1 if none is.
     """
     need("mujoco")
-    from swarmd.sim.cli.progress import ends_on_sigterm, progress
+    from swarmd.sim.cli.progress import progress
     from swarmd.sim.experiments import rerun as again
     from swarmd.sim.experiments.pool import STEP_TIMEOUT
 
     for line in again.warnings(folder):
         warn(f"warning: {line}; results may differ")
-    with ends_on_sigterm(), progress() as on_progress:
+    with signals_end(SIGTERM), progress() as on_progress:
         found = again.rerun(
             folder, out, jobs or usable_cores(), on_progress, timeout or STEP_TIMEOUT
         )

@@ -1,13 +1,11 @@
-"""Progress of an experiment on stderr, and an orderly end on SIGTERM."""
+"""Progress of an experiment on stderr."""
 
 from __future__ import annotations
 
-import signal
 import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from types import FrameType
 from typing import TYPE_CHECKING
 
 from swarmd.cli.output import has_colour, warn
@@ -71,20 +69,3 @@ def time_span(seconds: float) -> str:
     if seconds <= 120:
         return f"{seconds:.1f} s" if seconds < 10 else f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds <= 7200 else f"{seconds / 3600:.0f} h"
-
-
-@contextmanager
-def ends_on_sigterm() -> Iterator[None]:
-    """Within it SIGTERM raises SystemExit, so that `finally` blocks run.
-
-    SIGHUP keeps its handler: it may be ignored on purpose.
-    """
-
-    def leave(number: int, frame: FrameType | None) -> None:
-        raise SystemExit(128 + number)
-
-    before = signal.signal(signal.SIGTERM, leave)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, before)

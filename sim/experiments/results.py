@@ -25,8 +25,7 @@ from swarmd.sim.experiments.store import (
 )
 from swarmd.sim.metrics.catalog import METRICS, Metric, check_has_value, measure, metric_of
 from swarmd.sim.metrics.own import MetricError
-from swarmd.sim.trace import Trace, load_trace
-from swarmd.sim.trace_frame import pandas
+from swarmd.sim.trace import Trace, load_trace, pandas
 
 YES_OR_NO = "0 or 1"
 """The unit of metrics that are true or false for a run."""

@@ -1,14 +1,17 @@
-"""A film of one run."""
+"""A film of one run, with a caption below each frame: title, time, key to the colours, notes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
 from swarmd.core.errors import ConfigError
-from swarmd.sim.film.caption import Caption
-from swarmd.sim.film.colours import colouring_of
+from swarmd.sim.film.colours import Rgb, colouring_of
 from swarmd.sim.film.encode import Encoder, check_output
 from swarmd.sim.film.renderer import Camera, Renderer
 from swarmd.sim.film.stage import stage_of
@@ -21,6 +24,9 @@ RATES = {".mp4": 25, ".gif": 12, ".webp": 12}
 SIZES = {".mp4": (1280, 720), ".gif": (480, 360), ".webp": (480, 360)}
 """Width and height in pixels by suffix."""
 _HOLD = 1.0  # s for which the last frame stays
+_BACK, _TEXT, _DIM = (255, 255, 255), (22, 25, 29), (90, 101, 114)
+_LINES_A_FRAME = 32  # the height of a frame in lines of text
+_SMALLEST = 13  # pixels of text
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,3 +96,65 @@ def make_film(
                 encoder.write(frame)
     assumed = stage.assumed
     return [f"the heights of {name} are assumed: there is no such platform" for name in assumed]
+
+
+class Caption:
+    """Draws the caption of one film."""
+
+    def __init__(
+        self,
+        size: tuple[int, int],
+        title: str,
+        key: Sequence[tuple[Rgb, str]],
+        notes: Sequence[str] = (),
+    ) -> None:
+        """`size` in pixels of the whole frame. A title or key that does not fit its line is cut."""
+        self.width, height = size
+        text = max(_SMALLEST, round(height / _LINES_A_FRAME))
+        self._line = round(1.45 * text)
+        self.height = 2 * (self._line + round(0.2 * text))
+        self.height += (height - self.height) % 2  # the picture above needs an even height
+        self._pad = round(0.6 * text)
+        self._font = ImageFont.load_default(text)
+        self._image = Image.new("RGB", (self.width, self.height), _BACK)
+        self._draw = ImageDraw.Draw(self._image)
+        self._top = round(0.2 * text)
+        self._draw.text((self._pad, self._top), self._fitted(title), _TEXT, self._font)
+        self._paint_key(key, notes)
+        self._blank = np.asarray(self._image).copy()
+
+    def below(self, picture: NDArray[np.uint8], time: str) -> NDArray[np.uint8]:
+        """The picture with the caption and this time below it."""
+        image = Image.fromarray(self._blank)
+        width = self._length(time)
+        place = (self.width - self._pad - width, self._top)
+        ImageDraw.Draw(image).text(place, time, _TEXT, self._font)
+        return np.concatenate((picture, np.asarray(image)))
+
+    def _paint_key(self, key: Sequence[tuple[Rgb, str]], notes: Sequence[str]) -> None:
+        side, gap = round(0.55 * self._line), self._pad
+        text = "; ".join(notes)
+        # Notes come before the key.
+        room = self.width - 2 * self._pad - self._length(text) - self._length("...") - gap
+        at, top = self._pad, self._top + self._line
+        for colour, word in key:
+            end = at + side + gap // 2 + self._length(word)
+            if end > room:
+                self._draw.text((at, top), "...", _TEXT, self._font)
+                break
+            high = top + (self._line - side) // 3
+            self._draw.ellipse((at, high, at + side, high + side), fill=colour, outline=_DIM)
+            self._draw.text((at + side + gap // 2, top), word, _TEXT, self._font)
+            at = end + 2 * gap
+        place = (self.width - self._pad - self._length(text), top)
+        self._draw.text(place, text, _DIM, self._font)
+
+    def _fitted(self, title: str) -> str:
+        room = self.width - 2 * self._pad - self._length("  0000.0 s")
+        kept = len(title)
+        while kept and self._length(title[:kept]) > room:
+            kept -= 1
+        return title[:kept]
+
+    def _length(self, text: str) -> int:
+        return round(self._font.getlength(text))

@@ -13,23 +13,24 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from swarmd.core.clock import boottime
-from swarmd.core.errors import NetworkError
+from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.core.messages import State, Status
-from swarmd.network.operator import Operator
+from swarmd.core.verbs import ParamRequest, ResetRequest, RunRequest
+from swarmd.network.operator import Operator, StopVerb
 from swarmd.network.outcome import Outcome
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
-from swarmd.sim.live.live_timeline import LiveTimeline
 from swarmd.sim.live.starting import (
     Started,
     await_robots,
     joined,
+    run_fields,
     start_pattern,
     statuses_of,
     why_not,
 )
 from swarmd.sim.live.state import WorldState
-from swarmd.sim.live.summary import Summary, mean_duty, numbers_of, problems_of
+from swarmd.sim.live.summary import DoneEvent, Summary, mean_duty, numbers_of, problems_of
 from swarmd.sim.live.trace_from_statuses import StatusLog
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from swarmd.sim.trace import load_trace
@@ -39,6 +40,82 @@ STATUS_PERIOD = 0.5  # s between two rounds of statuses: what a terminal can sho
 STATUS_TIMEOUT = 3.0  # s for the statuses at the start and the end, which decide about problems
 WORLD_TIMEOUT = 5.0  # s without a state, after which the world counts as lost
 MIN_MOVE = 1e-3  # m or rad
+
+
+class LiveTimeline:
+    """Events in order of time, carried out when due or as soon as the earlier ones are done."""
+
+    def __init__(
+        self,
+        events: Sequence[ScheduledEvent],
+        fleet: Fleet,
+        operator: Operator,
+        world: WorldView,
+    ) -> None:
+        self._events = list(events)
+        self._fleet, self._operator, self._world = fleet, operator, world
+        self.done: list[DoneEvent] = []
+
+    def apply(self, now: float) -> None:
+        """Carry out the events that are due at `now` s of the recording."""
+        while self._events and self._events[0].at <= now:
+            event = self._events.pop(0)
+            try:
+                self._carry_out(event)
+                problem = ""
+            except SwarmError as error:
+                problem = str(error)
+            what = f"{event.action} {event.pattern or event.box}".rstrip()
+            self.done.append(DoneEvent(event.at, now, what, event.robots, problem))
+
+    def send_stop(self, verb: StopVerb, robots: Sequence[str]) -> Outcome:
+        """Stop or estop robots; an estop of all is swarm-wide unless a daemon has been ended."""
+        if set(robots) == set(self._fleet.spec.robots):
+            return self._operator.send_stop(verb)
+        return self._operator.send_stop(verb, select=lambda known: robots, names=robots)
+
+    def _carry_out(self, event: ScheduledEvent) -> None:
+        """SwarmError if a robot refuses it or does not answer."""
+        present = set(self._fleet.robots)
+        robots = tuple(robot for robot in event.robots if robot in present)
+        match event.action:
+            case "place" if event.pose is not None:
+                self._world.place(event.box, event.pose)
+            case "remove" if event.box:
+                self._world.remove(event.box)
+            case "join":
+                for robot in event.robots:
+                    if robot not in present:
+                        self._fleet.start_daemon(robot)
+                await_robots(self._operator, self._fleet)
+            case "leave" | "kill" | "remove":
+                for robot in robots:
+                    self._fleet.end_daemon(robot, in_order=event.action == "leave")
+                if event.action == "remove":
+                    for robot in event.robots:
+                        self._world.take_out(robot)
+            case "stop" | "estop":
+                _check(event.action, self.send_stop(event.action, robots))
+            case _:
+                self._request(event, robots)
+
+    def _request(self, event: ScheduledEvent, robots: tuple[str, ...]) -> None:
+        operator = self._operator
+        view = operator.members()
+        epochs = view.epochs(robots)
+        if event.action == "run":
+            outcome = operator.request(RunRequest, epochs, **run_fields(event))
+        elif event.action == "param":
+            outcome = operator.request(ParamRequest, epochs, params=dict(event.parameters))
+        else:
+            ids = tuple(sorted(view.latches(robots)))
+            outcome = operator.request(ResetRequest, epochs, ids=ids)
+        _check(event.action, outcome)
+
+
+def _check(verb: str, outcome: Outcome) -> None:
+    if outcome.exit_code:
+        raise SwarmError(why_not(verb, outcome))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -20,14 +20,13 @@ from swarmd.sim.experiments.plan import Run
 from swarmd.sim.experiments.results import YES_OR_NO, Results, load_results
 from swarmd.sim.metrics.catalog import METRICS, Metric, series
 from swarmd.sim.plots.bands import Series, series_figure
-from swarmd.sim.plots.differences import DifferencePanel, differences_figure
-from swarmd.sim.plots.facets import facets_of
-from swarmd.sim.plots.intervals import Panel, intervals_figure
+from swarmd.sim.plots.intervals import DifferencePanel, Panel, differences_figure, intervals_figure
 from swarmd.sim.plots.overview import overview_figure
 from swarmd.sim.plots.select import (
     OVER_TIME,
     RUN_BY_RUN,
     events_of,
+    facets_of,
     label_of,
     metrics_over_time,
     primary_metric,

@@ -1,13 +1,16 @@
-"""Which metrics, runs and events of an experiment are drawn."""
+"""Which metrics, runs and events of an experiment are drawn, and in which panel a variant."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array
+from swarmd.sim.experiments.plan import Plan, shown
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.metrics.catalog import METRICS, Better, Metric
 from swarmd.sim.trace import Trace
@@ -141,3 +144,38 @@ def _label(event: Mapping[str, Any], n: int) -> str:
     which = f"{len(robots)} robots" if len(robots) > 1 else "".join(robots)
     words = [event["action"], event.get("pattern") or "", "" if len(robots) == n else which]
     return " ".join(word for word in words if word)
+
+
+@dataclass(frozen=True, slots=True)
+class Facet:
+    """The panel of a variant, empty without facets, and what distinguishes it in the panel."""
+
+    panel: str
+    label: str
+
+
+def facets_of(plan: Plan, key: str | None, alone: str) -> dict[str, Facet]:
+    """The facet of each variant by its name.
+
+    With a swept `key`, or its last part, there is a panel for each of its values. `alone` is the
+    label of a variant that nothing else distinguishes. ConfigError with the nearest key if it was
+    not swept.
+    """
+    if key is None:
+        return {one.name: Facet("", one.name or alone) for one in plan.variants}
+    short = {name.rpartition(".")[2]: name for name in plan.sweep}
+    full = key if key in plan.sweep else short.get(key)
+    if full is None:
+        if not plan.sweep:
+            raise ConfigError(f"--facet {key}: nothing was swept; run with --sweep {key}=A,B")
+        raise ConfigError(f"--facet: {unknown('swept key', key, (*plan.sweep, *short))}")
+    own = full.rpartition(".")[2]
+    found = {}
+    for one in plan.variants:
+        rest = [
+            f"{name.rpartition('.')[2]}={shown(value)}"
+            for name, value in one.values.items()
+            if name != full
+        ]
+        found[one.name] = Facet(f"{own}={shown(one.values[full])}", ",".join(rest) or alone)
+    return found

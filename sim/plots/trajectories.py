@@ -1,14 +1,15 @@
-"""A picture of one run from above, with the paths of the robots."""
+"""A picture of one run from above, with the paths of the robots and marks of contacts."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.metrics.window import presence
-from swarmd.sim.plots.contacts import MARKS, marks_of, paint_contacts
 from swarmd.sim.plots.fields import paint_fields
 from swarmd.sim.plots.scene import (
     MOVABLE_BOX_COLOUR,
@@ -26,6 +27,7 @@ from swarmd.sim.plots.scene import (
 )
 from swarmd.sim.plots.theme import CONTACT_COLOUR, NOTE, fit, new_figure
 from swarmd.sim.trace import Trace
+from swarmd.sim.world.geometry import radius
 from swarmd.sim.world.scalar_fields import Field
 
 if TYPE_CHECKING:
@@ -36,6 +38,14 @@ MANY_COLOUR = "#440154"  # the end of the colours of time
 MAX_NAMED = 20
 """Up to so many robots, each has a colour and a line in the legend."""
 _COLUMNS = 4  # of a legend below
+BOTH, ONE, NONE, OTHER = (
+    "contact, both moving",
+    "contact, one moving",
+    "contact, none moving",
+    "contact with wall or box",
+)
+MARKS = {BOTH: ("X", CONTACT_COLOUR), ONE: ("P", "0.6"), NONE: ("o", "white"), OTHER: ("s", "0.6")}
+"""The marker and the colour of each kind of contact, by its label in a legend."""
 
 
 def trajectories_figure(
@@ -152,3 +162,42 @@ def _key(trace: Trace) -> list[tuple[Any, str]]:
             label = f"{kind}: {found.count(kind)}"
             entries.append(mark(marker, face, CONTACT_COLOUR, label))
     return entries
+
+
+@dataclass(frozen=True, slots=True)
+class Mark:
+    """A contact in a picture: its kind, and x and y in m."""
+
+    kind: str
+    place: tuple[float, float]
+
+
+def marks_of(trace: Trace) -> list[Mark]:
+    """A mark for every contact, where it began."""
+    row_of = {robot: row for row, robot in enumerate(trace.ids)}
+    found = []
+    for contact in contact_list(trace):
+        rows = [row_of[contact.a]] + ([row_of[contact.b]] if contact.kind == "robot" else [])
+        moving = contact.is_a_moving + contact.is_b_moving
+        kind = (NONE, ONE, BOTH)[moving] if len(rows) == 2 else OTHER
+        found.append(Mark(kind, _place(trace, contact.start, rows)))
+    return found
+
+
+def paint_contacts(axes: Axes, marks: list[Mark], *, size: float) -> None:
+    """A red-edged mark of `size` points at each contact; marker and face show what was moving."""
+    for kind, (marker, face) in MARKS.items():
+        places = [mark.place for mark in marks if mark.kind == kind]
+        if places:
+            x, y = zip(*places, strict=True)
+            axes.scatter(x, y, s=size**2, marker=marker, facecolors=face,
+                         edgecolors=CONTACT_COLOUR, linewidths=1.0, zorder=6.0)  # fmt: skip
+
+
+def _place(trace: Trace, time: float, rows: list[int]) -> tuple[float, float]:
+    instant = int(np.searchsorted(trace.t, time).clip(0, len(trace.t) - 1))
+    places = trace.pose[instant, rows, :2]
+    # Between two robots, nearer to the smaller one.
+    reach = np.array([radius(trace.footprint(row)) for row in reversed(rows)])
+    x, y = np.average(places, axis=0, weights=reach)
+    return float(x), float(y)

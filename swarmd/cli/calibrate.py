@@ -17,12 +17,11 @@ from swarmd.calibration.figures import DONE, PATTERN, Figure
 from swarmd.cli import completion
 from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.output import print_json, print_table, rewrite, warn
 from swarmd.cli.send import known_members
 from swarmd.core.messages import Presence, Reason, State, Status
 from swarmd.core.verbs import ResetRequest, RunRequest
 from swarmd.network.outcome import FAILED, REFUSED, TIMEOUT
-from swarmd.texts.values import printable
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -204,7 +203,7 @@ def _follow(operator: Operator, robot: str) -> Status:
 def _tell(line: str) -> None:
     """Print the line on stderr; on a terminal it replaces the one before."""
     if sys.stderr.isatty():
-        click.echo(f"\r\x1b[K{printable(line)}", err=True, nl=False)
+        rewrite(line)
     else:
         warn(line)
 

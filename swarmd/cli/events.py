@@ -13,9 +13,8 @@ import click
 from swarmd.cli.arguments import Duration, Targets, takes_targets
 from swarmd.cli.labels import robots_of
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import print_json, print_line, warn
+from swarmd.cli.output import print_json, print_line, signals_end, warn
 from swarmd.cli.send import exit_code_of, known_members, named_now
-from swarmd.cli.terminal import signals_end
 from swarmd.core.messages import MAX_EVENTS, Status
 from swarmd.texts.values import printable, seconds
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import getpass
+import json
 import math
 import os
 import re
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from swarmd.cli import keys_rollout, keys_router
+from swarmd.cli import keys_rollout
 from swarmd.cli.authority_folder import (
     DAYS,
     ask_passphrase,
@@ -30,6 +31,7 @@ from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import ConfigError
 from swarmd.core.keys import check_id
+from swarmd.security.identity import Identity, choose_identity
 from swarmd.security.names import check_distinct, expand_names, select_names
 from swarmd.security.roster import Role
 from swarmd.texts.keys import UNSET_CLOCK, day, end_of_certificate, life
@@ -319,11 +321,56 @@ def _login_id() -> str:
     return found
 
 
+@click.command()
+@click.option("--swarm", metavar="NAME", required=True, help="The swarm of the identity.")
+@click.option(
+    "--identity",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="FOLDER",
+    help="The router's identity [that of this user or machine for the swarm].",
+)
+@click.option("--listen", default="tls/[::]:7447", show_default=True, metavar="ENDPOINT")
+def router(swarm: str, identity: Path | None, listen: str) -> None:
+    """Print the configuration of a Zenoh router (zenohd) with the identity of this machine.
+
+    Make it a name of its own, such as the viewer `router`. The configuration lists the names of the
+    roster: print it again after `keys add` or `keys revoke`, and start the router again.
+    """
+    found = choose_identity(swarm, identity, insecure=False)
+    if found is None:
+        raise ConfigError(
+            f"no identity of swarm {swarm!r} is here; install a bundle for the router"
+        )
+    click.echo(json.dumps(router_configuration(found, listen), indent=2))
+
+
+def router_configuration(identity: Identity, listen: str) -> dict[str, Any]:
+    """The configuration of zenohd: links by TLS only, and what each name may send and hear."""
+    from swarmd.network.access import router_access
+    from swarmd.network.session import tls_options
+
+    flat = {
+        **tls_options(identity),
+        "mode": "router",
+        "listen/endpoints": [listen],
+        "scouting/multicast/enabled": False,
+        "access_control": router_access(identity.roster, identity.name),
+    }
+    nested: dict[str, Any] = {}
+    for path, value in flat.items():
+        *parents, last = path.split("/")
+        place = nested
+        for parent in parents:
+            place = place.setdefault(parent, {})
+        place[last] = value
+    return nested
+
+
 for _verb in (
     keys_rollout.add,
     keys_rollout.revoke,
     keys_rollout.renew,
     keys_rollout.push,
-    keys_router.router,
+    router,
 ):
     keys.add_command(_verb)

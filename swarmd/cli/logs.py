@@ -15,10 +15,9 @@ import click
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.labels import robots_of
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import has_colour, print_json, print_line, warn
+from swarmd.cli.output import has_colour, print_json, print_line, signals_end, warn
 from swarmd.cli.questions import MAX_ANSWER, ask_robots, end, in_reach
 from swarmd.cli.send import gap, known_members
-from swarmd.cli.terminal import signals_end
 from swarmd.core.codec import Decoder
 from swarmd.core.log_ring import matching
 from swarmd.core.verbs import LOG_PAGE, LOGS, LogBatch, LogRecord, LogsQuery

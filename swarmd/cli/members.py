@@ -1,4 +1,4 @@
-"""`swarmctl members`: the robots of the swarm and their states; `members forget` removes one."""
+"""`swarmctl members` and `members forget`: the robots of the swarm; `describe`: one of them."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from msgspec import to_builtins
 from swarmd.cli import completion
 from swarmd.cli.arguments import Failure, check_known
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
-from swarmd.cli.output import print_json, print_table
+from swarmd.cli.output import print_json, print_section, print_table
 from swarmd.cli.send import exit_code_of, known_members, report, time_left
 from swarmd.core import codec
 from swarmd.core.clock import FIRST_WALL
@@ -22,8 +22,9 @@ from swarmd.core.verbs import ForgetRequest
 from swarmd.network.members_view import Contact, SeenMember
 from swarmd.network.outcome import REFUSED
 from swarmd.texts.keys import end_of_certificate, key_warnings, own_remedy
+from swarmd.texts.status import sections
 from swarmd.texts.values import NOTHING, number, printable, seconds
-from swarmd.texts.why import activity
+from swarmd.texts.why import activity, why
 
 if TYPE_CHECKING:
     from swarmd.core.values import Scalar
@@ -220,3 +221,24 @@ def _seen(member: SeenMember) -> str:
     if member.presence is Presence.ALIVE and member.age < _NOW:
         return "now" if member.contact is not Contact.NO_ANSWER else f"{seconds(member.age)} ago"
     return f"{seconds(member.age)} ago"
+
+
+@click.command()
+@click.argument("robot", shell_complete=completion.robots)
+@common_options
+def describe(options: CommonOptions, robot: str) -> None:
+    """Print the whole status of ROBOT, and why it does not move."""
+    with options.operator() as operator:
+        view = known_members(options, operator)
+        check_known(robot, view.members)
+        member = view.members[robot]
+        if options.is_json:
+            print_json("Member", {"member": to_builtins(member), "why": why(member)})
+        else:
+            click.echo(printable(f"{robot}: {why(member)}"))
+            if member.status is not None:
+                for note in key_warnings([member.status], time.time()):
+                    click.echo(note)
+                for title, rows in sections(member, member.status):
+                    print_section(title, rows)
+        click.get_current_context().exit(exit_code_of(view, [robot]))

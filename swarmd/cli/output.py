@@ -5,8 +5,9 @@ from __future__ import annotations
 import contextlib
 import json
 import os
+import signal
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import click
@@ -78,6 +79,11 @@ def warn(text: str) -> None:
         click.echo(printable(text), err=True)
 
 
+def rewrite(text: str) -> None:
+    """Replace the line of a terminal on stderr on which the cursor is."""
+    click.echo(f"\r\x1b[K{printable(text)}", err=True, nl=False)
+
+
 def has_colour(is_terminal: bool) -> bool:
     """True on a terminal with colours, unless NO_COLOR is set (no-color.org)."""
     return is_terminal and not os.environ.get("NO_COLOR") and os.environ.get("TERM") != "dumb"
@@ -97,3 +103,31 @@ def _cell(text: str, width: int, is_coloured: bool) -> str:
     padded = text.ljust(width)
     colour = _COLOURS.get(text) if is_coloured else None
     return click.style(padded, fg=colour) if colour else padded
+
+
+def need_terminal(verb: str, instead: str) -> None:
+    """UsageError if the verb cannot draw here: no terminal, or one without a cursor."""
+    if not (sys.stdin.isatty() and sys.stdout.isatty()):
+        raise click.UsageError(f"{verb} needs a terminal; {instead}")
+    if os.environ.get("TERM", "dumb") == "dumb":
+        raise click.UsageError(f"{verb} needs a terminal whose cursor moves (TERM); {instead}")
+
+
+@contextlib.contextmanager
+def signals_end(*numbers: signal.Signals) -> Iterator[None]:
+    """Signals, by default SIGTERM and SIGHUP, raise SystemExit within, with 128 and their number.
+
+    `finally` blocks run.
+    """
+
+    def end(number: int, _: object) -> None:
+        raise SystemExit(128 + number)
+
+    before = {
+        number: signal.signal(number, end) for number in numbers or (signal.SIGTERM, signal.SIGHUP)
+    }
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)

@@ -11,7 +11,7 @@ import click
 
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, VerbGroup, common_options
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.output import print_json, print_table, rewrite, warn
 from swarmd.cli.questions import ASK_TIME
 from swarmd.cli.record_merge import merge
 from swarmd.cli.send import known_members, send_to, targets_of
@@ -131,7 +131,7 @@ def fetch(options: CommonOptions, targets: Targets, folder: Path) -> None:
                     f"{folder}: {error.strerror}; what came is kept; make room and fetch again"
                 ) from error
         if sys.stderr.isatty():
-            click.echo("\r\x1b[K", err=True, nl=False)
+            rewrite("")
         if options.is_json:
             files = [{"robot": r, "path": p, "state": s} for r, p, _, s in rows]
             print_json("Fetched", {"files": files, "missing": failed})
@@ -173,8 +173,7 @@ def _end(answered: object, failed: list[str]) -> None:
 
 def _tell(robot: str, name: str, received: int, size: int) -> None:
     if sys.stderr.isatty():
-        text = f"{robot} {name}: {megabytes(received, 2)} of {megabytes(size, 2)}"
-        click.echo(f"\r\x1b[K{text}", err=True, nl=False)
+        rewrite(f"{robot} {name}: {megabytes(received, 2)} of {megabytes(size, 2)}")
 
 
 def _times(one: RecordingFile, now: float) -> tuple[str, str]:

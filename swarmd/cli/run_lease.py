@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, NoReturn
 import click
 from msgspec.structs import replace
 
-from swarmd.cli.output import warn
+from swarmd.cli.output import signals_end, warn
 from swarmd.cli.run_start import start
 from swarmd.cli.send import report, show, stop_names
-from swarmd.cli.terminal import signals_end
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder
 from swarmd.core.goal import GoalState

@@ -32,7 +32,7 @@ VERBS = {
         if row.help
     },
     "describe": (
-        "swarmd.cli.describe:describe",
+        "swarmd.cli.members:describe",
         "Show one robot in detail, and why it does not move.",
     ),
     "patterns": ("swarmd.cli.patterns:patterns", "List patterns and their parameters."),

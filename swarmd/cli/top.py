@@ -13,9 +13,15 @@ import click
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.labels import robots_of
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import print_json, print_line, print_table, table_lines
+from swarmd.cli.output import (
+    need_terminal,
+    print_json,
+    print_line,
+    print_table,
+    signals_end,
+    table_lines,
+)
 from swarmd.cli.send import exit_code_of, gap, known_members, named_now
-from swarmd.cli.terminal import need_terminal, signals_end
 from swarmd.core.messages import STATUS_SILENCE, Presence, ProcessUsage, Status
 from swarmd.texts.values import NOTHING, megabytes, seconds
 
@@ -167,8 +173,7 @@ def _print_records(watch: SwarmWatch, targets: Targets, sort: str) -> None:
 
 def _show(watch: SwarmWatch, targets: Targets, sort: str) -> None:
     """Draw the table each second until `q`; letters choose the order."""
-    from swarmd.view.keys import KeyDecoder
-    from swarmd.view.screen import Screen
+    from swarmd.view.screen import KeyDecoder, Screen
 
     keys = KeyDecoder()
     with Screen() as screen:

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING
 import click
 
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import warn
-from swarmd.cli.terminal import need_terminal
+from swarmd.cli.output import need_terminal, warn
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.plugins import need, pattern_names
 

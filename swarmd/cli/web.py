@@ -131,7 +131,7 @@ def web_options(function: Callable[..., R]) -> Callable[..., R]:
 def check_web(web: WebOptions) -> None:
     """Raise before anything has started: PluginError for a missing library, else as `serve`."""
     need("websockets", extra="web")
-    from swarmd.view.address import check_address
+    from swarmd.view.access import check_address
 
     check_address(web.bind, web.port, web.access)
     web.context()

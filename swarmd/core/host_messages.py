@@ -149,14 +149,14 @@ class PatternFailed(Struct, frozen=True, array_like=True, tag="failed"):
     text: str
 
 
-class HostDied(Struct, frozen=True):
+class HostDied(Struct, frozen=True, array_like=True, tag="died"):
     """The host process has ended by itself."""
 
     generation: int
     text: str
 
 
-class TrialDone(Struct, frozen=True):
+class TrialDone(Struct, frozen=True, array_like=True, tag="trial"):
     """Result of a trial: `text` is empty if the pattern could be loaded, else the reason."""
 
     generation: int

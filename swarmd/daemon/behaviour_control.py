@@ -5,15 +5,14 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Mapping
 
-from swarmd.core.clock import boottime
 from swarmd.core.errors import PluginError
+from swarmd.core.events import CodeInput, HostInput, Input, NoteInput
 from swarmd.core.host_messages import TrialDone
 from swarmd.core.messages import Epoch, Reply
 from swarmd.core.verbs import ReloadRequest, Request
-from swarmd.daemon.recorded_robot import RecordedRobot
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.plugins import Origin
-from swarmd.robot.actions import Actions
+from swarmd.robot.robot import Robot
 
 log = logging.getLogger(__name__)
 
@@ -21,23 +20,23 @@ log = logging.getLogger(__name__)
 class BehaviourControl:
     """The `RobotControl` of a daemon.
 
-    `on_request` takes a request to the robot, `carry_out` the robot's actions, `reply` the answer
-    to a push, and `warn` a line for the events and a warning for the log.
+    `on_request` takes a request to the robot, `step` another input, `reply` the answer to a push,
+    and `warn` a line for the events and a warning for the log.
     """
 
     def __init__(
         self,
-        robot: RecordedRobot,
+        robot: Robot,
         runner: ProcessRunner,
         *,
         on_request: Callable[[Request], None],
-        carry_out: Callable[[Actions], None],
+        step: Callable[[Input], None],
         reply: Callable[[Reply], None],
         warn: Callable[[str], None],
     ) -> None:
         self._robot = robot
         self._runner = runner
-        self._on_request, self._carry_out = on_request, carry_out
+        self._on_request, self._step = on_request, step
         self._reply, self._warn = reply, warn
 
     def try_code(self, request: ReloadRequest) -> None:
@@ -46,11 +45,11 @@ class BehaviourControl:
 
     def end_trial(self, event: TrialDone) -> None:
         """Hand the end of a trial of pushed code to the robot."""
-        self._carry_out(self._robot.on_host(event, boottime()))
+        self._step(HostInput(event))
 
     def code_changed(self) -> None:
         """Let the next run have a fresh pattern host."""
-        self._carry_out(self._robot.on_code_changed(boottime()))
+        self._step(CodeInput())
 
     def reply(self, reply: Reply) -> None:
         """Answer a push."""
@@ -59,7 +58,7 @@ class BehaviourControl:
     def event(self, text: str) -> None:
         """A line for the events and the log."""
         log.info("%s", text)
-        self._robot.log(text, boottime())
+        self._step(NoteInput(text))
 
     def fault(self, text: str) -> None:
         """A line for the events and a warning for the log."""

@@ -13,7 +13,7 @@ import logging
 import secrets
 import signal
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from importlib.metadata import version
 from typing import Any
@@ -21,9 +21,28 @@ from typing import Any
 from msgspec.structs import replace
 
 from swarmd.core.behaviour import Entry
-from swarmd.core.clock import boottime, clock_id
+from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
+from swarmd.core.events import (
+    TICK_INPUT,
+    DuplicateInput,
+    ForgetInput,
+    HostInput,
+    Input,
+    LatchesInput,
+    LeaveInput,
+    NeighborsInput,
+    NetworkInput,
+    NoteInput,
+    PeersInput,
+    PlaceInput,
+    ProvisionalInput,
+    RequestInput,
+    RosterInput,
+    TickInput,
+)
+from swarmd.core.goal import Goal
 from swarmd.core.messages import Reply, Status
 from swarmd.core.values import Neighbor
 from swarmd.core.verbs import Request
@@ -42,8 +61,7 @@ from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.latchfile import LatchFile
 from swarmd.daemon.neighbor_selection import NeighborSelection
-from swarmd.daemon.network import Network, NetworkHandlers
-from swarmd.daemon.network_inputs import NetworkInputs
+from swarmd.daemon.network import Network
 from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.requests import RequestServer
 from swarmd.daemon.robot_setup import make_robot, recording_head
@@ -53,12 +71,14 @@ from swarmd.daemon.tick_timer import TickTimer
 from swarmd.driver_api.driver import Driver, check_protected, message_carrier
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.bus import ZenohBus
-from swarmd.network.datagram import Address
+from swarmd.network.datagram import Address, Stop
 from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.interface_watch import InterfaceChange
 from swarmd.network.peer import Summary
 from swarmd.network.pull import Puller, serve_shared
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.protection.compatibility import body_of
+from swarmd.recording import frames
 from swarmd.recording.head import RecordingHead
 from swarmd.robot.actions import Actions
 from swarmd.security.identity import Identity
@@ -109,7 +129,7 @@ class Daemon:
         self._answers: set[asyncio.Task[None]] = set()  # replies that wait for the disk
         self._drops = DropCounter()
         self._rosters = RosterService(settings.id, settings.identity, self._on_roster, self._drops)
-        self._goals = GoalService(folder, lambda: self._rosters.identity, self._warn)
+        self._goals = GoalService(folder, lambda: self._rosters.identity, self.on_event)
         self._puller = Puller(settings.network, settings.id, settings.identity, drops=self._drops)
         behaviours = BehaviourFiles(folder / "behaviours")
         with suppress(OSError):  # a sandbox permits only what exists when it begins
@@ -154,7 +174,7 @@ class Daemon:
             settings.id,
             settings.recording,
             self._head,
-            self._warn,
+            self.on_event,
         )
         self._tools = FieldTools(
             settings,
@@ -174,6 +194,7 @@ class Daemon:
             is_secured=settings.identity is not None,
         )
         self._ticks = 0
+        self._provisional: tuple[int, ...] = ()  # as the robot knows them
         self._shown_scan = -1  # sequence of the last scan for viewers
         self._robot = make_robot(
             settings,
@@ -181,8 +202,6 @@ class Daemon:
             self._seed,
             latches=self._latches.read(),
             goals=self._goals.read(),
-            recorder=self._recording.recorder,
-            is_provisional=self._code_runs.is_provisional,
         )
         self._neighborhood = NeighborSelection(
             settings.neighbors,
@@ -190,21 +209,11 @@ class Daemon:
             settings.network.interface_name,
             self._loop,
         )
-        self.sink = DriverSink(self._robot, self._carry_out, self._neighborhood)
+        self.sink = DriverSink(self.step, self._neighborhood)
         self._timer = TickTimer(self._loop, self._on_tick)
         self._health = HealthMeter(
             self._timer,
             (lambda: self._network.dropped, lambda: self.sink.drops, self._dropped_frames),
-        )
-        self._inputs = NetworkInputs(
-            self._robot,
-            self._carry_out,
-            stop=self._requests.stop,
-            drop=self._drops.add,
-            audit=self._audit,
-            neighborhood=self._neighborhood,
-            recorder=self._recording.recorder,
-            notify=self._notify,
         )
 
     async def run(self, stop: asyncio.Event) -> None:
@@ -271,39 +280,17 @@ class Daemon:
             self._robot,
             self._runner,
             on_request=self._on_request,
-            carry_out=self._carry_out,
+            step=self.step,
             reply=self._requests.reply,
-            warn=self._warn,
+            warn=self.on_event,
         )
         await self._behaviour_state.open(control)
-        await self._network.join(self._handlers())
+        await self._network.join(self)
         self._has_joined = True
-        self._update_neighbors()
+        self.on_members()
 
-    def _handlers(self) -> NetworkHandlers:
-        """What the daemon does about what comes from the network."""
-        inputs = self._inputs
-        return NetworkHandlers(
-            summary=self._summary,
-            on_stop=inputs.on_stop,
-            on_latches=inputs.on_latches,
-            on_goal=inputs.on_goal,
-            on_run_lease=inputs.on_run_lease,
-            check_goal=self._goals.check,
-            on_message=inputs.on_message,
-            on_place=inputs.on_place,
-            on_clock=inputs.on_clock,
-            on_members=self._update_neighbors,
-            on_duplicate=inputs.on_duplicate,
-            on_interface=inputs.on_interface,
-            on_event=self._warn,
-            on_newer_roster=self._on_newer_roster,
-            serve=self._serve,
-            on_table=self._on_table,
-        )
-
-    def _serve(self, bus: ZenohBus) -> None:
-        """Answer requests on a bus that was opened, the first one or a later one."""
+    def serve(self, bus: ZenohBus) -> None:
+        """Answer operators on a bus that was opened, the first one or a later one."""
         self._requests.serve(bus)
         self._behaviour_sync.serve(bus)
         bus.serve_view(
@@ -324,7 +311,7 @@ class Daemon:
             answer.cancel()
         try:
             if self._crash is None:
-                self._carry_out(self._robot.on_leave(boottime()))
+                self.step(LeaveInput())
                 self._timer.stop()
         finally:
             self._neighborhood.close()
@@ -337,51 +324,105 @@ class Daemon:
             self._network.close(is_leaving=self._crash is None)
             self._tools.close()
 
-    # Inputs from the network
+    # Inputs
+
+    @fail_stop
+    def step(self, input: Input) -> None:
+        """Hand an input to the robot, and carry out what follows."""
+        if type(input) is TickInput or type(input) is HostInput:
+            self._tell_provisional()
+        actions = self._recording.recorder.step(self._robot, input, boottime())
+        if actions is not None:
+            self._carry_out(actions)
+
+    def _tell_provisional(self) -> None:
+        """Tell the robot which of the patterns that run or load are provisional code."""
+        is_provisional = self._code_runs.is_provisional
+        current = tuple(filter(is_provisional, self._robot.generations))
+        if current != self._provisional:
+            self._provisional = current
+            self.step(ProvisionalInput(current))
+
+    def on_input(self, input: Input) -> None:
+        """Hand an input of another robot to the robot; audit an adopted latch or goal."""
+        robot = self._robot
+        held, goal, state = set(robot.latches), robot.goal, robot.state
+        if isinstance(input, PlaceInput):
+            self._neighborhood.on_place(input.place, boottime())
+        elif isinstance(input, DuplicateInput) and input.holder is not None:
+            log.error("id %s is also held by %s", robot.id, input.holder)
+        self.step(input)
+        for id in sorted(robot.latches.keys() - held):
+            latch = robot.latches[id]
+            self._audit.note(f"latch {id}", latch.issuer, "a peer", latch.reason, boottime())
+        if isinstance(input, LatchesInput) and robot.state is not state:
+            text = robot.status(boottime()).detail
+            log.info("estopped by the latch of a peer: %s", text)
+        if robot.goal is not None and (goal is None or goal.goal != robot.goal.goal):
+            found = robot.goal.goal
+            on_join = f"on_join {found.on_join}" if found.pattern else ""
+            self._audit.note(found.text, found.issuer, "a peer", on_join, boottime())
+
+    def on_stop(self, stop: Stop, source: Address, answer: Callable[[Reply], None]) -> None:
+        """Carry out a stop or estop of an operator or relay; the reply goes to `answer`."""
+        self._requests.stop(stop, f"{source[0]}:{source[1]}", answer)
+
+    def check_goal(self, goal: Goal, now: float) -> bool | None:
+        """Whether a goal of a peer counts; None: not known yet."""
+        return self._goals.check(goal, now)
+
+    def on_clock(self, sample: ClockSample) -> None:
+        """A reading of the clock of a peer, for recordings."""
+        self._recording.recorder.add(frames.ClockEntry(boottime(), *sample))
+
+    def on_interface(self, change: InterfaceChange) -> None:
+        """Tell of a change of the interface; with another address the robot stands."""
+        log.warning("%s", change.line)
+        self._notify.status(change.line)
+        self.step(NetworkInput(change.line) if change.must_reopen else NoteInput(change.line))
 
     def _on_request(self, request: Request) -> None:
         if refusal := self._goals.refusal_of(request, self._robot.id):
             self._requests.reply(refusal)
             return
-        self._carry_out(self._robot.on_request(request, boottime()))
+        self.step(RequestInput(request))
 
     def _on_audit(self, line: str) -> None:
         log.info("%s", line)
-        self._robot.log(line, boottime())
+        self.step(NoteInput(line))
 
     def _on_roster(self, taken: TakenRoster) -> None:
         """The identity took a roster: the robot stands, and the network opens anew."""
         log.warning("roster: %s", taken.text)
-        now = boottime()
         what = f"roster {taken.identity.roster.generation}"
-        self._audit.note(what, "the authority", "an operator or peer", taken.text, now)
-        self._carry_out(self._robot.on_roster(taken.text, now, is_revoked=taken.is_revoked))
+        self._audit.note(what, "the authority", "an operator or peer", taken.text, boottime())
+        self.step(RosterInput(taken.text, taken.is_revoked))
         if foreign := self._goals.foreign(self._robot.goals):
-            self._carry_out(self._robot.forget_goals(foreign, now))
+            self.step(ForgetInput(foreign))
         self._network.take_identity(taken.identity)
         self._puller.take_identity(taken.identity)
         self._behaviours.check_again()
 
-    def _on_newer_roster(self, robot: str, address: Address, generation: int) -> None:
+    def on_newer_roster(self, robot: str, address: Address, generation: int) -> None:
         """A beacon, which is not proven, shows a roster of a greater generation: ask for it."""
         if self._puller.pull(robot, address, "roster", on_done=self._rosters.on_pulled):
             log.info("%s at %s may have roster %d: asking for it", robot, address[0], generation)
 
-    def _warn(self, text: str) -> None:
+    def on_event(self, text: str) -> None:
         """A line for the events and a warning for the log."""
         log.warning("%s", text)
-        self._robot.log(text, boottime())
+        self.step(NoteInput(text))
 
-    def _update_neighbors(self) -> None:
+    def on_members(self) -> None:
         """Tell the robot of the members, its neighbors unless the driver measures those."""
-        self._robot.on_peers(self._network.bodies, boottime())
+        self.step(PeersInput(dict(self._network.bodies)))
         if not self._has_joined or self.sink.has_neighbors:
             return
         alive = tuple(Neighbor(robot, 0.0) for robot in sorted(self._network.alive))
-        now = boottime()
-        self._robot.on_neighbors(self._neighborhood.select(alive, now), now)
+        self.step(NeighborsInput(self._neighborhood.select(alive, boottime())))
 
-    def _summary(self) -> Summary:
+    def summary(self) -> Summary:
+        """The robot's part of a beacon."""
         robot = self._robot
         revision, behaviours = robot.epoch.revision, self._behaviour_state.digest
         return Summary(
@@ -407,7 +448,8 @@ class Daemon:
             return identity.roster.operators
         return None if self._settings.network.profile == "dev" else {}
 
-    def _on_table(self, robot: str, digest: bytes, address: Address) -> None:
+    def on_table(self, robot: str, digest: bytes, address: Address) -> None:
+        """A beacon shows the digest of the pushed behaviours of a peer."""
         self._behaviour_sync.on_beacon(robot, digest, address, boottime())
 
     def _on_pulled_code(self, robot: str, entry: Entry) -> None:
@@ -418,7 +460,7 @@ class Daemon:
 
     def _on_tick(self) -> None:
         self._ticks += 1
-        self._carry_out(self._robot.tick(boottime()))
+        self.step(TICK_INPUT)
         self._network.advance()
         if self._recording.recorder.is_on:
             self._network.ask_clocks()
@@ -436,7 +478,7 @@ class Daemon:
             )
             self._health.measure(self._runner.pid, boottime())
         if self._ticks % NEIGHBORS_PERIOD == 0:
-            self._update_neighbors()
+            self.on_members()
             self._notify.feed_watchdog(self._robot.decided_at, boottime())
 
     def _publish_motion(self) -> None:
@@ -460,16 +502,14 @@ class Daemon:
         else:
             text = f"{self._latches.path.parent} can be written again"
             log.info("%s", text)
-        self._robot.log(text, boottime())
+        self.step(NoteInput(text))
 
     def _on_host_events(self) -> None:
         for event in self._runner.events():
             kept = self._behaviours.on_event(event)
             if kept is not None:
-                granted = self._code_runs.granted(kept)
-                self._carry_out(self._robot.on_host(granted, boottime()))
+                self.step(HostInput(self._code_runs.granted(kept)))
 
-    @fail_stop
     def _carry_out(self, actions: Actions) -> None:
         self._output.command(actions, boottime())
         if actions.is_quiet:

@@ -9,17 +9,28 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
+from typing import Protocol
 
 from msgspec.structs import replace
 
 from swarmd.core import codec
 from swarmd.core.clock import ClockSample, boottime, clock_id
+from swarmd.core.codec import decode_value
 from swarmd.core.errors import CodecError, IdHeldError, fail_stop
-from swarmd.core.messages import Body, Latch, Member, Presence, Reply
-from swarmd.core.values import PeerPlace, SharedPose
+from swarmd.core.events import (
+    DuplicateInput,
+    GoalInput,
+    Input,
+    LatchesInput,
+    LeaseInput,
+    MessageInput,
+    PlaceInput,
+)
+from swarmd.core.goal import Goal
+from swarmd.core.messages import Body, Member, Presence, Reply
+from swarmd.core.values import SharedPose
 from swarmd.daemon.connection import NetworkConnection
 from swarmd.daemon.datagram_guard import DatagramGuard
 from swarmd.network.bus import ZenohBus
@@ -31,7 +42,6 @@ from swarmd.network.datagram import (
     Datagram,
     Flag,
     Message,
-    RunLease,
     Stop,
     Swarm,
     is_for_any_swarm,
@@ -40,12 +50,11 @@ from swarmd.network.datagram import (
     tag_of,
     unpack,
 )
-from swarmd.network.goal_sync import FoundGoal
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.network.interface_watch import InterfaceChange
 from swarmd.network.link_quality import LinkQuality
 from swarmd.network.membership import MAX_MEMBERS
-from swarmd.network.peer import CheckGoal, Effects, Peer, Summary
+from swarmd.network.peer import Effects, Peer, Summary
 from swarmd.network.routed import RoutedCarrier
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.signature import Author
@@ -58,26 +67,41 @@ MAX_ACK_TEXT = 300  # bytes
 CLAIM_WARNING = 5.0
 
 
-@dataclass(frozen=True, slots=True)
-class NetworkHandlers:
-    """What the daemon does with what comes from other robots; all are called on the loop."""
+class NetworkOwner(Protocol):
+    """The daemon of a network; all methods are called on the loop."""
 
-    summary: Callable[[], Summary]
-    on_stop: Callable[[Stop, Address, Callable[[Reply], None]], None]
-    on_latches: Callable[[Mapping[str, Latch]], None]
-    on_message: Callable[[Message], None]
-    on_place: Callable[[PeerPlace], None]
-    on_clock: Callable[[ClockSample], None]
-    on_members: Callable[[], None]
-    on_duplicate: Callable[[str | None], None]
-    on_interface: Callable[[InterfaceChange], None]
-    on_event: Callable[[str], None]
-    on_newer_roster: Callable[[str, Address, int], None]
-    serve: Callable[[ZenohBus], None]
-    on_table: Callable[[str, bytes, Address], None] = lambda robot, digest, address: None
-    on_goal: Callable[[FoundGoal], None] = lambda found: None
-    on_run_lease: Callable[[RunLease], None] = lambda lease: None
-    check_goal: CheckGoal = lambda goal, now: True
+    def summary(self) -> Summary:
+        """The robot's part of a beacon."""
+
+    def on_input(self, input: Input) -> None:
+        """An input of the robot: from another robot, or of an operator's lease."""
+
+    def on_stop(self, stop: Stop, source: Address, answer: Callable[[Reply], None]) -> None:
+        """Carry out a stop or estop of an operator or relay; the reply goes to `answer`."""
+
+    def on_clock(self, sample: ClockSample) -> None:
+        """A reading of the clock of a peer, for recordings."""
+
+    def on_members(self) -> None:
+        """The members, or what is known of them, have changed."""
+
+    def on_interface(self, change: InterfaceChange) -> None:
+        """The interface has changed."""
+
+    def on_event(self, text: str) -> None:
+        """A line for the events and a warning for the log."""
+
+    def on_newer_roster(self, robot: str, address: Address, generation: int) -> None:
+        """A beacon, which is not proven, shows a roster of a greater generation."""
+
+    def on_table(self, robot: str, digest: bytes, address: Address) -> None:
+        """A beacon shows the digest of the pushed behaviours of a peer."""
+
+    def check_goal(self, goal: Goal, now: float) -> bool | None:
+        """Whether a goal of a peer counts; None: not known yet."""
+
+    def serve(self, bus: ZenohBus) -> None:
+        """Answer operators on a bus that was opened, the first one or a later one."""
 
 
 class Network:
@@ -108,7 +132,7 @@ class Network:
         self._instance = bytes.fromhex(instance)
         self._identity = identity
         self._stop_counters = stop_counters
-        self._handlers: NetworkHandlers  # from `join` on
+        self._owner: NetworkOwner  # from `join` on
         self._loop = asyncio.get_running_loop()
         self._tag = tag_of(settings.profile, settings.swarm, authority_of(identity))
         self.drops = drops
@@ -121,9 +145,9 @@ class Network:
             identity,
             self.drops,
             on_datagram=self._on_datagram,
-            on_interface=lambda change: self._handlers.on_interface(change),
+            on_interface=lambda change: self._owner.on_interface(change),
             on_reopened=self._serve,
-            on_event=lambda text: self._handlers.on_event(text),
+            on_event=lambda text: self._owner.on_event(text),
         )
         self._is_settled = False  # the id is owned, and the latches of the others are known
         self._is_duplicate = False
@@ -206,10 +230,10 @@ class Network:
 
     # Life
 
-    async def join(self, handlers: NetworkHandlers) -> None:
+    async def join(self, owner: NetworkOwner) -> None:
         """Open the network and take the id. Raises NetworkError, IdHeldError in one line."""
         settings = self._settings
-        self._handlers = handlers
+        self._owner = owner
         if self._identity is not None:
             assert self._stop_counters is not None
             self._guard = DatagramGuard(
@@ -218,8 +242,8 @@ class Network:
                 settings.lease_seconds,
                 self._stop_counters,
                 self.drops,
-                on_event=handlers.on_event,
-                on_newer_roster=handlers.on_newer_roster,
+                on_event=owner.on_event,
+                on_newer_roster=owner.on_newer_roster,
             )
         await self._connection.open()
         self._peer = Peer(
@@ -236,7 +260,7 @@ class Network:
             body=self._body,
             clock=clock_id(),
             admission=None if self._guard is None else self._guard.admission,
-            check_goal=self._handlers.check_goal,
+            check_goal=self._owner.check_goal,
         )
         warn_at = boottime() + CLAIM_WARNING
         while not self._peer.owns_id:
@@ -261,18 +285,18 @@ class Network:
         if peer is None or self._carrier is None:
             return
         now = boottime()
-        self._carry_out(peer.advance(now, self._handlers.summary()))
+        self._carry_out(peer.advance(now, self._owner.summary()))
         self._connection.watch_for_flood(now)
         if self._guard is not None and self._guard.has_new_counters():
             self._loop.run_in_executor(None, self._guard.write_counters)
         if peer.membership.ignored and not self._is_full:
             self._is_full = True
-            self._handlers.on_event(
+            self._owner.on_event(
                 f"more than {MAX_MEMBERS} robots are alive: further ones are ignored"
             )
         if self._is_duplicate and not peer.duplicates:
             self._is_duplicate = False
-            self._handlers.on_duplicate(None)
+            self._owner.on_input(DuplicateInput(None))
 
     def publish_message(self, channel: str, payload: bytes) -> None:
         """Send a pattern's message to all robots."""
@@ -316,7 +340,7 @@ class Network:
         """Close at once; `is_leaving`: tell the others that this robot leaves in order."""
         if is_leaving and self._peer is not None and self._peer.owns_id:
             for _ in range(2):
-                self._send(self._peer.leave_beacon(self._handlers.summary()), None)
+                self._send(self._peer.leave_beacon(self._owner.summary()), None)
         self._connection.close()
 
     def take_identity(self, identity: Identity) -> None:
@@ -373,7 +397,7 @@ class Network:
             body,
             source,
             boottime(),
-            self._handlers.summary(),
+            self._owner.summary(),
             is_any=is_any,
             author=author,
             waited=waited,
@@ -381,7 +405,7 @@ class Network:
         for stop, sender in effects.stops:
             # A copy counts as relayed by a robot: it renews no latch that was reset.
             shown = replace(stop, hops=max(stop.hops, 1)) if effects.is_repeated else stop
-            self._handlers.on_stop(shown, sender, partial(self._ack, stop, sender, author))
+            self._owner.on_stop(shown, sender, partial(self._ack, stop, sender, author))
         if self._guard is not None:
             self._note_flaws(self._guard, body, source, author, effects)
         self._carry_out(effects, source, author)
@@ -420,26 +444,34 @@ class Network:
                 self._carrier.recipients.on_mentioned(self._connection.local(address), boottime())
         self._lost += effects.lost
         if effects.latches:
-            self._handlers.on_latches(effects.latches)
+            self._owner.on_input(LatchesInput(dict(effects.latches)))
         for found in effects.goals:
-            self._handlers.on_goal(found)
+            self._owner.on_input(GoalInput(found.goal, found.age, found.may_join))
         for lease in effects.leases:
-            self._handlers.on_run_lease(lease)
+            self._owner.on_input(LeaseInput(lease.id, lease.count))
         for _ in range(effects.invalid_goals):
             self.drops.add("goal:invalid")
         for message in effects.messages:
-            self._handlers.on_message(message)
+            self._take_message(message)
         for place in effects.places:
-            self._handlers.on_place(place)
+            self._owner.on_input(PlaceInput(place))
         for sample in effects.clocks:
-            self._handlers.on_clock(sample)
+            self._owner.on_clock(sample)
         for robot, digest, address in effects.tables:
-            self._handlers.on_table(robot, digest, self._connection.local(address))
+            self._owner.on_table(robot, digest, self._connection.local(address))
         if effects.duplicate:
             self._is_duplicate = True
-            self._handlers.on_duplicate(f"instance {effects.duplicate}")
+            self._owner.on_input(DuplicateInput(f"instance {effects.duplicate}"))
         if effects.changed:
-            self._handlers.on_members()
+            self._owner.on_members()
+
+    def _take_message(self, message: Message) -> None:
+        try:
+            value = decode_value(message.payload)
+        except CodecError:
+            self.drops.add("msg:malformed")
+        else:
+            self._owner.on_input(MessageInput(message.robot, message.channel, value))
 
     def _ack(self, stop: Stop, source: Address, author: Author | None, reply: Reply) -> None:
         """Send the robot's reply to the sender of the stop, if it is to have it now."""
@@ -480,7 +512,7 @@ class Network:
         """Answer operators, once the id is owned and the latches of the others are known."""
         bus = self._connection.bus
         if bus is not None and self._is_settled:
-            self._handlers.serve(bus)
+            self._owner.serve(bus)
 
 
 def _warn_of_claim(robot: str, rivals: Collection[str]) -> None:

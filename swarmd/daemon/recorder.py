@@ -17,14 +17,28 @@ import time
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from msgspec import structs
-
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
+from swarmd.core.events import (
+    DriverInput,
+    HazardsInput,
+    Input,
+    NeighborsInput,
+    PeersInput,
+    ProvisionalInput,
+    RangesInput,
+    ReadingsInput,
+    ScanInput,
+    TickInput,
+    tag_of,
+)
+from swarmd.core.messages import Status
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Scan
 from swarmd.recording import frames
 from swarmd.recording.limits import FileLimits
+from swarmd.robot.actions import Actions
+from swarmd.robot.robot import Robot
 
 MAX_BATCH = 60_000
 """Bytes of one batch, but for its last entry."""
@@ -36,6 +50,12 @@ DROPS_PERIOD = 10.0
 """Seconds between two events that count dropped entries."""
 BUFFER = 1 << 20
 """Bytes that the socket is asked to hold while the disk is slow."""
+
+
+_LASTING = frozenset(
+    {DriverInput, HazardsInput, NeighborsInput, PeersInput, ProvisionalInput, ReadingsInput}
+)
+"""Kinds of input that hold until the next one: a recording begins with the last of each."""
 
 
 class _Process:
@@ -75,8 +95,9 @@ class Recorder:
         self._open: _Process | None = None
         self._ending: list[_Process] = []
         self._entries: list[frames.Entry] = []
-        self._latest: dict[str, frames.Entry] = {}
-        self._scans: dict[str, Scan] = {}  # the last one by topic
+        self._lasting: dict[type[Input], Input] = {}  # those with which a recording begins
+        self._scans: dict[type[Input], Scan] = {}  # the last one of each kind
+        self._logged_to = -1.0  # s since the daemon started: the last event that is recorded
         self._flush_at = 0.0
         self._reported_at = -DROPS_PERIOD
         self._unreported = self._unrecorded = 0
@@ -118,8 +139,8 @@ class Recorder:
                 limits=limits,
             )
         )
-        for entry in self._latest.values():
-            self.add(structs.replace(entry, at=at))
+        for input in list(self._lasting.values()):
+            self.input(input, at)
 
     def stop(self) -> None:
         """Send what is left; the process finishes its file and ends."""
@@ -136,22 +157,48 @@ class Recorder:
                 one.process.kill()
             self._on_end(one)
 
-    def scan(self, scan: Scan, now: float, topic: str = "/scan") -> None:
-        """A scan as the driver gave it, of the lidar or of the ring of range sensors."""
-        if self._open is not None:
-            entry = frames.scan_entry(scan, now, self._scans.get(topic), topic)
-            self._scans[topic] = scan
-            self.add(entry)
+    def step(self, robot: Robot, input: Input, now: float) -> Actions | None:
+        """Step `robot`; record the input and the decision that follows from it."""
+        if not self.is_on:
+            if type(input) in _LASTING:
+                self._lasting[type(input)] = input
+            return robot.step(input, now)
+        self.input(input, now)
+        actions = robot.step(input, now)
+        if actions is not None:
+            self._decided(robot, input, actions, now)
+        if type(input) is TickInput:
+            self.flush_if_due(now)
+        return actions
 
-    def latest(self, what: str, entry: frames.Entry) -> None:
-        """An entry that holds until the next one on `what`: a recording that begins has it, too."""
-        self._latest[what] = entry
-        self.add(entry)
+    def input(self, input: Input, now: float) -> None:
+        """An input of the robot; a scan without its geometry if the last one had the same."""
+        if type(input) in _LASTING:
+            self._lasting[type(input)] = input
+        if isinstance(input, ScanInput | RangesInput):
+            scan, last = input.scan, self._scans.get(type(input))
+            self._scans[type(input)] = scan
+            if last is not None and frames.has_geometry_of(scan, last):
+                input = type(input)(frames.without_geometry(scan))
+        self.add(frames.input_entry(input, now))
 
-    def text(self, topic: str, value: object, now: float) -> None:
-        """A value as JSON on a topic."""
-        if self._open is not None:
-            self.add(frames.TextEntry(now, topic, frames.as_json(value)))
+    def _decided(self, robot: Robot, input: Input, actions: Actions, now: float) -> None:
+        reason = actions.decision.reason or ""
+        cause, state = tag_of(input), robot.state
+        self.add(frames.DecisionEntry(now, cause, state, reason, actions.decision))
+        for channel, value in actions.messages.items():
+            self.add(frames.SentEntry(now, channel, value))
+        if actions.status is not None:
+            self._status(actions.status, now)
+
+    def _status(self, status: Status, now: float) -> None:
+        self.add(frames.TextEntry(now, "/status", frames.as_json(status)))
+        for event in status.events:
+            if event.at > self._logged_to:
+                self._logged_to = event.at
+                at = now - status.uptime + event.at
+                if at >= self.began:  # else the file would begin with an empty time
+                    self.add(frames.EventEntry(at, event.text))
 
     def add(self, entry: frames.Entry) -> None:
         """Take one entry; nothing happens while nothing is recorded."""

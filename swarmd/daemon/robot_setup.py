@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import socket
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from importlib.metadata import version
 
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.goal import GoalRecord
 from swarmd.core.host_messages import Layers
 from swarmd.core.kernels import describe_kernels
-from swarmd.daemon.recorded_robot import RecordedRobot
-from swarmd.daemon.recorder import Recorder
 from swarmd.plugins import pattern_names
 from swarmd.recording.head import RecordingHead
 from swarmd.robot.latches import LatchRecord
+from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
 from swarmd.settings.settings import DaemonSettings
 
@@ -26,18 +25,13 @@ def make_robot(
     *,
     latches: LatchRecord,
     goals: GoalRecord,
-    recorder: Recorder,
-    is_provisional: Callable[[int], bool],
-) -> RecordedRobot:
-    """The robot of the daemon's life `instance`. `latches` and `goals`: as its files have them.
-
-    `is_provisional`: whether the load of a generation has code that is not held yet.
-    """
+) -> Robot:
+    """The robot of the daemon's life `instance`. `latches` and `goals`: as its files have them."""
 
     def layers(pattern: str) -> Layers:
         return settings.pattern_layers(pattern, robot.labels)  # by the present labels
 
-    robot = RecordedRobot(
+    robot = Robot(
         settings.id,
         settings.platform,
         RobotSettings(
@@ -52,20 +46,18 @@ def make_robot(
             touch=settings.touch_zones,
             accepts=settings.accepts,
             tells_pose=settings.neighbors.neighborhood == "range",
-            is_provisional=is_provisional,
         ),
         seed=seed,
         instance=instance,
         now=boottime(),
         latches=latches,
         goals=goals,
-        recorder=recorder,
     )
     return robot
 
 
 def recording_head(
-    settings: DaemonSettings, robot: RecordedRobot, instance: str, seed: int, pushed: Iterable[str]
+    settings: DaemonSettings, robot: Robot, instance: str, seed: int, pushed: Iterable[str]
 ) -> RecordingHead:
     """What recordings tell of a robot. `pushed`: the names of the pushed behaviours."""
     names = {*pattern_names(settings.plugin_dir), *pushed}

@@ -6,25 +6,16 @@ it. Numpy arrays travel as bytes.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any, TypeAlias, cast
+from dataclasses import replace
+from typing import Any, TypeAlias
 
 import msgspec
 import numpy as np
 from msgspec import Struct
 
 from swarmd.core.errors import CodecError
-from swarmd.core.host_messages import (
-    HostDied,
-    HostEvent,
-    Loaded,
-    LoadRefused,
-    ParamsSet,
-    PatternFailed,
-    Stepped,
-    TrialDone,
-)
-from swarmd.core.values import Array, Neighbor, Odometry, Scan, SharedPose, Twist, Value
+from swarmd.core.events import Input, encode_input
+from swarmd.core.values import Array, Scan, Value
 from swarmd.protection.decision import Decision
 from swarmd.recording.limits import FileLimits
 
@@ -46,77 +37,14 @@ class Begin(Struct, frozen=True, array_like=True, tag="begin"):
     limits: FileLimits
 
 
-class ScanEntry(Struct, frozen=True, array_like=True, tag="scan"):
-    """A scan as the driver gave it, on topic `/scan`, or `/ranges` for the ring's."""
+class InputEntry(Struct, frozen=True, array_like=True, tag="input"):
+    """An input of the robot, as `encode_input` gives it.
 
-    at: float
-    seq: int
-    stamp: float
-    ranges: bytes
-    geometry: ScanGeometry | None
-    topic: str = "/scan"
-
-
-class ScanGeometry(Struct, frozen=True, array_like=True):
-    """Directions and ages of the rays, as float64; None in an entry: as in the last scan."""
-
-    bearings: bytes
-    ages: bytes | None
-    range_min: float
-    range_max: float
-
-
-class OdometryEntry(Struct, frozen=True, array_like=True, tag="odometry"):
-    """A pose and twist."""
-
-    at: float
-    value: Odometry
-
-
-class NeighborsEntry(Struct, frozen=True, array_like=True, tag="neighbors"):
-    """The robots within radio range, from the driver or all members."""
-
-    at: float
-    value: tuple[Neighbor, ...]
-
-
-class PoseEntry(Struct, frozen=True, array_like=True, tag="pose"):
-    """A pose in a shared frame."""
-
-    at: float
-    value: SharedPose
-
-
-class ReadingsEntry(Struct, frozen=True, array_like=True, tag="readings"):
-    """Scalar sensors."""
-
-    at: float
-    value: dict[str, float]
-
-
-class DriverEntry(Struct, frozen=True, array_like=True, tag="driver"):
-    """The base is connected or lost."""
-
-    at: float
-    is_up: bool
-    text: str
-    hold: str
-    gets_zero: bool
-
-
-class HostEntry(Struct, frozen=True, array_like=True, tag="host"):
-    """An event of the pattern host, as `encode_host` gives it: a replay hands it to the robot."""
+    The scan in `data` has no bearings where it has those of the last scan of its kind.
+    """
 
     at: float
     data: bytes
-
-
-class RequestedEntry(Struct, frozen=True, array_like=True, tag="requested"):
-    """The command that the pattern requested, by the scan `scan_seq` (-1: none)."""
-
-    at: float
-    twist: Twist
-    scan_seq: int
 
 
 class DecisionEntry(Struct, frozen=True, array_like=True, tag="decision"):
@@ -129,17 +57,16 @@ class DecisionEntry(Struct, frozen=True, array_like=True, tag="decision"):
     decision: Decision
 
 
-class MessageEntry(Struct, frozen=True, array_like=True, tag="message"):
-    """A message of a pattern, from `sender`; of this robot where it sent it."""
+class SentEntry(Struct, frozen=True, array_like=True, tag="sent"):
+    """A message that the robot's pattern sent."""
 
     at: float
-    sender: str
     channel: str
     value: Value
 
 
 class TextEntry(Struct, frozen=True, array_like=True, tag="text"):
-    """A value as JSON on `topic`, such as a status or a request."""
+    """A value as JSON on `topic`, such as a status."""
 
     at: float
     topic: str
@@ -173,16 +100,9 @@ class DroppedEntry(Struct, frozen=True, array_like=True, tag="dropped"):
 
 Entry: TypeAlias = (
     Begin
-    | ScanEntry
-    | OdometryEntry
-    | NeighborsEntry
-    | PoseEntry
-    | ReadingsEntry
-    | DriverEntry
-    | HostEntry
-    | RequestedEntry
+    | InputEntry
     | DecisionEntry
-    | MessageEntry
+    | SentEntry
     | TextEntry
     | EventEntry
     | ClockEntry
@@ -198,6 +118,7 @@ class RecorderReport(Struct, frozen=True, array_like=True):
     fault: str = ""
 
 
+_EMPTY: Array = np.zeros(0)
 _encoder = msgspec.msgpack.Encoder()
 _batches = msgspec.msgpack.Decoder(list[Entry])
 _reports = msgspec.msgpack.Decoder(RecorderReport)
@@ -206,6 +127,11 @@ _reports = msgspec.msgpack.Decoder(RecorderReport)
 def encode_entry(entry: Entry) -> bytes:
     """The bytes of one entry of a batch."""
     return _encoder.encode(entry)
+
+
+def input_entry(input: Input, at: float) -> InputEntry:
+    """The entry of an input at `at`."""
+    return InputEntry(at, encode_input(input))
 
 
 def batch(entries: list[bytes]) -> bytes:
@@ -231,33 +157,6 @@ def decode_report(frame: bytes) -> RecorderReport:
         raise CodecError(str(error)) from error
 
 
-_HOST_EVENTS: Mapping[str, type[Struct]] = {
-    kind.__name__: kind
-    for kind in (Loaded, LoadRefused, Stepped, ParamsSet, PatternFailed, HostDied, TrialDone)
-}
-
-
-def encode_host(event: HostEvent) -> bytes:
-    """The bytes of an event of the pattern host."""
-    return _encoder.encode([type(event).__name__, event])
-
-
-def decode_host(data: bytes) -> HostEvent:
-    """The event of a pattern host; CodecError if it is malformed."""
-    try:
-        name, raw = msgspec.msgpack.decode(data, type=tuple[str, msgspec.Raw])
-        return cast(HostEvent, msgspec.msgpack.decode(raw, type=_HOST_EVENTS[name]))
-    except (msgspec.MsgspecError, KeyError) as error:
-        raise CodecError(f"not an event of a pattern host: {error}") from error
-
-
-def scan_entry(scan: Scan, at: float, last: Scan | None, topic: str = "/scan") -> ScanEntry:
-    """The entry of a scan; `last`: that before it on the topic, whose geometry may still hold."""
-    same = last is not None and has_geometry_of(scan, last)
-    geometry = None if same else _geometry(scan)
-    return ScanEntry(at, scan.seq, scan.stamp, scan.ranges.tobytes(), geometry, topic)
-
-
 def has_geometry_of(scan: Scan, other: Scan) -> bool:
     """True if both have the same directions, ages and limits of their rays."""
     if (scan.range_min, scan.range_max) != (other.range_min, other.range_max):
@@ -265,23 +164,16 @@ def has_geometry_of(scan: Scan, other: Scan) -> bool:
     return _equal(scan.bearings, other.bearings) and _equal(scan.ages, other.ages)
 
 
-def scan_of(entry: ScanEntry, geometry: ScanGeometry) -> Scan:
-    """The scan of an entry."""
-    ages = None if geometry.ages is None else np.frombuffer(geometry.ages)
-    return Scan(
-        entry.seq,
-        entry.stamp,
-        np.frombuffer(entry.ranges),
-        np.frombuffer(geometry.bearings),
-        geometry.range_min,
-        geometry.range_max,
-        ages,
-    )
+def without_geometry(scan: Scan) -> Scan:
+    """The scan without its bearings and ages."""
+    return replace(scan, bearings=_EMPTY, ages=None)
 
 
-def _geometry(scan: Scan) -> ScanGeometry:
-    ages = None if scan.ages is None else scan.ages.tobytes()
-    return ScanGeometry(scan.bearings.tobytes(), ages, scan.range_min, scan.range_max)
+def with_geometry(scan: Scan, last: Scan | None) -> Scan | None:
+    """The scan with the bearings and ages of `last` if it has none; None if they are not known."""
+    if len(scan.bearings) or not len(scan.ranges):
+        return scan
+    return None if last is None else replace(scan, bearings=last.bearings, ages=last.ages)
 
 
 def _equal(one: Array | None, other: Array | None) -> bool:

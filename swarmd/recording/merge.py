@@ -16,6 +16,7 @@ from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.files import whole_file
 from swarmd.recording.clock_offset import Alignment, Exchange, align
 from swarmd.recording.fetch import CLOCKS_FILE, read_exchanges
+from swarmd.recording.inputs import INPUT
 from swarmd.recording.messages import deserialize
 from swarmd.recording.reader import RecordedFile, clock_of, read_file
 from swarmd.recording.writer import METADATA, PROFILE, Channels
@@ -150,13 +151,15 @@ def _write(writer: Writer, messages: Iterable[Timed]) -> int:
 def messages_of(placed: Placed, reference: Mapping[str, str]) -> Iterator[Timed]:
     """The messages of a source on the timeline of `reference`, with its name in their topics.
 
-    One file at a time is in memory.
+    The inputs for a replay are left out, since a merged file cannot be replayed. One file at a time
+    is in memory.
     """
     wall, boot = int(reference["wall_ns"]), int(reference["boot_ns"])
     alignment, robot = placed.alignment, placed.source.robot
     for _, path in placed.source.files:
         found = read_file(path)
-        for one in sorted(found.messages, key=lambda one: one.at):
+        shown = (one for one in found.messages if one.topic != INPUT)
+        for one in sorted(shown, key=lambda one: one.at):
             at = one.at
             if alignment is not None:
                 time = alignment.to_reference(clock_of(found.about, at))

@@ -18,9 +18,10 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from swarmd.core.errors import CodecError
+from swarmd.core.events import DriverInput
 from swarmd.core.values import Array, Neighbor, Odometry, Pose, Scan, SharedPose, Twist
 from swarmd.recording.cdr import CdrWriter, Message
-from swarmd.recording.frames import ClockEntry, DecisionEntry, DriverEntry
+from swarmd.recording.frames import ClockEntry, DecisionEntry
 
 _EMPTY = np.zeros(0)
 _NO_INTENSITIES = np.zeros(0, np.float32)
@@ -126,6 +127,13 @@ def scan_of(message: Any, seq: int, geometry: Any | None) -> Scan:
     return Scan(seq, stamp, ranges, bearings, message.range_min, message.range_max)
 
 
+def geometry_of(message: Any) -> Scan:
+    """A scan with the directions and ages of this geometry, and no ranges."""
+    ages = np.array(message.ages) if len(message.ages) else None
+    limits = message.range_min, message.range_max
+    return Scan(-1, 0.0, _EMPTY, np.array(message.bearings), *limits, ages)
+
+
 def odometry_message(odometry: Odometry) -> Message:
     """A nav_msgs/Odometry, with covariances of zero: unknown."""
     cdr = CdrWriter().header(odometry.stamp, "odom").text("base_link")
@@ -195,10 +203,10 @@ def requested_message(twist: Twist, scan_seq: int, stamp: float) -> Message:
     return cdr.as_message("Requested")
 
 
-def driver_message(entry: DriverEntry, stamp: float) -> Message:
+def driver_message(entry: DriverInput, stamp: float) -> Message:
     """The state of the base."""
-    cdr = CdrWriter().header(stamp, "").uint8(entry.is_up).text(entry.text).text(entry.hold)
-    return cdr.uint8(entry.gets_zero).as_message("DriverState")
+    cdr = CdrWriter().header(stamp, "").uint8(entry.is_up).text(entry.text)
+    return cdr.text(entry.hold or "").uint8(entry.gets_zero).as_message("DriverState")
 
 
 def clock_message(entry: ClockEntry, stamp: float) -> Message:

@@ -16,14 +16,34 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from msgspec import structs
+
 from swarmd.core.clock import boottime
+from swarmd.core.errors import CodecError
+from swarmd.core.events import (
+    DriverInput,
+    HostInput,
+    MessageInput,
+    NeighborsInput,
+    NoteInput,
+    OdometryInput,
+    PoseInput,
+    RangesInput,
+    ReadingsInput,
+    ScanInput,
+    TickInput,
+    decode_input,
+    encode_input,
+    tag_of,
+)
+from swarmd.core.host_messages import Stepped
+from swarmd.core.values import ZERO, Scan, Value
 from swarmd.recording import frames, messages
 from swarmd.recording.cdr import Message
+from swarmd.recording.inputs import GEOMETRY, INPUT
 from swarmd.recording.writer import CHUNK_TIME, RecordingWriter
 
 REPORT_PERIOD = 1.0
-GEOMETRY = "/geometry"
-"""Ends the topic of the directions and ages of a scan's rays, after that of the scan."""
 
 
 class Converter:
@@ -33,7 +53,7 @@ class Converter:
         self._begin = begin
         wall, boot = round(begin.wall * 1e9), round(begin.at * 1e9)
         self._offset = wall - boot
-        self._geometry: dict[str, frames.ScanGeometry] = {}
+        self._scans: dict[str, Scan] = {}  # the last one by topic, with its geometry
         self._robot = begin.about.get("robot", "")
         self.writer = RecordingWriter(
             Path(begin.folder),
@@ -49,62 +69,85 @@ class Converter:
 
     def add(self, entry: frames.Entry) -> None:
         """Write one entry."""
-        if isinstance(entry, frames.ScanEntry):
-            self._scan(entry)
-            return
-        found = self._message(entry)
-        if found is not None:
-            topic, message = found
-            self.writer.add(topic, message, self.ns(entry.at))
-
-    def _scan(self, entry: frames.ScanEntry) -> None:
-        at, topic = self.ns(entry.at), entry.topic
-        if entry.geometry is not None:
-            self._geometry[topic] = entry.geometry
-        if topic not in self._geometry:
-            return
-        scan = frames.scan_of(entry, self._geometry[topic])
-        if entry.geometry is not None:
-            self.writer.add(topic + GEOMETRY, messages.geometry_message(scan), at)
-        self.writer.add(topic, messages.scan_message(scan), at, scan.seq)
-
-    def _message(self, entry: frames.Entry) -> tuple[str, Message] | None:
         stamp = 1e-9 * self.ns(entry.at)
         match entry:
+            case frames.InputEntry():
+                self._input(entry, stamp)
             case frames.DecisionEntry():
-                return "/decision", messages.decision_message(entry, stamp)
-            case frames.OdometryEntry():
-                return "/odometry", messages.odometry_message(entry.value)
-            case frames.RequestedEntry():
-                requested = messages.requested_message(entry.twist, entry.scan_seq, stamp)
-                return "/command/requested", requested
-            case frames.HostEntry():
-                return "/host", messages.bytes_message(entry.data, stamp)
-            case frames.NeighborsEntry():
-                return "/neighbors", messages.neighbors_message(entry.value, stamp)
-            case frames.PoseEntry():
-                return "/pose", messages.pose_message(entry.value)
-            case frames.ReadingsEntry():
-                return "/readings", messages.readings_message(entry.value, stamp)
-            case frames.DriverEntry():
-                return "/driver", messages.driver_message(entry, stamp)
-            case frames.MessageEntry():
-                kind = "sent" if entry.sender == self._robot else "received"
-                text = frames.as_json(
-                    {"sender": entry.sender, "channel": entry.channel, "value": entry.value}
-                )
-                return f"/message/{kind}", messages.text_message(text.decode(), stamp)
+                self._write(entry, "/decision", messages.decision_message(entry, stamp))
+            case frames.SentEntry():
+                self._text(entry, "/message/sent", _said(self._robot, entry.channel, entry.value))
             case frames.TextEntry():
-                return entry.topic, messages.text_message(entry.json.decode(), stamp)
+                self._write(entry, entry.topic, messages.text_message(entry.json.decode(), stamp))
             case frames.EventEntry():
-                return "/event", messages.log_message(entry.text, self._robot, stamp)
+                line = messages.log_message(entry.text, self._robot, stamp)
+                self._write(entry, "/event", line)
             case frames.ClockEntry():
-                return "/clock/pair", messages.clock_message(entry, stamp)
+                self._write(entry, "/clock/pair", messages.clock_message(entry, stamp))
             case frames.DroppedEntry():
                 self.writer.dropped += entry.count
-                text = frames.as_json({"count": entry.count})
-                return "/dropped", messages.text_message(text.decode(), stamp)
-        return None
+                self._text(entry, "/dropped", {"count": entry.count})
+
+    def _write(self, entry: frames.Entry, topic: str, message: Message, sequence: int = 0) -> None:
+        self.writer.add(topic, message, self.ns(entry.at), sequence)
+
+    def _text(self, entry: frames.Entry, topic: str, value: object) -> None:
+        text = frames.as_json(value).decode()
+        self._write(entry, topic, messages.text_message(text, 1e-9 * self.ns(entry.at)))
+
+    def _input(self, entry: frames.InputEntry, stamp: float) -> None:
+        """Write an input for a replay, and the message that viewers read."""
+        try:
+            input = decode_input(entry.data)
+        except CodecError:  # beyond a bound; the replay tells
+            self._write(entry, INPUT, messages.bytes_message(entry.data, stamp))
+            return
+        if isinstance(input, ScanInput | RangesInput):
+            self._scan(entry, input, stamp)
+            return
+        self._write(entry, INPUT, messages.bytes_message(entry.data, stamp))
+        match input:
+            case OdometryInput():
+                self._write(entry, "/odometry", messages.odometry_message(input.odometry))
+            case NeighborsInput():
+                found = messages.neighbors_message(input.neighbors, stamp)
+                self._write(entry, "/neighbors", found)
+            case PoseInput():
+                self._write(entry, "/pose", messages.pose_message(input.pose))
+            case ReadingsInput():
+                self._write(entry, "/readings", messages.readings_message(input.readings, stamp))
+            case DriverInput():
+                self._write(entry, "/driver", messages.driver_message(input, stamp))
+            case MessageInput():
+                heard = _said(input.sender, input.channel, input.value)
+                self._text(entry, "/message/received", heard)
+            case HostInput(event=Stepped() as stepped):
+                twist, seq = stepped.outputs.twist or ZERO, stepped.scan_seq
+                requested = messages.requested_message(twist, seq, stamp)
+                self._write(entry, "/command/requested", requested)
+            case HostInput() | NoteInput() | TickInput():
+                pass
+            case _:
+                fields = structs.astuple(input)
+                self._text(entry, f"/{tag_of(input)}", fields[0] if len(fields) == 1 else fields)
+
+    def _scan(self, entry: frames.InputEntry, input: ScanInput | RangesInput, stamp: float) -> None:
+        """Write the geometry of a scan only where it changes, and the scan."""
+        topic, is_new = f"/{tag_of(input)}", len(input.scan.bearings) > 0
+        scan = frames.with_geometry(input.scan, self._scans.get(topic))
+        if scan is None:
+            return
+        data = entry.data
+        if is_new or topic not in self._scans:
+            self._write(entry, topic + GEOMETRY, messages.geometry_message(scan))
+            data = encode_input(type(input)(frames.without_geometry(scan)))
+        self._scans[topic] = scan
+        self._write(entry, INPUT, messages.bytes_message(data, stamp))
+        self._write(entry, topic, messages.scan_message(scan), scan.seq)
+
+
+def _said(sender: str, channel: str, value: Value) -> dict[str, Value]:
+    return {"sender": sender, "channel": channel, "value": value}
 
 
 def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:

@@ -15,10 +15,8 @@ from typing import Any
 import msgspec
 
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.goal import Goal
-from swarmd.core.hazard import Hazard
+from swarmd.core.events import HostInput, Input, RequestInput
 from swarmd.core.host_messages import (
-    HostEvent,
     KillHost,
     Load,
     Loaded,
@@ -26,14 +24,14 @@ from swarmd.core.host_messages import (
     StartTrial,
     Stepped,
 )
-from swarmd.core.messages import Body, Latch, Reason, State
-from swarmd.core.values import ZERO, PeerPlace, Platform, Scan, Twist
-from swarmd.core.verbs import Request, StopRequest
+from swarmd.core.messages import State
+from swarmd.core.values import ZERO, Platform, Twist
+from swarmd.core.verbs import StopRequest
 from swarmd.pattern_host.executor import PatternExecutor
 from swarmd.pattern_host.loader import PatternLoader
 from swarmd.recording import messages
-from swarmd.recording.frames import decode_host
 from swarmd.recording.head import RecordingHead, head_of
+from swarmd.recording.inputs import InputReader
 from swarmd.recording.reader import RecordedFile, RecordedMessage, clock_of
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
@@ -42,18 +40,6 @@ from swarmd.robot.settings import RobotSettings
 
 TOLERANCE = 1e-6
 """m/s and rad/s: two commands that differ by less are equal."""
-
-_SKIPPED = frozenset(
-    {
-        "/scan/geometry",
-        "/ranges/geometry",
-        "/command/requested",
-        "/status",
-        "/event",
-        "/clock/pair",
-        "/dropped",
-    }
-)
 
 
 @dataclass(slots=True)
@@ -130,11 +116,10 @@ class Replay:
         self._origins = origins
         self._executor = PatternExecutor(self._loader)
         self._steps: deque[SentEvent] = deque()
-        self._geometry: dict[str, Any] = {}
+        self._inputs = InputReader()
         self._begin: float | None = None
         self._actions: Actions | None = None
         self._notes: dict[str, None] = {}
-        self._provisional: tuple[int, ...] = ()
         self._has_parted = False  # one of the two robots ran while the other did not
         self.safe, self.requested = Compared(), Compared()
 
@@ -148,7 +133,6 @@ class Replay:
             labels=head.labels,
             touch=head.touch,
             accepts=head.accepts,
-            is_provisional=lambda generation: generation in self._provisional,
         )
         return Robot(
             head.robot,
@@ -178,98 +162,33 @@ class Replay:
         return Parity(self.safe, self.requested, last, tuple(self._notes))
 
     def _take(self, one: RecordedMessage, now: float) -> None:
-        if one.topic.endswith("/geometry"):
-            self._geometry[one.topic.removesuffix("/geometry")] = messages.deserialize(
-                one.kind, one.payload
-            )
         if one.topic == "/dropped":
             at = now - (self._begin or now)
             self._note(f"at {at:.3f} s entries were dropped; commands after it may differ")
-        if one.topic in _SKIPPED:
-            return
-        message = messages.deserialize(one.kind, one.payload)
-        if one.topic == "/decision":
-            self._compare(message, now)
-        elif one.topic == "/host":
-            self._host(decode_host(bytes(message.data)), now)
-        else:
-            self._input(one, message, now)
+        elif one.topic == "/decision":
+            self._compare(messages.deserialize(one.kind, one.payload), now)
+        elif (input := self._inputs.read(one)) is not None:
+            self._step(input, now)
 
-    def _input(self, one: RecordedMessage, message: Any, now: float) -> None:
-        robot, topic = self._robot, one.topic
-        if topic in ("/scan", "/ranges"):
-            scan: Scan = messages.scan_of(message, one.sequence, self._geometry.get(topic))
-            take = robot.on_scan if topic == "/scan" else robot.on_ranges
-            self._carry_out(take(scan, now))
-        elif topic == "/odometry":
-            robot.on_odometry(messages.odometry_of(message), now)
-        elif topic == "/neighbors":
-            robot.on_neighbors(messages.neighbors_of(message), now)
-        elif topic == "/pose":
-            robot.on_pose(messages.pose_of(message), now)
-        elif topic == "/readings":
-            robot.on_readings(messages.readings_of(message))
-        elif topic == "/driver":
-            hold = Reason(message.hold) if message.hold else None
-            self._carry_out(
-                robot.on_driver(
-                    message.is_up, message.text, now, hold=hold, gets_zero=message.gets_zero
-                )
-            )
-        elif topic == "/message/received":
-            value = msgspec.json.decode(message.json)
-            robot.on_message(value["sender"], value["channel"], value["value"], now)
-        elif topic == "/message/sent":
-            return
-        else:
-            self._text(topic, message.json.encode(), now)
-
-    def _text(self, topic: str, text: bytes, now: float) -> None:
-        robot, decode = self._robot, msgspec.json.decode
-        if topic == "/peers":
-            robot.on_peers(decode(text, type=dict[str, Body | None]), now)
-        elif topic == "/hazards":
-            self._carry_out(robot.on_hazards(decode(text, type=tuple[Hazard, ...]), now))
-        elif topic == "/peer_place":
-            robot.on_peer_place(decode(text, type=PeerPlace), now)
-        elif topic == "/request":
-            request: Request = decode(text, type=Request)
+    def _step(self, input: Input, now: float) -> None:
+        if isinstance(input, RequestInput):
+            request = input.request
             if isinstance(request, StopRequest) and now - request.age < (self._begin or 0.0):
                 return  # a late copy: the robot had carried it out before the recording began
-            self._carry_out(robot.on_request(request, now))
-        elif topic == "/code_changed":
-            self._carry_out(robot.on_code_changed(now))
-        elif topic == "/provisional":
-            self._provisional = decode(text, type=tuple[int, ...])
-        elif topic == "/latches":
-            self._carry_out(robot.on_latches(decode(text, type=dict[str, Latch]), now))
-        elif topic == "/goal":
-            goal, age, may_join = decode(text, type=tuple[Goal, float | None, bool])
-            self._carry_out(robot.on_goal(goal, age, now, may_join=may_join))
-        elif topic == "/forget_goals":
-            self._carry_out(robot.forget_goals(decode(text, type=tuple[str, ...]), now))
-        elif topic == "/run_lease":
-            robot.on_run_lease(*decode(text, type=tuple[str, int]), now)
-        elif topic == "/duplicate":
-            self._carry_out(robot.on_duplicate(decode(text, type=str | None), now))
-        elif topic == "/network":
-            self._carry_out(robot.on_network_changed(decode(text, type=str), now))
-        elif topic == "/roster":
-            words, is_revoked = decode(text, type=tuple[str, bool])
-            self._carry_out(robot.on_roster(words, now, is_revoked=is_revoked))
-        else:
-            self._note(f"{topic} is not known to this version")
+        if isinstance(input, HostInput) and isinstance(input.event, Stepped):
+            self._compare_requested(input.event, now)
+        actions = self._robot.step(input, now)
+        if actions is not None:
+            self._carry_out(actions)
 
-    def _host(self, event: HostEvent, now: float) -> None:
+    def _compare_requested(self, event: Stepped, now: float) -> None:
         """Compare the pattern's answer with the recorded one, which the robot gets."""
-        if isinstance(event, Stepped):
-            own = self._steps.popleft() if self._steps else None
-            if isinstance(own, Stepped):
-                one, other = own.outputs.twist or ZERO, event.outputs.twist or ZERO
-                self.requested.add(one, other, now - (self._begin or now))
-            else:
-                self._note("the pattern of the replay did not step where the recorded one did")
-        self._carry_out(self._robot.on_host(event, now))
+        own = self._steps.popleft() if self._steps else None
+        if isinstance(own, Stepped):
+            one, other = own.outputs.twist or ZERO, event.outputs.twist or ZERO
+            self.requested.add(one, other, now - (self._begin or now))
+        else:
+            self._note("the pattern of the replay did not step where the recorded one did")
 
     def _carry_out(self, actions: Actions) -> None:
         """Hand the robot's command for the pattern host to the pattern here."""
@@ -287,8 +206,6 @@ class Replay:
             self._steps.append(event)
 
     def _compare(self, message: Any, now: float) -> None:
-        if message.cause == "tick":
-            self._carry_out(self._robot.tick(now))
         if self._actions is None:
             return
         at = now - (self._begin or now)

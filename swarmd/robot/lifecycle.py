@@ -102,6 +102,7 @@ class Lifecycle:
         self.trial: Trial | None = None
         self.hold_since: float | None = None
         self.wrong_type_count = 0
+        self.provisional: tuple[int, ...] = ()  # generations whose code is provisional
         self._last_fault = ""
         self._load: Load | None = None
         if self.latches.held:
@@ -324,7 +325,7 @@ class Lifecycle:
 
     def _is_provisional(self, generation: int, text: str, effects: Effects) -> bool:
         """True, with the failure in `effects`, if the pattern of a generation is provisional."""
-        is_provisional = self.identity.settings.is_provisional(generation)
+        is_provisional = generation in self.provisional
         if is_provisional:
             effects.failed_code = FailedCode(generation, text)
         return is_provisional

@@ -7,10 +7,13 @@ Two shells drive it: the daemon and the lockstep simulator. Every method is O(1)
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection, Mapping
+from typing import Any
 
 from msgspec.structs import astuple
 
+from swarmd.core import events
+from swarmd.core.events import Input
 from swarmd.core.goal import Goal, GoalRecord, HeldGoal
 from swarmd.core.hazard import Hazard
 from swarmd.core.host_messages import HostEvent, Step, TrialDone
@@ -133,6 +136,12 @@ class Robot:
         return None if present is None else present.generation
 
     @property
+    def generations(self) -> tuple[int, ...]:
+        """The generations of the patterns that run or are being loaded."""
+        run = self._run
+        return tuple(one.generation for one in (run.running, run.loading) if one is not None)
+
+    @property
     def latches(self) -> Mapping[str, Latch]:
         """The emergency stops that hold the robot, by id."""
         return self._lifecycle.latches.held
@@ -177,6 +186,10 @@ class Robot:
     def readings(self) -> Mapping[str, float]:
         """The present scalar sensors by name."""
         return self._sensors.readings
+
+    def step(self, input: Input, now: float) -> Actions | None:
+        """Take one input at `now`; the work of the shell, None if nothing changes for the shell."""
+        return _HANDLERS[type(input)](self, input, now)
 
     # Inputs from the driver and the network
 
@@ -263,6 +276,9 @@ class Robot:
         channel = None if running is None else running.channel(name)
         return channel is None or self._sensors.on_message(sender, channel, value, now)
 
+    def _on_message(self, message: events.MessageInput, now: float) -> None:
+        self.on_message(message.sender, message.channel, message.value, now)
+
     def on_driver(
         self,
         is_up: bool,
@@ -298,6 +314,9 @@ class Robot:
         effects = self._begin(now)
         self._requests.answer(request, effects)
         return self._settle(effects)
+
+    def _on_provisional(self, generations: tuple[int, ...]) -> None:
+        self._lifecycle.provisional = generations
 
     def on_code_changed(self, now: float) -> Actions:
         """The code of patterns was replaced or removed: the next run has a fresh host."""
@@ -588,3 +607,38 @@ class Robot:
         twist = odometry.twist
         linear, angular = round(twist.linear, 2) + 0.0, round(twist.angular, 2) + 0.0  # no -0.00
         return f"{sent}; measured {linear:.2f} m/s, {angular:.2f} rad/s, {age:.1f} s ago"
+
+
+_HANDLERS: Mapping[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
+    events.ScanInput: lambda robot, one, now: robot.on_scan(one.scan, now),
+    events.RangesInput: lambda robot, one, now: robot.on_ranges(one.scan, now),
+    events.OdometryInput: lambda robot, one, now: robot.on_odometry(one.odometry, now),
+    events.NeighborsInput: lambda robot, one, now: robot.on_neighbors(one.neighbors, now),
+    events.PoseInput: lambda robot, one, now: robot.on_pose(one.pose, now),
+    events.ReadingsInput: lambda robot, one, now: robot.on_readings(one.readings),
+    events.HazardsInput: lambda robot, one, now: robot.on_hazards(one.hazards, now),
+    events.DriverInput: lambda robot, one, now: robot.on_driver(
+        one.is_up, one.text, now, hold=one.hold, gets_zero=one.gets_zero
+    ),
+    events.MessageInput: lambda robot, one, now: robot._on_message(one, now),
+    events.PeersInput: lambda robot, one, now: robot.on_peers(one.bodies, now),
+    events.PlaceInput: lambda robot, one, now: robot.on_peer_place(one.place, now),
+    events.LatchesInput: lambda robot, one, now: robot.on_latches(one.latches, now),
+    events.GoalInput: lambda robot, one, now: robot.on_goal(
+        one.goal, one.age, now, may_join=one.may_join
+    ),
+    events.LeaseInput: lambda robot, one, now: robot.on_run_lease(one.goal, one.count, now),
+    events.DuplicateInput: lambda robot, one, now: robot.on_duplicate(one.holder, now),
+    events.HostInput: lambda robot, one, now: robot.on_host(one.event, now),
+    events.RequestInput: lambda robot, one, now: robot.on_request(one.request, now),
+    events.CodeInput: lambda robot, one, now: robot.on_code_changed(now),
+    events.ProvisionalInput: lambda robot, one, now: robot._on_provisional(one.generations),
+    events.ForgetInput: lambda robot, one, now: robot.forget_goals(one.digests, now),
+    events.NetworkInput: lambda robot, one, now: robot.on_network_changed(one.text, now),
+    events.RosterInput: lambda robot, one, now: robot.on_roster(
+        one.text, now, is_revoked=one.is_revoked
+    ),
+    events.LeaveInput: lambda robot, one, now: robot.on_leave(now),
+    events.NoteInput: lambda robot, one, now: robot.log(one.text, now),
+    events.TickInput: lambda robot, one, now: robot.tick(now),
+}

@@ -85,7 +85,8 @@ class Sensors:
         self.hazards = HazardHolds()
         self._inbox: deque[_Received] = deque()
         self._inbox_bytes = 0
-        self.overflowed = 0
+        self.overflowed = 0  # messages that the inbox did not hold
+        self.rejected = 0  # messages whose sender is no neighbour
         self.scan: Scan | None = None
         self.odometry: Odometry | None = None
         self.readings: Mapping[str, float] = {}
@@ -180,6 +181,7 @@ class Sensors:
         Raises CodecError if the encoded value is too large.
         """
         if sender not in self._neighbor_ids or not self._knows_neighbors(now):
+            self.rejected += 1
             return False
         size = MESSAGE_OVERHEAD + len(encode_value(value))
         self._inbox.append(_Received(sender, channel, value, now, size))

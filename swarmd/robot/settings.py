@@ -18,7 +18,6 @@ class RobotSettings:
     `layers` gives the configured parameters of a pattern by layer, weakest first; `touch` the
     granted touch zones by pattern; `accepts` the platforms that it may drive beside unseen.
     `tells_pose`: peers need its pose in a shared frame to tell their neighbors.
-    `is_provisional`: whether the pattern of that generation is provisional code.
     """
 
     driver: str
@@ -32,7 +31,6 @@ class RobotSettings:
     touch: Mapping[str, TouchZone] = field(default_factory=dict)
     accepts: Accepts = ACCEPTS_NONE
     tells_pose: bool = False
-    is_provisional: Callable[[int], bool] = lambda generation: False
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -58,6 +58,7 @@ def make_status(
     values = {} if running is None else running.values
     dropped = {
         "msg:inbox_full": sensors.overflowed,
+        "msg:not_a_neighbor": sensors.rejected,
         "msg:wrong_type": lifecycle.wrong_type_count,
         "msg:too_much_said": lifecycle.outbox.dropped,
     }

@@ -1,14 +1,18 @@
-"""Which pages may look and which may command: tokens, hosts, and headers against other sites."""
+"""The address of a page, and who may look and command: tokens, hosts, headers of other sites."""
 
 from __future__ import annotations
 
+import errno
 import hmac
+import os
+import socket
+from contextlib import suppress
 from dataclasses import dataclass
 from urllib.parse import urlsplit
 
 from websockets.datastructures import Headers
 
-from swarmd.core.errors import ConfigError
+from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.network.settings import is_loopback
 
 LEAST_TOKEN = 8
@@ -88,3 +92,37 @@ class Access:
             return bool(self.operator) or is_loopback(urlsplit(f"//{host}").hostname or "")
         except (ValueError, LookupError):  # malformed, or given twice
             return False
+
+
+def check_address(host: str, port: int, access: Access) -> None:
+    """ConfigError if the address needs a token, NetworkError if it cannot be used."""
+    access.check_bind(host)
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    try:
+        socket.create_server((host, port), family=family).close()
+    except OSError as error:
+        raise unusable(host, port, error) from error
+
+
+def unusable(host: str, port: int, error: OSError) -> NetworkError:
+    """The error of an address at which no server can listen, in one line."""
+    why = (
+        "is in use"
+        if error.errno == errno.EADDRINUSE
+        else f"cannot be used ({os.strerror(error.errno or 0)})"
+    )
+    return NetworkError(f"port {port} of {host} {why}; expected a free one, such as --port 0")
+
+
+def page_url(scheme: str, host: str, port: int) -> str:
+    """The address of the page of a server that is bound to `host`."""
+    name = own_address() if host in ("0.0.0.0", "::") else host
+    return f"{scheme}://{f'[{name}]' if ':' in name else name}:{port}/"
+
+
+def own_address() -> str:
+    """The address of this machine in its network, for pages on others; else its name."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe, suppress(OSError):
+        probe.connect(("192.0.2.1", 9))  # sends nothing
+        return str(probe.getsockname()[0])
+    return socket.gethostname()

@@ -8,7 +8,7 @@ from enum import StrEnum
 from fnmatch import fnmatchcase
 from typing import Any
 
-from swarmd.view.keys import PASTED
+from swarmd.view.screen import PASTED
 
 HELP = "space select  a all  / filter  r run  s stop  e ESTOP  x reset  q quit  ? keys"
 KEYS = (

@@ -28,10 +28,8 @@ from websockets.exceptions import ConnectionClosed
 from websockets.http11 import Request, Response
 
 from swarmd.core.errors import SwarmError
-from swarmd.view.access import HEADERS, Access
-from swarmd.view.address import check_address, page_url, unusable
+from swarmd.view.access import HEADERS, Access, check_address, page_url, unusable
 from swarmd.view.client import Client, Rows
-from swarmd.view.connections import limited
 from swarmd.view.playback import Playback
 from swarmd.view.source import Answer, Source, json_of, pack_frame
 
@@ -58,6 +56,10 @@ PAGE = "page"
 _FILE = re.compile(r"[a-z]{1,32}\.[a-z]{1,8}")
 # Keys of rows that only the details of a selected robot show.
 DETAIL_KEYS = frozenset({"requested", "safe", "rows", "limits"})
+MAX_WAITING = 128
+"""Connections without a role, such as those of files; a new one takes the place of the oldest."""
+MAX_UNREAD = 8 * 2**20
+"""Bytes that wait for a client: answers to pings have no other limit."""
 
 
 class Commander(Protocol):
@@ -328,3 +330,30 @@ class ViewServer:
 
 def _refusal(id: str, text: str) -> dict[str, Any]:
     return {"kind": "answer", "id": id, **Answer(text, is_final=True).plain()}
+
+
+def limited(waiting: dict[ServerConnection, None]) -> type[ServerConnection]:
+    """Connections that enter themselves into `waiting`; a role takes a connection out.
+
+    Clients that send much, read nothing or never ask do not fill the server.
+    """
+
+    class Limited(ServerConnection):
+        def connection_made(self, transport: Any) -> None:
+            super().connection_made(transport)
+            waiting[self] = None
+            if len(waiting) > MAX_WAITING:
+                oldest = next(iter(waiting))
+                del waiting[oldest]
+                oldest.transport.abort()
+
+        def connection_lost(self, exc: Exception | None) -> None:
+            waiting.pop(self, None)
+            super().connection_lost(exc)
+
+        def data_received(self, data: bytes) -> None:
+            super().data_received(data)
+            if self.transport.get_write_buffer_size() > MAX_UNREAD:
+                self.transport.abort()
+
+    return Limited

@@ -12,10 +12,9 @@ from swarmd.network.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.why import absence, why
 from swarmd.view.commander import LiveCommander
 from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
-from swarmd.view.keys import KeyDecoder
 from swarmd.view.live import LiveSource
 from swarmd.view.scene import Area, Place, Scene, area_around
-from swarmd.view.screen import Screen
+from swarmd.view.screen import KeyDecoder, Screen
 from swarmd.view.source import Answer
 from swarmd.view.terminal import lines_of
 

@@ -7,18 +7,23 @@ from __future__ import annotations
 
 import json
 import os
-import pty
 import signal
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import pytest
 
-from tests.support.processes import DaemonProcess, run_command, unique_swarm, wait_until
+from swarmd.network.operator import Operator
+from swarmd.network.settings import NetworkSettings
+from swarmd.settings.settings import load_platform
+from swarmd.sim.live.starting import statuses_of
+from tests.support.fake_body import Body
+from tests.support.processes import CAP, DaemonProcess, run_command, unique_swarm, wait_until
 
 pytestmark = pytest.mark.integration
 
@@ -44,7 +49,13 @@ class Swarm:
         (self.plugins / "hangs.py").write_text(HANGS)
         self.home = folder / "home"
         self.home.mkdir()
+        self.operator = Operator(NetworkSettings(swarm=self.name))
         self.daemons = {robot: self.start(robot, folder) for robot in ROBOTS}
+
+    def close(self) -> None:
+        self.operator.close()
+        for daemon in self.daemons.values():
+            daemon.kill()
 
     def start(self, robot: str, folder: Path) -> DaemonProcess:
         """One more daemon."""
@@ -71,57 +82,46 @@ class Swarm:
         return answer
 
     def status(self, robot: str) -> Any:
-        return self.json("describe", robot)["member"]["status"]
+        """The status in plain values, as an operator in this process sees it."""
+        return msgspec.to_builtins(statuses_of(self.operator.members())[robot])
 
     def has_body(self, robot: str) -> bool:
         """True once the driver of the robot is connected."""
         return bool(self.status(robot)["health"]["driver_up"])
 
     def is_alive(self, *robots: str) -> bool:
-        conditions = {m["robot"]: m["presence"] for m in self.json("members").get("members", [])}
-        return all(conditions.get(robot) == "alive" for robot in robots)
+        return set(robots) <= set(statuses_of(self.operator.members()))
 
 
 @pytest.fixture(scope="module")
 def running(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Swarm]:
     name = unique_swarm()
-    with bodies_of(name, "r1", "r2") as endpoints:
+    platform = load_platform("waffle_pi")
+    with ExitStack() as left:
+        bodies = {
+            robot: left.enter_context(Body(platform, swarm=name, robot=robot))
+            for robot in ("r1", "r2")
+        }
+        endpoints = {robot: body.endpoint for robot, body in bodies.items()}
         swarm = Swarm(tmp_path_factory.mktemp("swarm"), name, endpoints)
-        try:
-            for daemon in swarm.daemons.values():
-                daemon.wait_ready()
-            wait_until(lambda: all(map(swarm.has_body, endpoints)), "the bodies are found")
-            yield swarm
-        finally:
-            for daemon in swarm.daemons.values():
-                daemon.kill()
-
-
-@contextmanager
-def bodies_of(swarm: str, *robots: str) -> Iterator[Mapping[str, str]]:
-    """Bodies for these robots, in a process of their own, since a test forks; their endpoints."""
-    command = [sys.executable, "-m", "tests.swarm.bodies", "--swarm", swarm, *robots]
-    with subprocess.Popen(
-        command,
-        stdin=subprocess.PIPE,
-        stdout=subprocess.PIPE,
-        text=True,
-        cwd=Path(__file__).parents[2],
-    ) as process:
-        assert process.stdout is not None
-        yield json.loads(process.stdout.readline())["endpoints"]
-        process.communicate()  # they end with their standard input
+        left.callback(swarm.close)
+        for daemon in swarm.daemons.values():
+            daemon.wait_ready()
+        wait_until(lambda: swarm.is_alive(*ROBOTS), "all alive")
+        wait_until(lambda: all(map(swarm.has_body, endpoints)), "the bodies are found")
+        yield swarm
 
 
 @pytest.fixture
 def swarm(running: Swarm) -> Iterator[Swarm]:
     """The swarm, all stopped, without emergency stops; thawed and reset at the end."""
-    running.ctl("stop")
+    running.operator.send_stop("stop", select=lambda names: (), names=ROBOTS)
     yield running
     for daemon in running.daemons.values():
         daemon.thaw()
     wait_until(lambda: running.is_alive(*ROBOTS), "all alive again")
-    running.ctl("reset", "--all", "--yes")
+    if any(running.status(robot)["latches"] for robot in ROBOTS):
+        assert running.ctl("reset", "--all", "--yes").returncode == 0
     names = running.home / ".cache" / "swarmd" / f"members-dev-{running.name}.json"
     written = [path for path in running.home.rglob("*") if path.is_file()]
     assert written in ([], [names])  # no verb has written anything but names for completion
@@ -279,6 +279,8 @@ def test_describe_explains_and_shows_everything(swarm: Swarm) -> None:
     assert lines[0].startswith("r1: stopped: ")
     assert {"Robot", "State", "Protection", "Health", "Events"} <= set(lines)
     assert "  labels    red" in lines
+    member = swarm.json("describe", "r1")["member"]
+    assert (member["robot"], member["status"]["labels"]) == ("r1", ["red"])
 
 
 def test_an_alive_robot_is_not_forgotten(swarm: Swarm) -> None:
@@ -287,27 +289,36 @@ def test_an_alive_robot_is_not_forgotten(swarm: Swarm) -> None:
     assert "r1 is alive" in done.stderr
 
 
+# A process that makes its standard input its terminal, where Ctrl-C reaches it.
+IN_TERMINAL = (
+    "import fcntl, termios; fcntl.ioctl(0, termios.TIOCSCTTY, 0);"
+    " from swarmd.cli.swarmctl import main; main()"
+)
+
+
 def in_terminal(swarm: Swarm, act: Callable[[int, int], None], *args: str) -> tuple[int, str]:
     """Exit code and screen of a command in a terminal; `act(pid, terminal)` on its question."""
-    pid, terminal = pty.fork()
-    if pid == 0:
-        os.chdir(swarm.home)
-        command = [sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()", *args]
-        os.execve(sys.executable, command, swarm.environment)
+    terminal, own = os.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", IN_TERMINAL, *args],
+        stdin=own, stdout=own, stderr=own,
+        cwd=swarm.home, env=swarm.environment, start_new_session=True,
+    )  # fmt: skip
+    os.close(own)
     screen = b""
     try:
         while b"[y/N]" not in screen:
             screen += os.read(terminal, 1024)
         # A signal between the question and the read is noted only once a line has come.
-        wait_until(lambda: reads_stdin(pid), "the command reads the answer")
-        act(pid, terminal)
+        wait_until(lambda: reads_stdin(process.pid), "the command reads the answer")
+        act(process.pid, terminal)
         while piece := os.read(terminal, 1024):
             screen += piece
     except OSError:  # how Linux says that the other end of a terminal is closed
         pass
     finally:
         os.close(terminal)
-    return os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1]), screen.decode()
+    return process.wait(CAP), screen.decode()
 
 
 def reads_stdin(pid: int) -> bool:
@@ -316,7 +327,6 @@ def reads_stdin(pid: int) -> bool:
     return len(words) > 1 and words[1] == "0x0"
 
 
-@pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 @pytest.mark.parametrize(
     ("act", "code", "state"),
     [
@@ -369,5 +379,4 @@ def test_a_killed_robot_is_listed_until_it_is_forgotten(
         assert "r3" not in swarm.ctl("members").stdout
         assert last_line(swarm.ctl("run", "drive", "--all")) == "3 targeted, 3 applied"
     finally:
-        for daemon in swarm.daemons.values():
-            daemon.kill()
+        swarm.close()

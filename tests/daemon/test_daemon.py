@@ -161,7 +161,7 @@ async def test_a_stop_that_cannot_be_handled_ends_the_daemon(
     settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     daemon = Daemon(settings, RecordingDriver())
-    monkeypatch.setattr(daemon._inputs, "_stop", _broken)
+    monkeypatch.setattr(daemon._requests, "stop", _broken)
     payload = pack(tag_of("dev", settings.network.swarm), ESTOP)
     with pytest.raises(ZeroDivisionError, match="on purpose"):
         await run(

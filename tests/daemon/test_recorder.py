@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.clock import boottime
+from swarmd.core.events import MessageInput, OdometryInput, ScanInput
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.core.verbs import Nothing, RecordingsReply
@@ -64,10 +65,9 @@ def test_each_entry_is_in_the_file_with_its_time_and_order(tmp_path: Path) -> No
         recorder = Recorder(asyncio.get_running_loop(), events.append)
         recorder.start(tmp_path, "tb3-01", {"robot": "tb3-01"}, FileLimits())
         for seq in range(50):
-            recorder.scan(scan(seq), 0.0)
-            recorder.add(
-                frames.OdometryEntry(0.0, Odometry(0.1 * seq, Pose(seq, 0.0, 0.0), Twist(0.1)))
-            )
+            recorder.input(ScanInput(scan(seq)), 0.0)
+            reading = Odometry(0.1 * seq, Pose(seq, 0.0, 0.0), Twist(0.1))
+            recorder.input(OdometryInput(reading), 0.0)
             row = LimitingObstacle(0.1, 0.2, 0.3)
             decision = Decision(
                 "barrier", Twist(0.2), Twist(0.1), None, True, (row,), 0.2, 0.01, seq
@@ -75,7 +75,7 @@ def test_each_entry_is_in_the_file_with_its_time_and_order(tmp_path: Path) -> No
             recorder.add(frames.DecisionEntry(0.1 * seq, "scan", "running", "", decision))
             recorder.flush()
         recorder.add(frames.EventEntry(5.0, "a line"))
-        recorder.add(frames.MessageEntry(5.0, "tb3-02", "vote/opinion", {"value": [1, None]}))
+        recorder.input(MessageInput("tb3-02", "vote/opinion", {"value": [1, None]}), 5.0)
         recorder.close(WAIT)
 
     asyncio.run(run())
@@ -87,6 +87,7 @@ def test_each_entry_is_in_the_file_with_its_time_and_order(tmp_path: Path) -> No
     for one in found.messages:
         by_topic.setdefault(one.topic, []).append(messages.deserialize(one.kind, one.payload))
     assert {topic: len(each) for topic, each in by_topic.items()} == {
+        "/input": 101,
         "/scan/geometry": 1,
         "/scan": 50,
         "/odometry": 50,
@@ -112,7 +113,7 @@ def test_a_frozen_recorder_process_drops_entries_and_delays_nothing(tmp_path: Pa
     async def run() -> tuple[int, float]:
         recorder = Recorder(asyncio.get_running_loop(), events.append)
         recorder.start(tmp_path, "a", {}, FileLimits())
-        recorder.add(frames.OdometryEntry(boottime(), Odometry(0.0, Pose(), Twist())))
+        recorder.input(OdometryInput(Odometry(0.0, Pose(), Twist())), boottime())
         recorder.flush()
         await until(lambda: recorder.report.path)
         assert recorder._open is not None
@@ -122,14 +123,15 @@ def test_a_frozen_recorder_process_drops_entries_and_delays_nothing(tmp_path: Pa
         seq = 0
         while recorder.dropped == 0:
             begin = time.thread_time()
-            recorder.scan(replace(scan(seq), bearings=BEARINGS + 1e-9 * seq), boottime())
+            turned = replace(scan(seq), bearings=BEARINGS + 1e-9 * seq)
+            recorder.input(ScanInput(turned), boottime())
             recorder.flush()
             longest = max(longest, time.thread_time() - begin)
             seq += 1
         dropped = recorder.dropped
         process.send_signal(signal.SIGCONT)
         await until(lambda: recorder.report.bytes > 10_000)
-        recorder.scan(scan(seq), boottime())
+        recorder.input(ScanInput(scan(seq)), boottime())
         recorder.close(WAIT)
         return dropped, longest
 
@@ -145,7 +147,7 @@ def test_a_frozen_recorder_process_drops_entries_and_delays_nothing(tmp_path: Pa
     last = [one for one in found.messages if one.topic == "/scan/geometry"][-1]
     geometry = messages.deserialize(last.kind, last.payload)
     assert geometry.bearings.tobytes() == BEARINGS.tobytes()
-    assert found.messages.index(scans[-1]) == found.messages.index(last) + 1
+    assert found.messages.index(scans[-1]) == found.messages.index(last) + 2  # and its input
 
 
 def test_a_recorder_process_that_is_killed_is_reported_once(tmp_path: Path) -> None:
@@ -158,16 +160,16 @@ def test_a_recorder_process_that_is_killed_is_reported_once(tmp_path: Path) -> N
         recorder._open.process.kill()
         await until(lambda: events)
         assert not recorder.is_on
-        recorder.scan(scan(1), 0.0)
+        recorder.input(ScanInput(scan(1)), 0.0)
         recorder.flush()
         recorder.start(tmp_path, "a", {}, FileLimits())
-        recorder.scan(scan(2), 0.0)
+        recorder.input(ScanInput(scan(2)), 0.0)
         recorder.close(WAIT)
 
     asyncio.run(run())
     assert events == ["recording ends: its process was killed by SIGKILL"]
     found = [one for one in files_in(tmp_path) if one.messages]
-    assert [m.topic for m in found[-1].messages] == ["/scan/geometry", "/scan"]
+    assert [m.topic for m in found[-1].messages] == ["/scan/geometry", "/input", "/scan"]
 
 
 def test_the_file_of_a_daemon_that_died_with_a_report_unread_is_whole(tmp_path: Path) -> None:
@@ -221,7 +223,7 @@ def test_a_folder_that_cannot_be_written_is_an_event_and_stands_in_the_list(
         section = RecordingSection(from_start=True, folder=str(tmp_path / "file" / "folder"))
         service = RecordingService("a", section, head, events.append)
         service.start_if_wanted()
-        service.recorder.scan(scan(1), 0.0)
+        service.recorder.input(ScanInput(scan(1)), 0.0)
         service.recorder.flush()
         await until(lambda: events)
         service.close()
@@ -263,7 +265,7 @@ async def run():
     recorder.start(Path(sys.argv[1]), "a", {}, FileLimits(file_bytes=100_000))
     rng = np.random.default_rng(1)
     for seq in range(100_000):
-        recorder.scan(replace(scan(seq), ranges=rng.uniform(0.2, 3.0, 180)), 0.0)
+        recorder.input(ScanInput(replace(scan(seq), ranges=rng.uniform(0.2, 3.0, 180))), 0.0)
         recorder.flush()
         await asyncio.sleep(0)
         if events and not recorder.is_on:

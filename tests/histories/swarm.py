@@ -1,6 +1,6 @@
 """The real `Robot`, `Peer` and `RequestServer` of several daemons in virtual time; no sockets.
 
-`VirtualDaemon` is wired as `daemon/daemon.py`, `daemon/network.py` and `daemon/network_inputs.py`
+`VirtualDaemon` is wired as `daemon/daemon.py` and `daemon/network.py`
 are: the order of calls, the files of latches and goals, the claim of the id and the latches of the
 peers before requests are served. The driver, the pattern host and the links of operators are
 reduced to what they deliver, and when. Datagrams are not packed: their codec has tests of its own.

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 import zenoh
 
-from swarmd.cli.keys_router import router_configuration
+from swarmd.cli.keys import router_configuration
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.keys import CONTROL, build
 from swarmd.core.messages import Presence

@@ -20,9 +20,23 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from swarmd.core.errors import ConfigError
-from swarmd.core.host_messages import Loaded
+from swarmd.core.events import (
+    CodeInput,
+    DriverInput,
+    DuplicateInput,
+    HostInput,
+    Input,
+    MessageInput,
+    NeighborsInput,
+    OdometryInput,
+    PoseInput,
+    ReadingsInput,
+    RosterInput,
+    ScanInput,
+)
+from swarmd.core.host_messages import Stepped
 from swarmd.core.messages import LimitingObstacle
-from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist
+from swarmd.core.values import Neighbor, Odometry, Outputs, Pose, Scan, SharedPose, Twist
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages
 from swarmd.recording.cdr import CdrWriter, Message
@@ -237,28 +251,33 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
     row = LimitingObstacle(0.1, 0.2, 0.3)
     decision = Decision("barrier", Twist(0.2), Twist(0.1), None, True, (row,), 0.2, None, 3)
     scan = Scan(7, 2.0, np.array([0.7, math.inf]), np.array([-0.1, 0.3]), 0.12, 3.5)
-    host = frames.encode_host(Loaded(1, 10.0, frozenset(), {}))
+    stepped = Stepped(1, Outputs(Twist(0.2)), 7)
     converter = Converter(frames.Begin(1.0, str(tmp_path), "a", {"robot": "a"}, 9e8, FileLimits()))
     entries: tuple[frames.Entry, ...] = (
-        frames.scan_entry(scan, 2.0, None),
-        frames.OdometryEntry(2.0, Odometry(2.0, Pose(1.0), Twist(0.1))),
-        frames.NeighborsEntry(2.0, (Neighbor("b", 0.0, 1.0, None, 0.5), Neighbor("cc", 0.0))),
-        frames.PoseEntry(2.0, SharedPose(2.0, Pose(1.0, 2.0, 0.5), 0.1, 0.02, "hall")),
-        frames.ReadingsEntry(2.0, {"battery": 0.5}),
-        frames.ReadingsEntry(2.0, {}),
-        frames.DriverEntry(2.0, True, "Grüße", "", False),
-        frames.HostEntry(2.0, host),
-        frames.RequestedEntry(2.0, Twist(0.2), 7),
         frames.DecisionEntry(2.0, "scan", "running", "", decision),
-        frames.MessageEntry(2.0, "b", "vote/opinion", {"value": [1, None]}),
-        frames.MessageEntry(2.0, "a", "vote/opinion", 3),
+        frames.SentEntry(2.0, "vote/opinion", 3),
         frames.TextEntry(2.0, "/status", b'{"state":"idle"}'),
         frames.EventEntry(2.0, "a line"),
         frames.ClockEntry(2.0, "b", "00ff", 1.0, 2.0, 3.0),
         frames.DroppedEntry(2.0, 4),
     )
-    assert {type(one) for one in entries} | {frames.Begin} == set(get_args(frames.Entry))
-    for entry in entries:
+    inputs: tuple[Input, ...] = (
+        ScanInput(scan),
+        OdometryInput(Odometry(2.0, Pose(1.0), Twist(0.1))),
+        NeighborsInput((Neighbor("b", 0.0, 1.0, None, 0.5), Neighbor("cc", 0.0))),
+        PoseInput(SharedPose(2.0, Pose(1.0, 2.0, 0.5), 0.1, 0.02, "hall")),
+        ReadingsInput({"battery": 0.5}),
+        ReadingsInput({}),
+        DriverInput(True, "Grüße"),
+        HostInput(stepped),
+        MessageInput("b", "vote/opinion", {"value": [1, None]}),
+        CodeInput(),
+        DuplicateInput("instance 1"),
+        RosterInput("2", True),
+    )
+    kinds = {type(one) for one in entries} | {frames.Begin, frames.InputEntry}
+    assert kinds == set(get_args(frames.Entry))
+    for entry in (*(frames.input_entry(one, 2.0) for one in inputs), *entries):
         (copy,) = frames.decode_batch(frames.batch([frames.encode_entry(entry)]))
         converter.add(copy)
     converter.writer.close()
@@ -274,7 +293,10 @@ def test_every_kind_of_entry_is_a_message_that_a_ros_decoder_reads(tmp_path: Pat
         "/pose": "swarmd_msgs/msg/SharedPose",
         "/readings": "swarmd_msgs/msg/Readings",
         "/driver": "swarmd_msgs/msg/DriverState",
-        "/host": "swarmd_msgs/msg/Bytes",
+        "/input": "swarmd_msgs/msg/Bytes",
+        "/code": "swarmd_msgs/msg/Text",
+        "/duplicate": "swarmd_msgs/msg/Text",
+        "/roster": "swarmd_msgs/msg/Text",
         "/command/requested": "swarmd_msgs/msg/Requested",
         "/decision": "swarmd_msgs/msg/Decision",
         "/message/received": "swarmd_msgs/msg/Text",

@@ -12,9 +12,10 @@ from mcap_ros2.decoder import DecoderFactory
 
 from swarmd.cli.swarmctl import cli
 from swarmd.core.errors import ConfigError
+from swarmd.core.events import OdometryInput
 from swarmd.core.values import Odometry, Pose, Twist
 from swarmd.recording.clock_offset import Exchange
-from swarmd.recording.frames import Begin, ClockEntry, OdometryEntry
+from swarmd.recording.frames import Begin, ClockEntry, input_entry
 from swarmd.recording.limits import FileLimits
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
@@ -34,7 +35,8 @@ def record(folder: Path, robot: str, *, hears: str = "", clock: str = "") -> Pat
         Begin(boot, str(folder / robot), robot, about, WALLS[robot], FileLimits())
     )
     for k in range(21):
-        converter.add(OdometryEntry(boot + k, Odometry(0.0, Pose(k, 0.0, 0.0), Twist())))
+        reading = Odometry(0.0, Pose(k, 0.0, 0.0), Twist())
+        converter.add(input_entry(OdometryInput(reading), boot + k))
         if hears and k % 5 == 0:
             sent, answered = boot + k, BOOTS[hears] + k + 0.002
             peer = f"clock-{hears}"

@@ -10,14 +10,13 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
-from msgspec import structs
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.events import CodeInput, HazardsInput, RangesInput
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import PatternFailed
 from swarmd.core.messages import Latch, State
 from swarmd.core.values import Platform, Scan
-from swarmd.daemon.recorded_robot import RecordedRobot
 from swarmd.daemon.recorder import Recorder
 from swarmd.kit.behavior import Pattern
 from swarmd.patterns.drive import Drive
@@ -31,6 +30,7 @@ from swarmd.recording.process import Converter
 from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.replay.replay import Parity, recordings_of, repeat, total
 from swarmd.robot.latches import LatchRecord
+from swarmd.robot.robot import Robot
 from swarmd.testing.scans import empty_scan
 from tests.support.range_ring import ring_scan, with_ring
 from tests.support.robot_harness import RobotHarness
@@ -51,12 +51,6 @@ class FileRecorder(Recorder):
     def is_on(self) -> bool:
         return self._converter is not None
 
-    def scan(self, scan: Scan, now: float, topic: str = "/scan") -> None:
-        self.add(frames.scan_entry(scan, now, None, topic))
-
-    def text(self, topic: str, value: object, now: float) -> None:
-        self.add(frames.TextEntry(now, topic, frames.as_json(value)))
-
     def add(self, entry: frames.Entry) -> None:
         if self._converter is not None:
             (copy,) = frames.decode_batch(frames.batch([frames.encode_entry(entry)]))
@@ -69,8 +63,8 @@ class FileRecorder(Recorder):
             robot.now, str(self._folder), robot.robot.id, head.texts(), 1.7e9, FileLimits()
         )
         self._converter = Converter(begin)
-        for entry in self._latest.values():
-            self.add(structs.replace(entry, at=robot.now))
+        for input in list(self._lasting.values()):
+            self.input(input, robot.now)
 
     def finish(self) -> RecordedFile:
         assert self._converter is not None
@@ -113,11 +107,12 @@ class Story:
     ) -> None:
         self.recorder = FileRecorder(folder)
         record = LatchRecord(held=dict(latches or {}))
-        make = partial(_recorded, recorder=self.recorder, has_ring=has_ring)
+        make = partial(_made, has_ring=has_ring)
         self.provisional: set[int] = set()
         self.robot = RobotHarness(
             patterns=PATTERNS,
             make=make,
+            take=self.recorder.step,
             latches=record,
             is_provisional=lambda generation: generation in self.provisional,
         )
@@ -131,7 +126,7 @@ class Story:
         if robot.platform.ranges is not None:
             near = float(np.float32(0.3 + 0.2 * np.cos(3.0 * now)))
             ring = ring_scan(seq, now, {0.0: near, 60.0: 0.125})
-            self.robot.carry_out(robot.on_ranges(ring, now))
+            self.robot.step(RangesInput(ring))
         return replace(scan, ranges=np.where(ahead, np.float32(distance), scan.ranges))
 
     def run(self, pattern: str, seconds: float = 3.0, **params: float) -> None:
@@ -143,10 +138,8 @@ class Story:
         return repeat([self.recorder.finish()], ORIGINS)[1]
 
 
-def _recorded(
-    id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any
-) -> RecordedRobot:
-    return RecordedRobot(id, with_ring(platform) if has_ring else platform, *args, **kwargs)
+def _made(id: str, platform: Platform, *args: Any, has_ring: bool, **kwargs: Any) -> Robot:
+    return Robot(id, with_ring(platform) if has_ring else platform, *args, **kwargs)
 
 
 def assert_equal(parity: Parity, least: int) -> None:
@@ -232,14 +225,14 @@ def test_a_fault_of_provisional_code_and_new_code_are_repeated(tmp_path: Path) -
     story.recorder.begin(story.robot)
     story.robot.advance(1.0)
     story.run("drive", speed=0.1)
-    story.robot.carry_out(story.robot.robot.on_code_changed(story.robot.now))
+    story.robot.step(CodeInput())
     story.provisional = {story.robot.robot.generation}
     story.robot.advance(1.0)
     story.robot.host_says(PatternFailed(story.robot.robot.generation, "on purpose"))
     story.robot.advance(1.0)
     assert story.robot.robot.state is State.FAULTED
     recorded = story.recorder.finish()
-    assert "/code_changed" in {one.topic for one in recorded.messages}
+    assert "/code" in {one.topic for one in recorded.messages}
     assert_equal(repeat([recorded], ORIGINS)[1], 100)
 
 
@@ -274,7 +267,7 @@ def test_hazards_are_repeated(tmp_path: Path) -> None:
     robot = story.robot
 
     def tell(*hazards: Hazard) -> None:
-        robot.carry_out(robot.robot.on_hazards(hazards, robot.now))
+        robot.step(HazardsInput(hazards))
 
     tell(Hazard(HazardKind.CLIFF))  # before the recording, which begins with it
     story.recorder.begin(robot)

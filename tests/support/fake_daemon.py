@@ -15,14 +15,18 @@ from functools import partial
 from typing import Any, Self
 
 from swarmd.core import verbs
+from swarmd.core.clock import ClockSample
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
+from swarmd.core.events import Input
+from swarmd.core.goal import Goal
 from swarmd.core.messages import Code, Epoch, Reason, Refusal, Reply, State, Status
 from swarmd.core.verbs import AnyRequest
-from swarmd.daemon.network import Network, NetworkHandlers
+from swarmd.daemon.network import Network
 from swarmd.network.bus import Query, ZenohBus
-from swarmd.network.datagram import Stop
+from swarmd.network.datagram import Address, Stop
 from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.interface_watch import InterfaceChange
 from swarmd.network.peer import Summary
 from swarmd.network.settings import NetworkSettings
 from tests.support.keys import SwarmKeys
@@ -76,20 +80,6 @@ class FakeDaemon:
 
     async def start(self) -> None:
         """Open, claim and serve; NetworkError if the id is taken."""
-        handlers = NetworkHandlers(
-            summary=lambda: Summary(State.IDLE, 0, {}),
-            on_stop=self._on_stop,
-            on_latches=lambda latches: None,
-            on_message=lambda message: None,
-            on_place=lambda place: None,
-            on_clock=lambda sample: None,
-            on_members=lambda: None,
-            on_duplicate=lambda holder: None,
-            on_interface=lambda change: None,
-            on_event=lambda text: None,
-            on_newer_roster=lambda robot, address, generation: None,
-            serve=self._serve,
-        )
         self.network = Network(
             self.settings,
             self.robot,
@@ -102,10 +92,37 @@ class FakeDaemon:
         )
         self._advancing = asyncio.create_task(self._advance())
         try:
-            await self.network.join(handlers)
+            await self.network.join(self)
         except BaseException:
             self.vanish()
             raise
+
+    def summary(self) -> Summary:
+        return Summary(State.IDLE, 0, {})
+
+    def check_goal(self, goal: Goal, now: float) -> bool:
+        return True
+
+    def on_input(self, input: Input) -> None:
+        """It has no robot."""
+
+    def on_clock(self, sample: ClockSample) -> None:
+        """It records nothing."""
+
+    def on_members(self) -> None:
+        """It has no neighbors."""
+
+    def on_interface(self, change: InterfaceChange) -> None:
+        """It has no run to end."""
+
+    def on_event(self, text: str) -> None:
+        """It has no log."""
+
+    def on_newer_roster(self, robot: str, address: Address, generation: int) -> None:
+        """It keeps its roster."""
+
+    def on_table(self, robot: str, digest: bytes, address: Address) -> None:
+        """It takes no pushed behaviours."""
 
     def status(self) -> Status:
         return light_status(self.robot, self.instance)
@@ -129,12 +146,12 @@ class FakeDaemon:
             self.network.advance()
             await asyncio.sleep(0.05)
 
-    def _serve(self, bus: ZenohBus) -> None:
+    def serve(self, bus: ZenohBus) -> None:
         bus.serve_view(self.status, lambda: tuple(self.network.members.values()), self._roster)
         for verb in VERBS:
             bus.serve("control", verb, partial(self._on_query, verb))
 
-    def _on_stop(self, stop: Stop, source: object, answer: Callable[[Reply], None]) -> None:
+    def on_stop(self, stop: Stop, source: Address, answer: Callable[[Reply], None]) -> None:
         if stop.targets is None or self.robot in stop.targets:
             self.requests.append(stop)
             self._reply(stop, answer)

@@ -19,6 +19,18 @@ import numpy as np
 
 from swarmd.core.clock import TICK
 from swarmd.core.errors import UnknownPatternError, unknown
+from swarmd.core.events import (
+    TICK_INPUT,
+    DriverInput,
+    GoalInput,
+    HostInput,
+    Input,
+    OdometryInput,
+    ProvisionalInput,
+    RequestInput,
+    ScanInput,
+    TickInput,
+)
 from swarmd.core.goal import Goal, GoalRecord
 from swarmd.core.host_messages import HostCommand, HostEvent, KillHost
 from swarmd.core.messages import Code, Epoch, Reply, Status
@@ -46,6 +58,7 @@ class RobotHarness:
     `scans(seq, now)` gives each scan (None: no scan). A test may replace it, `odometry` and
     `is_hung` (the pattern host does not answer) at any time. `twist` is the last safe command,
     `commands` holds all of them as (time, twist).
+    `take`: steps the robot, such as the `step` of a recorder.
     """
 
     def __init__(
@@ -58,6 +71,7 @@ class RobotHarness:
         instance: str = "boot1",
         touch: Mapping[str, TouchZone] | None = None,
         make: Callable[..., Robot] = Robot,
+        take: Callable[[Robot, Input, float], Actions | None] = Robot.step,
         is_provisional: Callable[[int], bool] = lambda generation: False,
     ) -> None:
         self.platform = load_platform(platform)
@@ -76,6 +90,7 @@ class RobotHarness:
         self.is_hung = False
         self._patterns = dict(patterns or {})
         self._runner = InlineRunner(lambda: PatternExecutor(self._find))
+        self._take, self._is_provisional = take, is_provisional
         self._ticks = 0
         self._requests = 0
         self.robot = make(
@@ -85,7 +100,6 @@ class RobotHarness:
                 driver="story",
                 layers=lambda name: (),
                 touch=touch or {},
-                is_provisional=is_provisional,
             ),
             seed=1,
             instance=instance,
@@ -93,7 +107,7 @@ class RobotHarness:
             latches=latches,
             goals=goals,
         )
-        self.carry_out(self.robot.on_driver(True, "there", self.now))
+        self.step(DriverInput(True, "there"))
 
     @property
     def status(self) -> Status:
@@ -118,20 +132,30 @@ class RobotHarness:
             begin, self.now = self.now, round(self.now + TICK, 9)  # as a clock that counts ns
             wake_at = self.robot.wake_at(begin)
             while wake_at is not None and wake_at < self.now:
-                self.carry_out(self.robot.tick(wake_at), wake_at)
+                self.step(TICK_INPUT, wake_at)
                 wake_at = self.robot.wake_at(wake_at)
             self._ticks += 1
             if self.odometry is not None:
                 measured = Odometry(self.now, Pose(), self.odometry)
-                self.robot.on_odometry(measured, self.now)
+                self.step(OdometryInput(measured))
             if self._ticks % per_scan == 0:
                 self.scan(self.scans(self._ticks // per_scan, self.now))
-            self.carry_out(self.robot.tick(self.now))
+            self.step(TICK_INPUT)
+
+    def step(self, input: Input, now: float | None = None) -> None:
+        """An input arrives, now or at `now`; the work of the shell that follows is done."""
+        at = self.now if now is None else now
+        if isinstance(input, TickInput | HostInput):
+            current = tuple(filter(self._is_provisional, self.robot.generations))
+            self._take(self.robot, ProvisionalInput(current), at)
+        actions = self._take(self.robot, input, at)
+        if actions is not None:
+            self.carry_out(actions, at)
 
     def scan(self, scan: Scan | None) -> None:
         """A scan arrives now."""
         if scan is not None:
-            self.carry_out(self.robot.on_scan(scan, self.now))
+            self.step(ScanInput(scan))
 
     def request(self, verb: str, epoch: Epoch | None = None, **args: Any) -> Request:
         """A request that targets this robot at the given epoch (None: the present one)."""
@@ -148,7 +172,7 @@ class RobotHarness:
     def send(self, request: Request) -> Reply | None:
         """Send a request; returns its reply, None if it follows later."""
         before = len(self.replies)
-        self.carry_out(self.robot.on_request(request, self.now))
+        self.step(RequestInput(request))
         answers = [reply for reply in self.replies[before:] if reply.id == request.id]
         return answers[-1] if answers else None
 
@@ -186,7 +210,7 @@ class RobotHarness:
 
     def find(self, goal: Goal, age: float | None = 0.0, *, may_join: bool = True) -> None:
         """A peer holds this goal, set `age` s ago; `may_join`: what others hold is known, too."""
-        self.carry_out(self.robot.on_goal(goal, age, self.now, may_join=may_join))
+        self.step(GoalInput(goal, age, may_join))
 
     def install(self, name: str, pattern: type[Pattern[Any]]) -> None:
         """Let pattern hosts find one more pattern."""
@@ -194,7 +218,7 @@ class RobotHarness:
 
     def host_says(self, event: HostEvent) -> None:
         """An event of the pattern host arrives now."""
-        self.carry_out(self.robot.on_host(event, self.now))
+        self.step(HostInput(event))
 
     def carry_out(self, actions: Actions, now: float | None = None) -> None:
         """Do the work of the shell, in this process."""
@@ -218,7 +242,7 @@ class RobotHarness:
                     events.append(self._runner.send(command))
         for event in events:
             if event is not None:
-                self.carry_out(self.robot.on_host(event, self.now if now is None else now), now)
+                self.step(HostInput(event), now)
 
     def nan_scan(self, share: float, *, sector: tuple[float, float] | None = None) -> ScanSource:
         """A source whose scans lack a share of single rays, or the sector (rad, from and to)."""

@@ -391,7 +391,7 @@ class Handlers:
             while not self.daemon._has_joined:
                 await asyncio.sleep(0.02)
         self.bus = OpenBus(self.robot, self.daemon._drops)
-        self.daemon._serve(self.bus)
+        self.daemon.serve(self.bus)
 
     def __exit__(self, *_: object) -> None:
         async def end() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.view.controls import Command, Controls, Mode
-from swarmd.view.keys import PASTED
+from swarmd.view.screen import PASTED
 
 ROWS = {"a1": "idle never_asked", "a2": "running drive", "b1": "estopped estop"}
 

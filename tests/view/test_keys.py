@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.view.keys import PASTED, KeyDecoder
+from swarmd.view.screen import PASTED, KeyDecoder
 
 
 @pytest.mark.parametrize(

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.events import OdometryInput, ScanInput
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.protection.compatibility import ACCEPTS_NONE
@@ -53,11 +54,11 @@ def recorded(folder: Path, robot: str, begin: float, seconds: float, clock: str 
     converter = Converter(
         frames.Begin(begin, str(folder), robot, texts, 1.7e9 + begin, FileLimits())
     )
-    before: Scan | None = None
     for k in range(int(10 * seconds) + 1):
         at, is_running = begin + 0.1 * k, 0.1 * k < seconds / 2
         pose = Pose(SPEED * 0.1 * k, 0.0, math.pi - 0.01 + 0.1 * k)
-        converter.add(frames.OdometryEntry(at, Odometry(at, pose, Twist(SPEED))))
+        reading = Odometry(at, pose, Twist(SPEED))
+        converter.add(frames.input_entry(OdometryInput(reading), at))
         state, reason = ("running", "") if is_running else ("stopped", "operator")
         twist = Twist(SPEED * is_running)
         decision = Decision(
@@ -74,8 +75,7 @@ def recorded(folder: Path, robot: str, begin: float, seconds: float, clock: str 
         converter.add(frames.DecisionEntry(at, "tick", state, reason, decision))
         ranges = np.full(len(BURGER.scan.bearings), 1.0 + k)
         scan = Scan(k, at, ranges, BURGER.scan.bearings, 0.1, 3.5)
-        converter.add(frames.scan_entry(scan, at, before))
-        before = scan
+        converter.add(frames.input_entry(ScanInput(scan), at))
     converter.add(frames.EventEntry(begin + seconds / 2, "stopped by anna"))
     converter.writer.close()
     assert converter.writer.path is not None

@@ -369,7 +369,7 @@ async def test_a_flood_of_selections_reaches_the_robots_now_and_then() -> None:
 async def test_connections_that_ask_nothing_take_the_place_of_no_page(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("swarmd.view.connections.MAX_WAITING", 3)
+    monkeypatch.setattr("swarmd.view.server.MAX_WAITING", 3)
     server = ViewServer(OneRobot(), None, Access("operator-token"))
     address = await server.start("127.0.0.1", 0)
     host, port = address.removeprefix("http://").rstrip("/").split(":")
@@ -394,7 +394,7 @@ async def test_connections_that_ask_nothing_take_the_place_of_no_page(
 async def test_a_page_that_sends_pings_and_reads_nothing_is_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("swarmd.view.connections.MAX_UNREAD", 10_000)
+    monkeypatch.setattr("swarmd.view.server.MAX_UNREAD", 10_000)
     source = Faulty()
     server = ViewServer(source, None, Access())
     address = await server.start("127.0.0.1", 0)

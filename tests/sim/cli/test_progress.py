@@ -10,7 +10,8 @@ import sys
 
 import pytest
 
-from swarmd.sim.cli.progress import ends_on_sigterm, progress
+from swarmd.cli.output import signals_end
+from swarmd.sim.cli.progress import progress
 from swarmd.sim.experiments.simulate import Progress
 
 SHOW = """
@@ -88,7 +89,7 @@ def test_on_a_terminal_there_is_a_bar(no_colour: str) -> None:
 
 def test_sigterm_ends_in_order_and_only_meanwhile() -> None:
     before = signal.getsignal(signal.SIGTERM)
-    with pytest.raises(SystemExit) as caught, ends_on_sigterm():
+    with pytest.raises(SystemExit) as caught, signals_end(signal.SIGTERM):
         os.kill(os.getpid(), signal.SIGTERM)
     assert caught.value.code == 143
     assert signal.getsignal(signal.SIGTERM) is before

@@ -18,8 +18,7 @@ from swarmd.core.values import Array
 from swarmd.sim.experiments.export import export, write_mcap
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import simulate
-from swarmd.sim.trace import Trace
-from swarmd.sim.trace_frame import COLUMNS
+from swarmd.sim.trace import COLUMNS, Trace
 
 SPEED = "groups.all.parameters.speed"
 

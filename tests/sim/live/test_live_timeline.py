@@ -13,9 +13,9 @@ from swarmd.core.messages import Code, Epoch, Reply
 from swarmd.network.members_view import MembersView
 from swarmd.network.operator import Operator
 from swarmd.network.outcome import Outcome
+from swarmd.sim.live.demo_run import LiveTimeline
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
-from swarmd.sim.live.live_timeline import LiveTimeline
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from tests.support.statuses import make_member
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from swarmd.sim.plots.contacts import BOTH, NONE, ONE, OTHER, marks_of, paint_contacts
 from swarmd.sim.plots.theme import new_figure
+from swarmd.sim.plots.trajectories import BOTH, NONE, ONE, OTHER, marks_of, paint_contacts
 from swarmd.sim.trace import Trace
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ import pytest
 from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.compare import Difference
 from swarmd.sim.experiments.statistics import Interval
-from swarmd.sim.plots.differences import DifferencePanel, differences_figure
+from swarmd.sim.plots.intervals import DifferencePanel, differences_figure
 
 if TYPE_CHECKING:
     from tests.sim.plots.conftest import Overlaps

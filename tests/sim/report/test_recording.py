@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from swarmd.core.events import OdometryInput
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Pose, Twist
 from swarmd.protection.decision import Decision
-from swarmd.recording.frames import Begin, ClockEntry, DecisionEntry, OdometryEntry
+from swarmd.recording.frames import Begin, ClockEntry, DecisionEntry, input_entry
 from swarmd.recording.limits import FileLimits
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
@@ -42,7 +43,7 @@ def record(folder: Path, robot: str) -> Path:
         reason = Reason.PROTECTION if is_held else None
         decision = Decision("barrier", wanted, safe, reason, is_held, (), 0.3, 0.05, k)
         pose = Odometry(time, Pose(x, 0.0, 0.0), safe)
-        converter.add(OdometryEntry(50.0 + time, pose))
+        converter.add(input_entry(OdometryInput(pose), 50.0 + time))
         words = "scan", "running", reason.value if reason else ""
         converter.add(DecisionEntry(50.0 + time, *words, decision))
         x += safe.linear / 10.0

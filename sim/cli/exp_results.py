@@ -1,0 +1,176 @@
+"""`swarmctl exp check`, `export`, `report`, `view`: the results of an experiment, for readers."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, cast
+
+import click
+
+from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.web import WebOptions, check_web, serve, web_options
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.sim.cli.options import chosen_metrics, need, output_option
+from swarmd.texts.values import megabytes
+
+if TYPE_CHECKING:
+    from swarmd.sim.experiments.export import Form
+
+_MODULES = {
+    "csv": ("sim,table", "pandas", "scipy"),
+    "parquet": ("sim,table", "pandas", "pyarrow", "scipy"),
+    "mcap": ("sim,record", "mcap", "rosbags", "scipy"),
+}
+MISSED = 1  # exit code
+
+
+@click.command("export")
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.option(
+    "--to",
+    "form",
+    type=click.Choice(list(_MODULES)),
+    required=True,
+    help="Tables of results and traces as csv or parquet; or a file of each run as mcap.",
+)
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(file_okay=False, path_type=Path),
+    metavar="DIR",
+    help="Folder of the files [DIR/export].",
+)
+@click.option("--no-traces", is_flag=True, help="Only the results of each run.")
+def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
+    """Write the experiment in DIR as tables for pandas and R, or as MCAP for Foxglove.
+
+    The file `results` has a row for each run; the files in `traces` have a row for each instant
+    and robot.
+    """
+    if no_traces and form == "mcap":
+        raise click.UsageError("--to mcap exports traces; leave out --no-traces")
+    extra, *modules = _MODULES[form]
+    need(*modules, extra=extra)
+    from swarmd.sim.experiments.export import export as exported
+    from swarmd.sim.experiments.results import load_results
+
+    results = load_results(folder)
+    for path in exported(
+        results, cast("Form", form), out or folder / "export", traces=not no_traces
+    ):
+        click.echo(str(path))
+
+
+@click.command()
+@click.argument("experiment", metavar="DIR")
+@click.argument("requirements", metavar="REQUIREMENT..", nargs=-1, required=True)
+@output_option
+@click.pass_context
+def check(
+    ctx: click.Context, experiment: str, requirements: tuple[str, ...], is_json: bool
+) -> None:
+    """Check whether the experiment in DIR, or DIR:VARIANT of a sweep, meets requirements.
+
+    A requirement is 'METRIC >= VALUE' in quotes, and means the mean of all runs. 'median(METRIC)',
+    'min(METRIC)' and 'max(METRIC)' mean other statistics, and 'runs' the number of runs.
+    Comparisons are >= <= > < ==. Every variant of a sweep must meet each requirement.
+
+    Exit code 0 if all are met and every planned run is there, else 1.
+    """
+    from swarmd.sim.experiments import requirements as checking
+    from swarmd.sim.experiments.compare import sides_of
+    from swarmd.sim.experiments.report import NOTHING, interval, number
+
+    wanted = [checking.parse_requirement(text) for text in requirements]
+    sides = sides_of(experiment)
+    found = [checking.check(one, side) for side in sides for one in wanted]
+    lacking = checking.missing_runs(sides)
+    is_passed = not lacking and all(one.is_met for one in found)
+    if is_json:
+        rows = [one.document() for one in found]
+        print_json("Check", {"passed": is_passed, "missing": lacking, "requirements": rows})
+    else:
+        table = [
+            (
+                one.requirement.text,
+                one.variant or NOTHING,
+                number(one.value),
+                interval(one.interval),
+                "met" if one.is_met else " ".join(["missed", one.remark and f"({one.remark})"]),
+            )
+            for one in found
+        ]
+        print_table(("REQUIREMENT", "VARIANT", "VALUE", "95 %", "RESULT"), table)
+    if lacking:
+        warn(f"not complete: {lacking}")
+    warn(f"{sum(one.is_met for one in found)} of {len(found)} requirements are met")
+    ctx.exit(0 if is_passed else MISSED)
+
+
+@click.command()
+@click.argument("place", metavar="DIR|FILE.mcap", type=click.Path(path_type=Path))
+@click.option(
+    "-o",
+    "--out",
+    type=click.Path(dir_okay=False, path_type=Path),
+    metavar="FILE",
+    help="The report [DIR/report.html, or FILE.html].",
+)
+@click.option("--metrics", metavar="A,B,..", help="Show these metrics first, and draw them.")
+@click.option("--seed", type=click.IntRange(min=0), help="The run to play [a typical one].")
+@click.option("--variant", metavar="NAME", help="Of a sweep, the variant of the run to play.")
+def report(
+    place: Path, out: Path | None, metrics: str | None, seed: int | None, variant: str | None
+) -> None:
+    """Write the experiment in DIR as one HTML file: results, figures, a run to play, the manifest.
+
+    Of a recording, one robot's or that of `record merge`: states, gaps, stops, paths by odometry.
+    The file needs no network and no other file, and prints well.
+    """
+    need("mujoco", "matplotlib")
+    from swarmd.sim.experiments.manifest import NAME, write_whole
+
+    is_recording = place.suffix == ".mcap"
+    path = out or (place.with_suffix(".html") if is_recording else place / "report.html")
+    if path.suffix != ".html" or not path.parent.is_dir():
+        raise ConfigError(f"{path}: expected a name that ends in .html, in a folder that exists")
+    if is_recording:
+        if any(one is not None for one in (metrics, seed, variant)):
+            raise ConfigError(f"{place}: --metrics, --seed and --variant are for experiments")
+        need("mcap", "rosbags", extra="sim,plot,record")
+        from swarmd.sim.report.recording_report import recording_report
+
+        text = recording_report(place)
+    else:
+        if place.is_dir() and next(place.rglob("*.mcap"), None) and not (place / NAME).exists():
+            raise ConfigError(
+                f"{place}: a folder of recordings; expected an experiment or one file, such as"
+                f" that of: swarmctl record merge {place} -o {place.name}.mcap"
+            )
+        from swarmd.sim.experiments.results import load_results
+        from swarmd.sim.report.html import report_of
+
+        text = report_of(place, chosen_metrics(metrics, load_results(place).asked), seed, variant)
+    try:
+        write_whole(path, text)
+    except OSError as error:
+        raise SwarmError(f"{path}: cannot be written: {error.strerror or error}") from error
+    click.echo(f"{path}: {megabytes(path.stat().st_size, 2)}")
+
+
+@click.command()
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@click.option("--seed", type=int, metavar="N", help="The run that is shown first [the first].")
+@click.option("--variant", metavar="NAME", help="Of a sweep, the variant that is shown first.")
+@web_options
+def view(folder: Path, seed: int | None, variant: str | None, page: WebOptions) -> None:
+    """Play the recorded runs of the experiment in DIR on a web page.
+
+    The page selects among all seeds and variants. DIR may also be the folder of a demo, or a trace
+    (.npz).
+    """
+    need("mujoco", "websockets", extra="sim,web")
+    check_web(page)
+    from swarmd.sim.view.experiment import source_of
+
+    serve(source_of(folder, seed, variant), None, page)

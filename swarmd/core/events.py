@@ -1,0 +1,261 @@
+"""Everything that can happen to a robot: one tagged union of bounded structs, `Input`.
+
+`Robot.step(input, now)` is the only door of a robot. A shell (daemon, lockstep, replay, test
+harness) makes inputs; a recording has the bytes of each with its time. A new kind of input is a
+struct here, in the union, and a row of the table in `robot/robot.py`.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+import msgspec
+import numpy as np
+from msgspec import Meta, Struct
+
+from swarmd.core.bounds import Count, Line, Name, Seconds, Word
+from swarmd.core.errors import CodecError
+from swarmd.core.goal import Goal
+from swarmd.core.hazard import Hazard
+from swarmd.core.host_messages import HostEvent
+from swarmd.core.messages import Body, Latch, Reason
+from swarmd.core.values import Array, Neighbor, Odometry, PeerPlace, Scan, SharedPose, Value
+from swarmd.core.verbs import Request
+
+MAX_ROBOTS = 10_000
+"""Robots in one input: neighbours, peers or latches."""
+Generation = Annotated[int, Meta(ge=0, le=2**53)]
+Text = Annotated[str, Meta(max_length=10_000)]
+"""Words of a driver or of the daemon, with those of a foreign library in them."""
+
+
+# From the driver
+
+
+class ScanInput(Struct, frozen=True, array_like=True, tag="scan"):
+    """A raw scan of the lidar arrived."""
+
+    scan: Scan
+
+
+class RangesInput(Struct, frozen=True, array_like=True, tag="ranges"):
+    """A raw scan of the platform's ring of range sensors arrived."""
+
+    scan: Scan
+
+
+class OdometryInput(Struct, frozen=True, array_like=True, tag="odometry"):
+    """A measured pose and twist arrived."""
+
+    odometry: Odometry
+
+
+class NeighborsInput(Struct, frozen=True, array_like=True, tag="neighbors"):
+    """All present neighbours: from the driver if the base senses them, else all members."""
+
+    neighbors: Annotated[tuple[Neighbor, ...], Meta(max_length=MAX_ROBOTS)]
+
+
+class PoseInput(Struct, frozen=True, array_like=True, tag="pose"):
+    """The robot's own pose in a frame that robots share."""
+
+    pose: SharedPose
+
+
+class ReadingsInput(Struct, frozen=True, array_like=True, tag="readings"):
+    """All scalar sensors by name; NaN for a sensor without a fresh value."""
+
+    readings: Annotated[dict[str, float], Meta(max_length=1000)]
+
+
+class HazardsInput(Struct, frozen=True, array_like=True, tag="hazards"):
+    """All hazards that the base senses now."""
+
+    hazards: Annotated[tuple[Hazard, ...], Meta(max_length=1000)]
+
+
+class DriverInput(Struct, frozen=True, array_like=True, tag="driver"):
+    """The base is connected (`is_up`) or lost; see `Sink.state`."""
+
+    is_up: bool
+    text: Text
+    hold: Reason | None = None
+    gets_zero: bool = False
+
+
+# From other robots
+
+
+class MessageInput(Struct, frozen=True, array_like=True, tag="message"):
+    """A message of the pattern of `sender` on `channel`, such as `<pattern>/<channel>`."""
+
+    sender: Name
+    channel: Annotated[str, Meta(max_length=127)]
+    value: Value
+
+
+class PeersInput(Struct, frozen=True, array_like=True, tag="peers"):
+    """The bodies that the other robots tell: of all that were heard and are not forgotten."""
+
+    bodies: Annotated[dict[str, Body | None], Meta(max_length=MAX_ROBOTS)]
+
+
+class PlaceInput(Struct, frozen=True, array_like=True, tag="place"):
+    """The place that a peer tells of itself in a shared frame."""
+
+    place: PeerPlace
+
+
+class LatchesInput(Struct, frozen=True, array_like=True, tag="latches"):
+    """The latches that a peer holds, by id; those of scope `swarm` hold this robot, too."""
+
+    latches: Annotated[dict[str, Latch], Meta(max_length=MAX_ROBOTS)]
+
+
+class GoalInput(Struct, frozen=True, array_like=True, tag="goal"):
+    """A peer holds `goal`, set `age` s ago (None: the peer does not know).
+
+    `may_join`: the goals of the other peers are known, too, so that the robot may join a run.
+    """
+
+    goal: Goal
+    age: Seconds | None
+    may_join: bool
+
+
+class LeaseInput(Struct, frozen=True, array_like=True, tag="lease"):
+    """The operator of the goal with the id `goal` is there; see `RunLease`."""
+
+    goal: Name
+    count: Count
+
+
+class DuplicateInput(Struct, frozen=True, array_like=True, tag="duplicate"):
+    """The other instance `holder` has this robot's id; None: it has left."""
+
+    holder: Line | None
+
+
+# From the pattern host and the operators
+
+
+class HostInput(Struct, frozen=True, array_like=True, tag="host"):
+    """An event of the pattern host arrived."""
+
+    event: HostEvent
+
+
+class RequestInput(Struct, frozen=True, array_like=True, tag="request"):
+    """A request arrived; its reply follows from this input or from a later host event."""
+
+    request: Request
+
+
+class CodeInput(Struct, frozen=True, array_like=True, tag="code"):
+    """The code of patterns was replaced or removed: the next run has a fresh host."""
+
+
+class ProvisionalInput(Struct, frozen=True, array_like=True, tag="provisional"):
+    """The generations, of the runs and loads at present, whose code is provisional."""
+
+    generations: Annotated[tuple[Generation, ...], Meta(max_length=1000)]
+
+
+# From the daemon
+
+
+class ForgetInput(Struct, frozen=True, array_like=True, tag="forget"):
+    """Goals by digest, in hex, whose issuers are not operators any more."""
+
+    digests: Annotated[tuple[Word, ...], Meta(max_length=1000)]
+
+
+class NetworkInput(Struct, frozen=True, array_like=True, tag="network"):
+    """The daemon speaks on another network; `text` describes the change. The run ends."""
+
+    text: Line
+
+
+class RosterInput(Struct, frozen=True, array_like=True, tag="roster"):
+    """The daemon takes a roster; `is_revoked`: the roster lacks this robot. The run ends."""
+
+    text: Line
+    is_revoked: bool
+
+
+class LeaveInput(Struct, frozen=True, array_like=True, tag="leave"):
+    """The daemon leaves: the run ends."""
+
+
+class NoteInput(Struct, frozen=True, array_like=True, tag="note"):
+    """A line for the events of `describe`."""
+
+    text: Text
+
+
+class TickInput(Struct, frozen=True, array_like=True, tag="tick"):
+    """Time has passed: 20 times a second, and at `Robot.wake_at`."""
+
+
+Input = (
+    ScanInput
+    | RangesInput
+    | OdometryInput
+    | NeighborsInput
+    | PoseInput
+    | ReadingsInput
+    | HazardsInput
+    | DriverInput
+    | MessageInput
+    | PeersInput
+    | PlaceInput
+    | LatchesInput
+    | GoalInput
+    | LeaseInput
+    | DuplicateInput
+    | HostInput
+    | RequestInput
+    | CodeInput
+    | ProvisionalInput
+    | ForgetInput
+    | NetworkInput
+    | RosterInput
+    | LeaveInput
+    | NoteInput
+    | TickInput
+)
+TICK_INPUT = TickInput()
+
+
+def _encoded(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return np.ascontiguousarray(value, np.float64).tobytes()
+    if hasattr(value, "keys"):  # a mapping that is no dict
+        return dict(value)
+    raise TypeError(f"{type(value).__name__} is no type of MessagePack")
+
+
+def _decoded(kind: Any, value: Any) -> Array:
+    return np.frombuffer(value).copy()  # the kernels take no read-only arrays
+
+
+_encoder = msgspec.msgpack.Encoder(enc_hook=_encoded)
+_decoder: msgspec.msgpack.Decoder[Input] = msgspec.msgpack.Decoder(Input, dec_hook=_decoded)
+
+
+def encode_input(input: Input) -> bytes:
+    """The bytes of an input; arrays as float64."""
+    return _encoder.encode(input)
+
+
+def decode_input(data: bytes) -> Input:
+    """The input of these bytes; CodecError if they are malformed or exceed a bound."""
+    try:
+        return _decoder.decode(data)
+    except (msgspec.MsgspecError, ValueError, TypeError) as error:
+        raise CodecError(f"no input: {error}") from error
+
+
+def tag_of(input: Input) -> str:
+    """The kind of an input, such as `scan`."""
+    return str(type(input).__struct_config__.tag)

@@ -1,0 +1,36 @@
+"""The inputs of a robot in its recording, for a replay."""
+
+from __future__ import annotations
+
+from swarmd.core.errors import CodecError
+from swarmd.core.events import Input, RangesInput, ScanInput, decode_input, tag_of
+from swarmd.core.values import Scan
+from swarmd.recording import frames, messages
+from swarmd.recording.reader import RecordedMessage
+
+INPUT = "/input"
+"""The topic of the bytes of all inputs, in their order."""
+GEOMETRY = "/geometry"
+"""Ends the topic of the directions and ages of a scan's rays, after that of the scan."""
+
+
+class InputReader:
+    """Decodes the inputs of one recording: each message must pass through `read`, in order."""
+
+    def __init__(self) -> None:
+        self._scans: dict[str, Scan] = {}  # the last geometry by topic of the scan
+
+    def read(self, one: RecordedMessage) -> Input | None:
+        """The input of a message; None for another message. CodecError if it is malformed."""
+        if one.topic.endswith(GEOMETRY):
+            geometry = messages.deserialize(one.kind, one.payload)
+            self._scans[one.topic.removesuffix(GEOMETRY)] = messages.geometry_of(geometry)
+        if one.topic != INPUT:
+            return None
+        input = decode_input(bytes(messages.deserialize(one.kind, one.payload).data))
+        if not isinstance(input, ScanInput | RangesInput):
+            return input
+        scan = frames.with_geometry(input.scan, self._scans.get(f"/{tag_of(input)}"))
+        if scan is None:
+            raise CodecError("a scan without the directions of its rays")
+        return type(input)(scan)
