@@ -7,6 +7,14 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+from swarmd.core.events import (
+    TICK_INPUT,
+    DriverInput,
+    HostInput,
+    Input,
+    RequestInput,
+    ScanInput,
+)
 from swarmd.core.host_messages import HostCommand
 from swarmd.core.messages import Reply
 from swarmd.core.values import Scan, Twist
@@ -35,21 +43,23 @@ class RobotShell:
         self._twist: Twist | None = None
         self._outputs = outputs
         self._runner = InlineRunner(lambda: PatternExecutor(find))
-        self.apply(robot.on_driver(True, "simulated", now), now)
+        self.step(DriverInput(True, "simulated"), now)
 
     def scan(self, scan: Scan, now: float) -> None:
         """Take a scan."""
-        actions = self.robot.on_scan(scan, now)
+        actions = self.robot.step(ScanInput(scan), now)
+        assert actions is not None
         if self.robot.is_running:
             self.decided += 1
             self.evaded += actions.decision.is_active
-        self.apply(actions, now)
+        self._apply(actions, now)
 
     def tick(self, now: float) -> None:
         """Tick the robot, periodically or by its alarm."""
-        actions = self.robot.tick(now)
+        actions = self.robot.step(TICK_INPUT, now)
+        assert actions is not None
         if not actions.is_quiet:
-            self.apply(actions, now)
+            self._apply(actions, now)
         elif actions.twist is not self._twist:
             self._twist = actions.twist
             self._outputs.command(self.row, actions.twist)
@@ -57,10 +67,16 @@ class RobotShell:
     def request(self, request: Request, now: float) -> Reply | None:
         """Carry out an operator's request; the reply, which an inline pattern gives at once."""
         self.replies.clear()
-        self.apply(self.robot.on_request(request, now), now)
+        self.step(RequestInput(request), now)
         return next((reply for reply in self.replies if reply.id == request.id), None)
 
-    def apply(self, actions: Actions, now: float) -> None:
+    def step(self, input: Input, now: float) -> None:
+        """Hand an input to the robot, and carry out what follows."""
+        actions = self.robot.step(input, now)
+        if actions is not None:
+            self._apply(actions, now)
+
+    def _apply(self, actions: Actions, now: float) -> None:
         """Carry out the actions and set the alarm."""
         self._carry_out(actions, now)
         self._outputs.set_alarm(self.row, self.robot.wake_at(now))
@@ -87,4 +103,6 @@ class RobotShell:
     def _drive(self, command: HostCommand, now: float) -> None:
         event = self._runner.send(command)
         if event is not None:
-            self._carry_out(self.robot.on_host(event, now), now)
+            actions = self.robot.step(HostInput(event), now)
+            assert actions is not None
+            self._carry_out(actions, now)

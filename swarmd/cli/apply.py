@@ -18,8 +18,9 @@ from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.run_start import run_fields
 from swarmd.cli.send import known_members, show
 from swarmd.core.verbs import GoalRequest, LabelRequest, ParamRequest, RunRequest
+from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL
 from swarmd.network.next_goal import next_goal
-from swarmd.network.outcome import APPLIED, NO_TARGET, PARTIAL, Outcome, joined
+from swarmd.network.outcome import Outcome, joined
 from swarmd.network.signed_goals import signed_goals
 
 if TYPE_CHECKING:

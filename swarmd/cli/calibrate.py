@@ -21,7 +21,7 @@ from swarmd.cli.output import print_json, print_table, rewrite, warn
 from swarmd.cli.send import known_members
 from swarmd.core.messages import Presence, Reason, State, Status
 from swarmd.core.verbs import ResetRequest, RunRequest
-from swarmd.network.outcome import FAILED, REFUSED, TIMEOUT
+from swarmd.network.exit_codes import FAILED, REFUSED, TIMEOUT
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

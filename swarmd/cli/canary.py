@@ -13,7 +13,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder
 from swarmd.core.keys import is_id
 from swarmd.core.messages import STATUS_SILENCE, Reason, State, Status
-from swarmd.network.outcome import NO_TARGET
+from swarmd.network.exit_codes import NO_TARGET
 
 if TYPE_CHECKING:
     from swarmd.network.operator import Operator

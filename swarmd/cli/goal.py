@@ -15,8 +15,9 @@ from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.run_start import run_fields
 from swarmd.cli.send import known_members, report, stop_names, targets_of, time_left
 from swarmd.core.verbs import GoalRequest, ResumeRequest, RunRequest
+from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL, TIMEOUT
 from swarmd.network.next_goal import next_goal
-from swarmd.network.outcome import APPLIED, NO_TARGET, PARTIAL, TIMEOUT, Outcome, joined
+from swarmd.network.outcome import Outcome, joined
 from swarmd.network.signed_goals import signed_goals
 from swarmd.texts.goal import (
     Difference,

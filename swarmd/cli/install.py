@@ -37,7 +37,7 @@ def install(file: Path, root: Path | None, interface: str | None, force: bool) -
     driver.
     """
     from swarmd.cli.service_files import give_to_service, keep_for_root
-    from swarmd.daemon.unit import UNIT_FILE
+    from swarmd.daemon.systemd import UNIT_FILE
     from swarmd.security.bundle import read_bundle
     from swarmd.security.installation import check_replaces, installed, replaced_identity
     from swarmd.security.roster import Role

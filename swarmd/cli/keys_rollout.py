@@ -17,7 +17,8 @@ from swarmd.cli.send import report, time_left
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.messages import Reply
 from swarmd.core.verbs import RosterRequest
-from swarmd.network.outcome import NO_TARGET, Outcome
+from swarmd.network.exit_codes import NO_TARGET
+from swarmd.network.outcome import Outcome
 from swarmd.security.identity import RosterFile, as_of, find_identity, load_identity, write_roster
 from swarmd.security.names import expand_names, select_names
 from swarmd.security.roster import Role

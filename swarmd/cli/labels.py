@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from swarmd.cli.arguments import Failure, Targets
 from swarmd.core.errors import unknown
-from swarmd.network.outcome import NO_TARGET
+from swarmd.network.exit_codes import NO_TARGET
 
 if TYPE_CHECKING:
     from swarmd.network.members_view import MembersView

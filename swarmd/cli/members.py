@@ -19,8 +19,8 @@ from swarmd.core.clock import FIRST_WALL
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import Presence, State, Status
 from swarmd.core.verbs import ForgetRequest
+from swarmd.network.exit_codes import REFUSED
 from swarmd.network.members_view import Contact, SeenMember
-from swarmd.network.outcome import REFUSED
 from swarmd.texts.keys import end_of_certificate, key_warnings, own_remedy
 from swarmd.texts.status import sections
 from swarmd.texts.values import NOTHING, number, printable, seconds

@@ -14,7 +14,7 @@ from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.questions import ask_robots, in_reach
 from swarmd.cli.send import gap, known_members, targets_of
 from swarmd.core.verbs import PLUGINS, BehaviourReport, BehavioursReply
-from swarmd.network.outcome import PARTIAL, TIMEOUT
+from swarmd.network.exit_codes import PARTIAL, TIMEOUT
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:

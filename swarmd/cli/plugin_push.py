@@ -25,7 +25,7 @@ from swarmd.core.errors import CodecError, ConfigError, PluginError
 from swarmd.core.keys import check_id, is_id
 from swarmd.core.messages import Code
 from swarmd.core.verbs import BehaviourReport, BehavioursReply, PushRequest
-from swarmd.network.outcome import PARTIAL, TIMEOUT
+from swarmd.network.exit_codes import PARTIAL, TIMEOUT
 
 if TYPE_CHECKING:
     from swarmd.network.members_view import MembersView

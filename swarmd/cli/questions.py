@@ -11,7 +11,7 @@ from msgspec import Struct
 from swarmd.cli.output import warn
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
-from swarmd.network.outcome import PARTIAL, TIMEOUT
+from swarmd.network.exit_codes import PARTIAL, TIMEOUT
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions

@@ -17,7 +17,7 @@ from swarmd.cli.record_merge import merge
 from swarmd.cli.send import known_members, send_to, targets_of
 from swarmd.core.errors import NetworkError
 from swarmd.core.verbs import RecordRequest
-from swarmd.network.outcome import PARTIAL, TIMEOUT
+from swarmd.network.exit_codes import PARTIAL, TIMEOUT
 from swarmd.texts.values import NOTHING, megabytes, seconds
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ from swarmd.cli.options import CommonOptions, local_options
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.record_merge import parts_of
 from swarmd.core.errors import ConfigError
-from swarmd.network.outcome import FAILED
+from swarmd.network.exit_codes import FAILED
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:

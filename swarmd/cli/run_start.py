@@ -17,8 +17,9 @@ from swarmd.core.clock import TICK, boottime
 from swarmd.core.goal import LABEL
 from swarmd.core.verbs import RunRequest
 from swarmd.network.clock_query import read_clocks, start_times
+from swarmd.network.exit_codes import FAILED, PARTIAL
 from swarmd.network.next_goal import next_generation, resigned
-from swarmd.network.outcome import FAILED, PARTIAL, Outcome
+from swarmd.network.outcome import Outcome
 from swarmd.network.request_sender import REQUEST_WAIT
 from swarmd.texts.values import seconds as in_short
 

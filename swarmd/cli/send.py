@@ -18,7 +18,8 @@ from swarmd.cli.labels import STOP_LOOK, named, robots_of, stopped, unlabelled
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Refusal
-from swarmd.network.outcome import NO_TARGET, PARTIAL, TIMEOUT, UNREACHABLE, USAGE, Outcome
+from swarmd.network.exit_codes import NO_TARGET, PARTIAL, TIMEOUT, UNREACHABLE, USAGE
+from swarmd.network.outcome import Outcome
 from swarmd.texts.values import NOTHING, seconds
 
 if TYPE_CHECKING:

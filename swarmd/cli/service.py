@@ -51,7 +51,7 @@ def install(root: Path, dry_run: bool, program: Path | None, no_start: bool) -> 
     the machine. A daemon that runs already keeps running as it is.
     """
     from swarmd.cli.service_files import Steps, check_may_write, give_to_service
-    from swarmd.daemon.unit import (
+    from swarmd.daemon.systemd import (
         CONFIG_FILE,
         SERVICE,
         SYSUSERS,
@@ -97,7 +97,7 @@ def install(root: Path, dry_run: bool, program: Path | None, no_start: bool) -> 
 def uninstall(root: Path, dry_run: bool, purge: bool) -> None:
     """Stop the service and remove its unit; settings, latches and recordings stay."""
     from swarmd.cli.service_files import Steps, check_may_write
-    from swarmd.daemon.unit import (
+    from swarmd.daemon.systemd import (
         CONFIG_FOLDER,
         SERVICE,
         STATE_FOLDER,

@@ -14,7 +14,7 @@ import click
 from swarmd.cli.arguments import Failure
 from swarmd.core.errors import ConfigError
 from swarmd.core.files import open_folder, whole_file
-from swarmd.daemon.unit import CONFIG_FILE, CONFIG_FOLDER, USER
+from swarmd.daemon.systemd import CONFIG_FILE, CONFIG_FOLDER, USER
 
 _IDENTITIES = "identities"
 RUNNING_SYSTEMD = Path("/run/systemd/system")

@@ -10,7 +10,7 @@ from pathlib import Path
 from swarmd.cli.service_files import Steps
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import SwarmError
-from swarmd.daemon.unit import CONFIG_FILE, SERVICE, STATE_FOLDER, UNIT_FILE
+from swarmd.daemon.systemd import CONFIG_FILE, SERVICE, STATE_FOLDER, UNIT_FILE
 from swarmd.texts.keys import UNSET_CLOCK, day
 
 _ETC = Path("/etc")

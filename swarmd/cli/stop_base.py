@@ -36,7 +36,7 @@ def stop_base(config: Path | None, within: float) -> None:
     It uses a connection of its own, as the watchdog does, and moves nothing. The unit of
     `swarmd service install` runs it after each end of the daemon.
     """
-    from swarmd.daemon.driver_factory import make_bare_driver
+    from swarmd.daemon.driver import make_bare_driver
     from swarmd.settings.settings import load_daemon_settings
 
     settings = load_daemon_settings(config, {})

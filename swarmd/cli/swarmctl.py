@@ -18,6 +18,7 @@ from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import warn
 from swarmd.core import verbs
 from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError
+from swarmd.network.exit_codes import EXIT_CODES_HELP
 
 if TYPE_CHECKING:
     from click.shell_completion import CompletionItem
@@ -66,17 +67,6 @@ VERBS = {
         "Write, check and reload patterns of your own, and push them to robots.",
     ),
 }
-_EXIT_CODES = """\b
-Exit codes:
-  0  all targeted robots applied it
-  1  none applied it, and at least one failed
-  2  usage, or no such pattern or parameter: nothing moved
-  3  partial: some robots applied it, some did not; of a look: some did not answer
-  4  no robot was targeted
-  5  none applied it or failed, and at least one did not answer in time
-  6  no daemon could be reached
-  7  all robots refused
-  130  interrupted"""
 
 
 class Verbs(VerbGroup):
@@ -141,7 +131,7 @@ def _summaries() -> list[tuple[str, str]]:
 
 
 @click.group(
-    cls=Verbs, epilog=_EXIT_CODES, context_settings={"help_option_names": ["-h", "--help"]}
+    cls=Verbs, epilog=EXIT_CODES_HELP, context_settings={"help_option_names": ["-h", "--help"]}
 )
 @click.version_option(package_name="swarmd", prog_name="swarmctl", message="%(prog)s %(version)s")
 @common_options

@@ -171,8 +171,10 @@ class DecisionSummary(Struct, frozen=True, kw_only=True):
     is_active: bool = False
     requested_linear: Speed = 0.0
     requested_angular: Speed = 0.0
+    requested_lateral: Speed = 0.0
     safe_linear: Speed = 0.0
     safe_angular: Speed = 0.0
+    safe_lateral: Speed = 0.0
     min_gap: Metres | None = None
     scan_age: Seconds | None = None
     rows: tuple[LimitingObstacle, ...] = ()

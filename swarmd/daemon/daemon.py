@@ -47,27 +47,22 @@ from swarmd.core.messages import Reply, Status
 from swarmd.core.values import Neighbor
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
-from swarmd.daemon.behaviour_control import BehaviourControl
-from swarmd.daemon.behaviour_files import BehaviourFiles
-from swarmd.daemon.behaviour_runs import CodeRuns
-from swarmd.daemon.behaviour_state import BehaviourState
-from swarmd.daemon.behaviour_store import BehaviourStore
-from swarmd.daemon.behaviour_sync import BehaviourSync
-from swarmd.daemon.driver_factory import make_driver
-from swarmd.daemon.driver_output import DriverOutput
+from swarmd.daemon.code_transfer import CodeControl, CodeIntake, CodePull
+from swarmd.daemon.code_versions import CodeRuns, CodeVersions
+from swarmd.daemon.driver import DriverOutput, make_driver
 from swarmd.daemon.driver_sink import DriverSink
-from swarmd.daemon.field_tools import FieldTools
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
-from swarmd.daemon.latchfile import LatchFile
-from swarmd.daemon.neighbor_selection import NeighborSelection
+from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.network import Network
 from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.requests import RequestServer
 from swarmd.daemon.robot_setup import make_robot, recording_head
 from swarmd.daemon.roster_service import RosterService
+from swarmd.daemon.store import CodeFiles, LatchFile
 from swarmd.daemon.systemd import Notifier
 from swarmd.daemon.tick_timer import TickTimer
+from swarmd.daemon.tools import FieldTools
 from swarmd.driver_api.driver import Driver, check_protected, message_carrier
 from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.bus import ZenohBus
@@ -131,18 +126,18 @@ class Daemon:
         self._rosters = RosterService(settings.id, settings.identity, self._on_roster, self._drops)
         self._goals = GoalService(folder, lambda: self._rosters.identity, self.on_event)
         self._puller = Puller(settings.network, settings.id, settings.identity, drops=self._drops)
-        behaviours = BehaviourFiles(folder / "behaviours")
+        behaviours = CodeFiles(folder / "behaviours")
         with suppress(OSError):  # a sandbox permits only what exists when it begins
             behaviours.folder.mkdir(parents=True, exist_ok=True)
-        self._behaviour_state = BehaviourState(
+        self._behaviour_state = CodeVersions(
             behaviours,
             settings.id,
             settings.network.swarm,
             self._operators,
         )
-        self._behaviours = BehaviourStore(self._behaviour_state, self._drops)
+        self._behaviours = CodeIntake(self._behaviour_state, self._drops)
         self._code_runs = CodeRuns(self._behaviour_state)
-        self._behaviour_sync = BehaviourSync(
+        self._behaviour_sync = CodePull(
             self._behaviour_state,
             self._behaviours,
             self._puller,
@@ -276,7 +271,7 @@ class Daemon:
             log.warning("insecure: anyone on this network can drive this robot")
         if self._settings.identity is not None:
             _warn_of_end(self._settings.identity)
-        control = BehaviourControl(
+        control = CodeControl(
             self._robot,
             self._runner,
             on_request=self._on_request,

@@ -22,7 +22,7 @@ from swarmd.core.events import (
 from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose
-from swarmd.daemon.neighbor_selection import NeighborSelection
+from swarmd.daemon.neighbors import NeighborSelection
 
 MAX_KIND_LENGTH = 64
 

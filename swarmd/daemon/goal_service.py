@@ -9,42 +9,17 @@ from pathlib import Path
 from msgspec.structs import replace
 
 from swarmd.core.clock import boottime, clock_id
-from swarmd.core.codec import Decoder, encode
-from swarmd.core.errors import CodecError
-from swarmd.core.files import write_whole
 from swarmd.core.goal import Goal, GoalRecord, digest_of
 from swarmd.core.messages import Code, Refusal, Reply
-from swarmd.core.verbs import GoalRequest, Request, RunRequest
+from swarmd.core.verbs import Request
 from swarmd.daemon.record_writer import RecordWriter
+from swarmd.daemon.store import GoalFile
 from swarmd.network.goal_sync import GoalCheck, is_signed_goal
 from swarmd.security.identity import Identity
 
 log = logging.getLogger(__name__)
 
 STORE_TIME = 1.0  # s for which the answer to a stop waits for the disk
-
-
-class GoalFile:
-    """The file `goal` in a robot's state folder: goals and labels."""
-
-    def __init__(self, folder: Path) -> None:
-        self.path = folder / "goal"
-        self._decode = Decoder(GoalRecord)
-
-    def read(self) -> GoalRecord:
-        """The record that was written last, else an empty one."""
-        try:
-            return self._decode(self.path.read_bytes())
-        except FileNotFoundError:
-            return GoalRecord()
-        except (OSError, CodecError) as error:
-            log.warning("%s cannot be read (%s): goal and labels are lost", self.path, error)
-            return GoalRecord()
-
-    def write(self, record: GoalRecord) -> None:
-        """Write the record and wait until it is on the disk. OSError if that fails."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(self.path, encode(record))
 
 
 class GoalService:
@@ -114,7 +89,7 @@ class GoalService:
 
     def refusal_of(self, request: Request, robot: str) -> Reply | None:
         """The refusal of a request whose goal is not signed by its issuer."""
-        goal = request.goal if isinstance(request, RunRequest | GoalRequest) else None
+        goal: Goal | None = getattr(request, "goal", None)
         if goal is None or self._identity() is None:
             return None
         counts = self._check_asked(goal, boottime())

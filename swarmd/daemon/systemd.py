@@ -1,4 +1,7 @@
-"""Notices of the daemon to systemd: ready, alive, stopping (sd_notify), and log levels."""
+"""The daemon as a service of systemd: notices (sd_notify), levels of the journal, unit and account.
+
+`swarmd.service` beside this file is the unit.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +10,8 @@ import os
 import socket
 from collections.abc import Mapping
 from contextlib import suppress
+from importlib.resources import files
+from pathlib import Path
 from typing import IO
 
 from swarmd.core.clock import TICK
@@ -60,3 +65,31 @@ def is_journal(stream: IO[str], environ: Mapping[str, str] = os.environ) -> bool
     except (OSError, ValueError):  # closed, or no file
         return False
     return environ.get("JOURNAL_STREAM") == f"{found.st_dev}:{found.st_ino}"
+
+
+SERVICE = "swarmd"
+UNIT_FILE = Path("/etc/systemd/system/swarmd.service")
+SYSUSERS_FILE = Path("/etc/sysusers.d/swarmd.conf")
+CONFIG_FOLDER = Path("/etc/swarmd")
+CONFIG_FILE = CONFIG_FOLDER / "swarmd.yaml"
+STATE_FOLDER = Path("/var/lib/swarmd")
+USER = "swarmd"
+SERIAL_GROUP = "dialout"
+"""Debian's and Ubuntu's group of serial devices."""
+
+SYSUSERS = f"""# Written by `swarmd service install`.
+u {USER} - "swarmd, the daemon of a robot" {STATE_FOLDER}
+m {USER} {SERIAL_GROUP}
+"""
+
+
+def unit_text(program: Path, config: Path = CONFIG_FILE) -> str:
+    """The unit `swarmd.service` of this package. `program`: the absolute path of `swarmd` there."""
+    text = (files("swarmd.daemon") / "swarmd.service").read_text()
+    return text.replace("@PROGRAM@", _quoted(program)).replace(str(CONFIG_FILE), _quoted(config))
+
+
+def _quoted(path: Path) -> str:
+    """The path as systemd reads it: a `%` begins a specifier, a space ends a word."""
+    text = str(path).replace("%", "%%")
+    return f'"{text}"' if " " in text else text

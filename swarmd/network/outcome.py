@@ -1,17 +1,6 @@
 """The outcome of a request: the targeted robots, their replies, and the exit code. Pure.
 
-An empty list of acks is never success. The exit codes of swarmctl:
-
-====  ==========================================================================
-0     every targeted robot applied it
-1     none applied it, and at least one failed
-2     usage: nothing was sent, or every robot refused the request as a mistake in it
-3     partial: some applied it and some did not
-4     no robot was targeted
-5     none applied it, none failed, and at least one did not answer in time
-6     no daemon could be reached
-7     every one refused
-====  ==========================================================================
+An empty list of acks is never success. `exit_codes.py` has the codes.
 """
 
 from __future__ import annotations
@@ -22,17 +11,17 @@ from msgspec import Struct
 
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.network.datagram import Ack
-
-# Refusals that the operator corrects by writing another command line.
-MISTAKES = frozenset(
-    {
-        Refusal.INVALID_REQUEST,
-        Refusal.UNKNOWN_PATTERN,
-        Refusal.INVALID_PARAMETER,
-        Refusal.INVALID_CONDITION,
-    }
+from swarmd.network.exit_codes import (
+    APPLIED,
+    FAILED,
+    MISTAKES,
+    NO_TARGET,
+    PARTIAL,
+    REFUSED,
+    TIMEOUT,
+    USAGE,
 )
-APPLIED, FAILED, USAGE, PARTIAL, NO_TARGET, TIMEOUT, UNREACHABLE, REFUSED = range(8)
+
 MAX_ROBOTS, MAX_INSTANCES = 1024, 8
 
 _CODES = frozenset(Code)

@@ -13,11 +13,6 @@ from swarmd.core.keys import ANY, CONTROL
 from swarmd.core.messages import Code, Epoch, Refusal, Reply, ReplyHeader
 from swarmd.core.verbs import (
     AnyRequest,
-    GoalRequest,
-    PushRequest,
-    ReloadRequest,
-    ResumeRequest,
-    RunRequest,
 )
 from swarmd.network.arrivals import Arrivals
 from swarmd.network.discovery import Discovery
@@ -33,8 +28,6 @@ REQUEST_CAP = 45.0  # or `least`, if that is longer
 # How often a request looks for links that have come up, in s.
 LINK_PERIOD = 0.003
 
-# Requests that count from when their operator issued them, as stops do.
-_WITH_AGE = RunRequest | ResumeRequest | ReloadRequest | PushRequest | GoalRequest
 
 _reply_header = Decoder(ReplyHeader, any_version=True)
 _reply = Decoder(Reply, MAX_CONTROL)
@@ -47,8 +40,11 @@ def request_timeout(view: MembersView, least: float) -> float:
 
 
 def aged(request: AnyRequest, age: float) -> AnyRequest:
-    """The request as it is sent `age` s after it was issued; a goal in it is as old."""
-    return replace(request, age=age) if isinstance(request, _WITH_AGE) else request
+    """The request as it is sent `age` s after it was issued; a goal in it is as old.
+
+    Only requests with a field `age` count from when their operator issued them, as stops do.
+    """
+    return replace(request, age=age) if "age" in request.__struct_fields__ else request
 
 
 class RequestSender:

@@ -24,7 +24,9 @@
 |             | the same id                                            | duplicate_id         |
 | RESET       | a reset request after which no latch is held           | reset                |
 
-Only RUN leads to `running`, and never from `estopped` or `faulted`.
+Only the trigger RUN leads to `running`, and never from `estopped` or `faulted`. The requests `run`
+and `resume`, a reload with a new run, a goal with `on_join: run`, and the restart of a failed
+pattern fire it.
 """
 
 from __future__ import annotations

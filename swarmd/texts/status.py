@@ -117,9 +117,14 @@ def _protection(status: Status) -> list[tuple[str, str]]:
         ("mode", f"{decision.mode}, {activity(decision)}"),
         (
             "requested",
-            f"{decision.requested_linear:z.3f} m/s, {decision.requested_angular:z.3f} rad/s",
+            _twist_text(
+                decision.requested_linear, decision.requested_angular, decision.requested_lateral
+            ),
         ),
-        ("safe", f"{decision.safe_linear:z.3f} m/s, {decision.safe_angular:z.3f} rad/s"),
+        (
+            "safe",
+            _twist_text(decision.safe_linear, decision.safe_angular, decision.safe_lateral),
+        ),
         *zip(titles, limits, strict=False),
         ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
         ("scan age", NOTHING if age is None else seconds(age)),
@@ -167,3 +172,9 @@ def _health(status: Status) -> list[tuple[str, str]]:
         *([("storage", health.storage)] if health.storage else []),
         ("neighbors", ", ".join(status.neighbors) or NOTHING),
     ]
+
+
+def _twist_text(linear: float, angular: float, lateral: float) -> str:
+    """Such as `0.100 m/s, 0.500 rad/s`; with the lateral speed if the base slides sideways."""
+    sideways = f", {lateral:z.3f} m/s to the left" if lateral else ""
+    return f"{linear:z.3f} m/s, {angular:z.3f} rad/s{sideways}"

@@ -180,8 +180,12 @@ def row_of(status: Status) -> dict[str, Any]:
         "protection": protection if status.state == "running" else "",
         "report": dict(status.report),
         "readings": dict(status.readings),
-        "requested": [decision.requested_linear, decision.requested_angular, 0.0],
-        "safe": [decision.safe_linear, decision.safe_angular, 0.0],
+        "requested": [
+            decision.requested_linear,
+            decision.requested_angular,
+            decision.requested_lateral,
+        ],
+        "safe": [decision.safe_linear, decision.safe_angular, decision.safe_lateral],
         "rows": [[row.bearing, row.gap, row.cap] for row in decision.rows],
     }
     if decision.min_gap is not None:

@@ -18,7 +18,7 @@ from swarmd.cli.preflight import (
     protection_text,
 )
 from swarmd.core.values import Value
-from swarmd.daemon.driver_factory import make_driver
+from swarmd.daemon.driver import make_driver
 from swarmd.driver_api.driver import Finding
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings

@@ -17,7 +17,7 @@ from swarmd.cli.daemon import swarmd as command
 from swarmd.cli.swarmctl import run_cli
 from swarmd.core.clock import TICK
 from swarmd.daemon.daemon import NEIGHBORS_PERIOD
-from swarmd.daemon.unit import CONFIG_FILE, STATE_FOLDER, SYSUSERS_FILE, UNIT_FILE, unit_text
+from swarmd.daemon.systemd import CONFIG_FILE, STATE_FOLDER, SYSUSERS_FILE, UNIT_FILE, unit_text
 from tests.support.unit_sandbox import settings_of
 
 MAX_EXPOSURE = 3.0

@@ -164,44 +164,6 @@ def test_run_in_json_keeps_stdout_parseable(swarm: Swarm) -> None:
     assert answer["line"] == "2 targeted, 2 applied"
 
 
-@pytest.mark.parametrize(
-    ("args", "subject", "page"),
-    [
-        (["run", "driv", "--all"], "'drive'", "swarmctl patterns"),
-        (["run", "drive", "r1", "-p", "sped=1"], "'speed'", "swarmctl patterns show"),
-        (["run", "drive", "r1", "-p", "speed=99"], "speed is 99", "swarmctl patterns show"),
-        (["param", "set", "r1", "speed=99"], "speed is 99", "swarmctl patterns show"),
-    ],
-)
-def test_a_mistake_that_robots_refuse_is_one_line_and_changes_nothing(
-    swarm: Swarm, args: list[str], subject: str, page: str
-) -> None:
-    swarm.ctl("run", "drive", "r1", "-p", "speed=0.1")
-    before = swarm.status("r1")
-    done = swarm.ctl(*args)
-    after = swarm.status("r1")
-    assert done.returncode == 2
-    assert done.stderr.startswith("error: ")
-    assert subject in done.stderr
-    assert f"(see {page}" in done.stderr
-    assert done.stderr.count("\n") == 1
-    assert after["params"] == before["params"]
-    assert after["state"] == before["state"]
-
-
-@pytest.mark.parametrize("verb", ["run drive", "stop", "estop", "reset", "describe"])
-def test_an_unknown_robot_ends_with_4_and_the_nearest_name(swarm: Swarm, verb: str) -> None:
-    done = swarm.ctl(*verb.split(), "r11")
-    assert (done.returncode, done.stdout) == (4, "")
-    assert "'r1'" in done.stderr
-
-
-def test_a_mistyped_exclusion_sends_nothing(swarm: Swarm) -> None:
-    done = swarm.ctl("run", "drive", "--all", "--exclude", "r4")
-    assert done.returncode == 4
-    assert swarm.status("r1")["state"] != "running"
-
-
 def test_estop_is_held_until_reset_names_it(swarm: Swarm) -> None:
     stopped = swarm.ctl("estop", "--reason", "smoke")
     assert (stopped.returncode, last_line(stopped)) == (0, "3 targeted, 3 applied")
@@ -281,12 +243,6 @@ def test_describe_explains_and_shows_everything(swarm: Swarm) -> None:
     assert "  labels    red" in lines
     member = swarm.json("describe", "r1")["member"]
     assert (member["robot"], member["status"]["labels"]) == ("r1", ["red"])
-
-
-def test_an_alive_robot_is_not_forgotten(swarm: Swarm) -> None:
-    done = swarm.ctl("members", "forget", "r1")
-    assert (done.returncode, done.stdout) == (7, "")
-    assert "r1 is alive" in done.stderr
 
 
 # A process that makes its standard input its terminal, where Ctrl-C reaches it.

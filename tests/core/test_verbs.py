@@ -8,16 +8,15 @@ from typing import Any, get_args
 import pytest
 
 from swarmd.core.verbs import VERBS, AnyRequest, Handler, Request, Verb
-from swarmd.daemon.behaviour_store import BehaviourStore
-from swarmd.daemon.behaviour_sync import BehaviourSync
-from swarmd.daemon.field_tools import FieldTools
+from swarmd.daemon.code_transfer import CodeIntake, CodePull
 from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.requests import RequestServer
 from swarmd.daemon.roster_service import RosterService
+from swarmd.daemon.tools import FieldTools
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.robot.requests import RequestHandler
 
-SERVICES = (BehaviourStore, BehaviourSync, FieldTools, RecordingService, RosterService)
+SERVICES = (CodeIntake, CodePull, FieldTools, RecordingService, RosterService)
 
 
 def of(handler: Handler) -> list[Verb[Any, Any]]:

@@ -11,7 +11,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.verbs import AuditEntry, AuditQuery
-from swarmd.daemon.audit_log import FILES, MAX_PENDING, AuditLog
+from swarmd.daemon.audit import FILES, MAX_PENDING, AuditLog
 
 ENTRY = AuditEntry(
     boot=1.0,

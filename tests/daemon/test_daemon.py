@@ -19,9 +19,9 @@ from swarmd.core.goal import GoalRecord
 from swarmd.core.messages import Code, Epoch, Reply
 from swarmd.core.values import Twist
 from swarmd.core.verbs import LabelRequest
-from swarmd.daemon import behaviour_files, goal_service
+from swarmd.daemon import store
 from swarmd.daemon.daemon import Daemon
-from swarmd.daemon.latchfile import LatchFile
+from swarmd.daemon.store import LatchFile
 from swarmd.driver_api.driver import Finding, Sink
 from swarmd.network.datagram import Stop, pack, tag_of
 from swarmd.robot.robot import Robot
@@ -233,8 +233,7 @@ async def test_a_disk_that_takes_no_write_stops_no_tick(
         asked.append(path.name)
         assert is_open.wait(60.0)
 
-    for module in (goal_service, behaviour_files):
-        monkeypatch.setattr(module, "write_whole", write)
+    monkeypatch.setattr(store, "write_whole", write)
     daemon = Daemon(settings, driver)
 
     async def change() -> None:
@@ -268,7 +267,7 @@ async def test_a_stop_is_acked_when_a_restart_would_not_forget_it(
             raise OSError(errno.ENOSPC, "full")
         write_whole(path, content)
 
-    monkeypatch.setattr(goal_service, "write_whole", write)
+    monkeypatch.setattr(store, "write_whole", write)
     daemon = Daemon(settings, RecordingDriver())
 
     async def ask() -> None:

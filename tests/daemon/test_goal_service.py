@@ -12,7 +12,8 @@ from swarmd.core.clock import boottime
 from swarmd.core.goal import Goal, GoalRecord
 from swarmd.core.verbs import GoalRequest
 from swarmd.daemon import record_writer
-from swarmd.daemon.goal_service import GoalFile, GoalService
+from swarmd.daemon.goal_service import GoalService
+from swarmd.daemon.store import GoalFile
 from swarmd.network.next_goal import sign_goal
 from tests.support.keys import SwarmKeys
 

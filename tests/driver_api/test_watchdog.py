@@ -11,7 +11,7 @@ import pytest
 
 from swarmd.core.errors import ConfigError, DriverError
 from swarmd.core.values import ZERO, Twist, Value
-from swarmd.daemon.driver_factory import make_driver
+from swarmd.daemon.driver import make_driver
 from swarmd.driver_api.driver import Finding, Sink
 from swarmd.driver_api.watchdog import (
     ZERO_PERIOD,
@@ -210,7 +210,7 @@ def made(
         assert given["options"] == {}, "the common keys are none of the driver's"
         return kind(is_simulated=not real)
 
-    monkeypatch.setattr("swarmd.daemon.driver_factory.load_driver", lambda name: factory)
+    monkeypatch.setattr("swarmd.daemon.driver.load_driver", lambda name: factory)
     return make_driver(settings(folder, **options))
 
 

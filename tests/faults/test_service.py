@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.clock import boottime
-from swarmd.daemon.unit import unit_text
+from swarmd.daemon.systemd import unit_text
 from tests.faults.conftest import ROBOT
 from tests.support import unit_sandbox
 from tests.support.processes import run_command, wait_until, watchdogs

@@ -10,8 +10,8 @@ from pathlib import Path
 from swarmd.core import codec
 from swarmd.core.messages import Epoch, Presence
 from swarmd.network.datagram import Beacon, Solicit, pack, tag_of, unpack
+from swarmd.network.exit_codes import PARTIAL
 from swarmd.network.operator import Operator
-from swarmd.network.outcome import PARTIAL
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.udp import UdpCarrier
 from tests.network.conftest import Robots

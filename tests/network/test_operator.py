@@ -5,8 +5,8 @@ from __future__ import annotations
 from msgspec.structs import replace
 
 from swarmd.core.verbs import RunRequest
+from swarmd.network.exit_codes import NO_TARGET
 from swarmd.network.operator import Operator
-from swarmd.network.outcome import NO_TARGET
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Robots
 

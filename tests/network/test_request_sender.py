@@ -6,8 +6,8 @@ from msgspec.structs import replace
 
 from swarmd.core.messages import Code
 from swarmd.core.verbs import RunRequest
+from swarmd.network.exit_codes import PARTIAL
 from swarmd.network.operator import Operator
-from swarmd.network.outcome import PARTIAL
 from swarmd.network.request_sender import REPEAT_PERIOD
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Robots

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -70,6 +71,7 @@ def test_stop_from_the_reciprocal_cap_uses_half_the_room(
 
 
 PLATFORMS = [load_platform(name) for name in ("burger", "waffle_pi", "jackal")]
+LOPSIDED = np.array([[-0.2, -0.02], [0.1, -0.02], [0.2, 0.1], [0.0, 0.3], [-0.2, 0.25]])
 ANY_PLATFORM = st.sampled_from(PLATFORMS)
 SPEED = st.floats(0.05, 2.0)
 AHEAD, LEFT = (1.0, 0.0), (0.0, 1.0)
@@ -124,6 +126,13 @@ def test_half_planes_describe_the_polygon(
     allowed, _ = nearest_feasible((v, w), normals, caps)
     corners = [tuple(point) for point in polygon.tolist()]
     assert allowed == pytest.approx(nearest(corners, (v, w)), abs=1e-9)
+
+
+@pytest.mark.parametrize("outline", [PLATFORMS[0].footprint, LOPSIDED], ids=["even", "lopsided"])
+def test_vertices_of_the_envelope_lie_within_its_half_planes(outline: Array) -> None:
+    robot = replace(PLATFORMS[0], footprint=outline)
+    polygon, normals, caps = envelope(robot, 0.2, AHEAD)
+    assert (normals @ polygon.T <= caps[:, None] + 1e-9).all()
 
 
 WAFFLE = under_barrier(load_platform("waffle_pi"), unseen_extent=0.0)

@@ -12,8 +12,10 @@ from msgspec import structs
 
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.messages import DecisionSummary, LimitingObstacle, Reason, Status
-from swarmd.core.values import Scan
-from swarmd.robot.status import MAX_ROWS
+from swarmd.core.values import Scan, Twist
+from swarmd.protection.decision import Decision
+from swarmd.robot.status import MAX_ROWS, DutyCycle
+from swarmd.robot.status import _summary as make_summary
 from swarmd.testing.scans import empty_scan
 from tests.support.robot_harness import RobotHarness
 from tests.support.stub_patterns import PATTERNS
@@ -64,6 +66,13 @@ def test_status_reports_the_tightest_constraint_first(harness: RobotHarness) -> 
 def test_status_reports_no_constraint_that_does_not_bind(harness: RobotHarness) -> None:
     shown = summary(harness, 180.0, 2.0)
     assert (shown.is_active, shown.rows, shown.is_recovering) == (False, (), False)
+
+
+def test_status_reports_the_lateral_speed() -> None:
+    requested, safe = Twist(0.0, 0.0, 0.25), Twist(0.0, 0.0, 0.125)
+    decision = Decision("barrier", requested, safe, None, True, (), None, None, 1)
+    shown = make_summary(decision, DutyCycle())
+    assert (shown.requested_lateral, shown.safe_lateral) == (0.25, 0.125)
 
 
 def test_status_reports_recovery(harness: RobotHarness) -> None:

@@ -99,6 +99,14 @@ def test_shows_no_minus_zero() -> None:
     assert "-0" not in text
 
 
+def test_shows_the_lateral_speed_of_a_base_that_slides_sideways() -> None:
+    decision = DecisionSummary(requested_lateral=0.25, safe_lateral=-0.125)
+    member = make_member(decision=decision)
+    assert member.status is not None
+    rows = dict(dict(sections(member, member.status))["Protection"])
+    assert ("0.250" in rows["requested"], "-0.125" in rows["safe"]) == (True, True)
+
+
 def test_shows_how_late_scans_arrive_and_what_is_used() -> None:
     figures = (
         DelayFigure(method="stamps", delay=0.18, spread=0.004, samples=20, age=0.1),

@@ -27,12 +27,10 @@ from swarmd.core.errors import ChangedCodeError
 from swarmd.core.host_messages import Load, Loaded, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.core.verbs import PushRequest, ReloadRequest
-from swarmd.daemon import behaviour_state
-from swarmd.daemon.behaviour_files import BehaviourFiles
-from swarmd.daemon.behaviour_runs import CodeRuns
-from swarmd.daemon.behaviour_state import BehaviourState
-from swarmd.daemon.behaviour_store import BehaviourStore
-from swarmd.daemon.behaviour_sync import BehaviourSync
+from swarmd.daemon import code_versions
+from swarmd.daemon.code_transfer import CodeIntake, CodePull
+from swarmd.daemon.code_versions import CodeRuns, CodeVersions
+from swarmd.daemon.store import CodeFiles
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
@@ -50,7 +48,7 @@ class Control:
     """The daemon's side: every trial ends at once, with `trial_fault`."""
 
     def __init__(self) -> None:
-        self.store: BehaviourStore
+        self.store: CodeIntake
         self.trial_fault = ""
         self.tried: list[str] = []
         self.faults: list[str] = []
@@ -98,7 +96,7 @@ class Control:
         return self.own
 
 
-class GatedFiles(BehaviourFiles):
+class GatedFiles(CodeFiles):
     """Files on a disk that takes no write while `is_open` is not set, and fails with `error`."""
 
     def __init__(self, folder: Path) -> None:
@@ -136,8 +134,8 @@ class Rig:
         self.operators: Mapping[str, bytes] | None = None
         self._generation = 0
         self.control: Control
-        self.store: BehaviourStore
-        self.state: BehaviourState
+        self.store: CodeIntake
+        self.state: CodeVersions
         self._is_started = False
 
     async def start(self) -> None:
@@ -146,8 +144,8 @@ class Rig:
         self._is_started = True
         control = self.control = Control()
         self.files = GatedFiles(self.folder / "behaviours")
-        self.state = BehaviourState(self.files, "r1", "lab", lambda: self.operators)
-        self.store = control.store = BehaviourStore(self.state, DropCounter())
+        self.state = CodeVersions(self.files, "r1", "lab", lambda: self.operators)
+        self.store = control.store = CodeIntake(self.state, DropCounter())
         self.runs = CodeRuns(self.state)
         await self.state.open(control)
 
@@ -538,9 +536,9 @@ async def test_a_table_with_false_signatures_costs_one_check(
         checked.append(content)
         return False
 
-    monkeypatch.setattr(behaviour_state, "is_signed_by", check)
+    monkeypatch.setattr(code_versions, "is_signed_by", check)
     puller = Pulling(encode_table(map(read_entry, (*foreign, *false))))
-    sync = BehaviourSync(rig.state, rig.store, puller, lambda *_: None, DropCounter())  # type: ignore[arg-type]
+    sync = CodePull(rig.state, rig.store, puller, lambda *_: None, DropCounter())  # type: ignore[arg-type]
     digests = (number.to_bytes(4, "big") + b"xx" for number in range(1, 100))
     for digest in digests:
         sync.on_beacon("r2", digest, ("127.0.0.1", 1), boottime())

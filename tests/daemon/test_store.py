@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.messages import Latch
-from swarmd.daemon.latchfile import LatchFile
+from swarmd.daemon.store import LatchFile
 from swarmd.robot.latches import Latches, LatchRecord
 
 

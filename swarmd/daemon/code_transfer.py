@@ -1,29 +1,46 @@
-"""Takes behaviours that operators push or peers have: checked, written, tried, and then current.
+"""Pushed code on its way to a robot: handed over, checked, written, tried, and then current.
 
 Code becomes current in this order: its signature and SHA-256 are checked and its files written in
 a thread; the robot tries it in a host of its own, as for a reload; after the success of the trial
 a thread writes the new version to the disk, and only then the robot acts on it. No run starts or
 stops by a push, but that of a valid goal which the robot could not join without the code; see
-`robot/goals.py`. `behaviour_sync.py` pulls what other robots have.
+`robot/goals.py`.
+
+A beacon shows a digest of the table; the rest is pulled. A robot that joins late, was cut off or
+restarted takes over the manifests that it missed, checks their signatures, and pulls the code that
+it is to have from a robot that has it. Nothing is sent while all agree.
 """
 
 from __future__ import annotations
 
 import asyncio
+import logging
 from collections import deque
-from collections.abc import Collection, Coroutine
+from collections.abc import Callable, Collection, Coroutine, Mapping
+from functools import partial
 
 from msgspec.structs import replace
 
-from swarmd.core.behaviour import Entry, Signed, merged, read_entry
+from swarmd.core.behaviour import Entry, Signed, decode_table, encode_table, merged, read_entry
+from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError, PluginError
+from swarmd.core.events import CodeInput, HostInput, Input, NoteInput
+from swarmd.core.goal import generation_of
 from swarmd.core.host_messages import HostEvent, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
-from swarmd.core.verbs import PushRequest, ReloadRequest
-from swarmd.daemon.behaviour_state import BehaviourState, Candidate
+from swarmd.core.verbs import BehavioursReply, Nothing, PushRequest, ReloadRequest, Request
+from swarmd.daemon.code_versions import Candidate, CodeVersions
 from swarmd.daemon.requests import Answer
+from swarmd.network.bus import ZenohBus
+from swarmd.network.datagram import Address
 from swarmd.network.inbound_queue import FAILED, DropCounter
+from swarmd.network.pull import Blob, Puller, serve_shared
+from swarmd.pattern_host.runner import ProcessRunner
+from swarmd.plugins import Origin
 from swarmd.robot.pushed_code import Version
+from swarmd.robot.robot import Robot
+
+log = logging.getLogger(__name__)
 
 MAX_QUEUE = 4
 MAX_UPLOADS = 2  # behaviours of which pieces are kept
@@ -31,13 +48,13 @@ MAX_UPLOADS = 2  # behaviours of which pieces are kept
 _PASSING = frozenset({Refusal.BUSY, Refusal.OVERTAKEN, Refusal.STALE_EPOCH})
 
 
-class BehaviourStore:
+class CodeIntake:
     """Takes behaviours into `state`, one at a time.
 
     `drops` counts behaviours that raised an error.
     """
 
-    def __init__(self, state: BehaviourState, drops: DropCounter) -> None:
+    def __init__(self, state: CodeVersions, drops: DropCounter) -> None:
         self._state = state
         self._drops = drops
         self._uploads: dict[bytes, bytearray] = {}
@@ -291,3 +308,213 @@ class BehaviourStore:
             elif is_here and state.has(entry) and state.versions[name].lacks(entry):
                 state.apply(entry, Version.of(entry, ""))
         state.save()
+
+
+TABLE, CODE = "behaviours", "behaviour"
+# s until the same is asked of the same robot again: it may not have it, or its manifests may be
+# signed by an operator that the own roster does not have.
+TABLE_PERIOD, CODE_PERIOD = 30.0, 5.0
+FALSE_PERIOD = 300.0
+"""s for which nothing is pulled from a robot that handed over a false signature: each takes 4 ms
+of a core to refuse, and robots keep only entries that they verified."""
+MAX_ASKED = 256
+
+
+class CodePull:
+    """Pulls what `state` lacks with `puller` and hands it to `store`; serves what it has.
+
+    `on_taken(robot, entry)`: code came from a robot, and is tried. `drops` counts the tables that
+    cannot be read.
+    """
+
+    def __init__(
+        self,
+        state: CodeVersions,
+        store: CodeIntake,
+        puller: Puller,
+        on_taken: Callable[[str, Entry], None],
+        drops: DropCounter,
+    ) -> None:
+        self._drops = drops
+        self._state = state
+        self._store = store
+        self._on_taken = on_taken
+        self._puller = puller
+        self._asked: dict[tuple[str, bytes], float] = {}
+        self._complete_at: tuple[int, tuple[str, ...]] = (-1, ())  # nothing was missing then
+        self._checking: asyncio.Task[None] | None = None
+        self._false: dict[str, float] = {}  # until when nothing is pulled from a robot
+
+    def serve(self, bus: ZenohBus) -> None:
+        """Hand tables and code to other robots."""
+        state = self._state
+        serve_shared(bus, TABLE, lambda name, asker: encode_table(state.table))
+        serve_shared(bus, CODE, lambda name, asker: state.shared_code(name))
+
+    def on_plugins(self, _: Nothing) -> BehavioursReply:
+        """The pushed behaviours of this robot."""
+        return self._state.report()
+
+    def close(self) -> None:
+        """End a check under way."""
+        if self._checking is not None:
+            self._checking.cancel()
+
+    def on_beacon(self, robot: str, digest: bytes, address: Address, now: float) -> None:
+        """The beacon of another robot shows this digest of its table."""
+        if not digest or self._checking is not None or self._store.is_busy:
+            return
+        if now < self._false.get(robot, -1e9):
+            return
+        own = self._state.digest
+        is_new = digest != own and generation_of(digest) >= generation_of(own)
+        if not is_new or not self._pull_table(robot, digest, address, now):
+            self._pull_code(robot, address, now)
+
+    def _pull_table(self, robot: str, digest: bytes, address: Address, now: float) -> bool:
+        def on_done(blob: Blob, why: str) -> None:
+            if blob is None:
+                log.info("the behaviours of %s are not known: %s", robot, why)
+                self._asked[robot, digest] = now + CODE_PERIOD - TABLE_PERIOD
+            else:
+                self._checking = asyncio.get_running_loop().create_task(
+                    self._check(robot, address, blob)
+                )
+
+        if not self._may_ask(robot, digest, now, TABLE_PERIOD):
+            return False
+        is_begun = self._puller.pull(robot, address, TABLE, on_done=on_done)
+        if is_begun:
+            self._asked[robot, digest] = now
+        return is_begun
+
+    def _pull_code(self, robot: str, address: Address, now: float) -> None:
+        """Pull the first missing behaviour that this robot may have."""
+        present = self._state.changes, tuple(self._state.control.labels())
+        if self._complete_at == present:
+            return
+        missing = self._state.missing()
+        if not missing:
+            self._complete_at = present
+        for entry in missing:
+            wanted = entry.manifest.digest
+            if not self._may_ask(robot, wanted, now, CODE_PERIOD):
+                continue
+            if self._puller.pull(
+                robot,
+                address,
+                CODE,
+                wanted.hex(),
+                limit=entry.manifest.size,
+                digest=wanted,
+                on_done=partial(self._on_code, robot, entry),
+            ):
+                self._asked[robot, wanted] = now
+            return
+
+    def _may_ask(self, robot: str, what: bytes, now: float, period: float) -> bool:
+        while len(self._asked) > MAX_ASKED:
+            del self._asked[next(iter(self._asked))]
+        return now >= self._asked.get((robot, what), -1e9) + period
+
+    async def _check(self, robot: str, address: Address, blob: bytes) -> None:
+        known, operators = set(self._state.table), self._state.operators()
+
+        def trusted() -> tuple[list[Entry], int, bool]:
+            """The good ones, how many there are, and whether one has a false signature."""
+            new, good = [one for one in decode_table(blob) if one not in known], list[Entry]()
+            for entry in new:
+                if self._state.is_trusted(entry):
+                    good.append(entry)
+                elif operators is not None and entry.manifest.issuer in operators:
+                    return good, len(new), True
+            return good, len(new), False
+
+        def refuse(code: Code, text: str) -> None:
+            log.warning("%s: %s", robot, text)
+
+        with self._drops.refusing(f"shared/{TABLE}", refuse):
+            try:
+                good, count, is_false = await asyncio.to_thread(trusted)
+            finally:
+                self._checking = None
+            if is_false:
+                self._false[robot] = boottime() + FALSE_PERIOD
+            if len(good) < count:
+                log.warning(
+                    "%s has behaviours that no operator of the roster signed; they are left out",
+                    robot,
+                )
+            if good:
+                self._store.merge(good)
+                self._pull_code(robot, address, boottime())
+
+    def _on_code(self, robot: str, entry: Entry, blob: Blob, why: str) -> None:
+        if blob is None:
+            log.info("%s is not pulled yet: %s", entry.manifest.label, why)
+        elif not self._store.is_busy:
+            self._on_taken(robot, entry)
+            self._store.take(entry, blob, robot)
+
+
+class CodeControl:
+    """The `RobotControl` of a daemon.
+
+    `on_request` takes a request to the robot, `step` another input, `reply` the answer to a push,
+    and `warn` a line for the events and a warning for the log.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        runner: ProcessRunner,
+        *,
+        on_request: Callable[[Request], None],
+        step: Callable[[Input], None],
+        reply: Callable[[Reply], None],
+        warn: Callable[[str], None],
+    ) -> None:
+        self._robot = robot
+        self._runner = runner
+        self._on_request, self._step = on_request, step
+        self._reply, self._warn = reply, warn
+
+    def try_code(self, request: ReloadRequest) -> None:
+        """Hand a reload of pushed code to the robot."""
+        self._on_request(request)
+
+    def end_trial(self, event: TrialDone) -> None:
+        """Hand the end of a trial of pushed code to the robot."""
+        self._step(HostInput(event))
+
+    def code_changed(self) -> None:
+        """Let the next run have a fresh pattern host."""
+        self._step(CodeInput())
+
+    def reply(self, reply: Reply) -> None:
+        """Answer a push."""
+        self._reply(reply)
+
+    def event(self, text: str) -> None:
+        """A line for the events and the log."""
+        log.info("%s", text)
+        self._step(NoteInput(text))
+
+    def fault(self, text: str) -> None:
+        """A line for the events and a warning for the log."""
+        self._warn(text)
+
+    def epoch(self) -> Epoch:
+        """The robot's present epoch."""
+        return self._robot.epoch
+
+    def labels(self) -> tuple[str, ...]:
+        """The robot's present labels."""
+        return self._robot.labels
+
+    def own_patterns(self) -> Mapping[str, Origin]:
+        """The patterns that the robot has beside pushed ones."""
+        try:
+            return self._runner.own_patterns()
+        except PluginError:  # the folder is gone; a run is refused with the reason
+            return {}

@@ -1,6 +1,6 @@
-"""What operators may ask of a robot to look after it: audit log, logs, links and doctor.
+"""The questions of operators that look after a robot: audit log, logs, links and doctor.
 
-These questions change nothing. What needs a disk or takes time runs in threads.
+These questions change nothing. What needs a disk or takes time is answered from threads.
 """
 
 from __future__ import annotations
@@ -41,20 +41,46 @@ from swarmd.core.verbs import (
     NetworkFacts,
     Nothing,
 )
-from swarmd.daemon.audit_log import AuditLog
-from swarmd.daemon.log_capture import LogCapture
+from swarmd.daemon.audit import AuditLog
 from swarmd.daemon.network import Network
 from swarmd.daemon.requests import Answer
 from swarmd.network.machine_network import measure_network
 from swarmd.settings.settings import DaemonSettings
+
+log = logging.getLogger(__name__)
+
+PATTERN = "pattern"
+"""The source of what a pattern prints."""
+
+
+class LogCapture(logging.Handler):
+    """Puts each record into a ring, from any thread; on the root logger until `close`."""
+
+    def __init__(self, ring: LogRing) -> None:
+        super().__init__()
+        self._ring = ring
+        logging.getLogger().addHandler(self)
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a record; its source is the module without the name of the package."""
+        source = record.name.removeprefix("swarmd.")
+        text = record.getMessage()
+        if record.exc_info and record.exc_info[1] is not None:
+            error = record.exc_info[1]
+            text = f"{text}: {type(error).__name__}: {error}"
+        self._ring.add(boottime(), record.levelno, source, text)
+
+    def close(self) -> None:
+        """Keep no more."""
+        logging.getLogger().removeHandler(self)
+        super().close()
+
 
 MAX_LINKS = 512  # in an answer
 MAX_PINGS = 20  # round trips that one question measures
 PUBLISH_PERIOD = 0.2  # s between two batches of records
 MAX_BATCH = 48 * 1024  # bytes of records in a batch or an answer
 CACHE_TIME = 2.0  # s for which facts of the machine are not measured again
-
-log = logging.getLogger(__name__)
 
 
 class FieldTools:

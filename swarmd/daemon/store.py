@@ -1,11 +1,13 @@
-"""The files of pushed behaviours in `<state>/behaviours/`: whole or absent, also after a power cut.
+"""What a robot keeps on its disk: latches, goals with labels, and pushed behaviours.
 
-::
+Each file is whole or absent, also after a power cut. In the folder of one robot::
 
-    table                           the manifests of the swarm, signed
-    versions                        which versions this robot has, and how they stand
-    code/<name>/<sha256>/<name>.py  a behaviour of one file
-    code/<name>/<sha256>/code.whl   a wheel
+    latches                                    emergency stops; written before their ack
+    goal                                       goals and labels
+    behaviours/table                           the manifests of the swarm, signed
+    behaviours/versions                        which versions this robot has, and how they stand
+    behaviours/code/<name>/<sha256>/<name>.py  a behaviour of one file
+    behaviours/code/<name>/<sha256>/code.whl   a wheel
 """
 
 from __future__ import annotations
@@ -20,20 +22,106 @@ from pathlib import Path
 import msgspec
 
 from swarmd.core.behaviour import Manifest, Table, decode_table, encode_table
+from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError, PluginError
-from swarmd.core.files import sync_folder, write_whole
+from swarmd.core.files import sync_folder, write_fault, write_whole
+from swarmd.core.goal import GoalRecord
+from swarmd.core.messages import Latch
 from swarmd.pattern_host.wheel import inspect_wheel
 from swarmd.plugins import IN_WHEEL
+from swarmd.robot.latches import LatchRecord
 from swarmd.robot.pushed_code import PushedCode
 
 log = logging.getLogger(__name__)
+
+
+class LatchFile:
+    """The file `latches` in a robot's state folder, which the daemon writes on its loop.
+
+    A latch is on the disk before it is acknowledged. The robot does not run when its latches
+    change, so that a slow disk ends no run. The command zero is sent before.
+
+    `fault`: why what is latched now would be lost by a restart; empty if it would not.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "latches"
+        self._decode = Decoder(LatchRecord)
+        self._written: LatchRecord | None = None
+        self._unwritten: LatchRecord | None = None
+        self.fault = ""
+
+    def read(self) -> LatchRecord:
+        """The record that was written last, else an empty one. An unreadable file latches."""
+        try:
+            return self._decode(self.path.read_bytes())
+        except FileNotFoundError:
+            return LatchRecord()
+        except (OSError, CodecError) as error:
+            log.warning("%s cannot be read (%s): estopped until reset", self.path, error)
+            reason = f"{self.path.name} could not be read: {error}"
+            latch = Latch(issuer="swarmd", scope="robots", reason=reason[:300])
+            return LatchRecord(held={"unreadable": latch})
+
+    def check(self) -> bool:
+        """Write what could not be written before, else try the folder; True if `fault` changed."""
+        before = self.fault
+        if self._unwritten is not None:
+            self.write(self._unwritten)
+        else:
+            why = write_fault(self.path.parent)
+            self.fault = f"{self.path.parent} cannot be written ({why})" if why else ""
+        return self.fault != before
+
+    def write(self, record: LatchRecord) -> bool:
+        """Write the record and wait until it is on the disk; False, with a log line, if that fails.
+
+        An unchanged record is not written again: an operator repeats an estop on every link.
+        """
+        if record == self._written:
+            return True
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(self.path, encode(record))
+        except OSError as error:
+            if not self.fault:
+                log.error("%s cannot be written (%s): latched in memory only", self.path, error)
+            self._unwritten = record
+            self.fault = f"{self.path.parent} cannot be written ({error.strerror})"
+            return False
+        self._written, self._unwritten, self.fault = record, None, ""
+        return True
+
+
+class GoalFile:
+    """The file `goal` in a robot's state folder: goals and labels."""
+
+    def __init__(self, folder: Path) -> None:
+        self.path = folder / "goal"
+        self._decode = Decoder(GoalRecord)
+
+    def read(self) -> GoalRecord:
+        """The record that was written last, else an empty one."""
+        try:
+            return self._decode(self.path.read_bytes())
+        except FileNotFoundError:
+            return GoalRecord()
+        except (OSError, CodecError) as error:
+            log.warning("%s cannot be read (%s): goal and labels are lost", self.path, error)
+            return GoalRecord()
+
+    def write(self, record: GoalRecord) -> None:
+        """Write the record and wait until it is on the disk. OSError if that fails."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        write_whole(self.path, encode(record))
+
 
 CODE, WHEEL = "code", "code.whl"
 
 _versions = msgspec.msgpack.Decoder(dict[str, PushedCode])
 
 
-class BehaviourFiles:
+class CodeFiles:
     """The folder of the pushed behaviours of one robot; nothing is made before it is needed."""
 
     def __init__(self, folder: Path) -> None:

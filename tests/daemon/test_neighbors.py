@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swarmd.daemon.radio_signal import parse_arp, parse_stations
+from swarmd.daemon.neighbors import parse_arp, parse_stations
 
 STATIONS = """Station dc:a6:32:00:00:02 (on wlan0)
 \tinactive time:\t40 ms

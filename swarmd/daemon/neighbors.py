@@ -1,18 +1,17 @@
-"""How strongly a WiFi radio receives other robots: the signal in dBm of each station, by address.
-
-The tool `iw` prints it for the stations of an ad-hoc network or mesh, and on an access point for
-its clients; a client of an access point sees the access point alone. Stations are matched with
-robots by the kernel's table of neighbours (/proc/net/arp).
-"""
+"""Which members count as neighbors of this robot, by radio signal, distance or all of them."""
 
 from __future__ import annotations
 
 import asyncio
 import logging
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
+
+from swarmd.core.values import Neighbor, PeerPlace, SharedPose
+from swarmd.network.neighbor_settings import NeighborSettings
+from swarmd.network.neighborhood import Link, Neighborhood
 
 log = logging.getLogger(__name__)
 
@@ -87,3 +86,44 @@ class RadioSignal:
         if process.returncode:
             raise OSError(f"{self._interface} has no stations (exit code {process.returncode})")
         return out.decode("ascii", "replace")
+
+
+class NeighborSelection:
+    """Selects neighbors. `heard` gives each robot with its host and the share of its beacons."""
+
+    def __init__(
+        self,
+        settings: NeighborSettings,
+        heard: Callable[[], Iterable[tuple[str, str, float]]],
+        interface: str,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self._neighborhood = Neighborhood(settings)
+        self._heard = heard
+        self._needs_links = settings.neighborhood == "link"
+        self._signal = None if settings.signal is None else RadioSignal(loop, interface)
+
+    def on_pose(self, pose: SharedPose) -> None:
+        """Take in the own pose in a shared frame."""
+        self._neighborhood.on_pose(pose)
+
+    def on_place(self, place: PeerPlace, now: float) -> None:
+        """Take in where a peer is by its own word."""
+        self._neighborhood.on_place(place, now)
+
+    def select(self, candidates: Collection[Neighbor], now: float) -> tuple[Neighbor, ...]:
+        """The candidates, each marked as in reach or not."""
+        links = self._links() if self._needs_links else None
+        return self._neighborhood.select(candidates, now, links)
+
+    def close(self) -> None:
+        """End the reading of signals."""
+        if self._signal is not None:
+            self._signal.close()
+
+    def _links(self) -> dict[str, Link]:
+        signal = self._signal
+        return {
+            robot: Link(quality, None if signal is None else signal.of(host))
+            for robot, host, quality in self._heard()
+        }

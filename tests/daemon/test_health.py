@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 
-from swarmd.daemon.usage import UsageMeter
+from swarmd.daemon.health import UsageMeter
 
 
 def test_usage_is_the_share_of_a_core_since_the_last_call() -> None:

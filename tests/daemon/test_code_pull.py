@@ -21,10 +21,10 @@ from swarmd.core.behaviour import (
     read_entry,
 )
 from swarmd.core.clock import boottime
-from swarmd.daemon.behaviour_sync import CODE_PERIOD, FALSE_PERIOD, TABLE_PERIOD, BehaviourSync
+from swarmd.daemon.code_transfer import CODE_PERIOD, FALSE_PERIOD, TABLE_PERIOD, CodePull
 from swarmd.network.inbound_queue import DropCounter
 from swarmd.robot.pushed_code import PushedCode, Version
-from tests.daemon.test_behaviour_store import Rig
+from tests.daemon.test_code_transfer import Rig
 
 ADDRESS = ("10.0.0.7", 7440)
 
@@ -73,9 +73,9 @@ def rig(runner: asyncio.Runner, tmp_path: Path) -> Rig:
     return made
 
 
-def sync_of(rig: Rig) -> tuple[BehaviourSync, Pulls]:
+def sync_of(rig: Rig) -> tuple[CodePull, Pulls]:
     pulls = Pulls()
-    return BehaviourSync(
+    return CodePull(
         rig.state,
         rig.store,
         pulls,  # type: ignore[arg-type]
@@ -84,7 +84,7 @@ def sync_of(rig: Rig) -> tuple[BehaviourSync, Pulls]:
     ), pulls
 
 
-async def settled(sync: BehaviourSync) -> None:
+async def settled(sync: CodePull) -> None:
     async with asyncio.timeout(20.0):
         while sync._checking is not None:
             await asyncio.sleep(0.005)

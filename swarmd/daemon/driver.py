@@ -1,0 +1,118 @@
+"""The driver of a daemon: made from the settings, run, and handed the safe commands."""
+
+from __future__ import annotations
+
+import asyncio
+import logging
+from collections.abc import Callable
+
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.core.values import ZERO, Twist
+from swarmd.driver_api.driver import Driver, Sink, ZeroSenderProvider
+from swarmd.driver_api.watchdog import watchdog_name
+from swarmd.plugins import load_driver
+from swarmd.robot.actions import Actions
+from swarmd.settings.driver_options import (
+    BaseOptions,
+    IdleOutputFilter,
+    base_options,
+    effective_command_timeout,
+)
+from swarmd.settings.settings import DaemonSettings
+
+log = logging.getLogger(__name__)
+
+
+def make_bare_driver(settings: DaemonSettings) -> Driver:
+    """The driver that the settings name, not yet connected, without a watchdog.
+
+    Raises SwarmError if the driver or its options are wrong.
+    """
+    common = BaseOptions.__struct_fields__
+    driver: Driver = load_driver(settings.driver)(
+        swarm=settings.network.swarm,
+        robot=settings.id,
+        platform=settings.platform,
+        options={k: v for k, v in settings.driver_options.items() if k not in common},
+    )
+    return driver
+
+
+def make_driver(settings: DaemonSettings) -> Driver:
+    """The daemon's driver, not yet connected, watched as its options say.
+
+    Raises SwarmError if the driver or its options are wrong.
+    """
+    name = settings.driver
+    base = base_options(settings.driver_options, f"driver {name}")
+    driver = make_bare_driver(settings)
+    if effective_command_timeout(base, driver) != "none":
+        return driver
+    if base.idle_output == "silent":
+        raise ConfigError(
+            f"driver {name}: idle_output is silent, but command_timeout counts as none where it"
+            " is not given; add command_timeout: base, or its seconds"
+        )
+    if not isinstance(driver, ZeroSenderProvider):
+        raise ConfigError(
+            f"driver {name}: command_timeout is none, and this driver has no watchdog;"
+            " give command_timeout: base, or its seconds, if this base stops by itself"
+        )
+    spec = driver.zero_sender()
+    if spec is None:
+        return driver
+    from swarmd.driver_api.watchdog_client import WatchedDriver
+
+    watchdog = watchdog_name(settings.network.swarm, settings.id)
+    return WatchedDriver(driver, spec, name=watchdog, tie=settings.die_with_parent)
+
+
+RETRY_PERIOD = 1.0  # s between the end of a driver and its next start
+
+
+class DriverOutput:
+    """The driver called `name`. `idle_output`: what an idle robot sends, as in `BaseOptions`.
+
+    `on_crash` is called with what the driver raised for a command; `command` itself never raises.
+    """
+
+    def __init__(
+        self, driver: Driver, name: str, idle_output: str, on_crash: Callable[[Exception], None]
+    ) -> None:
+        self._driver = driver
+        self._name = name
+        self._idle = IdleOutputFilter(idle_output)
+        self._on_crash = on_crash
+
+    async def run(self, sink: Sink) -> None:
+        """Run the driver; after a SwarmError it is started again."""
+        while True:
+            try:
+                await self._driver.run(sink)
+            except SwarmError as error:
+                log.warning("driver %s: %s", self._name, error)
+                sink.state(False, str(error))
+            await asyncio.sleep(RETRY_PERIOD)
+
+    def command(self, actions: Actions, now: float) -> None:
+        """Send the command of these actions, unless an idle robot sends none."""
+        if self._idle.allows(actions.twist, actions.is_idle, now):
+            self._send(
+                actions.twist,
+                actions.decision.scan_seq,
+                actions.requested_scan_seq,
+                is_stopped=actions.is_stopped,
+            )
+
+    def send_zero(self) -> None:
+        """Send the command zero."""
+        self._send(ZERO, -1, -1)
+
+    def _send(
+        self, twist: Twist, scan_seq: int, requested_scan_seq: int, *, is_stopped: bool = False
+    ) -> None:
+        try:
+            self._driver.send(twist, scan_seq, requested_scan_seq, is_stopped=is_stopped)
+        except Exception as error:  # a driver may raise anything
+            log.exception("driver %s: a command could not be sent", self._name)
+            self._on_crash(error)
