@@ -26,9 +26,9 @@ if sys.version_info < (3, 11):  # noqa: UP036
 KERNELS = {
     "swarmd.protection.barrier": "swarmd/protection/barrier.py",
     "swarmd.protection.blind_zone": "swarmd/protection/blind_zone.py",
-    "swarmd.sensing.scan_kernel": "swarmd/sensing/scan_kernel.py",
-    "swarmd.sim.world.base_kernel": "sim/world/base_kernel.py",
-    "swarmd.sim.world.lidar_kernel": "sim/world/lidar_kernel.py",
+    "swarmd.sensing.scans": "swarmd/sensing/scans.py",
+    "swarmd.sim.world.base": "sim/world/base.py",
+    "swarmd.sim.world.ray_caster": "sim/world/ray_caster.py",
 }
 GENERATED = Path("build/cython")
 STABLE_ABI = "0x030B0000"

@@ -1,46 +1,28 @@
 """Exact 2-D range sensors of a swarm: rays against the flat and round shapes in their plane.
 
-Each shape covers one interval of bearings seen from the sensor. Its distance is computed only for
-the rays within that interval, so a scan costs the shapes nearby and not rays times shapes. The
-tests compare the result with MuJoCo's ray caster to 1e-9 m.
-
-Each coordinate has one array, and the arithmetic uses one over the distance, which along a surface
-is the sum of a cosine and a sine: both are several times faster. `lidar_kernel.py` has the same
-operations in C, and gives the same bits.
+`ray_caster.py` has the arithmetic. The tests compare the result with MuJoCo's ray caster to 1e-9 m.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-from swarmd.core.kernels import compiled_kernel
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform, ScanSpec, Sweep
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.bodies import heights, value
 from swarmd.sim.world.geometry import Indices
 
-if TYPE_CHECKING:  # where it is not compiled the numpy code runs
-    from swarmd.sim.world.lidar_kernel import Caster
-
-Places = NDArray[np.intp]
 Visibility = Literal["body", "real"]
 
 _TURNS = 2.0 * np.pi * np.array([-2.0, -1.0, 0.0, 1.0])
-# Rad added to each interval, so that no ray passes between two surfaces that share a corner.
-BEARING_MARGIN = 1e-12
 # Rad by which rays may differ from equal steps for their places to be computed, not searched.
 _MAX_UNEVENNESS = 1e-13
 _AT_START = 1e-9  # rad
-# m2: a surface whose side (see `Lidar`) is smaller than this is seen edge-on and ignored.
-MIN_SIDE = 1e-10
-# m added to ranges of interest, which are compared in single precision.
-_ROUNDING = 0.01
-_BATCH = 50  # sensors a step, so that its arrays stay within a processor's cache
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,28 +100,9 @@ class Rays:
         even = self.bearings[:1] + self.step * np.arange(len(self.bearings))
         self.is_even = np.allclose(even, self.bearings, rtol=0.0, atol=_MAX_UNEVENNESS)
 
-    def within(self, low: Array, high: Array) -> tuple[Places, Places]:
-        """The places of the rays in each interval (k,) of bearings, and their number (k,).
-
-        The places of all intervals are concatenated. Bearings lie within -5 pi and 3 pi.
-        """
-        first = self._place(low - BEARING_MARGIN)
-        counts = self._place(high + BEARING_MARGIN) - first
-        end = counts.cumsum()
-        places = (first - end + counts).repeat(counts)
-        places += np.arange(len(places))
-        return places, counts
-
     def place_of(self, number: int) -> int:
         """The place of the ray with this number in the scan."""
         return int(np.flatnonzero(self.number == number)[0])
-
-    def _place(self, bearing: Array) -> Places:
-        """The number of rays with smaller bearings."""
-        if not self.is_even:
-            return np.searchsorted(self.bearings, bearing)
-        place: Array = np.ceil((bearing - self.bearings[0]) / self.step)
-        return place.astype(np.intp)
 
 
 def sweep_order(bearings: Array, sweep: Sweep) -> tuple[Indices, Array]:
@@ -151,44 +114,24 @@ def sweep_order(bearings: Array, sweep: Sweep) -> tuple[Indices, Array]:
     return order, sweep.duration / (2.0 * np.pi) * turned[order]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Sensors:
-    """The poses of m sensors and the rows of their robots; `yaw` is within -pi and pi."""
-
-    x: Array
-    y: Array
-    yaw: Array
-    cos: Array
-    sin: Array
-    carriers: Indices
-
-
 class Lidar:
-    """Casts the scans of all sensors of one kind at once.
-
-    Surfaces are arrays (4, ...): x and y of the start, x and y from there to the end, world frame.
-    The `side` of a surface is the sensor's distance from its line times its length, negative where
-    the sensor faces its front.
-    """
+    """Casts the scans of all sensors of one kind at once."""
 
     def __init__(self, spec: ScanSpec, shapes: Shapes) -> None:
-        self._spec, self._shapes = spec, shapes
-        self._rays = Rays(spec.bearings)
+        self._spec, self._rays = spec, Rays(spec.bearings)
+        # Surfaces: x and y of the start, x and y from there to the end.
         start, end = shapes.walls[:, 0], shapes.walls[:, 1]
-        self._walls = np.concatenate((start, end - start), axis=1).T.copy()
-        self._seen_walls = -spec.range_max * np.hypot(self._walls[2], self._walls[3])
+        walls = np.concatenate((start, end - start), axis=1)
+        farthest_sides = -spec.range_max * np.hypot(walls[:, 2], walls[:, 3])
         corners = shapes.polygons
-        edges = np.concatenate((corners, np.roll(corners, -1, axis=1) - corners), axis=2)
-        self._edges = np.moveaxis(edges, 2, 0).copy()
-        self._reach = np.hypot(corners[..., 0], corners[..., 1]).max(axis=1, initial=0.0)
-        kernel = compiled_kernel("swarmd.sim.world.lidar_kernel")
-        self._caster: Caster | None = kernel and kernel.Caster(
+        kernel = load_kernel("swarmd.sim.world.ray_caster")
+        self._caster = kernel.Caster(
             spec,
             self._rays,
-            np.concatenate((self._walls, self._seen_walls[None])).T,
+            np.concatenate((walls, farthest_sides[:, None]), axis=1),
             shapes.poles,
-            np.moveaxis(self._edges, 0, 2),
-            self._reach,
+            np.concatenate((corners, np.roll(corners, -1, axis=1) - corners), axis=2),
+            np.hypot(corners[..., 0], corners[..., 1]).max(axis=1, initial=0.0),
             shapes.polygon_owners,
             shapes.discs,
             shapes.disc_owners,
@@ -201,14 +144,9 @@ class Lidar:
         """
         count, rays = len(observers), len(self._spec.bearings)
         ranges = np.full((count, rays), np.inf)
-        if self._caster is not None:
-            first, counts = np.zeros(count, dtype=np.intp), np.full(count, rays)
-            observers = np.ascontiguousarray(observers)
-            self._caster.cast(poses, observers, first, counts, np.arange(count), ranges)
-            return ranges
-        for begin in range(0, count, _BATCH):
-            some = slice(begin, begin + _BATCH)
-            self._cast(ranges[some], poses, observers[some])
+        first, counts = np.zeros(count, dtype=np.intp), np.full(count, rays)
+        observers = np.ascontiguousarray(observers)
+        self._caster.cast(poses, observers, first, counts, np.arange(count), ranges)
         return ranges
 
     def sectors(self, ends: Indices) -> tuple[Indices, Indices]:
@@ -236,157 +174,7 @@ class Lidar:
 
         `ranges` (r, rays), `rows` (m,); `poses` as in `cast`.
         """
-        if self._caster is not None:
-            self._caster.cast(poses, observers, first, counts, rows, ranges)
-            return
-        due = np.flatnonzero(counts)
-        seen_by_row = self.cast(poses, observers[due])
-        for row, place, count, seen in zip(
-            rows[due], first[due], counts[due], seen_by_row, strict=True
-        ):
-            some = self._rays.number[place : place + count]
-            ranges[row, some] = seen[some]
-
-    def _cast(self, ranges: Array, poses: Array, observers: Indices) -> None:
-        sensors = self._sensors(poses, observers)
-        nearness = np.zeros(ranges.shape)
-        self._meet_surfaces(nearness, sensors, poses)
-        if len(self._shapes.poles) or len(self._shapes.discs):
-            self._meet_circles(nearness, sensors, poses)
-        np.divide(1.0, nearness, out=ranges, where=nearness > 0.0)
-        ranges[ranges > self._spec.range_max] = np.inf
-        ranges[ranges < self._spec.range_min] = -np.inf
-
-    def _sensors(self, poses: Array, observers: Indices) -> _Sensors:
-        x, y, yaw = poses[observers].T
-        cos, sin = np.cos(yaw), np.sin(yaw)
-        ahead, left = self._spec.offset
-        return _Sensors(
-            x + (cos * ahead - sin * left),
-            y + (sin * ahead + cos * left),
-            np.mod(yaw + np.pi, 2.0 * np.pi) - np.pi,
-            cos,
-            sin,
-            observers,
-        )
-
-    def _meet_surfaces(self, nearness: Array, sensors: _Sensors, poses: Array) -> None:
-        scan, surfaces, side = self._facing_walls(sensors)
-        if len(self._shapes.polygons):
-            carried = self._facing_edges(sensors, poses)
-            scan, side = np.concatenate((scan, carried[0])), np.concatenate((side, carried[2]))
-            surfaces = np.concatenate((surfaces, carried[1]), axis=1)
-        x, y, along_x, along_y = surfaces
-        x -= sensors.x.take(scan)
-        y -= sensors.y.take(scan)
-        high = np.arctan2(y, x) - sensors.yaw.take(scan)
-        turn = np.arctan2(-side, x * (x + along_x) + y * (y + along_y))
-        cos, sin = sensors.cos.take(scan), sensors.sin.take(scan)
-        by_cos = (cos * along_y - sin * along_x) / side
-        by_sin = (cos * along_x + sin * along_y) / -side
-        places, counts = self._rays.within(high - turn, high)
-        near = by_cos.repeat(counts)
-        near *= self._rays.cos.take(places)
-        more = by_sin.repeat(counts)
-        more *= self._rays.sin.take(places)
-        near += more
-        self._raise(nearness, scan.repeat(counts), places, near)
-
-    def _facing_walls(self, sensors: _Sensors) -> tuple[Indices, Array, Array]:
-        """For each pair that faces: the sensor (e,), the wall (4, e) and its side (e,)."""
-        x, y, along_x, along_y = self._walls
-        side = (x - sensors.x[:, None]) * along_y - (y - sensors.y[:, None]) * along_x
-        seen = _places((side < -MIN_SIDE) & (side >= self._seen_walls))
-        scan, wall = _divided(seen, len(x))
-        return scan, self._walls.take(wall, axis=1), side.take(seen)
-
-    def _facing_edges(self, sensors: _Sensors, poses: Array) -> tuple[Indices, Array, Array]:
-        """As `_facing_walls` for the edges of polygons, without those of the sensor's own robot."""
-        owners, corners = self._shapes.polygon_owners, self._edges.shape[2]
-        at = poses[owners]
-        scan, polygon = _near(sensors, at[:, 0], at[:, 1], self._reach + self._spec.range_max)
-        other = _places(owners.take(polygon) != sensors.carriers.take(scan))
-        scan, polygon = scan.take(other), polygon.take(other)
-        is_near = np.zeros(len(owners), dtype=np.bool_)
-        is_near[polygon] = True
-        edges = _placed(self._edges[:, is_near], at[is_near])
-        row = (is_near.cumsum() - 1).take(polygon)
-        x, y, along_x, along_y = edges
-        side = along_x.take(row, axis=0) * sensors.y.take(scan)[:, None]
-        side -= along_y.take(row, axis=0) * sensors.x.take(scan)[:, None]
-        side += (x * along_y - y * along_x).take(row, axis=0)
-        seen = _places(side < -MIN_SIDE)
-        pair, edge = _divided(seen, corners)
-        surfaces = edges.reshape(4, -1).take(row.take(pair) * corners + edge, axis=1)
-        return scan.take(pair), surfaces, side.take(seen)
-
-    def _meet_circles(self, nearness: Array, sensors: _Sensors, poses: Array) -> None:
-        shapes = self._shapes
-        at = poses[shapes.disc_owners]
-        discs = _placed(shapes.discs[:, :2].T[..., None], at)[..., 0]
-        x, y = np.concatenate((shapes.poles[:, :2].T, discs), axis=1)
-        radius = np.concatenate((shapes.poles[:, 2], shapes.discs[:, 2]))
-        scan, circle = _near(sensors, x, y, radius + self._spec.range_max)
-        x = x.take(circle) - sensors.x.take(scan)
-        y = y.take(circle) - sensors.y.take(scan)
-        radius = radius.take(circle)
-        beyond = x * x + y * y - radius * radius
-        seen = _places(beyond > 0.0)  # not from inside: no sensor sees its own housing
-        scan, x, y = scan.take(seen), x.take(seen), y.take(seen)
-        radius, beyond = radius.take(seen), beyond.take(seen)
-        middle = np.arctan2(y, x) - sensors.yaw.take(scan)
-        half = np.arcsin(radius / np.hypot(x, y))
-        places, counts = self._rays.within(middle - half, middle + half)
-        cos, sin = sensors.cos.take(scan), sensors.sin.take(scan)
-        ahead, left = np.repeat((cos * x + sin * y, cos * y - sin * x), counts, axis=1)
-        cos, sin = self._rays.cos.take(places), self._rays.sin.take(places)
-        aside = cos * left - sin * ahead
-        depth = np.sqrt(np.maximum((radius * radius).repeat(counts) - aside * aside, 0.0))
-        # One over (distance to the middle - depth), without the difference of nearly equal ones.
-        near = (cos * ahead + sin * left + depth) / beyond.repeat(counts)
-        self._raise(nearness, scan.repeat(counts), places, near)
-
-    def _raise(self, nearness: Array, scan: Indices, places: Indices, near: Array) -> None:
-        """Keep the nearest return of each ray: the largest of one over the distances."""
-        ray = scan * nearness.shape[1] + self._rays.number.take(places)
-        np.maximum.at(nearness.reshape(-1), ray, near)
-
-
-def _near(sensors: _Sensors, x: Array, y: Array, reach: Array) -> tuple[Indices, Indices]:
-    """The pairs of sensors and shapes at x, y (b,) within `reach` (b,), and a few more."""
-    single = np.float32
-    squared = x.astype(single) - sensors.x.astype(single)[:, None]
-    squared *= squared
-    aside = y.astype(single) - sensors.y.astype(single)[:, None]
-    aside *= aside
-    squared += aside
-    most = (reach + _ROUNDING).astype(single)
-    return _divided(_places(squared <= most * most), len(x))
-
-
-def _places(is_one: NDArray[np.bool_]) -> Indices:
-    """The indices at which the flattened array is true."""
-    return is_one.ravel().nonzero()[0]
-
-
-def _divided(places: Indices, width: int) -> tuple[Indices, Indices]:
-    """The rows and columns of places in an array of that width; np.divmod takes thrice as long."""
-    row = places // max(width, 1)
-    return row, places - row * width
-
-
-def _placed(vectors: Array, poses: Array) -> Array:
-    """Points (2, b, k) of frames at `poses` (b, 3), in the world frame.
-
-    In an array (4, b, k) the last two rows are directions, which are rotated only.
-    """
-    cos, sin = np.cos(poses[:, 2, None]), np.sin(poses[:, 2, None])
-    x, y = vectors[0::2], vectors[1::2]
-    placed = np.empty_like(vectors)
-    placed[0::2] = cos * x - sin * y
-    placed[1::2] = sin * x + cos * y
-    placed[:2] += poses[:, :2].T[..., None]
-    return placed
+        self._caster.cast(poses, observers, first, counts, rows, ranges)
 
 
 class RangeSensors:
@@ -404,7 +192,9 @@ class RangeSensors:
         for number, platform in enumerate(kinds.values()):
             plane = heights(platform).scan_plane if visibility == "real" else None
             shapes = shapes_of(arena, platforms, plane=plane)
-            self.lidars.append((Lidar(platform.scan, shapes), _places(self._kinds == number)))
+            self.lidars.append(
+                (Lidar(platform.scan, shapes), np.flatnonzero(self._kinds == number))
+            )
 
     def cast(self, poses: Array, robots: Indices) -> list[Array]:
         """Ranges (rays,) for each of `robots` (m,) with all robots at base `poses` (n, 3)."""

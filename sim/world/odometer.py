@@ -9,19 +9,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from swarmd.core.kernels import compiled_kernel
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform
 from swarmd.sim.world.bodies import value
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.realism import OdometryNoise
 from swarmd.sim.world.seeding import generator
-
-if TYPE_CHECKING:  # where it is not compiled the numpy code runs
-    from swarmd.sim.world.base_kernel import Wheels
 
 ODOMETRY_RATE = 20.0
 """Hz, in live worlds and in lockstep."""
@@ -60,10 +56,8 @@ class Odometers:
         self._draws = np.empty((len(ids), _DRAWS, 2))
         self._used = np.full(len(ids), _DRAWS)
         self._truth, self._reported = starts.copy(), np.zeros_like(starts)
-        kernel = compiled_kernel("swarmd.sim.world.base_kernel")
-        self._wheels: Wheels | None = kernel and kernel.Wheels(
-            self._measured, self._truth, self._reported
-        )
+        base = load_kernel("swarmd.sim.world.base")
+        self._wheels = base.Wheels(self._measured, self._truth, self._reported)
 
     def read(self, rows: Indices, poses: Array, twists: Array) -> tuple[Array, Array]:
         """Poses x, y, yaw and twists linear, angular, lateral, (m, 3) each, of robots `rows` (m,).
@@ -74,28 +68,18 @@ class Odometers:
         """
         if self._noise.is_ideal:
             return self._relative(rows, poses), twists[rows]
-        slips = self._slips(rows)
-        if self._wheels is not None:
-            moved, measured = np.empty((len(rows), 3)), np.empty((len(rows), 3))
-            at = np.ascontiguousarray(rows)
-            self._wheels.read(at, poses, twists, slips, moved, measured)
-            return moved, measured
-        truth = poses.take(rows, axis=0)
-        motions = np.empty((len(rows), 2, 3))
-        motions[:, 0] = _motion(self._truth.take(rows, axis=0), truth)
-        motions[:, 1] = twists.take(rows, axis=0)
-        motions = _measured(motions, self._measured.take(rows, axis=0))
-        motions[:, :, :2] *= slips[:, None]
-        reported = _moved(self._reported.take(rows, axis=0), motions[:, 0])
-        self._truth[rows], self._reported[rows] = truth, reported
-        reported[:, 2] = _wrapped(reported[:, 2])
-        return reported, motions[:, 1]
+        reported, measured = np.empty((len(rows), 3)), np.empty((len(rows), 3))
+        at = np.ascontiguousarray(rows)
+        self._wheels.read(at, poses, twists, self._slips(rows), reported, measured)
+        return reported, measured
 
     def _relative(self, rows: Indices, poses: Array) -> Array:
         reported: Array = poses.take(rows, axis=0) - self._starts.take(rows, axis=0)
         cos, sin = self._turns.take(rows, axis=0).T
-        x, y = _turned_back(reported, cos, sin)
-        return np.stack((x, y, _wrapped(reported[:, 2])), axis=-1)
+        ahead = cos * reported[:, 0] + sin * reported[:, 1]
+        left = cos * reported[:, 1] - sin * reported[:, 0]
+        yaw = (reported[:, 2] + math.pi) % (2.0 * math.pi) - math.pi
+        return np.stack((ahead, left, yaw), axis=-1)
 
     def _slips(self, rows: Indices) -> Array:
         """(m, 2) random slip factors near 1 on linear and angular motion, for one reading each."""
@@ -124,48 +108,3 @@ def measurement(diameter: Array, wheelbase: Array, separation: Array, is_lateral
     matrix[:, 1, 1] = (right + left) / 2.0 * wheelbase
     matrix[:, 2, 2] = is_lateral
     return matrix
-
-
-def _measured(motions: Array, matrices: Array) -> Array:
-    """Motions (m, 2, 3) times matrices of `measurement` (m, 3, 3).
-
-    Without BLAS, whose rounding depends on the processor.
-    """
-    linear, angular, lateral = np.moveaxis(motions, 2, 0)
-    one = matrices[:, None]
-    measured = np.empty_like(motions)
-    measured[..., 0] = linear * one[..., 0, 0] + angular * one[..., 1, 0]
-    measured[..., 1] = linear * one[..., 0, 1] + angular * one[..., 1, 1]
-    measured[..., 2] = lateral * one[..., 2, 2]
-    return measured
-
-
-def _motion(before: Array, after: Array) -> Array:
-    """Linear, angular and lateral motion (m, 3) between poses (m, 3), along the mean heading."""
-    way = after - before
-    middle = before[:, 2] + way[:, 2] / 2.0
-    linear, lateral = _turned_back(way, np.cos(middle), np.sin(middle))
-    return np.stack((linear, way[:, 2], lateral), axis=-1)
-
-
-def _turned_back(way: Array, cos: Array, sin: Array) -> tuple[Array, Array]:
-    """x and y of world vectors (m, ...) in frames at these headings."""
-    x, y = way[:, 0], way[:, 1]
-    return cos * x + sin * y, cos * y - sin * x
-
-
-def _moved(before: Array, motion: Array) -> Array:
-    """Poses (m, 3) after a motion along the mean heading, the inverse of `_motion`."""
-    linear, turn, lateral = motion[:, 0], motion[:, 1], motion[:, 2]
-    middle = before[:, 2] + turn / 2.0
-    cos, sin = np.cos(middle), np.sin(middle)
-    after = before.copy()
-    after[:, 0] += cos * linear - sin * lateral
-    after[:, 1] += sin * linear + cos * lateral
-    after[:, 2] += turn
-    return after
-
-
-def _wrapped(yaw: Array) -> Array:
-    wrapped: Array = (yaw + math.pi) % (2.0 * math.pi) - math.pi
-    return wrapped

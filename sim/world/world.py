@@ -13,11 +13,11 @@ import mujoco
 import numpy as np
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Pose, Scan, Twist
 from swarmd.driver_api.hw_codec import check_measures
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
-from swarmd.sim.world.base_dynamics import Bases
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.lidar import RangeSensors, Visibility
@@ -75,7 +75,9 @@ class World:
         self._movable_boxes = MovableBoxes(arena, self.model, self.data, n)
         self.movable_boxes, self.box_shapes = self._movable_boxes.names, self._movable_boxes.shapes
         mujoco.mj_forward(self.model, self.data)
-        self._bases = Bases(realism.actuation, self.platforms, self.data, dt)
+        memory = self.data.qpos, self.data.qvel, self.data.qfrc_applied
+        base = load_kernel("swarmd.sim.world.base")
+        self._bases = base.Bases(realism.actuation, self.platforms, memory, dt)
         self._odometers = Odometers(realism.odometry, self.platforms, starts, self.ids, seed)
         self._noise = NoisyLidar(realism.lidar, self.platforms, self.ids, seed)
         self._steps = 0

@@ -12,7 +12,7 @@ import builtins
 import inspect
 import math
 from collections.abc import Callable
-from math import atan2, ceil, copysign, fabs, floor, hypot, isfinite, isinf, isnan
+from math import atan2, ceil, copysign, fabs, floor, isfinite, isinf, isnan
 from typing import Any, TypeVar
 
 __all__ = [
@@ -49,7 +49,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 class _Type:
     """A type of C."""
 
-    def __init__(self, zero: float | None, length: builtins.int = 0) -> None:
+    def __init__(self, zero: builtins.float | None, length: builtins.int = 0) -> None:
         """`zero`: the value with which an attribute begins; `length` of an array, else 0."""
         self._zero, self._length = zero, length
 
@@ -74,7 +74,7 @@ class _Declared:
         self.kind = kind
 
 
-double = _Type(0.0)
+double = float = _Type(0.0)
 bint = int = longlong = Py_ssize_t = uchar = _Type(0)
 const = _Const()
 
@@ -84,12 +84,17 @@ def declare(kind: Any, value: Any = None, *, visibility: str = "private") -> Any
     return _Declared(kind) if value is None else value
 
 
+def cast(kind: Any, value: builtins.float) -> builtins.int:
+    """The number without its fraction, as C casts to a type of whole numbers."""
+    return builtins.int(value)
+
+
 def cfunc(function: _Function) -> _Function:
     """The function itself."""
     return function
 
 
-inline = final = cfunc
+ccall = inline = final = cfunc
 
 
 def exceptval(value: Any = None, *, check: bool = False) -> Callable[[_Function], _Function]:
@@ -114,41 +119,49 @@ def cclass(kind: type) -> Any:
     return type(kind.__name__, (), {**members, "__slots__": tuple(types), "__new__": new})
 
 
-def cos(angle: float) -> float:
+def cos(angle: builtins.float) -> builtins.float:
     """As `math.cos`; NaN of an infinite angle."""
     return math.cos(angle) if isfinite(angle) else NAN
 
 
-def sin(angle: float) -> float:
+def sin(angle: builtins.float) -> builtins.float:
     """As `math.sin`; NaN of an infinite angle."""
     return math.sin(angle) if isfinite(angle) else NAN
 
 
-def tan(angle: float) -> float:
+def tan(angle: builtins.float) -> builtins.float:
     """As `math.tan`; NaN of an infinite angle."""
     return math.tan(angle) if isfinite(angle) else NAN
 
 
-def asin(value: float) -> float:
+def asin(value: builtins.float) -> builtins.float:
     """As `math.asin`; NaN beyond 1."""
     return math.asin(value) if -1.0 <= value <= 1.0 else NAN
 
 
-def sqrt(value: float) -> float:
+def sqrt(value: builtins.float) -> builtins.float:
     """As `math.sqrt`; NaN of a negative number."""
     return math.sqrt(value) if value >= 0.0 else NAN
 
 
-def fmod(value: float, divisor: float) -> float:
+def fmod(value: builtins.float, divisor: builtins.float) -> builtins.float:
     """As `math.fmod`; NaN of an infinite number or for a divisor of 0."""
     return math.fmod(value, divisor) if isfinite(value) and divisor else NAN
 
 
-def remainder(value: float, divisor: float) -> float:
+def remainder(value: builtins.float, divisor: builtins.float) -> builtins.float:
     """As `math.remainder`; NaN of an infinite number or for a divisor of 0."""
     return math.remainder(value, divisor) if isfinite(value) and divisor else NAN
 
 
-def rint(value: float) -> float:
+def hypot(x: builtins.float, y: builtins.float) -> builtins.float:
+    """As that of C, which `abs` of a complex number calls; `math.hypot` rounds otherwise."""
+    try:
+        return abs(complex(x, y))
+    except OverflowError:
+        return INFINITY
+
+
+def rint(value: builtins.float) -> builtins.float:
     """The nearest whole number, the even one of two."""
-    return float(round(value)) if isfinite(value) else value
+    return builtins.float(round(value)) if isfinite(value) else value

@@ -21,9 +21,9 @@ from typing import Any
 KERNELS = (
     "swarmd.protection.barrier",
     "swarmd.protection.blind_zone",
-    "swarmd.sensing.scan_kernel",
-    "swarmd.sim.world.base_kernel",
-    "swarmd.sim.world.lidar_kernel",
+    "swarmd.sensing.scans",
+    "swarmd.sim.world.base",
+    "swarmd.sim.world.ray_caster",
 )
 
 _NOT_COMPILED = "not compiled"
@@ -36,17 +36,7 @@ def load_kernel(name: str) -> Any:
     One line in the log tells of a kernel that is older than its source. To import the module by its
     name always gives the interpreted one.
     """
-    return compiled_kernel(name) or import_module(name)
-
-
-def compiled_kernel(name: str) -> Any:
-    """As `load_kernel`; None where the kernel is not compiled, for code with another fallback."""
-    if not _is_wanted() or _fault_of(name):
-        return None
-    try:
-        return import_module(_library_name(name))
-    except ImportError:  # built for another processor
-        return None
+    return _compiled(name) or import_module(name)
 
 
 def describe_kernels() -> str:
@@ -61,6 +51,16 @@ def describe_kernels() -> str:
     return (
         f"compiled, but {', '.join(f'{_short(name)} is {fault}' for name, fault in faults.items())}"
     )
+
+
+def _compiled(name: str) -> Any:
+    """The library of a kernel; None where the file is to be interpreted."""
+    if not _is_wanted() or _fault_of(name):
+        return None
+    try:
+        return import_module(_library_name(name))
+    except ImportError:  # built for another processor
+        return None
 
 
 def _is_wanted() -> bool:

@@ -11,10 +11,9 @@ from collections import deque
 
 import numpy as np
 
-from swarmd.core.kernels import compiled_kernel
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Array, Odometry, Scan, ScanSpec
-from swarmd.sensing import conditioning_numpy
 from swarmd.sensing.blind_sector import BlindSectors
 
 MAX_REPEATS = 3  # repeats of a noisy sensor after which its scan counts as frozen
@@ -48,8 +47,8 @@ class ScanConditioner:
         self._bearings = np.empty(0)  # the last valid ones
         self._ages: Array | None = None
         self._blind = BlindSectors(spec)
-        rays = compiled_kernel("swarmd.sensing.scan_kernel") or conditioning_numpy
-        self._rays: conditioning_numpy.RayMemory = rays.RayMemory(spec, guesses_near=guesses_near)
+        kernel = load_kernel("swarmd.sensing.scans")
+        self._rays = kernel.RayMemory(spec, guesses_near=guesses_near)
         self._last: Scan | None = None
         self._newest = (-math.inf, -math.inf)  # sequence and stamp
         self._in_order = 0
@@ -59,7 +58,8 @@ class ScanConditioner:
     @property
     def known_at(self) -> float:
         """The time in s to which the last returned scan is valid."""
-        return self._rays.known_at
+        known_at: float = self._rays.known_at
+        return known_at
 
     @property
     def blind_text(self) -> str:
@@ -84,7 +84,7 @@ class ScanConditioner:
                 return Reason.FROZEN_SCAN
         yaw = math.nan if odometry is None else odometry.pose.yaw
         raw = self._blind.take(scan.ranges, self._bearings, odometry, now)
-        ranges = self._rays.condition(raw, self._bearings, yaw, now)
+        ranges: Array | None = self._rays.condition(raw, self._bearings, yaw, now)
         if ranges is None:
             return Reason.INVALID_SCAN
         ranges.flags.writeable = False  # the memory and an inline pattern share it

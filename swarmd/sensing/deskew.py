@@ -15,9 +15,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from swarmd.core.kernels import compiled_kernel
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Scan, ScanSpec, Sweep
-from swarmd.sensing import deskew_numpy
 from swarmd.sensing.measured_sweep import MeasuredSweep
 from swarmd.sensing.odometry_history import OdometryHistory, relative
 
@@ -47,7 +46,7 @@ class Deskewer:
         self._last: Scan | None = None
         self._last_at = -math.inf  # the time of its newest ray
         self._filled = 0  # its first rays, which are those of the scan before it
-        self._kernel = compiled_kernel("swarmd.sensing.scan_kernel") or deskew_numpy
+        self._kernel = load_kernel("swarmd.sensing.scans")
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Take in a measured pose."""

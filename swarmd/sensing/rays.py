@@ -8,37 +8,77 @@ has no returns. Returned bearings are within [-pi, pi).
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import NamedTuple
 
-from swarmd.core.kernels import compiled_kernel
+import numpy as np
+from numpy.typing import NDArray
+
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Scan
-from swarmd.sensing import rays_numpy
-from swarmd.sensing.rays_numpy import Gap, Ray, RayClusters, gaps, sectors
 
-__all__ = [
-    "Gap",
-    "Ray",
-    "RayClusters",
-    "closest_points",
-    "clusters",
-    "gaps",
-    "nearest",
-    "sectors",
-    "unit_vectors",
-]
+_TWO_PI = 2.0 * math.pi
+_kernel = load_kernel("swarmd.sensing.scans")
 
-_features = compiled_kernel("swarmd.sensing.scan_kernel") or rays_numpy
+
+class Ray(NamedTuple):
+    """One return: range in m, bearing in rad."""
+
+    range: float
+    bearing: float
+
+
+class Gap(NamedTuple):
+    """A free sector: bearing of its middle and width, in rad."""
+
+    bearing: float
+    width: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayClusters:
+    """Objects as runs of neighbouring rays, one element of each array per object.
+
+    `ranges` (k,) m to the nearest ray, `bearings` (k,) rad of the middle, `widths` (k,) m across
+    the visible part, `counts` (k,) rays, `is_free` (k,) true if no nearer object hides
+    a side of it.
+    """
+
+    ranges: Array
+    bearings: Array
+    widths: Array
+    counts: NDArray[np.int64]
+    is_free: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        """The number of objects."""
+        return len(self.ranges)
 
 
 def nearest(scan: Scan | None, *, bearing: float = 0.0, half_width: float = math.pi) -> Ray | None:
     """The nearest return within `half_width` rad of a bearing; None without one."""
-    found: Ray | None = _features.nearest(scan, bearing=bearing, half_width=half_width)
-    return found
+    found = None if scan is None else _kernel.nearest(scan, bearing, half_width)
+    return None if found is None else Ray(*found)
 
 
 def unit_vectors(bearings: Array) -> Array:
     """The directions (n, 2) at `bearings` (n,) rad."""
-    vectors: Array = _features.unit_vectors(bearings)
+    vectors: Array = _kernel.unit_vectors(bearings)
     return vectors
+
+
+def sectors(scan: Scan | None, count: int) -> Array:
+    """The nearest range in each of `count` equal sectors (count,); +inf without a return.
+
+    Sector 0 is centred ahead, the others follow counter-clockwise.
+    """
+    result = np.full(count, math.inf)
+    if scan is not None:
+        is_known = ~np.isnan(scan.ranges)
+        ranges = np.maximum(scan.ranges[is_known], scan.range_min)
+        sector = np.rint(_wrap(scan.bearings[is_known]) * (count / _TWO_PI)).astype(np.int64)
+        np.minimum.at(result, sector % count, ranges)
+    return result
 
 
 def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Array:
@@ -47,8 +87,34 @@ def closest_points(scan: Scan | None, *, within: float, count: int = 24) -> Arra
     One point per robot, and one per straight wall (the foot of the perpendicular): the local
     minima, among `count` equal sectors, of the ranges up to `within` m.
     """
-    found: Array = _features.closest_points(scan, within=within, count=count)
+    if scan is None:
+        return np.empty((0, 2))
+    found: Array = _kernel.closest_points(scan, within, count)
     return found
+
+
+def gaps(scan: Scan | None, *, beyond: float) -> list[Gap]:
+    """The free sectors, widest first: runs of rays without a return up to `beyond` m.
+
+    Unknown rays are not free. A scan without any return is one gap of 2 pi ahead.
+    """
+    if scan is None or not len(scan.ranges):
+        return []
+    bearings = _wrap(scan.bearings)
+    order = np.argsort(bearings, kind="stable")
+    bearings = bearings[order]
+    is_free = scan.ranges[order] > max(beyond, scan.range_min)
+    if is_free.all():
+        return [Gap(0.0, _TWO_PI)]
+    start = int(np.argmin(is_free))
+    bearings, is_free = np.roll(bearings, -start), np.roll(is_free, -start)
+    edges = np.flatnonzero(np.diff(np.concatenate(([False], is_free, [False])).astype(np.int8)))
+    found = []
+    for first, end in zip(edges[::2], edges[1::2], strict=True):
+        width = float((bearings[end - 1] - bearings[first]) % _TWO_PI)
+        middle = float(bearings[first]) + 0.5 * width
+        found.append(Gap((middle + math.pi) % _TWO_PI - math.pi, width))
+    return sorted(found, key=lambda gap: -gap.width)
 
 
 def clusters(
@@ -60,5 +126,13 @@ def clusters(
     surface seen at an angle of `grazing` rad makes between them, which grows with the range
     (Borges and Aldon, "Line extraction in 2D range images for mobile robotics", 2004).
     """
-    found: RayClusters = _features.clusters(scan, within=within, jump=jump, grazing=grazing)
-    return found
+    found = None if scan is None else _kernel.clusters(scan, within, jump, grazing)
+    if found is None:
+        nothing = np.empty(0)
+        return RayClusters(nothing, nothing, nothing, np.empty(0, np.int64), np.empty(0, np.bool_))
+    return RayClusters(*found)
+
+
+def _wrap(bearings: Array) -> Array:
+    wrapped: Array = (bearings + math.pi) % _TWO_PI - math.pi
+    return wrapped

@@ -11,12 +11,12 @@ from pathlib import Path
 import pytest
 
 from swarmd.core import clock, kernels
-from swarmd.core.kernels import KERNELS, compiled_kernel, describe_kernels, load_kernel
+from swarmd.core.kernels import KERNELS, describe_kernels, load_kernel
 
 
 def test_no_library_is_loaded_where_it_is_not_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SWARMD_COMPILED", "0")
-    assert [compiled_kernel(name) for name in KERNELS] == [None] * len(KERNELS)
+    assert [kernels._compiled(name) for name in KERNELS] == [None] * len(KERNELS)
     assert load_kernel("swarmd.core.clock") is clock
     assert describe_kernels() == "interpreted (SWARMD_COMPILED=0)"
 
@@ -24,7 +24,7 @@ def test_no_library_is_loaded_where_it_is_not_wanted(monkeypatch: pytest.MonkeyP
 def test_a_kernel_that_was_not_built_is_interpreted(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
     monkeypatch.setattr(kernels, "KERNELS", ("swarmd.core.clock",))
-    assert compiled_kernel("swarmd.core.clock") is None
+    assert kernels._compiled("swarmd.core.clock") is None
     assert load_kernel("swarmd.core.clock") is clock
     assert describe_kernels() == "interpreted (not compiled)"
     monkeypatch.setattr(kernels, "KERNELS", (*KERNELS, "swarmd.protection.absent"))
@@ -67,13 +67,13 @@ def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("SWARMD_COMPILED", raising=False)
-    library = _library("swarmd.sim.world.base_kernel")
-    source = library.with_name("base_kernel.py")
+    library = _library("swarmd.sim.world.base")
+    source = library.with_name("base.py")
     shutil.copy(library, tmp_path)
     script = (
         f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from swarmd.core import kernels;"
-        "kernels.KERNELS = ('base_kernel',);"
-        "print([kernels.compiled_kernel('base_kernel') is not None for _ in range(2)],"
+        "kernels.KERNELS = ('base',);"
+        "print([kernels._compiled('base') is not None for _ in range(2)],"
         " kernels.describe_kernels())"
     )
 
@@ -88,7 +88,7 @@ def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
     assert answer() == loaded
     (tmp_path / source.name).write_bytes(source.read_bytes() + b"\n")
     text = "older than its source (run make kernels)"
-    assert answer() == (f"[False, False] interpreted ({text})", f"kernel base_kernel is {text}")
+    assert answer() == (f"[False, False] interpreted ({text})", f"kernel base is {text}")
 
 
 def _library(name: str) -> Path:
@@ -105,7 +105,7 @@ def _said_of_cut_kernel(folder: Path) -> str:
         f"import sys; sys.path.insert(0, {str(folder)!r}); from swarmd.core import kernels;"
         "kernels.KERNELS = ('cut',);"
         "said = kernels.describe_kernels();"
-        "print(kernels.compiled_kernel('cut'), said)"
+        "print(kernels._compiled('cut'), said)"
     )
     command = [sys.executable, "-c", script]
     return subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()

@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import compiled_kernel
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Sweep, Twist
-from swarmd.sensing import deskew_numpy
 from swarmd.sensing.deskew import Deskewer
 from swarmd.sensing.odometry_history import OdometryHistory
 
-KERNEL: Any = compiled_kernel("swarmd.sensing.scan_kernel")
-needs_kernel = pytest.mark.skipif(KERNEL is None, reason="the kernels are not compiled")
-SEEDS = st.integers(0, 2**32 - 1)
 N, PERIOD = 360, 0.2
 BEARINGS = np.arange(N) * 2.0 * np.pi / N
 BEARINGS.flags.writeable = False
@@ -130,50 +124,11 @@ def test_rays_without_a_distance_turn_and_keep_their_class() -> None:
     ranges = np.array([np.inf, -np.inf, np.nan, 0.13, 3.49])
     bearings, turn = np.zeros(5), np.array(((0.0, 0.0, 0.0, 0.0), (0.2, -0.04, 0.0, 0.3)))
     args = (bearings, np.ones(5), np.zeros(5), np.full(5, 0.2), turn, (0.0, 0.0, 0.12, 3.5))
-    moved, turned = deskew_numpy.move_rays(ranges, *args)
+    moved, turned = load_kernel("swarmd.sensing.scans").move_rays(ranges, *args)
     np.testing.assert_array_equal(moved[:3], ranges[:3])
     np.testing.assert_allclose(turned[:3], 0.3)
     assert moved[3] == -np.inf  # 4 cm nearer, too close to measure
     assert moved[4] == pytest.approx(3.45, abs=2e-3)
-
-
-LIMITS = (-0.03, 0.01, 0.12, 3.5)
-
-
-@needs_kernel
-@given(seed=SEEDS, n=st.integers(1, 60), steps=st.integers(2, 12))
-def test_the_kernel_moves_rays_as_numpy_does(seed: int, n: int, steps: int) -> None:
-    rng = np.random.default_rng(seed)
-    ranges, bearings, ages = drawn_rays(rng, n, 3.5)
-    path = rng.normal(0.0, 0.1, (steps, 4))
-    path[:, 0] = np.linspace(0.0, 0.25, steps)
-    args = (ranges, bearings, np.cos(bearings), np.sin(bearings), ages, path, LIMITS)
-    assert_same(KERNEL.move_rays(*args), deskew_numpy.move_rays(*args))
-
-
-@needs_kernel
-@given(seed=SEEDS, n=st.integers(1, 60), motion=st.floats(0.0, 0.2))
-def test_the_kernel_finds_the_rays_of_a_sector_as_numpy_does(
-    seed: int, n: int, motion: float
-) -> None:
-    rng = np.random.default_rng(seed)
-    rays = drawn_rays(rng, n, 0.5)
-    moved = tuple(rng.normal(0.0, motion, 3).tolist())
-    sector = rng.uniform(-4.0, 4.0), float(rng.choice((-1.0, 1.0))), 0.8
-    args = (*rays, n // 4, moved, sector, LIMITS)
-    assert_same(KERNEL.rays_in_sector(*args), deskew_numpy.rays_in_sector(*args))
-
-
-def drawn_rays(rng: np.random.Generator, n: int, farthest: float) -> tuple[Array, Array, Array]:
-    """Ranges, a third of them odd, bearings and ages (n,) of rays."""
-    odd = rng.choice((np.nan, np.inf, -np.inf, 0.12, 3.5, 1.0), n)
-    ranges = np.where(rng.random(n) < 0.3, odd, rng.uniform(0.12, farthest, n))
-    return ranges, rng.uniform(-7.0, 7.0, n), rng.uniform(0.0, 0.3, n)
-
-
-def assert_same(ours: Iterable[Array], theirs: Iterable[Array]) -> None:
-    for one, other in zip(ours, theirs, strict=True):
-        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
 
 
 def test_a_pose_that_jumps_ends_the_history() -> None:

@@ -10,9 +10,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Platform, Pose, Twist
 from swarmd.protection.assumption_monitor import AssumptionMonitor
-from swarmd.sim.world.base_dynamics import Actuators, BaseDynamics
 from swarmd.sim.world.geometry import Indices
 from swarmd.sim.world.odometer import ODOMETRY_RATE, Odometers
 from swarmd.sim.world.realism import REALISTIC, Actuation, OdometryNoise
@@ -69,8 +69,10 @@ class RestlessBases:
             "angular_acceleration": brakes * barrier["braking_angular"],
         }
         bases = [replace(platform, body=body)] * count
-        self._actuators = Actuators(Actuation(delay=delay), bases, DT)
-        self._dynamics = BaseDynamics(bases, DT)
+        self._pose, self._velocity, self._force = (np.zeros((count, 3)) for _ in range(3))
+        memory = self._pose.ravel(), self._velocity.ravel(), self._force.ravel()
+        base = load_kernel("swarmd.sim.world.base")
+        self._bases = base.Bases(Actuation(delay=delay), bases, memory, DT)
         ids, noise = [f"r{i}" for i in range(count)], noise or REALISTIC.odometry
         self._odometers = Odometers(noise, bases, np.zeros((count, 3)), ids, seed)
         self.monitors = [AssumptionMonitor(platform) for _ in range(count)]
@@ -80,7 +82,6 @@ class RestlessBases:
         self._styles = np.array([STYLES.index(style) for style in styles])[self._styles]
         self._until = np.zeros(count)
         self._goals, self._wanted = np.zeros((count, 2)), np.zeros((count, 2))
-        self._pose, self._velocity = np.zeros((count, 3)), np.zeros((count, 3))
         self._coming: list[tuple[float, float, Array, Array]] = []
         self._lag, self._step = lag, 0
         self.alarms: list[Alarm] = []
@@ -93,10 +94,9 @@ class RestlessBases:
             if self._step % TICK == 0:
                 self._read(now, rows)
                 self._command(now)
-            self._dynamics.set(self._actuators.now())
-            force = self._dynamics.forces(self._pose, self._velocity)
-            self._velocity = self._velocity + force / self._dynamics.inert * DT
-            self._pose = self._pose + self._velocity * DT
+            self._bases.drive()
+            self._velocity += self._force / self._bases.inert * DT
+            self._pose += self._velocity * DT
             self._step += 1
         return self.alarms
 
@@ -142,7 +142,7 @@ class RestlessBases:
         for row, monitor in enumerate(self.monitors):
             commands[row] *= monitor.speed_share
             self._note(row, now, monitor.on_command(Twist(*commands[row].tolist())))
-        self._actuators.put(commands)
+        self._bases.put(commands)
 
 
 assert round(ODOMETRY_RATE * TICK * DT) == 1

@@ -214,29 +214,30 @@ UNEVEN = np.radians([40.0, -40.0, 20.0, 0.0, 170.0, -170.0, 359.0, 180.0])
 FAN = np.radians(np.linspace(-120.0, 120.0, 241))
 
 
+def seen_of_surface(bearings: Array, yaw: float, low: float, high: float) -> list[int]:
+    """The rays that meet a surface between two bearings, at 1 m from a sensor with this yaw."""
+    ends = np.array([[math.cos(yaw + end), math.sin(yaw + end)] for end in (high, low)])
+    shapes = shapes_of(FIELD, [], plane=None)
+    lidar = Lidar(ScanSpec(bearings, 5.0, 1e-3, 10.0), replace(shapes, walls=ends[None]))
+    ranges = lidar.cast(np.array([[0.0, 0.0, yaw]]), np.array([0]))
+    return np.flatnonzero(np.isfinite(ranges[0])).tolist()
+
+
 @pytest.mark.parametrize("bearings", [EVEN, SHIFTED, UNEVEN, FAN])
-def test_finds_the_rays_between_two_bearings(bearings: Array) -> None:
+def test_the_rays_between_the_ends_of_a_surface_meet_it(bearings: Array) -> None:
     rng = np.random.default_rng(3)
-    low = rng.uniform(-3.0 * math.pi, 2.0 * math.pi, 400)
-    high = low + rng.uniform(0.0, math.pi, 400)
-    rays = Rays(bearings)
-    places, counts = rays.within(low, high)
-    found = np.split(rays.number[places], np.cumsum(counts)[:-1])
-    for index, numbers in enumerate(found):
-        after = np.mod(bearings - low[index], 2.0 * math.pi)
-        inside = np.flatnonzero(after <= high[index] - low[index])
-        assert sorted(numbers.tolist()) == inside.tolist()
+    for _ in range(400):
+        low, yaw = rng.uniform(-3.0 * math.pi, 2.0 * math.pi, 2).tolist()
+        width = rng.uniform(0.01, 0.99 * math.pi)
+        inside = np.flatnonzero(np.mod(bearings - low, 2.0 * math.pi) <= width)
+        assert seen_of_surface(bearings, yaw, low, low + width) == inside.tolist()
 
 
 @pytest.mark.parametrize("bearings", [EVEN, SHIFTED, UNEVEN, FAN])
-def test_a_ray_at_the_very_end_of_an_interval_is_in_it_on_both_sides(bearings: Array) -> None:
-    rays = Rays(bearings)
-    for bearing in bearings.tolist():
-        for low, high in ((bearing - 1e-3, bearing), (bearing, bearing + 1e-3)):
-            places, counts = rays.within(np.array([low]), np.array([high]))
-            assert counts.tolist() == [1]
-            np.testing.assert_allclose(rays.cos[places], math.cos(bearing), atol=1e-12)
-            np.testing.assert_allclose(rays.sin[places], math.sin(bearing), atol=1e-12)
+def test_a_ray_at_the_very_end_of_a_surface_meets_it_on_both_sides(bearings: Array) -> None:
+    for ray, bearing in enumerate(bearings.tolist()):
+        assert seen_of_surface(bearings, 0.0, bearing - 1e-3, bearing) == [ray]
+        assert seen_of_surface(bearings, 0.0, bearing, bearing + 1e-3) == [ray]
 
 
 @pytest.mark.parametrize("name", platform_names())

@@ -53,12 +53,8 @@ def after(world: World, robots: int = 1) -> tuple[dict[int, Scan], list[Array]]:
     return scans, poses
 
 
-@pytest.mark.parametrize("is_compiled", [True, False])
 @pytest.mark.parametrize("sweep", SWEEPS)
-def test_rays_are_those_of_scans_at_the_poses_of_their_times(
-    sweep: Sweep, is_compiled: bool, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setenv("SWARMD_COMPILED", str(int(is_compiled)))
+def test_rays_are_those_of_scans_at_the_poses_of_their_times(sweep: Sweep) -> None:
     platform = turning(sweep)
     world = world_of(platform, robots=2)
     world.set_commands(np.array([[0.2, 2.5, 0.0], [-0.1, -1.0, 0.0]]))

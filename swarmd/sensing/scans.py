@@ -1,59 +1,73 @@
-"""Conditioning of scans and features of scans, ray by ray, compiled by Cython.
+"""The arithmetic on the rays of a scan: conditioning, motion and features.
 
-The same results as `conditioning_numpy` and `rays_numpy`, which are the reference and say what each
-step means. Operations have the reference's order.
+A kernel (see `core/kernels.py`): `conditioning.py`, `deskew.py` and `rays.py` use it.
 """
 
 from __future__ import annotations
 
 import math
+from array import array
+from typing import TYPE_CHECKING
 
-import cython
 import numpy as np
-from cython.cimports.libc.math import (
-    INFINITY,
-    NAN,
-    asin,
-    atan2,
-    cos,
-    fabs,
-    fmod,
-    hypot,
-    isfinite,
-    isnan,
-    rint,
-    sin,
-    sqrt,
-    tan,
-)
-from cython.cimports.libc.string import memcmp
 
-from swarmd.core.values import Scan
-from swarmd.sensing.conditioning_numpy import (
-    BLIND_RETURNS,
-    BLIND_SHARE,
-    NEAR_MARGIN,
-    NEAR_MEMORY,
-    NEAR_SECTOR,
-    PACKET_RAYS,
-)
-from swarmd.sensing.rays_numpy import (
-    UNSEEN,
-    Ray,
-    RayClusters,
-)
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import (
+        INFINITY,
+        NAN,
+        asin,
+        atan2,
+        cos,
+        fabs,
+        fmod,
+        hypot,
+        isfinite,
+        isnan,
+        rint,
+        sin,
+        sqrt,
+        tan,
+    )
+    from cython.cimports.libc.string import memcmp
+else:
+    from swarmd.core.cython_shadow import (
+        INFINITY,
+        NAN,
+        asin,
+        atan2,
+        cos,
+        fabs,
+        fmod,
+        hypot,
+        isfinite,
+        isnan,
+        rint,
+        sin,
+        sqrt,
+        tan,
+    )
 
-if not cython.compiled:
-    raise ImportError("swarmd.sensing.scan_kernel is not compiled")
+PACKET_RAYS = 6  # rays that an LDS loses together
 
 _PI = cython.declare(cython.double, math.pi)
 _TURN = cython.declare(cython.double, 2.0 * math.pi)
-_UNSEEN = cython.declare(cython.double, UNSEEN)
+# m: the range given to rays without a return, so that they form runs.
+_UNSEEN = cython.declare(cython.double, 1e9)
 _MAX_LAYOUTS = cython.declare(cython.int, 8)
-_BLIND_RETURNS = cython.declare(cython.double, BLIND_RETURNS)
-_BLIND_SHARE = cython.declare(cython.double, BLIND_SHARE)
-_NEAR_MEMORY = cython.declare(cython.double, NEAR_MEMORY)
-_NEAR_SECTOR = cython.declare(cython.double, NEAR_SECTOR + 1e-9)
+# Far returns that do not vanish from one scan to the next: so many, and this share of the rays.
+# Fewer may vanish: those of a ring of few sensors.
+_BLIND_RETURNS = cython.declare(cython.double, 8.0)
+_BLIND_SHARE = cython.declare(cython.double, 0.1)
+# m above range_min: an LDS ray this near may turn into a zero.
+_NEAR_MARGIN = cython.declare(cython.double, 0.10)
+# s for which a near ray explains zeros.
+_NEAR_MEMORY = cython.declare(cython.double, 1.0)
+# rad beside a near ray in which zeros may mean near.
+_NEAR_SECTOR = cython.declare(cython.double, math.radians(3.0) + 1e-9)
 _PACKET_RAYS = cython.declare(cython.Py_ssize_t, PACKET_RAYS)
 
 
@@ -148,22 +162,26 @@ class _Layout:
     def __init__(self, n):
         """For up to n bearings."""
         self.capacity = n
-        self.angles, self.steps = np.empty(n), np.empty(n)
-        self.given, self.wrapped = np.empty(n), self.angles
-        self.rising, self.slopes, self.work = np.empty(n), np.empty(n), np.empty(n)
-        self.order, self.sector = np.empty(n, np.int64), np.empty(n, np.int64)
-        self.is_apart, self.is_last = np.empty(n, np.uint8), np.empty(n, np.uint8)
+        self.angles, self.steps = np.empty(n), memoryview(np.empty(n))
+        self.given, self.wrapped = memoryview(np.empty(n)), memoryview(self.angles)
+        self.rising, self.slopes = memoryview(np.empty(n)), memoryview(np.empty(n))
+        self.work = memoryview(np.empty(n))
+        self.order, self.sector = (memoryview(np.empty(n, np.int64)) for _ in range(2))
+        self.is_apart, self.is_last = (memoryview(np.empty(n, np.uint8)) for _ in range(2))
         self.found, self.found_counts = np.empty((3, n)), np.empty(n, np.int64)
         self.found_free = np.empty(n, np.bool_)
-        self.ranges, self.bearings, self.widths = self.found
-        self.counts, self.is_free = self.found_counts, self.found_free.view(np.uint8)
+        self.ranges, self.bearings, self.widths = map(memoryview, self.found)
+        self.counts = memoryview(self.found_counts)
+        self.is_free = memoryview(self.found_free.view(np.uint8))
 
     @cython.cfunc
     def is_of(self, bearings: cython.const[cython.double][::1]) -> cython.bint:
         n: cython.Py_ssize_t = self.n
         if bearings.shape[0] != n:
             return False
-        return memcmp(cython.address(bearings[0]), cython.address(self.given[0]), 8 * n) == 0
+        if cython.compiled:
+            return memcmp(cython.address(bearings[0]), cython.address(self.given[0]), 8 * n) == 0
+        return bearings == self.given[:n]
 
     @cython.cfunc
     def set_bearings(self, bearings: cython.const[cython.double][::1]) -> cython.int:
@@ -177,7 +195,11 @@ class _Layout:
 
     @cython.cfunc
     def set_grazing(self, grazing: cython.double):
-        """As `rays_numpy.in_order` and `surfaces`."""
+        """Set the order of rising bearings, the steps to the next, and what a surface makes.
+
+        `slopes`: of a surface at `grazing` rad to the next ray. `is_apart`: rays that are too far
+        apart; up to two rays may be unknown in the middle of an object.
+        """
         n: cython.Py_ssize_t = self.n
         i: cython.Py_ssize_t
         if not self.is_ordered:
@@ -196,7 +218,7 @@ class _Layout:
             slope: cython.double = tan(grazing)
             least: cython.double = min(3.5 * self.spacing, 0.5 * _PI)
             for i in range(n):
-                self.slopes[i] = self.steps[i] / slope
+                self.slopes[i] = self.steps[i] / slope if slope else INFINITY
                 self.is_apart[i] = self.steps[i] >= least
             self.grazing = grazing
 
@@ -234,13 +256,14 @@ class _Layout:
 
     @cython.cfunc
     def set_sectors(self, count: cython.Py_ssize_t):
-        """As `rays_numpy.in_sectors`."""
+        """Set the sector of each ray."""
         if count == self.count:
             return
         if self.points is None or len(self.points) != count:
             self.points = np.empty((count, 2))
-            self.point = self.points
-            self.lowest, self.nearest_ray = np.empty(count), np.empty(count, np.intp)
+            self.point = memoryview(self.points)
+            self.lowest = memoryview(np.empty(count))
+            self.nearest_ray = memoryview(np.empty(count, np.intp))
         share: cython.double = count / _TURN
         i: cython.Py_ssize_t
         sector: cython.longlong
@@ -297,25 +320,24 @@ def _layout_of(bearings) -> _Layout:
 
 
 @cython.cfunc
-def _known(scan) -> tuple:
+def _known(scan):
     """The known ranges and their bearings."""
     ranges = np.ascontiguousarray(scan.ranges, np.float64)
     bearings = np.ascontiguousarray(scan.bearings, np.float64)
+    if not cython.compiled:
+        ranges, bearings = memoryview(ranges), memoryview(bearings)
     view: cython.const[cython.double][::1] = ranges
     i: cython.Py_ssize_t
     for i in range(view.shape[0]):
         if isnan(view[i]):
             is_known = ~np.isnan(ranges)
-            return ranges[is_known], bearings[is_known]
+            ranges, bearings = np.array(ranges)[is_known], np.array(bearings)[is_known]
+            return (ranges, bearings) if cython.compiled else map(memoryview, (ranges, bearings))
     return ranges, bearings
 
 
-def nearest(
-    scan: Scan | None, *, bearing: cython.double = 0.0, half_width: cython.double = math.pi
-):
-    """See `rays.nearest`."""
-    if scan is None:
-        return None
+def nearest(scan, bearing: cython.double, half_width: cython.double):
+    """Range and bearing of the ray that `rays.nearest` finds; None without one."""
     known, bearings = _known(scan)
     ranges: cython.const[cython.double][::1] = known
     n: cython.Py_ssize_t = ranges.shape[0]
@@ -336,7 +358,7 @@ def nearest(
             if is_sector and fabs(_mod(layout.wrapped[i] - bearing + _PI) - _PI) > half_width:
                 continue
             lowest, index = distance, i
-    return None if index < 0 else Ray(lowest, layout.wrapped[index])
+    return None if index < 0 else (lowest, layout.wrapped[index])
 
 
 def unit_vectors(bearings):
@@ -344,6 +366,8 @@ def unit_vectors(bearings):
     given: cython.const[cython.double][::1] = np.ascontiguousarray(bearings, np.float64)
     vectors = np.empty((given.shape[0], 2))
     out: cython.double[:, ::1] = vectors
+    if not cython.compiled:
+        given, out = memoryview(given), memoryview(vectors)
     i: cython.Py_ssize_t
     angle: cython.double
     for i in range(given.shape[0]):
@@ -352,10 +376,8 @@ def unit_vectors(bearings):
     return vectors
 
 
-def closest_points(scan: Scan | None, *, within: cython.double, count: cython.Py_ssize_t = 24):
+def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     """See `rays.closest_points`."""
-    if scan is None:
-        return np.empty((0, 2))
     known, bearings = _known(scan)
     ranges: cython.const[cython.double][::1] = known
     n: cython.Py_ssize_t = ranges.shape[0]
@@ -405,21 +427,13 @@ def closest_points(scan: Scan | None, *, within: cython.double, count: cython.Py
     return layout.points[:found].copy()
 
 
-def clusters(
-    scan: Scan | None,
-    *,
-    within: cython.double,
-    jump: cython.double,
-    grazing: cython.double,
-):
-    """See `rays.clusters`."""
-    if scan is None:
-        return _no_clusters()
+def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.double):
+    """The arrays of `rays.RayClusters`; None without a return."""
     known, bearings = _known(scan)
     given: cython.const[cython.double][::1] = known
     n: cython.Py_ssize_t = given.shape[0]
     if n == 0:
-        return _no_clusters()
+        return None
     layout: _Layout = _layout_of(bearings)
     layout.set_grazing(grazing)
     ranges: cython.double[::1] = layout.work
@@ -428,8 +442,12 @@ def clusters(
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
     distance: cython.double
+    order: cython.longlong[::1] = layout.order
+    slopes: cython.double[::1] = layout.slopes
+    is_apart: cython.uchar[::1] = layout.is_apart
+    is_last: cython.uchar[::1] = layout.is_last
     for i in range(n):
-        distance = given[layout.order[i]]
+        distance = given[order[i]]
         if distance < least:
             distance = least
         if distance > within:
@@ -438,15 +456,15 @@ def clusters(
             is_seen = True
         ranges[i] = distance
     if not is_seen:
-        return _no_clusters()
+        return None
     shift: cython.Py_ssize_t = 0
     after: cython.double
     for i in range(n):
         distance, after = ranges[i], ranges[i + 1] if i + 1 < n else ranges[0]
-        layout.is_last[i] = layout.is_apart[i] or (
-            fabs(distance - after) > jump + min(distance, after) * layout.slopes[i]
+        is_last[i] = is_apart[i] or (
+            fabs(distance - after) > jump + (after if after < distance else distance) * slopes[i]
         )
-        if shift == 0 and layout.is_last[i]:
+        if shift == 0 and is_last[i]:
             shift = i + 1
     # Start behind a break, so that no object spans the end of the arrays.
     is_whole: cython.bint = shift == 0
@@ -457,20 +475,16 @@ def clusters(
     lowest: cython.double = INFINITY
     for i in range(shift, shift + n):
         k = i - n if i >= n else i
-        lowest = min(lowest, ranges[k])
-        if layout.is_last[k] or (is_whole and i == shift + n - 1):
+        if ranges[k] < lowest:
+            lowest = ranges[k]
+        if is_last[k] or (is_whole and i == shift + n - 1):
             if lowest < _UNSEEN:
                 _measure(layout, found, first, i, lowest)
                 found += 1
             first, lowest = i + 1, INFINITY
     distances, middles, widths = layout.found[:, :found].copy()
-    return RayClusters(
-        distances,
-        middles,
-        widths,
-        layout.found_counts[:found].copy(),
-        layout.found_free[:found].copy(),
-    )
+    counts, is_free = layout.found_counts[:found].copy(), layout.found_free[:found].copy()
+    return distances, middles, widths, counts, is_free
 
 
 @cython.cfunc
@@ -502,14 +516,9 @@ def _measure(
 
 
 @cython.cfunc
-def _no_clusters():
-    nothing = np.empty(0)
-    return RayClusters(nothing, nothing, nothing, np.empty(0, np.int64), np.empty(0, np.bool_))
-
-
-@cython.cfunc
 def _move(
-    out: cython.double[:, ::1],
+    distances: cython.double[::1],
+    turned: cython.double[::1],
     i: cython.Py_ssize_t,
     distance: cython.double,
     bearing: cython.double,
@@ -520,7 +529,7 @@ def _move(
     turn: cython.double,
     limits: cython.double[::1],
 ) -> cython.int:
-    """Column i of `out`: a finite range and its bearing; the sensor was moved by x, y and turn.
+    """Set element i to a finite range and its bearing; the sensor was moved by x, y and turn.
 
     `cosine` and `sine` of the direction of the ray after the turn.
     """
@@ -529,14 +538,14 @@ def _move(
     tangent: cython.double
     square: cython.double
     distance = min(sqrt(along * along + across * across), limits[3])
-    out[0, i] = -INFINITY if distance < limits[2] else distance
+    distances[i] = -INFINITY if distance < limits[2] else distance
     if fabs(across) < 0.03 * along:  # the series to 3e-15, faster than atan2
         tangent = across / along
         square = tangent * tangent
         turn += tangent * (1.0 - square * (1.0 / 3.0 - square * (0.2 - square / 7.0)))
     else:
         turn += atan2(across, along)
-    out[1, i] = _mod(bearing + turn + _PI) - _PI
+    turned[i] = _mod(bearing + turn + _PI) - _PI
     return 0
 
 
@@ -549,14 +558,26 @@ def move_rays(
     path: cython.const[cython.double][:, ::1],
     limits: tuple,
 ):
-    """See `deskew_numpy.move_rays`."""
+    """The ranges and bearings (n,) at the end of a path, of rays measured `ages` s before it.
+
+    `cosines` and `sines` (n,) of the bearings; `path` (m, 4) as of `OdometryHistory.path`, m >= 2;
+    `limits`: the sensor's x and y in the base frame, range_min and range_max in m. A ray without a
+    distance turns and keeps its class. A return that is nearer than range_min at the end of the
+    path is -inf, too close to measure. The new bearings are within [-pi, pi).
+    """
+    if not cython.compiled:
+        ranges, bearings, ages, path = map(memoryview, (ranges, bearings, ages, path))
+        cosines, sines = memoryview(cosines), memoryview(sines)
     n: cython.Py_ssize_t = ranges.shape[0]
-    bounds: cython.double[::1] = np.array(limits)
-    moved = np.empty((2, n))
-    out: cython.double[:, ::1] = moved
+    bounds: cython.double[::1] = array("d", limits)
+    moved, turned = np.empty(n), np.empty(n)
+    distances: cython.double[::1] = memoryview(moved)
+    angles: cython.double[::1] = memoryview(turned)
     last: cython.Py_ssize_t = path.shape[0] - 1
     k: cython.Py_ssize_t = 1  # the row at the end of the ray's stretch of the path
     i: cython.Py_ssize_t
+    age: cython.double
+    distance: cython.double
     share: cython.double
     turn: cython.double
     c: cython.double
@@ -565,26 +586,39 @@ def move_rays(
     y: cython.double
     ahead: cython.double
     left: cython.double
+    # The stretch: its begin and how long it is, in time, x, y and turn.
+    begin: cython.double = INFINITY
+    end: cython.double = -INFINITY
+    x_begin: cython.double = 0.0
+    y_begin: cython.double = 0.0
+    turn_begin: cython.double = 0.0
+    x_way: cython.double = 0.0
+    y_way: cython.double = 0.0
+    turn_way: cython.double = 0.0
     for i in range(n):
-        while k < last and ages[i] > path[k, 0]:
-            k += 1
-        while k > 1 and ages[i] < path[k - 1, 0]:
-            k -= 1
-        share = (ages[i] - path[k - 1, 0]) / (path[k, 0] - path[k - 1, 0])
-        share = min(max(share, 0.0), 1.0)
-        turn = path[k - 1, 3] + share * (path[k, 3] - path[k - 1, 3])
-        if not isfinite(ranges[i]):
-            out[0, i], out[1, i] = ranges[i], _mod(bearings[i] + turn + _PI) - _PI
+        age, distance = ages[i], ranges[i]
+        if not begin <= age <= end:
+            while k < last and age > path[k, 0]:
+                k += 1
+            while k > 1 and age < path[k - 1, 0]:
+                k -= 1
+            begin, end = path[k - 1, 0], path[k, 0]
+            x_begin, y_begin, turn_begin = path[k - 1, 1], path[k - 1, 2], path[k - 1, 3]
+            x_way, y_way = path[k, 1] - x_begin, path[k, 2] - y_begin
+            turn_way = path[k, 3] - turn_begin
+        share = min(max((age - begin) / (end - begin), 0.0), 1.0)
+        turn = turn_begin + share * turn_way
+        if not isfinite(distance):
+            distances[i], angles[i] = distance, _mod(bearings[i] + turn + _PI) - _PI
             continue
-        x = path[k - 1, 1] + share * (path[k, 1] - path[k - 1, 1])
-        y = path[k - 1, 2] + share * (path[k, 2] - path[k - 1, 2])
+        x, y = x_begin + share * x_way, y_begin + share * y_way
         c, s = cos(turn), sin(turn)
         x += (c - 1.0) * bounds[0] - s * bounds[1]
         y += s * bounds[0] + (c - 1.0) * bounds[1]
         ahead = c * cosines[i] - s * sines[i]
         left = s * cosines[i] + c * sines[i]
-        _move(out, i, ranges[i], bearings[i], ahead, left, x, y, turn, bounds)
-    return moved[0], moved[1]
+        _move(distances, angles, i, distance, bearings[i], ahead, left, x, y, turn, bounds)
+    return moved, turned
 
 
 def rays_in_sector(
@@ -596,8 +630,16 @@ def rays_in_sector(
     sector: tuple,
     limits: tuple,
 ):
-    """See `deskew_numpy.rays_in_sector`."""
-    bounds: cython.double[::1] = np.array(limits)
+    """Ranges, bearings and ages (k,) of the rays that lie in a sector, from ray `first` on.
+
+    `way`: x and y in m and yaw in rad of the place where all were measured, relative to the one for
+    which ranges and bearings are returned; a ray counts if it lies in the sector as seen from one
+    of the two. `sector`: the bearing of its start, 1.0 if it lies counter-clockwise of that or else
+    -1.0, and its width in rad. `limits` as of `move_rays`.
+    """
+    if not cython.compiled:
+        ranges, bearings, ages = map(memoryview, (ranges, bearings, ages))
+    bounds: cython.double[::1] = array("d", limits)
     x: cython.double = way[0]
     y: cython.double = way[1]
     turn: cython.double = way[2]
@@ -615,7 +657,9 @@ def rays_in_sector(
         most = asin(away / bounds[2]) + 1e-9
     n: cython.Py_ssize_t = ranges.shape[0]
     moved = np.empty((3, n))
-    out: cython.double[:, ::1] = moved
+    distances: cython.double[::1] = memoryview(moved[0])
+    angles: cython.double[::1] = memoryview(moved[1])
+    kept_ages: cython.double[::1] = memoryview(moved[2])
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
     before: cython.double
@@ -627,11 +671,11 @@ def rays_in_sector(
             continue
         if isfinite(ranges[i]):
             ahead, left = cos(bearings[i] + turn), sin(bearings[i] + turn)
-            _move(out, count, ranges[i], bearings[i], ahead, left, x, y, turn, bounds)
+            _move(distances, angles, count, ranges[i], bearings[i], ahead, left, x, y, turn, bounds)
         else:
-            out[0, count], out[1, count] = ranges[i], _mod(bearings[i] + turn + _PI) - _PI
-        if _mod(before) < width or _mod(direction * (out[1, count] - start)) < width:
-            out[2, count] = ages[i]
+            distances[count], angles[count] = ranges[i], _mod(bearings[i] + turn + _PI) - _PI
+        if _mod(before) < width or _mod(direction * (angles[count] - start)) < width:
+            kept_ages[count] = ages[i]
             count += 1
     return moved[0, :count], moved[1, :count], moved[2, :count]
 
@@ -641,7 +685,10 @@ _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": 
 
 @cython.cclass
 class RayMemory:
-    """See `conditioning_numpy.RayMemory`."""
+    """The memory of each ray, and what it makes of a scan's ranges.
+
+    `known_at`: see `conditioning.ScanConditioner`.
+    """
 
     known_at = cython.declare(cython.double, visibility="public")
     _range_min: cython.double
@@ -677,15 +724,19 @@ class RayMemory:
         self._max_gap, self._stale_after = spec.max_gap + 1e-9, spec.stale_after
         self._zero, self._is_lds = _ZEROS[spec.zero], spec.zero == "lds"
         self._guesses_near = guesses_near
-        self._near_below = spec.range_min + NEAR_MARGIN
-        self._step = _TURN / len(spec.bearings)
+        self._near_below = spec.range_min + _NEAR_MARGIN
+        self._step = _TURN / max(len(spec.bearings), 1)
         self._yaw, self._far_returns = NAN, 0
         self._given, self._n = None, 0
 
     def condition(self, raw, bearings, yaw: cython.double, now: cython.double):
-        """See `conditioning_numpy.RayMemory.condition`."""
+        """The conditioned ranges (n,) of a scan; None if it is invalid.
+
+        Bearings (n,) that are the same object as before are not looked at again. `yaw` of the
+        robot in rad, NaN if unknown; `now` in s.
+        """
         ranges = np.array(raw, dtype=np.float64, order="C")
-        out: cython.double[::1] = ranges
+        out: cython.double[::1] = memoryview(ranges)
         n: cython.Py_ssize_t = out.shape[0]
         if self._goes_blind(out):
             return None
@@ -701,24 +752,14 @@ class RayMemory:
             self._recall(self._order, self._rising, turned)
         if self._interpret(out):
             self._interpret_zeros(out, now)
-        i: cython.Py_ssize_t
-        unknown: cython.Py_ssize_t = 0
-        for i in range(n):
-            if isnan(out[i]):
-                unknown += 1
-                self._is_lost[i] = not (self._is_lds and self._is_zero[i])
-                continue
-            self._is_lost[i] = False
-            self._ranges[i], self._seen_at[i] = out[i], now
-            # A zero is no near ray: one passing obstacle would make an open field near for good.
-            if out[i] < self._near_below and not self._is_zero[i]:
-                self._near_at[i] = now
+        unknown: cython.Py_ssize_t = self._remember(out, now)
         if 2 * unknown > n:
             return None
         self.known_at = now
         if unknown:
             self.known_at = self._lost_since(now)
             unknown = 0
+            i: cython.Py_ssize_t
             for i in range(n):
                 if isnan(out[i]):
                     if self._seen_at[i] >= now - self._stale_after:
@@ -730,15 +771,48 @@ class RayMemory:
         return ranges
 
     @cython.cfunc
+    def _remember(self, ranges: cython.double[::1], now: cython.double) -> cython.Py_ssize_t:
+        """Store the known rays; the number of unknown rays, which keep their memory."""
+        i: cython.Py_ssize_t
+        unknown: cython.Py_ssize_t = 0
+        distance: cython.double
+        near_below: cython.double = self._near_below
+        known: cython.double[::1] = self._ranges
+        seen_at: cython.double[::1] = self._seen_at
+        is_zero: cython.uchar[::1] = self._is_zero
+        is_lost: cython.uchar[::1] = self._is_lost
+        for i in range(ranges.shape[0]):
+            distance = ranges[i]
+            if isnan(distance):
+                unknown += 1
+                is_lost[i] = not (self._is_lds and is_zero[i])
+                continue
+            is_lost[i] = False
+            known[i], seen_at[i] = distance, now
+            # A zero is no near ray: one passing obstacle would make an open field near for good.
+            if distance < near_below and not is_zero[i]:
+                self._near_at[i] = now
+        return unknown
+
+    @cython.cfunc
     def _goes_blind(self, raw: cython.double[::1]) -> cython.bint:
+        """True if the scan has no return although the last one with returns had many far ones.
+
+        Then the sensor is blind; the robot has not reached an open field. An obstacle in the blind
+        zone may hide everything else, but then its returns were near before.
+        """
         i: cython.Py_ssize_t
         far: cython.Py_ssize_t = 0
         has_return: cython.bint = False
+        distance: cython.double
+        near_below: cython.double = self._near_below
+        range_max: cython.double = self._range_max
         far_below: cython.double = 0.8 * self._range_max
         for i in range(raw.shape[0]):
-            if (0.0 < raw[i] <= self._range_max) or raw[i] == -INFINITY:
+            distance = raw[i]
+            if (0.0 < distance <= range_max) or distance == -INFINITY:
                 has_return = True
-                if self._near_below < raw[i] < far_below:
+                if near_below < distance < far_below:
                     far += 1
         if has_return:
             self._far_returns = far
@@ -748,6 +822,7 @@ class RayMemory:
 
     @cython.cfunc
     def _turned(self, yaw: cython.double) -> cython.double:
+        """The turn of the sensor since the last call, in whole rays; the remainder is kept."""
         turned: cython.double = _mod(yaw - self._yaw + _PI) - _PI
         if not isfinite(turned):
             self._yaw = yaw
@@ -768,20 +843,21 @@ class RayMemory:
         self._given, self._n = bearings, n
         values = np.array(bearings, dtype=np.float64, order="C")
         order = np.argsort(values % _TURN, kind="stable")
-        self._bearings, self._order, self._rising = values, order, values[order] % _TURN
+        self._bearings, self._order = memoryview(values), memoryview(order)
+        self._rising = memoryview(values[order] % _TURN)
         self._direction = 1.0
         if n > 1:
             self._direction = math.copysign(
                 1.0, math.remainder(values[n - 1] - values[n - 2], _TURN)
             )
-        self._ranges, self._seen_at = np.full(n, NAN), np.full(n, -INFINITY)
-        self._near_at = np.full(n, -INFINITY)
+        self._ranges, self._seen_at = memoryview(np.full(n, NAN)), memoryview(np.full(n, -INFINITY))
+        self._near_at = memoryview(np.full(n, -INFINITY))
         if had:
             self._recall(old_order, old_rising, turned)
-        self._old_ranges, self._old_seen_at = np.empty(n), np.empty(n)
-        self._old_near_at = np.empty(n)
-        self._is_zero, self._is_lost = np.empty(n, np.uint8), np.empty(n, np.uint8)
-        self._place = np.argsort(order)
+        self._old_ranges, self._old_seen_at = (memoryview(np.empty(n)) for _ in range(2))
+        self._old_near_at = memoryview(np.empty(n))
+        self._is_zero, self._is_lost = (memoryview(np.empty(n, np.uint8)) for _ in range(2))
+        self._place = memoryview(np.argsort(order))
 
     @cython.cfunc
     def _recall(
@@ -810,21 +886,24 @@ class RayMemory:
         """Each ray as +inf, -inf, NaN or a distance; true if zeros of an LDS are left."""
         i: cython.Py_ssize_t
         value: cython.double
+        range_min: cython.double = self._range_min
+        range_max: cython.double = self._range_max
+        is_zero: cython.uchar[::1] = self._is_zero
         has_zeros: cython.bint = False
         for i in range(out.shape[0]):
             value = out[i]
-            self._is_zero[i] = value == 0.0
-            if self._range_min <= value <= self._range_max:
+            is_zero[i] = value == 0.0
+            if range_min <= value <= range_max:
                 continue
             if value == 0.0:
                 if self._is_lds:
                     has_zeros = True
                 else:
                     out[i] = self._zero
-            elif (0.0 < value < self._range_min) or value == -INFINITY:
+            elif (0.0 < value < range_min) or value == -INFINITY:
                 out[i] = -INFINITY
             else:
-                out[i] = INFINITY if value > self._range_max else NAN
+                out[i] = INFINITY if value > range_max else NAN
         return has_zeros
 
     @cython.cfunc

@@ -1,4 +1,4 @@
-"""The compiled sensors give the bits of the numpy code."""
+"""The compiled sensors give the bits of the interpreted file."""
 
 from __future__ import annotations
 
@@ -11,17 +11,18 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from swarmd.core.kernels import compiled_kernel
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform, Sweep
 from swarmd.settings.platforms import load_platform, platform_names
+from swarmd.sim.world import ray_caster
 from swarmd.sim.world.arena import Arena, parse_arena
 from swarmd.sim.world.lidar import RangeSensors, Visibility, sweep_order
 from swarmd.sim.world.noise import NoisyLidar
 from swarmd.sim.world.realism import IDEAL, REALISTIC, LidarNoise
 from tests.support.examples import examples
 
-if compiled_kernel("swarmd.sim.world.lidar_kernel") is None:
-    pytest.skip("the kernel is not compiled", allow_module_level=True)
+if load_kernel("swarmd.sim.world.ray_caster") is ray_caster:
+    pytest.skip("the kernels are not compiled", allow_module_level=True)
 
 ARENAS = tuple(
     parse_arena(text)
@@ -80,7 +81,7 @@ def poses(draw: st.DrawFn, arena: Arena, n: int) -> Array:
 
 @settings(deadline=None, max_examples=examples(150))
 @given(st.data())
-def test_scans_have_the_bits_of_the_numpy_code(data: st.DataObject) -> None:
+def test_scans_have_the_bits_of_the_interpreted_file(data: st.DataObject) -> None:
     kinds = st.sampled_from((*PLATFORMS, TRIANGLE, FAN))
     platforms = data.draw(st.lists(kinds, min_size=1, max_size=12))
     arena = data.draw(st.sampled_from(ARENAS))
@@ -98,7 +99,7 @@ def test_scans_have_the_bits_of_the_numpy_code(data: st.DataObject) -> None:
 
 @settings(deadline=None, max_examples=examples(60))
 @given(st.data())
-def test_sectors_have_the_bits_of_the_numpy_code(data: st.DataObject) -> None:
+def test_sectors_have_the_bits_of_the_interpreted_file(data: st.DataObject) -> None:
     turn = data.draw(st.sampled_from((1.0, -1.0)))
     sweep = Sweep(data.draw(st.sampled_from((0.0, 1.0, math.pi))), turn, 0.2)
     platform = data.draw(st.sampled_from((*PLATFORMS, TRIANGLE, FAN)))
@@ -126,7 +127,7 @@ def test_sectors_have_the_bits_of_the_numpy_code(data: st.DataObject) -> None:
         np.testing.assert_array_equal(found[0][row], wanted)
 
 
-def test_a_scan_among_a_thousand_has_the_bits_of_the_numpy_code() -> None:
+def test_a_scan_among_a_thousand_has_the_bits_of_the_interpreted_file() -> None:
     rng = np.random.default_rng(5)
     arena, platforms = Arena(32.0, 32.0), [load_platform("waffle_pi")] * 1000
     at = rng.uniform([-16.0, -16.0, -7.0], [16.0, 16.0, 7.0], (1000, 3))

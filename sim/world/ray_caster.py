@@ -1,37 +1,61 @@
-"""Ray casting and noise of range sensors, compiled: what `lidar.py` and `noise.py` do with numpy.
+"""Rays of range sensors against flat and round shapes, and the errors of the ranges.
 
-Operations and their order are those of the numpy code, so ranges have the same bits. The bearings
-of corners come from another arctangent; they only select rays, with a margin.
+A kernel (see `swarmd/core/kernels.py`): `lidar.py` and `noise.py` use it. Each shape covers one
+interval of bearings seen from the sensor. Its distance is computed only for the rays within that
+interval, so a scan costs the shapes nearby and not rays times shapes. The arithmetic uses one over
+the distance, which along a surface is the sum of a cosine and a sine.
 """
 
+from __future__ import annotations
+
 import math
+from typing import TYPE_CHECKING
 
-import cython
 import numpy as np
-from cython.cimports.libc.math import (
-    HUGE_VAL,
-    asin,
-    atan2,
-    ceil,
-    cos,
-    floor,
-    fmod,
-    hypot,
-    isfinite,
-    rint,
-    sin,
-    sqrt,
-)
 
-from swarmd.sim.world.lidar import BEARING_MARGIN, MIN_SIDE
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import (
+        HUGE_VAL,
+        asin,
+        atan2,
+        ceil,
+        cos,
+        floor,
+        fmod,
+        hypot,
+        isfinite,
+        rint,
+        sin,
+        sqrt,
+    )
+else:
+    from swarmd.core.cython_shadow import (
+        HUGE_VAL,
+        asin,
+        atan2,
+        ceil,
+        cos,
+        floor,
+        fmod,
+        hypot,
+        isfinite,
+        rint,
+        sin,
+        sqrt,
+    )
+
 from swarmd.sim.world.noise import BLOCK
 
-if not cython.compiled:
-    raise ImportError("swarmd.sim.world.lidar_kernel is not compiled")
-
 _PI = cython.declare(cython.double, math.pi)
-_BEARING_MARGIN = cython.declare(cython.double, BEARING_MARGIN)
-_MIN_SIDE = cython.declare(cython.double, MIN_SIDE)
+# rad added to each interval, so that no ray passes between two surfaces that share a corner.
+_BEARING_MARGIN = cython.declare(cython.double, 1e-12)
+# m2: a surface whose side is smaller than this is seen edge-on and ignored. The side is the
+# sensor's distance from its line times its length, negative where the sensor faces its front.
+_MIN_SIDE = cython.declare(cython.double, 1e-10)
 _ROUNDING = cython.declare(cython.double, 1e-6)  # m, added to ranges of interest
 _WIDE = cython.declare(cython.double, 1.5)  # rad: half of a sector that is taken for all around
 _BLOCK = cython.declare(cython.Py_ssize_t, BLOCK)
@@ -95,31 +119,34 @@ class Caster:
     def __init__(self, spec, rays, walls, poles, edges, reach, polygon_owners, discs, disc_owners):
         n = len(spec.bearings)
         self._rays = n
-        self._number = np.array(rays.number[:n], dtype=np.intp)
-        self._cos, self._sin = np.array(rays.cos[:n]), np.array(rays.sin[:n])
-        self._bearings = np.array(rays.bearings)
+        self._number = memoryview(np.array(rays.number[:n], np.intp))
+        self._cos, self._sin = (
+            memoryview(np.array(rays.cos[:n])),
+            memoryview(np.array(rays.sin[:n])),
+        )
+        self._bearings = memoryview(np.array(rays.bearings))
         self._is_even, self._ray_step = rays.is_even, rays.step
         self._range_min, self._range_max = spec.range_min, spec.range_max
         self._ahead, self._left = spec.offset
-        self._walls = np.array(walls, order="C")
-        self._poles = np.array(poles, order="C")
+        self._walls = memoryview(np.array(walls, order="C"))
+        self._poles = memoryview(np.array(poles, order="C"))
         self._polygons, self._corners = len(edges), edges.shape[1]
         self._bodies = len(edges) + len(discs)
-        self._edges = np.array(edges, order="C")
-        self._discs = np.array(discs, order="C")
-        self._owner = np.concatenate((polygon_owners, disc_owners)).astype(np.intp)
+        self._edges = memoryview(np.array(edges, order="C"))
+        self._discs = memoryview(np.array(discs, order="C"))
+        self._owner = memoryview(np.concatenate((polygon_owners, disc_owners)).astype(np.intp))
         around = np.hypot(discs[:, 0], discs[:, 1]) + discs[:, 2]
         reaches = np.concatenate((reach, around)) + (spec.range_max + _ROUNDING)
-        self._reach = reaches
+        self._reach = memoryview(reaches)
         self._widest = max(float(reaches.max(initial=0.0)), 0.1)
-        self._placed = np.empty(edges.shape)
-        self._middle = np.empty((len(discs), 2))
-        self._at = np.empty((self._bodies, 2))
+        self._placed = memoryview(np.empty(edges.shape))
+        self._middle = memoryview(np.empty((len(discs), 2)))
+        self._at = memoryview(np.empty((self._bodies, 2)))
         side: cython.Py_ssize_t = int(self._bodies**0.5) + 2
-        self._begin = np.empty(side * side + 1, dtype=np.intp)
-        self._members = np.empty(self._bodies, dtype=np.intp)
-        self._cell = np.empty(self._bodies, dtype=np.intp)
-        self._nearness = np.empty(n)
+        self._begin = memoryview(np.empty(side * side + 1, np.intp))
+        self._members = memoryview(np.empty(self._bodies, np.intp))
+        self._cell = memoryview(np.empty(self._bodies, np.intp))
+        self._nearness = memoryview(np.empty(n))
 
     def cast(
         self,
@@ -138,6 +165,9 @@ class Caster:
         distance: cython.double
         if not self._rays:
             return
+        if not cython.compiled:
+            poses, observers, ranges = memoryview(poses), memoryview(observers), memoryview(ranges)
+            first, counts, rows = memoryview(first), memoryview(counts), memoryview(rows)
         self._set_bodies(poses)
         for one in range(observers.shape[0]):
             robot = observers[one]
@@ -472,7 +502,7 @@ class Errors:
     _near_sd: cython.double
     _far_sd: cython.double
     _resolution: cython.double
-    _dropout: cython.float
+    _dropout: cython.double
     _factors: cython.double[::1]
     _reach: cython.double[:, ::1]
     _lost: cython.double[::1]
@@ -483,10 +513,12 @@ class Errors:
 
     def __init__(self, noise, factors, reach, lost, encoded, block_dropout, normal, even):
         self._near, self._near_sd, self._far_sd = noise.near, noise.near_sd, noise.far_sd
-        self._resolution, self._dropout = noise.resolution, noise.dropout
-        self._factors, self._reach, self._lost = factors, reach, lost
-        self._encoded, self._block_dropout = encoded, block_dropout
-        self._normal, self._even = normal, even
+        self._resolution = noise.resolution
+        self._dropout = np.float32(noise.dropout)  # as the numbers that it is compared to
+        self._factors, self._reach = memoryview(factors), memoryview(reach)
+        self._lost, self._encoded = memoryview(lost), memoryview(encoded)
+        self._block_dropout = memoryview(block_dropout)
+        self._normal, self._even = memoryview(normal), memoryview(even)
 
     def measure(self, row: cython.Py_ssize_t, ranges: cython.double[::1]):
         """Replace exact `ranges` (rays,) of robot `row` by its measurements, encoded."""
@@ -498,6 +530,8 @@ class Errors:
         range_min: cython.double = self._reach[row, 0]
         range_max: cython.double = self._reach[row, 1]
         blocks: cython.double = self._block_dropout[row]
+        if not cython.compiled:
+            ranges = memoryview(ranges)
         for i in range(rays):
             r = ranges[i]
             if not isfinite(r):
@@ -526,6 +560,8 @@ class Errors:
         i: cython.Py_ssize_t
         near: cython.double = self._encoded[row, 0]
         nothing: cython.double = self._encoded[row, 1]
+        if not cython.compiled:
+            ranges = memoryview(ranges)
         for i in range(ranges.shape[0]):
             if ranges[i] == HUGE_VAL:
                 ranges[i] = nothing

@@ -1,17 +1,28 @@
-"""The forces on simulated bases and their odometry, compiled.
+"""Simulated bases: delay of commands, caps, servos whose tyres slip, and odometry.
 
-What `base_dynamics.py` and `odometer.py` do with numpy, with the same bits.
+A kernel (see `swarmd/core/kernels.py`): `world.py` and `odometer.py` use it.
 """
 
+from __future__ import annotations
+
 import math
+from typing import TYPE_CHECKING
 
-import cython
 import numpy as np
-from cython.cimports.libc.math import cos, fabs, fmod, hypot, isfinite, sin
 
-if not cython.compiled:
-    raise ImportError("swarmd.sim.world.base_kernel is not compiled")
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    import cython
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import cos, fabs, fmod, hypot, isfinite, sin
+else:
+    from swarmd.core.cython_shadow import cos, fabs, fmod, hypot, isfinite, sin
 
+from swarmd.sim.world.bodies import inertia, value
+
+_GRAVITY = 9.81
+_FRICTION = 0.8
 _PI = cython.declare(cython.double, math.pi)
 
 
@@ -25,9 +36,22 @@ def _clipped(value: cython.double, limit: cython.double) -> cython.double:
 
 
 @cython.cclass
-class Servos:
-    """Delay, acceleration caps and velocity servos of n bases, on MuJoCo's own memory."""
+class Bases:
+    """The bases of n robots: delay, acceleration caps and servos, on MuJoCo's own memory.
 
+    `before`: positions and velocities of all bodies when `drive` was called. `driven` (n, 3): the
+    linear, angular and lateral velocities to which `drive` drives. `inert` (n, 3): mass in kg
+    twice, and inertia in kg m2. `delay_steps`: the delay of commands in steps.
+
+    A servo gives the force that reaches the commanded velocity within one step, up to the friction
+    of the tyres (Coulomb, isotropic). MuJoCo's velocity actuators are not used: a stiff one with a
+    force limit chatters by 0.04 m/s at rest, a soft one lags.
+    """
+
+    before = cython.declare(object, visibility="readonly")
+    driven = cython.declare(object, visibility="readonly")
+    inert = cython.declare(object, visibility="readonly")
+    delay_steps = cython.declare(cython.Py_ssize_t, visibility="readonly")
     _n: cython.Py_ssize_t
     _dt: cython.double
     _qpos: cython.double[::1]
@@ -48,21 +72,45 @@ class Servos:
     _spin: cython.double[::1]
     _driven: cython.double[:, ::1]
 
-    def __init__(self, actuators, drives, dt, memory, before):
-        n = len(drives.limits)
-        self._n, self._dt = n, dt
-        self._qpos, self._qvel, self._applied = memory
-        self._qpos_before, self._qvel_before = before
-        self._line = np.zeros((actuators.delay_steps + 1, n, 3))
-        self._command = np.zeros((n, 3))
-        self._is_capped, self._caps = actuators.is_capped, actuators.gains
-        self._capped = np.zeros((n, 3))
-        self._limits, self._gains = drives.limits, drives.gains
-        self._inert, self._grip, self._spin = drives.inert, drives.grip, drives.spin
-        self._driven = np.zeros((n, 3))
+    def __init__(self, actuation, platforms, memory, dt):
+        """`platforms` (n,) in the order of rows; they are the first bodies of `memory`.
 
-    def put(self, commands: cython.double[:, ::1]):
-        """Set the commands (n, 3) linear, angular, lateral."""
+        `memory`: positions, velocities and forces of all bodies, which this class reads and writes.
+        The delay is rounded to whole steps of `dt` s.
+        """
+        n: cython.Py_ssize_t = len(platforms)
+        self._n, self._dt = n, dt
+        self._qpos, self._qvel, self._applied = map(memoryview, memory)
+        self.before = memory[0].copy(), memory[1].copy()
+        self._qpos_before, self._qvel_before = map(memoryview, self.before)
+        self.delay_steps = round(actuation.delay / dt)
+        self._line = memoryview(np.zeros((self.delay_steps + 1, n, 3)))
+        self._command, self._capped = (memoryview(np.zeros((n, 3))) for _ in range(2))
+        linear, angular = actuation.linear_acceleration, actuation.angular_acceleration
+        self._is_capped = linear is not None or angular is not None
+        caps = [math.inf if cap is None else cap * dt for cap in (linear, angular, linear)]
+        self._caps = memoryview(np.array(caps))
+        limits = [(p.limits.linear, p.limits.angular, p.limits.lateral) for p in platforms]
+        self._limits = memoryview(np.array(limits, np.float64).reshape(n, 3))
+        gains = [_accelerations(platform) for platform in platforms]
+        self._gains = memoryview(np.array(gains, np.float64).reshape(n, 3) * dt)
+        mass = np.array([value(platform, "mass") for platform in platforms], np.float64)
+        turning = np.array([inertia(platform) for platform in platforms], np.float64)
+        self.inert = np.stack((mass, mass, turning), axis=-1)
+        self._inert = memoryview(self.inert)
+        grip = _FRICTION * _GRAVITY * mass
+        half_axles = [value(platform, "wheel_separation") / 2.0 for platform in platforms]
+        self._grip = memoryview(grip)
+        self._spin = memoryview(grip * np.array(half_axles, np.float64))
+        self.driven = np.zeros((n, 3))
+        self._driven = memoryview(self.driven)
+
+    def put(self, twists):
+        """Set the commands (n, 3) linear, angular, lateral in each base frame.
+
+        They are clipped to each platform's limits, as firmware does; non-finite values become 0.
+        """
+        commands: cython.double[:, ::1] = memoryview(np.array(twists, np.float64, order="C"))
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t
         for row in range(self._n):
@@ -70,7 +118,7 @@ class Servos:
                 self._command[row, k] = commands[row, k]
 
     def drive(self):
-        """Set the forces for the next step, and keep the state before it."""
+        """Set the forces for the next step, and keep the state before it; call once a step."""
         i: cython.Py_ssize_t
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t
@@ -96,6 +144,7 @@ class Servos:
                 target = self._line[oldest, row, k]
                 target = _clipped(target if isfinite(target) else 0.0, self._limits[row, k])
                 if self._is_capped:
+                    # A ramp towards a speed beyond the limits would lag when the command reverses.
                     self._capped[row, k] += _clipped(target - self._capped[row, k], self._caps[k])
                     target = _clipped(self._capped[row, k], self._limits[row, k])
                 self._driven[row, k] += _clipped(target - self._driven[row, k], self._gains[row, k])
@@ -117,6 +166,11 @@ class Servos:
             )
 
 
+def _accelerations(platform):
+    linear = value(platform, "linear_acceleration")
+    return linear, value(platform, "angular_acceleration"), linear
+
+
 @cython.cclass
 class Wheels:
     """Odometry of n bases: `measured` (n, 3, 3), and the poses (n, 3) that `read` brings on."""
@@ -126,7 +180,8 @@ class Wheels:
     _reported: cython.double[:, ::1]
 
     def __init__(self, measured, truth, reported):
-        self._measured, self._truth, self._reported = measured, truth, reported
+        self._measured = memoryview(measured)
+        self._truth, self._reported = memoryview(truth), memoryview(reported)
 
     def read(
         self,
@@ -138,6 +193,9 @@ class Wheels:
         measured: cython.double[:, ::1],
     ):
         """Fill `reported` and `measured` (m, 3), poses and twists of robots `rows` (m,)."""
+        if not cython.compiled:
+            rows, poses, twists = memoryview(rows), memoryview(poses), memoryview(twists)
+            slips, reported, measured = map(memoryview, (slips, reported, measured))
         place: cython.Py_ssize_t
         row: cython.Py_ssize_t
         k: cython.Py_ssize_t

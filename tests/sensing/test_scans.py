@@ -1,0 +1,258 @@
+"""The arithmetic on scans: as recorded, and compiled as interpreted."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from swarmd.core.kernels import load_kernel
+from swarmd.core.values import Array, Scan, ScanSpec
+from swarmd.sensing import scans as interpreted
+from swarmd.settings.platforms import load_platform, platform_names
+from tests.support.examples import examples
+
+compiled = load_kernel("swarmd.sensing.scans")
+needs_compiled = pytest.mark.skipif(compiled is interpreted, reason="the kernels are not compiled")
+PATHS = [interpreted, pytest.param(compiled, marks=needs_compiled)]
+# What an implementation with numpy gave, which does not exist any more.
+RECORDED = dict(np.load(Path(__file__).with_name("recorded_scans.npz")))
+
+SPECS = [load_platform(name).scan for name in platform_names()]
+SPECS = [spec for spec in SPECS if len(spec.bearings)]
+ZEROS = ("no_return", "too_close", "unknown", "lds")
+SEEDS = st.integers(0, 2**32 - 1)
+LIMITS = (-0.03, 0.01, 0.12, 3.5)
+
+
+@st.composite
+def layouts(draw: st.DrawFn, n: int | None = None) -> Array:
+    """Bearings: of a platform, or odd ones."""
+    kind = draw(st.sampled_from(("platform", "platform", "uneven", "turned", "clockwise", "twice")))
+    rng = np.random.default_rng(draw(SEEDS))
+    bearings = draw(st.sampled_from(SPECS)).bearings
+    if kind == "uneven":
+        bearings = rng.uniform(-7.0, 7.0, draw(st.integers(1, 60)))
+    if kind == "turned":
+        bearings = np.roll(bearings, draw(st.integers(0, 400))) + draw(st.floats(-4.0, 4.0))
+    if kind == "clockwise":
+        bearings = -bearings
+    if kind == "twice":
+        bearings = rng.permutation(np.tile(bearings[:: draw(st.integers(1, 30))], 2))
+    return np.ascontiguousarray(bearings)
+
+
+def ranges_of(n: int, spec: ScanSpec, seed: int, calm: float) -> Array:
+    """Raw ranges with surfaces, steps, near returns, lost and odd rays; few for a `calm` near 1."""
+    rng = np.random.default_rng(seed)
+    ranges = np.full(n, rng.choice((1.0, 2.0, math.inf, 0.9 * spec.range_max)))
+    ranges += rng.normal(0.0, 0.01, n)
+    least, most = spec.range_min, spec.range_max
+    odd = [0.0, math.nan, math.inf, -math.inf, -1.0, 1e9, 0.5, 1.0, 0.5 * least, least, most]
+    odd.append(least + 0.05)
+    for _ in range(int(rng.integers(0, 8))):
+        first, width = int(rng.integers(n)), int(rng.integers(1, max(2, n // 4)))
+        value = rng.choice(odd) if rng.random() > 0.4 else rng.uniform(0.0, 1.2 * spec.range_max)
+        slope = rng.choice((0.0, 0.01, 0.05))
+        rays = np.arange(first, first + width) % n
+        ranges[rays] = value + slope * np.arange(width)
+    scattered = rng.random(n) > calm
+    ranges[scattered] = rng.choice(odd, int(scattered.sum()))
+    return ranges
+
+
+CALM = st.sampled_from((1.0, 1.0, 0.97, 0.7))
+
+
+def assert_same(ours: Iterable[Array] | None, theirs: Iterable[Array] | None) -> None:
+    assert (ours is None) == (theirs is None)
+    for one, other in zip(
+        () if ours is None else ours, () if theirs is None else theirs, strict=True
+    ):
+        assert one.dtype == other.dtype
+        np.testing.assert_allclose(one, other, rtol=0.0, atol=1e-12)
+
+
+def recorded(kind: str) -> list[dict[str, Array]]:
+    """The recorded cases of a kind, each with its arrays by name."""
+    cases: dict[str, dict[str, Array]] = {}
+    for key, values in RECORDED.items():
+        case, _, name = key.rpartition("_")
+        if case.startswith(kind):
+            cases.setdefault(case, {})[name] = values
+    return list(cases.values())
+
+
+@pytest.mark.parametrize("module", PATHS)
+def test_features_are_as_recorded(module: Any) -> None:
+    for case in recorded("features"):
+        ranges, bearings = case["scan"].astype(np.float64)
+        range_min, range_max, within, count = case["how"].tolist()
+        scan = Scan(0, 0.0, ranges, bearings, range_min, range_max)
+        found = [module.nearest(scan, 0.0, math.pi), module.nearest(scan, 0.5, 1.0)]
+        assert_same([case["nearest"]], [np.array([one or (math.nan,) * 2 for one in found])])
+        assert_same([case["closest"]], [module.closest_points(scan, within, int(count))])
+        objects = module.clusters(scan, within, 0.06, math.radians(10.0))
+        objects = np.empty((5, 0)) if objects is None else objects
+        assert_same(case["clusters"], [np.asarray(values, np.float64) for values in objects])
+
+
+@pytest.mark.parametrize("module", PATHS)
+def test_conditioning_is_as_recorded(module: Any) -> None:
+    for case in recorded("memory"):
+        platform, zero, guesses_near = case["spec"].tolist()
+        spec = replace(load_platform(platform).scan, zero=zero)
+        memory = module.RayMemory(spec, guesses_near=guesses_near == "True")
+        for raw, at, expected in zip(case["raw"], case["at"], case["ranges"], strict=True):
+            yaw, now, known_at, is_valid = at.tolist()
+            got = memory.condition(raw, spec.bearings, yaw, now)
+            assert memory.known_at == known_at
+            assert (got is not None) == is_valid
+            if got is not None:
+                np.testing.assert_array_equal(got.astype(np.float32), expected)
+
+
+@pytest.mark.parametrize("module", PATHS)
+def test_moved_rays_are_as_recorded(module: Any) -> None:
+    for case in recorded("motion"):
+        ranges, bearings, ages = case["rays"].astype(np.float64)
+        limits = tuple(case["limits"].tolist())
+        directions = np.cos(bearings), np.sin(bearings)
+        moved = module.move_rays(ranges, bearings, *directions, ages, case["path"], limits)
+        assert_same(case["moved"], moved)
+        way, sector = case["way"].tolist(), case["sector"].tolist()
+        inside = module.rays_in_sector(
+            *(ranges, bearings, ages, 5, tuple(way), tuple(sector), limits)
+        )
+        assert_same(case["inside"], inside)
+
+
+@needs_compiled
+@given(
+    layouts(),
+    st.sampled_from(SPECS),
+    SEEDS,
+    CALM,
+    st.sampled_from((0.0, 0.5, 1.0, 3.0, math.inf)),
+    st.sampled_from((1, 2, 3, 8, 24, 100)),
+    st.floats(-7.0, 7.0),
+    st.sampled_from((0.1, 1.0, 3.0, math.pi)),
+)
+@settings(max_examples=examples(300), deadline=None)
+@example(SPECS[0].bearings, SPECS[0], 0, 1.0, math.inf, 24, 0.0, math.pi)
+def test_features_are_those_of_the_interpreted_file(
+    bearings: Array,
+    spec: ScanSpec,
+    seed: int,
+    calm: float,
+    within: float,
+    count: int,
+    bearing: float,
+    half_width: float,
+) -> None:
+    ranges = ranges_of(len(bearings), spec, seed, calm)
+    scan = Scan(0, 0.0, ranges, bearings, spec.range_min, spec.range_max)
+    a, b = compiled, interpreted
+    assert a.nearest(scan, bearing, half_width) == b.nearest(scan, bearing, half_width)
+    points = (one.closest_points(scan, within, count) for one in (a, b))
+    assert_same(*([found] for found in points))
+    assert_same(*([one.unit_vectors(bearings)] for one in (a, b)))
+    for jump, grazing in ((0.06, math.radians(10.0)), (0.2, 0.3)):
+        how = (min(within, 50.0), jump, grazing)
+        assert_same(a.clusters(scan, *how), b.clusters(scan, *how))
+
+
+@needs_compiled
+@given(
+    st.sampled_from(SPECS),
+    st.sampled_from(ZEROS),
+    st.booleans(),
+    st.lists(
+        st.tuples(
+            SEEDS,
+            CALM,
+            st.sampled_from((0.05, 0.2, 0.2, 0.7, 3.0)),
+            st.sampled_from((0.0, 0.0, 0.004, -0.3, 2.0, math.nan)),
+        ),
+        min_size=1,
+        max_size=12,
+    ),
+    st.lists(layouts(), max_size=2),
+)
+@settings(max_examples=examples(200), deadline=None)
+def test_conditioning_is_that_of_the_interpreted_file(
+    spec: ScanSpec,
+    zero: str,
+    guesses_near: bool,
+    steps: list[tuple[int, float, float, float]],
+    others: list[Array],
+) -> None:
+    """A sequence of scans of a turning robot; now and then the bearings change."""
+    spec = replace(spec, zero=zero)
+    pair = [one.RayMemory(spec, guesses_near=guesses_near) for one in (interpreted, compiled)]
+    now = yaw = 0.0
+    for seed, calm, passed, turned in steps:
+        now += passed
+        yaw = turned if math.isnan(turned) or math.isnan(yaw) else yaw + turned
+        rng = np.random.default_rng(seed)
+        bearings = spec.bearings
+        if others and rng.random() < 0.3:
+            bearings = others[seed % len(others)]
+        raw = ranges_of(len(bearings), spec, seed % 5 if rng.random() < 0.5 else seed, calm)
+        expected, got = (memory.condition(raw, bearings, yaw, now) for memory in pair)
+        assert pair[1].known_at == pair[0].known_at
+        assert (got is None) == (expected is None)
+        if got is not None:
+            assert got.dtype == expected.dtype
+            assert got.tolist() == expected.tolist()
+
+
+@pytest.mark.parametrize("module", PATHS)
+def test_two_rays_in_one_direction_keep_a_memory_each(module: Any) -> None:
+    """The bearings come in another array that holds the same."""
+    spec = replace(load_platform("burger").scan, zero="no_return")
+    bearings = np.tile(spec.bearings, 2)
+    first = np.linspace(1.0, 2.0, 720)
+    is_known = np.arange(720) % 9 > 0
+    memory = module.RayMemory(spec, guesses_near=False)
+    assert memory.condition(first, bearings.copy(), 0.0, 1.0).tolist() == first.tolist()
+    got = memory.condition(np.where(is_known, 1.5, np.nan), bearings.copy(), 0.0, 1.0)
+    assert got.tolist() == np.where(is_known, 1.5, first).tolist()
+
+
+@needs_compiled
+@given(seed=SEEDS, n=st.integers(1, 60), steps=st.integers(2, 12))
+def test_rays_are_moved_as_by_the_interpreted_file(seed: int, n: int, steps: int) -> None:
+    rng = np.random.default_rng(seed)
+    ranges, bearings, ages = drawn_rays(rng, n, 3.5)
+    path = rng.normal(0.0, 0.1, (steps, 4))
+    path[:, 0] = np.linspace(0.0, 0.25, steps)
+    args = (ranges, bearings, np.cos(bearings), np.sin(bearings), ages, path, LIMITS)
+    assert_same(compiled.move_rays(*args), interpreted.move_rays(*args))
+
+
+@needs_compiled
+@given(seed=SEEDS, n=st.integers(1, 60), motion=st.floats(0.0, 0.2))
+def test_rays_of_a_sector_are_those_of_the_interpreted_file(
+    seed: int, n: int, motion: float
+) -> None:
+    rng = np.random.default_rng(seed)
+    rays = drawn_rays(rng, n, 0.5)
+    moved = tuple(rng.normal(0.0, motion, 3).tolist())
+    sector = rng.uniform(-4.0, 4.0), float(rng.choice((-1.0, 1.0))), 0.8
+    args = (*rays, n // 4, moved, sector, LIMITS)
+    assert_same(compiled.rays_in_sector(*args), interpreted.rays_in_sector(*args))
+
+
+def drawn_rays(rng: np.random.Generator, n: int, farthest: float) -> tuple[Array, Array, Array]:
+    """Ranges, a third of them odd, bearings and ages (n,) of rays."""
+    odd = rng.choice((np.nan, np.inf, -np.inf, 0.12, 3.5, 1.0), n)
+    ranges = np.where(rng.random(n) < 0.3, odd, rng.uniform(0.12, farthest, n))
+    return ranges, rng.uniform(-7.0, 7.0, n), rng.uniform(0.0, 0.3, n)
