@@ -184,8 +184,8 @@ def test_code_that_does_not_load_is_refused_without_effect(own: Own) -> None:
         assert done.code in (2, 7)  # 2: a parameter that the new code does not know
         assert told in reply["text"]
         own.check_undisturbed(moving, before)
-        (host,) = own.hosts()
-        assert is_running(host)
+        wait_until(lambda: len(own.hosts()) == 1, "the trial's process is gone")
+        assert is_running(own.hosts()[0])
 
 
 @pytest.mark.evidence  # waits TRIAL_TIMEOUT; in the suite: tests/robot/test_requests_reload.py
