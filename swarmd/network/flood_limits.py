@@ -8,7 +8,7 @@ own; if that is far exceeded, as by a flood from forged addresses, the kernel pa
 seconds only sources that were there before, and of others a share of what is urgent.
 
 A reader that gets little time reads a part of a flood: each datagram counts with a weight, the
-number of those that arrived for one that was read.
+ratio of arrived to read datagrams.
 
 Times are in s on one monotonic clock, handed in.
 """
@@ -120,7 +120,7 @@ class FloodLimits:
     def admits(self, source: Address, kind: int, now: float, weight: float = 1.0) -> bool:
         """True if a datagram of this kind from this source is within its budget.
 
-        `weight`, at most MAX_WEIGHT: how many arrived for each that was read.
+        `weight`, at most MAX_WEIGHT: the ratio of arrived to read datagrams.
         """
         one = self._place(source, now)
         if one is not self._strangers:

@@ -275,7 +275,7 @@ class UdpCarrier:
         return found
 
     def _weigh(self, now: float) -> None:
-        """How many datagrams arrived for each that is read: more than one in an overload.
+        """Update the weight: the ratio of arrived to read datagrams, above 1 in an overload.
 
         A machine with little time for this process reads less than any budget, and the kernel drops
         the rest, whoever sent it: a flood would pass for usual traffic and drown all stops.
