@@ -238,7 +238,8 @@ class ZenohRobot(Robot):
 
 
 def scan(stamp: float, ranges: Sequence[float] | None = None, **angles: float) -> dds.LaserScan:
-    noisy = 2.0 + 0.001 * (10.0 * stamp % 10.0)  # equal scans are those of a frozen sensor
+    # Scans that repeat are those of a frozen sensor, also where some in between are lost.
+    noisy = 2.0 + 0.009 * math.modf(6.18034 * stamp)[0]
     values = [noisy] * RAYS if ranges is None else list(ranges)
     step = 2.0 * math.pi / max(len(values), 1)
     fields = {"angle_min": 0.0, "angle_max": 2.0 * math.pi, "angle_increment": step, **angles}
