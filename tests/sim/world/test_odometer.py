@@ -8,9 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Platform
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.world import base
 from swarmd.sim.world.odometer import Odometers, measurement
 from swarmd.sim.world.realism import IDEAL, REALISTIC, OdometryNoise
 
@@ -122,6 +122,7 @@ def test_the_measurement_is_that_of_two_wheels() -> None:
 
 def test_a_reading_is_the_matrix_times_the_motion_times_the_slip() -> None:
     matrix = np.array([[[2.0, 0.25, 0.0], [0.5, 3.0, 0.0], [0.0, 0.0, 0.75]]])
+    base = load_kernel("swarmd.sim.world.base")
     wheels = base.Wheels(matrix, np.zeros((1, 3)), np.zeros((1, 3)))
     reported, measured = np.empty((1, 3)), np.empty((1, 3))
     # A turn by 0.1 rad about a chord of 0.4 m along the mean heading, and 0.2 m to its left.
