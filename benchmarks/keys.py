@@ -21,7 +21,7 @@ from pathlib import Path
 
 from benchmarks.table import machine, markdown
 from swarmd.core.values import Value
-from swarmd.network.session import open_operator_session
+from swarmd.network.carriers.session import open_operator_session
 from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity
 from tests.support.keys import SwarmKeys

@@ -19,8 +19,8 @@ import yaml
 
 from swarmd.core.messages import State, Status
 from swarmd.core.verbs import ResetRequest, RunRequest
-from swarmd.network.operator import Operator
-from swarmd.network.outcome import Outcome
+from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 
 HERE = Path(__file__).parent

@@ -29,7 +29,7 @@ from swarmd.driver_api.hw_codec import (
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.scan_content import ENOUGH_SCANS, ScanContent
 from swarmd.drivers.scan_delay import scan_delay_finding
-from swarmd.network.session import (
+from swarmd.network.carriers.session import (
     PROMPT_OPTIONS,
     has_subscriber,
     open_in_thread,

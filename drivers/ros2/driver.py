@@ -50,7 +50,7 @@ from swarmd.drivers.ros2.session import (
     subscribe_with_history,
 )
 from swarmd.drivers.ros2.zero_sender import zero_hint, zeros
-from swarmd.network.session import has_subscriber, open_in_thread, undeclare
+from swarmd.network.carriers.session import has_subscriber, open_in_thread, undeclare
 
 log = logging.getLogger(__name__)
 

@@ -22,7 +22,7 @@ from swarmd.drivers.ros import messages as ros
 from swarmd.drivers.ros.options import RosOptions, read_options
 from swarmd.drivers.ros.to_ros import odometry_message, scan_encoder
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
-from swarmd.network.session import PROMPT_OPTIONS, open_listening, realtime_publisher
+from swarmd.network.carriers.session import PROMPT_OPTIONS, open_listening, realtime_publisher
 from swarmd.settings.driver_options import BaseOptions
 
 NAMESPACE = "{robot}"

@@ -14,7 +14,12 @@ import zenoh.ext
 from zenoh.handlers import Callback
 
 from swarmd.core.errors import NetworkError
-from swarmd.network.session import PROMPT_OPTIONS, open_with, realtime_publisher, tune_sockets
+from swarmd.network.carriers.session import (
+    PROMPT_OPTIONS,
+    open_with,
+    realtime_publisher,
+    tune_sockets,
+)
 
 LINK_TIMEOUT = 5.0
 """Seconds without an acknowledgement after which a link is given up and dialled again."""

@@ -138,7 +138,7 @@ def perform(
 
     With `page` it is served on a web page.
     """
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.sim.live.demo_run import DemoRun
     from swarmd.sim.live.fleet import Fleet, end_on_signals, started_at

@@ -90,7 +90,7 @@ def serve(spec: FleetSpec, page: WebOptions | None = None) -> None:
 
     With `page` it is served on a web page.
     """
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.sim.live.fleet import Fleet, end_on_signals
     from swarmd.sim.live.starting import await_robots, statuses_of

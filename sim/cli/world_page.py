@@ -13,7 +13,7 @@ from swarmd.cli.web import Served, WebOptions, check_web, web_options
 from swarmd.sim.cli.options import need
 
 if TYPE_CHECKING:
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.operator import Operator
     from swarmd.sim.live.fleet import Fleet
 
 R = TypeVar("R")
@@ -40,7 +40,7 @@ def world_page(fleet: Fleet, web: WebOptions | None) -> Iterator[Served | None]:
     if web is None:
         yield None
         return
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.plugins import pattern_names
     from swarmd.sim.live.link import WorldView

@@ -1,7 +1,8 @@
 """One demo on a running fleet: carry out its events, stop all robots, and summarize the run.
 
-The demo commands the robots as any operator does, through `swarmd.network.operator`. The true
-state of the world is for the view and the summary alone.
+The demo commands the robots as any operator does, through
+`swarmd.network.operator.operator`. The true state of the world is for the view and the summary
+alone.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.core.messages import State, Status
 from swarmd.core.verbs import ParamRequest, ResetRequest, RunRequest
-from swarmd.network.operator import Operator, StopVerb
-from swarmd.network.outcome import Outcome
+from swarmd.network.operator.operator import Operator, StopVerb
+from swarmd.network.operator.outcome import Outcome
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.starting import (

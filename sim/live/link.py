@@ -31,7 +31,7 @@ from swarmd.driver_api.hw_codec import (
     encode_readings,
     encode_scan,
 )
-from swarmd.network.session import open_listening, open_with, tune_sockets
+from swarmd.network.carriers.session import open_listening, open_with, tune_sockets
 from swarmd.sim.live.body_transport import Command
 from swarmd.sim.live.state import (
     Action,

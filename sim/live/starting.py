@@ -11,9 +11,9 @@ from typing import Any
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from swarmd.core.messages import Code, Presence, State, Status
 from swarmd.core.verbs import RunRequest
-from swarmd.network.members_view import MembersView
-from swarmd.network.operator import Operator
-from swarmd.network.outcome import Outcome
+from swarmd.network.operator.members_view import MembersView
+from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.outcome import Outcome
 from swarmd.robot.status import MAX_NEIGHBORS
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.scenarios.scenario import ScheduledEvent

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from swarmd.core.values import Array
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.state import WorldState

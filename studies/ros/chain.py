@@ -24,7 +24,7 @@ from studies.ros.robots import BASE, LIDAR, PLATFORM, RIVAL_SPEED, ROBOTS, bound
 from swarmd.core.codec import Decoder
 from swarmd.core.messages import Status
 from swarmd.core.verbs import ResetRequest, RunRequest
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.support.processes import CAP, DaemonProcess, run_command, unique_swarm, wait_until
 from tests.support.ros2_bridge import NAME, Bridge, free_domain

@@ -35,7 +35,7 @@ from swarmd.core import keys
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Platform
 from swarmd.driver_api.hw_codec import encode_command
-from swarmd.network.session import open_with
+from swarmd.network.carriers.session import open_with
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.link import WorldView, client_options

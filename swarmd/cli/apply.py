@@ -19,13 +19,13 @@ from swarmd.cli.run_start import run_fields
 from swarmd.cli.send import known_members, show
 from swarmd.core.verbs import GoalRequest, LabelRequest, ParamRequest, RunRequest
 from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL
-from swarmd.network.next_goal import next_goal
-from swarmd.network.outcome import Outcome, joined
-from swarmd.network.signed_goals import signed_goals
+from swarmd.network.operator.outcome import Outcome, joined
+from swarmd.network.spread.next_goal import next_goal
+from swarmd.network.spread.signed_goals import signed_goals
 
 if TYPE_CHECKING:
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
     from swarmd.settings.apply_plan import Plan
     from swarmd.settings.swarmfile import SwarmFile
 

@@ -22,11 +22,11 @@ _GLOB = re.compile(r"[a-z0-9_*?\[\]!-]{1,63}")
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)(ms|s|m|h)?")
 _UNITS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, None: 1.0}
 _MAX_DURATION = 1e7  # s
-_USAGE, _NO_TARGET = 2, 4  # as in swarmd.network.outcome, which `--help` does not import
+_USAGE, _NO_TARGET = 2, 4  # as in swarmd.network.operator.outcome, which `--help` does not import
 
 
 class Failure(click.ClickException):
-    """An error with its exit code (see `swarmd.network.outcome`)."""
+    """An error with its exit code (see `swarmd.network.operator.outcome`)."""
 
     def __init__(self, text: str, exit_code: int) -> None:
         super().__init__(text)

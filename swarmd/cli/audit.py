@@ -18,7 +18,7 @@ from swarmd.core.verbs import AUDIT, AUDIT_PAGE, AuditEntry, AuditQuery, AuditRe
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.operator import Operator
 
 MAX_ENTRIES = 10_000
 

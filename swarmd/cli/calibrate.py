@@ -26,7 +26,7 @@ from swarmd.network.exit_codes import FAILED, REFUSED, TIMEOUT
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.operator import Operator
 
 LONGEST = 600.0
 """Seconds after which the robot ends the run by itself, whatever becomes of swarmctl."""

@@ -16,7 +16,7 @@ from swarmd.core.messages import STATUS_SILENCE, Reason, State, Status
 from swarmd.network.exit_codes import NO_TARGET
 
 if TYPE_CHECKING:
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.operator import Operator
 
 CANARY_TIME = 10.0
 """How long canaries must run well, in s, unless stated otherwise."""

@@ -19,12 +19,12 @@ from swarmd.core.codec import Decoder
 from swarmd.core.errors import CodecError, ConfigError, NetworkError
 from swarmd.core.machine import measure_machine
 from swarmd.core.verbs import DOCTOR
-from swarmd.network.machine_network import measure_network
+from swarmd.network.carriers.machine_network import measure_network
 from swarmd.texts import doctor as findings_of
 from swarmd.texts.doctor import Finding, Level, worst
 
 if TYPE_CHECKING:
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.operator import Operator
 
 LISTEN_TIME = 1.5  # s: each robot sends a beacon a second
 HERE = "this machine"

@@ -19,8 +19,8 @@ from swarmd.core.messages import MAX_EVENTS, Status
 from swarmd.texts.values import printable, seconds
 
 if TYPE_CHECKING:
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
     from swarmd.view.event_feed import EventFeed, EventLine
 
 PERIOD = 0.5

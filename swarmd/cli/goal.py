@@ -16,9 +16,9 @@ from swarmd.cli.run_start import run_fields
 from swarmd.cli.send import known_members, report, stop_names, targets_of, time_left
 from swarmd.core.verbs import GoalRequest, ResumeRequest, RunRequest
 from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL, TIMEOUT
-from swarmd.network.next_goal import next_goal
-from swarmd.network.outcome import Outcome, joined
-from swarmd.network.signed_goals import signed_goals
+from swarmd.network.operator.outcome import Outcome, joined
+from swarmd.network.spread.next_goal import next_goal
+from swarmd.network.spread.signed_goals import signed_goals
 from swarmd.texts.goal import (
     Difference,
     content_of,
@@ -32,8 +32,8 @@ from swarmd.texts.values import NOTHING, printable, seconds
 
 if TYPE_CHECKING:
     from swarmd.core.messages import Epoch
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
 
 
 @click.command()

@@ -347,7 +347,7 @@ def router(swarm: str, identity: Path | None, listen: str) -> None:
 def router_configuration(identity: Identity, listen: str) -> dict[str, Any]:
     """The configuration of zenohd: links by TLS only, and what each name may send and hear."""
     from swarmd.network.access import router_access
-    from swarmd.network.session import tls_options
+    from swarmd.network.carriers.session import tls_options
 
     flat = {
         **tls_options(identity),

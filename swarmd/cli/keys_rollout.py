@@ -18,7 +18,7 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.messages import Reply
 from swarmd.core.verbs import RosterRequest
 from swarmd.network.exit_codes import NO_TARGET
-from swarmd.network.outcome import Outcome
+from swarmd.network.operator.outcome import Outcome
 from swarmd.security.identity import RosterFile, as_of, find_identity, load_identity, write_roster
 from swarmd.security.names import expand_names, select_names
 from swarmd.security.roster import Role
@@ -26,8 +26,8 @@ from swarmd.security.roster_change import take_certificate
 from swarmd.texts.keys import day
 
 if TYPE_CHECKING:
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.security.authority import Authority, Issued
     from swarmd.security.identity import Identity
@@ -201,7 +201,7 @@ def _sent(
     revoked: tuple[str, ...] = (),
 ) -> Outcome:
     """Send the roster, and certificates, to robots of all generations that they may have."""
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.operator import Operator
 
     replies: dict[str, Reply] = {}
     seconds = 0.0

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 from swarmd.core.keys import is_id
 
 if TYPE_CHECKING:
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
 
 MAX_NAMES = 1024

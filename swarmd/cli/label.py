@@ -15,7 +15,7 @@ from swarmd.cli.send import known_members, report, targets_of, time_left
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import LabelRequest
 from swarmd.network.exit_codes import TIMEOUT
-from swarmd.network.outcome import joined
+from swarmd.network.operator.outcome import joined
 from swarmd.texts.labels import changed, read_changes
 
 

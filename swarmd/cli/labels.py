@@ -11,7 +11,7 @@ from swarmd.core.errors import unknown
 from swarmd.network.exit_codes import NO_TARGET
 
 if TYPE_CHECKING:
-    from swarmd.network.members_view import MembersView
+    from swarmd.network.operator.members_view import MembersView
 
 STOP_LOOK = 1.0
 """How long a stop by label looks for labels at most, in s. It stops robots without an answer."""

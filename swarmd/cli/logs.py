@@ -24,8 +24,8 @@ from swarmd.core.verbs import LOG_PAGE, LOGS, LogBatch, LogRecord, LogsQuery
 from swarmd.texts.values import printable
 
 if TYPE_CHECKING:
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
 
 LEVELS = {
     "debug": logging.DEBUG,

@@ -20,7 +20,7 @@ from swarmd.core.goal import GoalState
 from swarmd.core.messages import Presence, State, Status
 from swarmd.core.verbs import ForgetRequest
 from swarmd.network.exit_codes import REFUSED
-from swarmd.network.members_view import Contact, SeenMember
+from swarmd.network.operator.members_view import Contact, SeenMember
 from swarmd.texts.keys import end_of_certificate, key_warnings, own_remedy
 from swarmd.texts.status import sections
 from swarmd.texts.values import NOTHING, number, printable, seconds
@@ -28,7 +28,7 @@ from swarmd.texts.why import activity, why
 
 if TYPE_CHECKING:
     from swarmd.core.values import Scalar
-    from swarmd.network.members_view import MembersView
+    from swarmd.network.operator.members_view import MembersView
     from swarmd.security.identity import Identity
 
 HEADER = (

@@ -17,7 +17,7 @@ from swarmd.cli.arguments import Duration
 from swarmd.core.errors import unknown
 
 if TYPE_CHECKING:
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.security.identity import Identity
 
@@ -137,7 +137,7 @@ class CommonOptions:
 
         ConfigError for a wrong file or option, NetworkError if there is no session.
         """
-        from swarmd.network.operator import Operator
+        from swarmd.network.operator.operator import Operator
 
         settings, roster, identity = self.network()
         if identity is not None:

@@ -18,7 +18,7 @@ from swarmd.texts.assignments import read_assignments
 from swarmd.texts.values import NOTHING, number
 
 if TYPE_CHECKING:
-    from swarmd.network.members_view import MembersView
+    from swarmd.network.operator.members_view import MembersView
 
 
 @click.group(cls=VerbGroup)

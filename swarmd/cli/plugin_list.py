@@ -18,8 +18,8 @@ from swarmd.network.exit_codes import PARTIAL, TIMEOUT
 from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
 
 
 @click.command("list")

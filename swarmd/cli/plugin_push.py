@@ -28,9 +28,9 @@ from swarmd.core.verbs import BehaviourReport, BehavioursReply, PushRequest
 from swarmd.network.exit_codes import PARTIAL, TIMEOUT
 
 if TYPE_CHECKING:
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
-    from swarmd.network.outcome import Outcome
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
+    from swarmd.network.operator.outcome import Outcome
     from swarmd.security.identity import Identity
 
 PIECE = 32768

@@ -16,8 +16,8 @@ from swarmd.network.exit_codes import PARTIAL, TIMEOUT
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
     from swarmd.core.verbs import Verb
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
 
 ASK_TIME = 5.0  # s for an answer, without --timeout
 MAX_ANSWER = 512 * 1024

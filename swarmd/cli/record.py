@@ -22,7 +22,7 @@ from swarmd.texts.values import NOTHING, megabytes, seconds
 
 if TYPE_CHECKING:
     from swarmd.core.verbs import RecordingFile, RecordingsReply
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.operator import Operator
 
 
 @click.group(cls=VerbGroup)

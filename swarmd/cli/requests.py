@@ -18,7 +18,7 @@ from swarmd.cli.send import (
     time_left,
 )
 from swarmd.core.verbs import ResetRequest
-from swarmd.network.members_view import MembersView
+from swarmd.network.operator.members_view import MembersView
 
 
 @click.command()

@@ -16,7 +16,7 @@ from swarmd.cli.run_start import RunPlan, goal_targets, run_with_canary, start
 from swarmd.cli.send import known_members, report, targets_of
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import MAX_AHEAD
-from swarmd.network.next_goal import next_goal
+from swarmd.network.spread.next_goal import next_goal
 from swarmd.texts.assignments import read_assignments
 
 if TYPE_CHECKING:

@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
     from swarmd.core.goal import Goal
     from swarmd.core.messages import Epoch
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
-    from swarmd.network.outcome import Outcome
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
+    from swarmd.network.operator.outcome import Outcome
 
 PARTS = 4
 """How often the lease is renewed while it lasts: three copies may get lost."""

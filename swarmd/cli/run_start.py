@@ -16,19 +16,19 @@ from swarmd.cli.send import report, stop_names, stop_on_interrupt, time_left
 from swarmd.core.clock import TICK, boottime
 from swarmd.core.goal import LABEL
 from swarmd.core.verbs import RunRequest
-from swarmd.network.clock_query import read_clocks, start_times
 from swarmd.network.exit_codes import FAILED, PARTIAL
-from swarmd.network.next_goal import next_generation, resigned
-from swarmd.network.outcome import Outcome
-from swarmd.network.request_sender import REQUEST_WAIT
+from swarmd.network.operator.clock_query import read_clocks, start_times
+from swarmd.network.operator.outcome import Outcome
+from swarmd.network.operator.request_sender import REQUEST_WAIT
+from swarmd.network.spread.next_goal import next_generation, resigned
 from swarmd.texts.values import seconds as in_short
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
     from swarmd.core.bounds import ParamValues
     from swarmd.core.goal import Goal
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,14 +19,14 @@ from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Refusal
 from swarmd.network.exit_codes import NO_TARGET, PARTIAL, TIMEOUT, UNREACHABLE, USAGE
-from swarmd.network.outcome import Outcome
+from swarmd.network.operator.outcome import Outcome
 from swarmd.texts.values import NOTHING, seconds
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
     from swarmd.core.verbs import AnyRequest
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
 
 # What a request has at least of `--timeout`, in s: it is sent even if the look took too long.
 LEAST_REQUEST_TIME = 0.02

@@ -28,7 +28,7 @@ from swarmd.texts.values import NOTHING, megabytes, seconds
 if TYPE_CHECKING:
     from rich.text import Text
 
-    from swarmd.network.members_view import MembersView
+    from swarmd.network.operator.members_view import MembersView
     from swarmd.view.swarm_watch import SwarmWatch
 
 HEADER = (

@@ -15,12 +15,12 @@ from swarmd.cli.output import print_json
 from swarmd.cli.send import unreachable
 from swarmd.core.clock import boottime
 from swarmd.network.exit_codes import APPLIED, TIMEOUT
-from swarmd.network.signed_goals import signed_goals
+from swarmd.network.spread.signed_goals import signed_goals
 from swarmd.texts.awaited import meeting, read_awaited, unmet
 
 if TYPE_CHECKING:
-    from swarmd.network.members_view import MembersView
-    from swarmd.network.operator import Operator
+    from swarmd.network.operator.members_view import MembersView
+    from swarmd.network.operator.operator import Operator
 
 TIME = 30.0
 PERIOD = 0.3  # s between looks

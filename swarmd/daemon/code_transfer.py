@@ -31,10 +31,10 @@ from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.core.verbs import BehavioursReply, Nothing, PushRequest, ReloadRequest, Request
 from swarmd.daemon.code_versions import Candidate, CodeVersions
 from swarmd.daemon.requests import Answer
-from swarmd.network.bus import ZenohBus
+from swarmd.network.carriers.bus import ZenohBus
+from swarmd.network.carriers.inbound_queue import FAILED, DropCounter
 from swarmd.network.datagram import Address
-from swarmd.network.inbound_queue import FAILED, DropCounter
-from swarmd.network.pull import Blob, Puller, serve_shared
+from swarmd.network.spread.pull import Blob, Puller, serve_shared
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.plugins import Origin
 from swarmd.robot.pushed_code import Version

@@ -17,16 +17,16 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError
-from swarmd.network.bus import ZenohBus
+from swarmd.network.carriers.bus import ZenohBus
+from swarmd.network.carriers.inbound_queue import DropCounter
+from swarmd.network.carriers.interface_watch import InterfaceChange, InterfaceWatch
+from swarmd.network.carriers.link_gate import LinkFlood, LinkGate, open_files
+from swarmd.network.carriers.link_watch import watch_links
+from swarmd.network.carriers.routed import RoutedCarrier
+from swarmd.network.carriers.session import default_listen, open_in_thread, open_session
+from swarmd.network.carriers.udp import UdpCarrier
 from swarmd.network.datagram import Address, OnDatagram
-from swarmd.network.inbound_queue import DropCounter
-from swarmd.network.interface_watch import InterfaceChange, InterfaceWatch
-from swarmd.network.link_gate import LinkFlood, LinkGate, open_files
-from swarmd.network.link_watch import watch_links
-from swarmd.network.routed import RoutedCarrier
-from swarmd.network.session import default_listen, open_in_thread, open_session
 from swarmd.network.settings import Endpoint, NetworkSettings, parse_endpoint
-from swarmd.network.udp import UdpCarrier
 from swarmd.security.identity import Identity
 from swarmd.security.roster_change import is_revoked
 

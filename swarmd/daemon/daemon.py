@@ -65,12 +65,12 @@ from swarmd.daemon.tick_timer import TickTimer
 from swarmd.daemon.tools import FieldTools
 from swarmd.driver_api.driver import Driver, check_protected, message_carrier
 from swarmd.driver_api.hw_codec import encode_scan
-from swarmd.network.bus import ZenohBus
+from swarmd.network.carriers.bus import ZenohBus
+from swarmd.network.carriers.inbound_queue import DropCounter
+from swarmd.network.carriers.interface_watch import InterfaceChange
 from swarmd.network.datagram import Address, Stop
-from swarmd.network.inbound_queue import DropCounter
-from swarmd.network.interface_watch import InterfaceChange
 from swarmd.network.peer import Summary
-from swarmd.network.pull import Puller, serve_shared
+from swarmd.network.spread.pull import Puller, serve_shared
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.protection.compatibility import body_of
 from swarmd.recording import frames

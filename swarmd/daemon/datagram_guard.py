@@ -16,11 +16,11 @@ from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
 from swarmd.core.files import write_whole
 from swarmd.core.token_bucket import TokenBucket
-from swarmd.network.admission import Admission
+from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import KIND_OFFSET, Ack, Address, Beacon, Kind, Stop, unpack
-from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.members.admission import Admission
 from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust, generation_of
-from swarmd.network.stop_freshness import REPLAYED
+from swarmd.network.stops.stop_freshness import REPLAYED
 from swarmd.security.identity import Identity
 
 log = logging.getLogger(__name__)

@@ -14,7 +14,7 @@ from swarmd.core.messages import Code, Refusal, Reply
 from swarmd.core.verbs import Request
 from swarmd.daemon.record_writer import RecordWriter
 from swarmd.daemon.store import GoalFile
-from swarmd.network.goal_sync import GoalCheck, is_signed_goal
+from swarmd.network.spread.goal_sync import GoalCheck, is_signed_goal
 from swarmd.security.identity import Identity
 
 log = logging.getLogger(__name__)

@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from swarmd.core.values import Neighbor, PeerPlace, SharedPose
-from swarmd.network.neighbor_settings import NeighborSettings
-from swarmd.network.neighborhood import Link, Neighborhood
+from swarmd.network.members.neighbor_settings import NeighborSettings
+from swarmd.network.members.neighborhood import Link, Neighborhood
 
 log = logging.getLogger(__name__)
 

@@ -33,7 +33,11 @@ from swarmd.core.messages import Body, Member, Presence, Reply
 from swarmd.core.values import SharedPose
 from swarmd.daemon.connection import NetworkConnection
 from swarmd.daemon.datagram_guard import DatagramGuard
-from swarmd.network.bus import ZenohBus
+from swarmd.network.carriers.bus import ZenohBus
+from swarmd.network.carriers.inbound_queue import DropCounter
+from swarmd.network.carriers.interface_watch import InterfaceChange
+from swarmd.network.carriers.routed import RoutedCarrier
+from swarmd.network.carriers.udp import UdpCarrier
 from swarmd.network.datagram import (
     ANY_SWARM,
     Ack,
@@ -50,15 +54,11 @@ from swarmd.network.datagram import (
     tag_of,
     unpack,
 )
-from swarmd.network.inbound_queue import DropCounter
-from swarmd.network.interface_watch import InterfaceChange
-from swarmd.network.link_quality import LinkQuality
-from swarmd.network.membership import MAX_MEMBERS
+from swarmd.network.members.link_quality import LinkQuality
+from swarmd.network.members.membership import MAX_MEMBERS
 from swarmd.network.peer import Effects, Peer, Summary
-from swarmd.network.routed import RoutedCarrier
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.signature import Author
-from swarmd.network.udp import UdpCarrier
 from swarmd.security.identity import Identity, authority_of
 
 log = logging.getLogger(__name__)

@@ -34,9 +34,9 @@ from swarmd.core.verbs import (
     StopRequest,
 )
 from swarmd.daemon.audit import Audit, describe_request
-from swarmd.network.bus import Query, ZenohBus
+from swarmd.network.carriers.bus import Query, ZenohBus
+from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import Stop
-from swarmd.network.inbound_queue import DropCounter
 
 MAX_PENDING = 64
 MAX_REPLIES = 64  # kept for repeats; the epoch refuses what was carried out before those

@@ -14,7 +14,7 @@ from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.messages import Code, KeySummary, Refusal, Reply
 from swarmd.core.verbs import RosterRequest
 from swarmd.daemon.requests import Answer
-from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.security.identity import Identity
 from swarmd.security.roster_change import (
     SharedRoster,

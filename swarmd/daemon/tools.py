@@ -44,7 +44,7 @@ from swarmd.core.verbs import (
 from swarmd.daemon.audit import AuditLog
 from swarmd.daemon.network import Network
 from swarmd.daemon.requests import Answer
-from swarmd.network.machine_network import measure_network
+from swarmd.network.carriers.machine_network import measure_network
 from swarmd.settings.settings import DaemonSettings
 
 log = logging.getLogger(__name__)

@@ -19,8 +19,6 @@ from swarmd.core.goal import Goal, HeldGoal, encode_goal
 from swarmd.core.messages import Body, Latch, State
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.values import PeerPlace, SharedPose
-from swarmd.network.admission import Admission
-from swarmd.network.claim import CLAIM_PERIOD, Claim
 from swarmd.network.datagram import (
     STATES,
     Ack,
@@ -42,15 +40,17 @@ from swarmd.network.datagram import (
     Swarm,
     in_parts,
 )
-from swarmd.network.goal_sync import FoundGoal, GoalSync
-from swarmd.network.latch_sync import LatchSync, digest_of, latch_parts
-from swarmd.network.link_quality import LinkQualities
-from swarmd.network.membership import Membership
-from swarmd.network.message_windows import MessageWindows
-from swarmd.network.peer_clocks import PeerClocks
-from swarmd.network.peer_places import PeerPlaces
+from swarmd.network.members.admission import Admission
+from swarmd.network.members.claim import CLAIM_PERIOD, Claim
+from swarmd.network.members.link_quality import LinkQualities
+from swarmd.network.members.membership import Membership
+from swarmd.network.members.message_windows import MessageWindows
+from swarmd.network.members.peer_clocks import PeerClocks
+from swarmd.network.members.peer_places import PeerPlaces
 from swarmd.network.signature import Author, Flaw
-from swarmd.network.stop_relay import REDUNDANCY, StopRelay
+from swarmd.network.spread.goal_sync import FoundGoal, GoalSync
+from swarmd.network.spread.latch_sync import LatchSync, digest_of, latch_parts
+from swarmd.network.stops.stop_relay import REDUNDANCY, StopRelay
 from swarmd.security.roster import Role
 
 BEACON_PERIOD = 1.0  # s

@@ -8,7 +8,7 @@ from typing import Any
 
 from swarmd.core.goal import Goal, GoalState, GoalStatus
 from swarmd.core.messages import State, Status
-from swarmd.network.members_view import Contact, MembersView
+from swarmd.network.operator.members_view import Contact, MembersView
 from swarmd.settings.swarmfile import SwarmFile
 from swarmd.texts.goal import content_of, present_goals
 from swarmd.texts.values import NOTHING, number

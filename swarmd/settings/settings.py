@@ -22,7 +22,7 @@ from swarmd.core.keys import check_id
 from swarmd.core.values import Platform, TouchZone, Value
 from swarmd.kit.touch import granted_zones
 from swarmd.kit.touch_config import TouchGrants
-from swarmd.network.neighbor_settings import NeighborSettings
+from swarmd.network.members.neighbor_settings import NeighborSettings
 from swarmd.network.settings import NetworkSettings
 from swarmd.protection.compatibility import Accepts
 from swarmd.security.identity import Identity

@@ -18,7 +18,7 @@ from swarmd.core.goal import LABEL, Target, Validity
 from swarmd.core.keys import check_id, is_id
 from swarmd.kit.conditions import parse_conditions
 from swarmd.kit.touch_config import TouchGrants
-from swarmd.network.neighbor_settings import NeighborSettings
+from swarmd.network.members.neighbor_settings import NeighborSettings
 from swarmd.network.settings import NetworkSettings
 from swarmd.recording.limits import FileLimits
 from swarmd.security.identity import Identity, choose_identity

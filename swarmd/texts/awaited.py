@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import is_id
 from swarmd.core.messages import Presence, State
-from swarmd.network.members_view import Contact, MembersView, SeenMember
+from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.goal import differences
 from swarmd.texts.why import absence
 

@@ -10,7 +10,7 @@ from msgspec.structs import asdict
 
 from swarmd.core.goal import LABEL, Goal, GoalState, KnownGoal
 from swarmd.core.messages import Presence, State, Status
-from swarmd.network.members_view import Contact, MembersView, SeenMember
+from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.values import NOTHING, number
 from swarmd.texts.why import absence
 

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 
 from swarmd.core import codec
 from swarmd.core.messages import DecisionSummary, LimitingObstacle, Presence, Reason, State, Status
-from swarmd.network.members_view import Contact, SeenMember
+from swarmd.network.operator.members_view import Contact, SeenMember
 from swarmd.texts.values import NOTHING, seconds
 
 _SAME_OBSTACLE = math.radians(10.0)

@@ -11,10 +11,10 @@ from typing import Any, Literal, TypeVar
 from swarmd.core.errors import SwarmError
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import LabelRequest, ParamRequest, ResetRequest, RunRequest
-from swarmd.network.members_view import MembersView
-from swarmd.network.next_goal import next_goal
-from swarmd.network.operator import Operator
-from swarmd.network.outcome import Outcome, joined
+from swarmd.network.operator.members_view import MembersView
+from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.outcome import Outcome, joined
+from swarmd.network.spread.next_goal import next_goal
 from swarmd.texts.assignments import read_assignments
 from swarmd.texts.labels import changed, read_changes
 from swarmd.view.source import Answer

@@ -14,7 +14,7 @@ from swarmd.core.messages import (
     Status,
 )
 from swarmd.core.token_bucket import TokenBucket
-from swarmd.network.members_view import MembersView, SeenMember
+from swarmd.network.operator.members_view import MembersView, SeenMember
 
 RATE, BURST = 2.0, 20.0
 """Lines of one robot per second, and at once; others are counted."""

@@ -18,8 +18,8 @@ from swarmd.core.keys import is_id
 from swarmd.core.messages import Motion, Presence, Status
 from swarmd.core.values import Array, Platform, Scan
 from swarmd.driver_api.hw_codec import decode_scan
-from swarmd.network.members_view import MembersView, SeenMember
-from swarmd.network.operator import Operator
+from swarmd.network.operator.members_view import MembersView, SeenMember
+from swarmd.network.operator.operator import Operator
 from swarmd.settings.platforms import load_platform
 from swarmd.texts.status import sections
 from swarmd.texts.why import absence, why

@@ -10,8 +10,8 @@ from collections.abc import Callable
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import STATUS_SILENCE, Status
-from swarmd.network.members_view import Contact, MembersView
-from swarmd.network.operator import Operator
+from swarmd.network.operator.members_view import Contact, MembersView
+from swarmd.network.operator.operator import Operator
 
 LOOK_PERIOD = 1.0
 LOOK_TIME = 1.0

@@ -8,7 +8,7 @@ import signal
 from collections.abc import Callable, Iterator, Mapping, Sequence
 
 from swarmd.core.messages import STATUS_SILENCE, Presence, Status
-from swarmd.network.members_view import Contact, MembersView, SeenMember
+from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.why import absence, why
 from swarmd.view.commander import LiveCommander
 from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of

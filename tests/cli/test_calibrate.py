@@ -16,8 +16,8 @@ import pytest
 from swarmd.calibration.figures import Figure
 from swarmd.cli.calibrate import _end_findings, _floor
 from swarmd.core.messages import ScanDelaySummary, State, Status
-from swarmd.network.operator import Operator
-from swarmd.network.outcome import Outcome
+from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from swarmd.sim.live.fleet import Fleet, FleetSpec

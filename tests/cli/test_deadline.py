@@ -11,8 +11,8 @@ from swarmd.cli.options import CommonOptions
 from swarmd.cli.send import LEAST_REQUEST_TIME
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.messages import Presence
-from swarmd.network.members_view import Contact, MembersView, SeenMember
-from swarmd.network.outcome import Outcome
+from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
+from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 
 

@@ -9,8 +9,8 @@ from swarmd.cli.arguments import Failure, Targets, read_targets
 from swarmd.cli.labels import named, robots_of, stopped, unlabelled
 from swarmd.core.messages import Presence
 from swarmd.network.exit_codes import NO_TARGET
-from swarmd.network.members_view import MembersView
-from swarmd.network.outcome import Outcome
+from swarmd.network.operator.members_view import MembersView
+from swarmd.network.operator.outcome import Outcome
 from tests.support.statuses import make_member
 
 LABELS = {"r1": ("red",), "r2": ("red", "fast"), "r3": ("fast",), "r4": ()}

@@ -11,7 +11,7 @@ from swarmd.cli.members import HEADER, health, row, wide_cells
 from swarmd.core import codec
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import DecisionSummary, Health, Presence, Reason, State, StatusHeader
-from swarmd.network.members_view import Contact, MembersView, SeenMember
+from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from tests.support.goals import goal_status, make_goal, member_with, view_of
 from tests.support.statuses import make_member
 

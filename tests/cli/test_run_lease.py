@@ -10,7 +10,7 @@ import pytest
 from swarmd.cli.run_lease import follow_runs
 from swarmd.core.codec import encode
 from swarmd.core.messages import Epoch, State, Status
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from tests.support.goals import make_goal
 from tests.support.statuses import status
 

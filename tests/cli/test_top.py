@@ -9,7 +9,7 @@ from msgspec.structs import replace
 from swarmd.cli.swarmctl import cli
 from swarmd.cli.top import HEADER, SORTS, records, rows
 from swarmd.core.messages import Presence, ProcessUsage, Status
-from swarmd.network.members_view import MembersView
+from swarmd.network.operator.members_view import MembersView
 from tests.support.statuses import RUNNING, make_member, status
 
 

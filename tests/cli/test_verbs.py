@@ -18,7 +18,7 @@ from typing import Any
 import msgspec
 import pytest
 
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from swarmd.sim.live.starting import statuses_of

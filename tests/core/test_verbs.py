@@ -13,7 +13,7 @@ from swarmd.daemon.recording_service import RecordingService
 from swarmd.daemon.requests import RequestServer
 from swarmd.daemon.roster_service import RosterService
 from swarmd.daemon.tools import FieldTools
-from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.robot.requests import RequestHandler
 
 SERVICES = (CodeIntake, CodePull, FieldTools, RecordingService, RosterService)

@@ -22,7 +22,7 @@ from swarmd.core.behaviour import (
 )
 from swarmd.core.clock import boottime
 from swarmd.daemon.code_transfer import CODE_PERIOD, FALSE_PERIOD, TABLE_PERIOD, CodePull
-from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.robot.pushed_code import PushedCode, Version
 from tests.daemon.test_code_transfer import Rig
 

@@ -31,7 +31,7 @@ from swarmd.daemon import code_versions
 from swarmd.daemon.code_transfer import CodeIntake, CodePull
 from swarmd.daemon.code_versions import CodeRuns, CodeVersions
 from swarmd.daemon.store import CodeFiles
-from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.pushed_code import HOLD_TIME, PushedCode

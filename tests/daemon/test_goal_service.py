@@ -14,7 +14,7 @@ from swarmd.core.verbs import GoalRequest
 from swarmd.daemon import record_writer
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.store import GoalFile
-from swarmd.network.next_goal import sign_goal
+from swarmd.network.spread.next_goal import sign_goal
 from tests.support.keys import SwarmKeys
 
 GOAL = Goal(generation=3, issuer="bob", id="g3", pattern="drive")

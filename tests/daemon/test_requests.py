@@ -16,8 +16,8 @@ from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.core.verbs import VERBS, EstopRequest, Request, RunRequest, StopRequest
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.requests import MAX_PENDING, RequestServer
+from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import Stop
-from swarmd.network.inbound_queue import DropCounter
 from tests.support.fake_services import FakeServices
 
 EPOCH = Epoch("0123456789ab", 1)

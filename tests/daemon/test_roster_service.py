@@ -11,7 +11,7 @@ from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.core.verbs import RosterRequest
 from swarmd.daemon import roster_service
 from swarmd.daemon.roster_service import RosterService
-from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.carriers.inbound_queue import DropCounter
 from tests.network.keyring import Keyring
 
 

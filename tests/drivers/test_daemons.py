@@ -15,7 +15,7 @@ import pytest
 
 from swarmd.core.clock import boottime
 from swarmd.core.values import Twist, Value
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import Rig, is_running

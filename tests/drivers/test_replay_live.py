@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.values import Value
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.recording import messages
 from swarmd.recording.reader import read_file

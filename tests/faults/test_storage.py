@@ -16,7 +16,7 @@ import pytest
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.messages import Code, State
 from swarmd.core.verbs import AuditQuery, AuditReply, DoctorReply
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 

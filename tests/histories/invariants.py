@@ -46,8 +46,8 @@ from swarmd.core.verbs import (
     StopRequest,
 )
 from swarmd.network.datagram import Datagram, Stop
-from swarmd.network.goal_sync import FoundGoal
-from swarmd.network.stop_relay import LIFETIME
+from swarmd.network.spread.goal_sync import FoundGoal
+from swarmd.network.stops.stop_relay import LIFETIME
 from tests.histories.swarm import Cause, VirtualDaemon, VirtualSwarm
 
 AGE_SHIFT = 0.5  # s by which the age of a goal or a stop may be wrong

@@ -37,15 +37,15 @@ from swarmd.network.datagram import (
     Solicit,
     Stop,
 )
-from swarmd.network.discovery import Discovery
-from swarmd.network.members_view import MembersView
-from swarmd.network.next_goal import next_goal
-from swarmd.network.outcome import Acks, Outcome, joined
-from swarmd.network.repeat_timer import SOLICIT_PACE, RepeatTimer
-from swarmd.network.request_sender import REPEAT_PERIOD, aged, request_timeout
+from swarmd.network.operator.discovery import Discovery
+from swarmd.network.operator.members_view import MembersView
+from swarmd.network.operator.outcome import Acks, Outcome, joined
+from swarmd.network.operator.repeat_timer import SOLICIT_PACE, RepeatTimer
+from swarmd.network.operator.request_sender import REPEAT_PERIOD, aged, request_timeout
 from swarmd.network.signature import Author
-from swarmd.network.stop_request import PendingStop
-from swarmd.network.stop_sender import STOP_PACE
+from swarmd.network.spread.next_goal import next_goal
+from swarmd.network.stops.stop_request import PendingStop
+from swarmd.network.stops.stop_sender import STOP_PACE
 from swarmd.security.roster import Role
 from swarmd.texts.goal import content_of, present_goals, set_apart
 from tests.histories.swarm import Node, VirtualSwarm

@@ -50,13 +50,13 @@ from swarmd.core.verbs import (
 )
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.requests import RequestServer
-from swarmd.network.admission import Admission
+from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import Ack, Address, Datagram, Stop
-from swarmd.network.goal_sync import FoundGoal
-from swarmd.network.inbound_queue import DropCounter
+from swarmd.network.members.admission import Admission
 from swarmd.network.peer import Effects, Peer, Summary
 from swarmd.network.signature import Author
-from swarmd.network.stop_freshness import REPLAYED
+from swarmd.network.spread.goal_sync import FoundGoal
+from swarmd.network.stops.stop_freshness import REPLAYED
 from swarmd.robot.actions import Actions
 from swarmd.robot.latches import LatchRecord
 from swarmd.robot.robot import Robot
@@ -70,7 +70,7 @@ DELAY = 0.005  # s
 JOIN_TICK, TICK, LONGEST_TICK = 0.05, 0.05, 0.4  # s
 LOAD_TIME, TRIAL_TIME, DISK_TIME = 0.05, 0.3, 0.02  # s
 SCAN_PERIOD = 0.5
-BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `network/udp.py`
+BATCH, PAUSE, MAX_WAITING = 64, 0.005, 2700  # as in `network/carriers/udp.py`
 PATTERNS = frozenset({"drive", "circle"})  # what each robot has; others are pushed
 SPEEDS = {"drive": 0.1, "circle": 0.05}
 ROSTER = ("r1", "r2", "r3", "r4", "r5", "r6", "r7")

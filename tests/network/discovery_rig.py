@@ -7,10 +7,10 @@ from typing import Any
 from swarmd.core import codec
 from swarmd.core.messages import Member, PeerView, Presence, State
 from swarmd.network.datagram import PRESENCES, STATES, Beacon, MemberList, MemberReport
-from swarmd.network.discovery import (
+from swarmd.network.operator.discovery import (
     Discovery,
 )
-from swarmd.network.members_view import Contact
+from swarmd.network.operator.members_view import Contact
 from tests.support.fake_daemon import light_status
 
 ALIVE, LEFT, FAILED = Presence.ALIVE, Presence.LEFT, Presence.FAILED

@@ -9,8 +9,6 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError
-from swarmd.network import roster_update
-from swarmd.network.answers import Answers
 from swarmd.network.datagram import (
     Ack,
     Address,
@@ -22,9 +20,11 @@ from swarmd.network.datagram import (
     pack,
     tag_of,
 )
-from swarmd.network.roster_follower import RosterFollower
+from swarmd.network.operator.answers import Answers
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.signature import Author, Previous, Trust
+from swarmd.network.spread import roster_update
+from swarmd.network.spread.roster_follower import RosterFollower
 from swarmd.security.identity import Identity
 from swarmd.security.roster import Role
 from tests.network.keyring import Keyring

@@ -9,7 +9,6 @@ from msgspec.structs import replace
 
 from swarmd.core.messages import Latch, Presence, State
 from swarmd.core.values import Pose, SharedPose
-from swarmd.network.admission import SIGNERS
 from swarmd.network.datagram import (
     Ack,
     Address,
@@ -25,6 +24,7 @@ from swarmd.network.datagram import (
     Stop,
     pack,
 )
+from swarmd.network.members.admission import SIGNERS
 from swarmd.network.signature import Flaw, Signer
 from swarmd.security.roster import Role
 from tests.network.keyring import Keyring

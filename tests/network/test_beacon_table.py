@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.messages import State
-from swarmd.network.beacon_table import MAX_ROUND_TRIP
 from swarmd.network.datagram import STATES, Flag
-from swarmd.network.members_view import Contact
+from swarmd.network.operator.beacon_table import MAX_ROUND_TRIP
+from swarmd.network.operator.members_view import Contact
 from tests.network.discovery_rig import Rig, life
 
 

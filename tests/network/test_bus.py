@@ -12,9 +12,9 @@ import zenoh
 from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.messages import Member, PeerView, Presence, Status
 from swarmd.core.verbs import MembersQuery
-from swarmd.network.bus import Query, ZenohBus, without_mapping
-from swarmd.network.inbound_queue import CAPACITY, DropCounter
-from swarmd.network.session import open_listening, open_with
+from swarmd.network.carriers.bus import Query, ZenohBus, without_mapping
+from swarmd.network.carriers.inbound_queue import CAPACITY, DropCounter
+from swarmd.network.carriers.session import open_listening, open_with
 from swarmd.network.settings import NetworkSettings
 from tests.support.fake_daemon import light_status
 

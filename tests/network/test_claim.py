@@ -7,8 +7,8 @@ import math
 import pytest
 
 from swarmd.core.messages import State
-from swarmd.network.claim import LONGEST_LOOK, Claim
 from swarmd.network.datagram import STATES, Beacon, Flag
+from swarmd.network.members.claim import LONGEST_LOOK, Claim
 
 OWN, OTHER = b"222222", b"111111"
 

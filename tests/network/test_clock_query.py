@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.network.clock_query import (
+from swarmd.network.datagram import ClockReply
+from swarmd.network.operator.clock_query import (
     EXCHANGES,
     MAX_DRIFT,
     ClockOffset,
     ClockReadings,
     start_times,
 )
-from swarmd.network.datagram import ClockReply
 
 AHEAD = 1234.5
 """What the robot's clock is ahead of the operator's, in s."""

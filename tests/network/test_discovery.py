@@ -6,8 +6,8 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.messages import Presence
-from swarmd.network.beacon_table import MAX_ROBOTS, QUIET_TIME
-from swarmd.network.discovery import (
+from swarmd.network.operator.beacon_table import MAX_ROBOTS, QUIET_TIME
+from swarmd.network.operator.discovery import (
     ANSWER_WAIT,
     FIRST_ROBOT_TIMEOUT,
     GONE_WAIT,
@@ -17,7 +17,7 @@ from swarmd.network.discovery import (
     UNREACHABLE_WAIT,
     Discovery,
 )
-from swarmd.network.seen_member import INDIRECT_TIME
+from swarmd.network.operator.seen_member import INDIRECT_TIME
 from tests.network.discovery_rig import ALIVE, FAILED, Rig, address, beacon, heard, life, word
 
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.network.datagram import Address, Kind
-from swarmd.network.flood_limits import (
+from swarmd.network.carriers.flood_limits import (
     BLOCK_TIME,
     BURST,
     EXCESS,
@@ -17,6 +16,7 @@ from swarmd.network.flood_limits import (
     FloodLimits,
     FloodRules,
 )
+from swarmd.network.datagram import Address, Kind
 
 LOUD, QUIET = ("10.0.0.66", 7440), ("10.0.0.5", 7440)
 

@@ -10,7 +10,7 @@ from msgspec.structs import replace
 
 from swarmd.core.goal import MAX_UNSIGNED, Goal, HeldGoal, digest_of, encode_goal, signed_part
 from swarmd.network.datagram import GoalReport, Solicit
-from swarmd.network.goal_sync import CHECK_BURST, GoalCheck, GoalSync
+from swarmd.network.spread.goal_sync import CHECK_BURST, GoalCheck, GoalSync
 from swarmd.security.content_signature import Purpose, sign
 from swarmd.security.private_keys import public_bytes
 from tests.network.virtual_network import VirtualNetwork

@@ -9,7 +9,7 @@ import pytest
 
 from swarmd.core.errors import CodecError, CoreFault, fail_stop
 from swarmd.core.messages import Code
-from swarmd.network.inbound_queue import (
+from swarmd.network.carriers.inbound_queue import (
     BATCH,
     CAPACITY,
     FAILED,

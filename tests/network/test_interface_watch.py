@@ -15,7 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from swarmd.core.errors import NetworkError
-from swarmd.network.interface_watch import (
+from swarmd.network.carriers.interface_watch import (
     AddressMessage,
     InterfaceChange,
     InterfaceEvent,

@@ -7,7 +7,7 @@ import threading
 
 import pytest
 
-from swarmd.network.ipv6_forward import forward_to
+from swarmd.network.carriers.ipv6_forward import forward_to
 
 CAP = 20.0
 

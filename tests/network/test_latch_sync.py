@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from swarmd.core.messages import Latch
 from swarmd.network.datagram import Latches, pack, tag_of
-from swarmd.network.latch_sync import LatchSync, digest_of, latch_parts
+from swarmd.network.spread.latch_sync import LatchSync, digest_of, latch_parts
 
 TAG = tag_of("field", "lab")
 INSTANCE = b"abcdef"

@@ -21,8 +21,8 @@ from swarmd.core.keys import ANY, CONTROL, SHARED, build
 from swarmd.core.messages import Code, Epoch, Reply, Status
 from swarmd.core.values import Value
 from swarmd.core.verbs import VERBS, MembersQuery, RunRequest
-from swarmd.network.operator import Operator
-from swarmd.network.session import open_with, operator_options, tls_options
+from swarmd.network.carriers.session import open_with, operator_options, tls_options
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.security.identity import Identity, load_identity
 from tests.support.fake_daemon import light_status

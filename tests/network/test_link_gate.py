@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from swarmd.network.link_gate import (
+from swarmd.network.carriers.link_gate import (
     CLOSED_TIME,
     KNOWN_TIME,
     LOOK_PERIOD,

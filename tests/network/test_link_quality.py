@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.network.link_quality import (
+from swarmd.network.members.link_quality import (
     MAX_LINKS,
     ROUND_TRIP_KEPT,
     WINDOW,

@@ -9,11 +9,11 @@ from pathlib import Path
 
 from swarmd.core import codec
 from swarmd.core.messages import Epoch, Presence
+from swarmd.network.carriers.udp import UdpCarrier
 from swarmd.network.datagram import Beacon, Solicit, pack, tag_of, unpack
 from swarmd.network.exit_codes import PARTIAL
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.udp import UdpCarrier
 from tests.network.conftest import Robots
 from tests.support.processes import run_command
 

@@ -6,7 +6,7 @@ from msgspec.structs import replace
 
 from swarmd.core.messages import Body, Presence
 from swarmd.network.datagram import MAX_HOPS, Beacon, BodyReport, Flag, MemberList, MemberReport
-from swarmd.network.membership import MAX_MEMBERS, STRANGER_KEPT, Membership
+from swarmd.network.members.membership import MAX_MEMBERS, STRANGER_KEPT, Membership
 
 ADDRESS = ("10.0.0.1", 7440)
 LEASE = 3.0

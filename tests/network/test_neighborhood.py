@@ -5,8 +5,8 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.values import Neighbor, PeerPlace, Pose, SharedPose
-from swarmd.network.neighbor_settings import NeighborSettings
-from swarmd.network.neighborhood import Link, Neighborhood
+from swarmd.network.members.neighbor_settings import NeighborSettings
+from swarmd.network.members.neighborhood import Link, Neighborhood
 
 
 def by_range(meters: float = 1.0) -> Neighborhood:

@@ -7,9 +7,9 @@ from collections.abc import Callable
 
 import pytest
 
-from swarmd.network import operator_sessions
 from swarmd.network.datagram import Address
-from swarmd.network.operator import Operator
+from swarmd.network.operator import operator_sessions
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Robots
 from tests.support.operator_threads import is_closing

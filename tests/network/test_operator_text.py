@@ -6,8 +6,8 @@ import pytest
 
 from swarmd.core.verbs import ResetRequest
 from swarmd.network.datagram import Stop
-from swarmd.network.operator import Operator
-from swarmd.network.operator_text import operator_name
+from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.operator_text import operator_name
 from swarmd.network.settings import NetworkSettings
 from tests.network.conftest import Robots
 

@@ -7,7 +7,7 @@ import pytest
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.network.datagram import Ack
 from swarmd.network.exit_codes import FAILED, NO_TARGET, PARTIAL, REFUSED, TIMEOUT, USAGE
-from swarmd.network.outcome import Acks
+from swarmd.network.operator.outcome import Acks
 
 
 def reply(robot: str, code: Code = Code.APPLIED, *, instance: str = "b", id: str = "q") -> Reply:

@@ -20,8 +20,8 @@ from swarmd.network.datagram import (
     Solicit,
     Stop,
 )
+from swarmd.network.members.peer_places import FASTEST_DATAGRAM
 from swarmd.network.peer import BEACON_PERIOD
-from swarmd.network.peer_places import FASTEST_DATAGRAM
 from tests.network.virtual_network import OPERATOR, VirtualNetwork
 
 

@@ -10,12 +10,12 @@ from collections.abc import Iterator
 import pytest
 
 from swarmd.core.errors import NetworkError
-from swarmd.network.bus import ZenohBus
+from swarmd.network.carriers.bus import ZenohBus
+from swarmd.network.carriers.inbound_queue import DropCounter
+from swarmd.network.carriers.session import open_listening, session_options
 from swarmd.network.datagram import Address
-from swarmd.network.inbound_queue import DropCounter
-from swarmd.network.pull import PIECE, Puller, pull, serve_shared
-from swarmd.network.session import open_listening, session_options
 from swarmd.network.settings import NetworkSettings, parse_endpoint
+from swarmd.network.spread.pull import PIECE, Puller, pull, serve_shared
 
 BLOBS = {"small": b"abc", "large": os.urandom(3 * PIECE + 17), "": b"the table", "empty": b""}
 
@@ -59,7 +59,7 @@ async def test_a_blob_that_is_missing_too_long_or_another_is_refused(
 async def test_a_pull_from_an_address_at_which_nothing_listens_ends(
     settings: NetworkSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("swarmd.network.session.PULL_LINK_TIMEOUT", 0.3)
+    monkeypatch.setattr("swarmd.network.carriers.session.PULL_LINK_TIMEOUT", 0.3)
     done: asyncio.Future[str] = asyncio.get_running_loop().create_future()
     puller = Puller(settings, "r02", drops=DropCounter())
 

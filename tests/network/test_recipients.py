@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swarmd.network.recipients import MAX_ADDRESSES, MENTION_TIME, Recipients
+from swarmd.network.carriers.recipients import MAX_ADDRESSES, MENTION_TIME, Recipients
 
 LEASE = 3.0
 A, B = ("10.0.0.1", 7440), ("10.0.0.2", 7440)

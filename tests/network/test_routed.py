@@ -16,8 +16,8 @@ from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.keys import CONTROL, build
 from swarmd.core.messages import Presence
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator import Operator
-from swarmd.network.session import open_with, operator_options
+from swarmd.network.carriers.session import open_with, operator_options
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.support.fake_daemon import FakeSwarm
 from tests.support.keys import SwarmKeys

@@ -18,7 +18,7 @@ import zenoh
 from msgspec.structs import replace
 
 from swarmd.core.errors import ConfigError, NetworkError
-from swarmd.network.session import (
+from swarmd.network.carriers.session import (
     connected_sockets,
     open_in_thread,
     open_operator_session,
@@ -104,7 +104,7 @@ def test_a_port_in_use_is_one_clear_line(settings: NetworkSettings) -> None:
 
 
 OPENING = """
-from swarmd.network.session import open_session
+from swarmd.network.carriers.session import open_session
 from swarmd.network.settings import NetworkSettings
 open_session(NetworkSettings(swarm="nobody")).close()
 """

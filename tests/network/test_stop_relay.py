@@ -6,8 +6,8 @@ import pytest
 
 from swarmd.core.messages import Code
 from swarmd.network.datagram import Ack, Address, Stop
-from swarmd.network.stop_freshness import REPLAYED
-from swarmd.network.stop_relay import (
+from swarmd.network.stops.stop_freshness import REPLAYED
+from swarmd.network.stops.stop_relay import (
     ACK_PERIOD,
     ACKS_AT_ONCE,
     LAST_INTERVAL,

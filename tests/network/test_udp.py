@@ -17,10 +17,10 @@ from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import NetworkError
+from swarmd.network.carriers.flood_limits import FloodRules
+from swarmd.network.carriers.udp import UdpCarrier
 from swarmd.network.datagram import ANY_SWARM, Address, Beacon, Solicit, Stop, pack, tag_of
-from swarmd.network.flood_limits import FloodRules
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.udp import UdpCarrier
 from tests.network.conftest import Until
 
 TAG = tag_of("dev", f"test-{secrets.token_hex(6)}")

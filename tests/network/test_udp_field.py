@@ -16,10 +16,10 @@ from typing import TypeVar
 
 import pytest
 
+from swarmd.network.carriers.interface_watch import read_state
+from swarmd.network.carriers.udp import BEACONS_A_BROADCAST, GROUP4, UdpCarrier, _Way
 from swarmd.network.datagram import Address, Beacon, Solicit, Stop, pack, tag_of
-from swarmd.network.interface_watch import read_state
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.udp import BEACONS_A_BROADCAST, GROUP4, UdpCarrier, _Way
 from tests.support.field import CLONE_NEWNET
 
 pytestmark = pytest.mark.integration

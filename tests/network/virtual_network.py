@@ -17,8 +17,8 @@ from swarmd.core.clock import ClockSample
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Code, Latch, State
 from swarmd.core.values import PeerPlace
-from swarmd.network.admission import Admission
 from swarmd.network.datagram import Ack, Address, Datagram, Solicit, Stop, pack, tag_of, unpack
+from swarmd.network.members.admission import Admission
 from swarmd.network.peer import CheckGoal, Effects, Peer, Summary
 from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust
 from swarmd.robot.goals import Found, Goals

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from swarmd.core.messages import Code, State, Status
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from tests.support.processes import wait_until
 
 ROBOT = "tb3-01"

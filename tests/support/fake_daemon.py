@@ -23,10 +23,10 @@ from swarmd.core.goal import Goal
 from swarmd.core.messages import Code, Epoch, Reason, Refusal, Reply, State, Status
 from swarmd.core.verbs import AnyRequest
 from swarmd.daemon.network import Network
-from swarmd.network.bus import Query, ZenohBus
+from swarmd.network.carriers.bus import Query, ZenohBus
+from swarmd.network.carriers.inbound_queue import DropCounter
+from swarmd.network.carriers.interface_watch import InterfaceChange
 from swarmd.network.datagram import Address, Stop
-from swarmd.network.inbound_queue import DropCounter
-from swarmd.network.interface_watch import InterfaceChange
 from swarmd.network.peer import Summary
 from swarmd.network.settings import NetworkSettings
 from tests.support.keys import SwarmKeys

@@ -34,8 +34,8 @@ from swarmd.core.messages import (
 from swarmd.core.values import Scan
 from swarmd.core.verbs import AnyRequest, RunRequest
 from swarmd.driver_api.hw_codec import encode_scan
-from swarmd.network.members_view import MembersView, SeenMember
-from swarmd.network.outcome import Outcome
+from swarmd.network.operator.members_view import MembersView, SeenMember
+from swarmd.network.operator.outcome import Outcome
 from swarmd.network.settings import NetworkSettings
 from swarmd.view.commander import LiveCommander
 from swarmd.view.live import LiveSource

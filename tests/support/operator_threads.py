@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import threading
 
-from swarmd.network.roster_follower import CLOSING
+from swarmd.network.spread.roster_follower import CLOSING
 from swarmd.view.commander import COMMANDING
 from swarmd.view.swarm_watch import LOOKING
 

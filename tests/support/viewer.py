@@ -9,6 +9,8 @@ from collections.abc import Callable
 import zenoh
 
 from swarmd.core.errors import CodecError
+from swarmd.network.carriers.session import open_operator_session
+from swarmd.network.carriers.udp import UdpCarrier
 from swarmd.network.datagram import (
     Address,
     Beacon,
@@ -19,9 +21,7 @@ from swarmd.network.datagram import (
     tag_of,
     unpack,
 )
-from swarmd.network.session import open_operator_session
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.udp import UdpCarrier
 
 ANSWER_TIME = 0.1  # s for answers to a question of who is there
 LINK_TIME = 1.0  # s for a new link to show its robot's keys

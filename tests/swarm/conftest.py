@@ -21,8 +21,8 @@ from swarmd.core.codec import Decoder
 from swarmd.core.keys import ANYONE, CONTROL, build
 from swarmd.core.messages import PeerView, Presence, State, Status
 from swarmd.core.values import Value
-from swarmd.network.operator import Operator
-from swarmd.network.session import MAX_WIRE
+from swarmd.network.carriers.session import MAX_WIRE
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body

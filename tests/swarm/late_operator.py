@@ -13,7 +13,7 @@ from pathlib import Path
 from swarmd.cli.options import CommonOptions
 from swarmd.core.messages import Epoch
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 
 
 def run(

@@ -14,6 +14,7 @@ import pytest
 
 from swarmd.core.messages import Presence, State, Status
 from swarmd.core.verbs import ResetRequest
+from swarmd.network.carriers.udp import GROUP4, GROUP_PORT
 from swarmd.network.datagram import (
     KIND_OFFSET,
     Ack,
@@ -29,9 +30,8 @@ from swarmd.network.datagram import (
     tag_of,
     unpack,
 )
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.network.udp import GROUP4, GROUP_PORT
 from tests.support.keys import SwarmKeys
 from tests.support.processes import DaemonProcess, unique_swarm, wait_until
 

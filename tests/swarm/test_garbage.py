@@ -36,12 +36,13 @@ from swarmd.driver_api.hw_codec import (
     encode_readings,
     encode_scan,
 )
-from swarmd.network import datagram, pull
-from swarmd.network.bus import Query, ZenohBus
+from swarmd.network import datagram
+from swarmd.network.carriers.bus import Query, ZenohBus
+from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import MAX_DATAGRAM, MAX_TRAILER, Beacon, Datagram, pack, tag_of
-from swarmd.network.inbound_queue import DropCounter
-from swarmd.network.membership import MAX_MEMBERS
+from swarmd.network.members.membership import MAX_MEMBERS
 from swarmd.network.signature import Signer
+from swarmd.network.spread import pull
 from swarmd.security.roster import Role
 from swarmd.security.roster_change import SharedRoster
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings

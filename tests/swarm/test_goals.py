@@ -10,7 +10,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.goal import Goal, GoalState, GoalStatus
 from swarmd.core.messages import Code, Refusal, State, Status
 from swarmd.core.verbs import ResumeRequest, RunRequest
-from swarmd.network.stop_relay import LAST_INTERVAL
+from swarmd.network.stops.stop_relay import LAST_INTERVAL
 from tests.support.processes import wait_until
 from tests.swarm.conftest import Swarm
 

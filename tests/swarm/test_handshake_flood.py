@@ -13,7 +13,7 @@ import pytest
 
 from swarmd.core.messages import State
 from swarmd.core.verbs import ResetRequest, RunRequest
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from tests.support.handshakes import KINDS
 from tests.support.keys import SwarmKeys

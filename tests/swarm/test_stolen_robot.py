@@ -23,6 +23,8 @@ from swarmd.core.goal import Goal, encode_goal
 from swarmd.core.keys import ANY, SHARED, build, parse
 from swarmd.core.messages import Presence, State
 from swarmd.core.verbs import RunRequest
+from swarmd.network.carriers.session import open_with, session_options
+from swarmd.network.carriers.udp import GROUP4, GROUP_PORT
 from swarmd.network.datagram import (
     Ack,
     Address,
@@ -36,12 +38,10 @@ from swarmd.network.datagram import (
     pack,
     unpack,
 )
-from swarmd.network.next_goal import sign_goal
-from swarmd.network.outcome import Outcome
-from swarmd.network.pull import _answer
-from swarmd.network.session import open_with, session_options
+from swarmd.network.operator.outcome import Outcome
 from swarmd.network.signature import Author, Signer
-from swarmd.network.udp import GROUP4, GROUP_PORT
+from swarmd.network.spread.next_goal import sign_goal
+from swarmd.network.spread.pull import _answer
 from swarmd.security.datagram_keys import KEY_BYTES, reader_keys
 from swarmd.security.roster import Role
 from swarmd.security.roster_change import SharedRoster

@@ -21,8 +21,8 @@ from swarmd.core.codec import Decoder, encode
 from swarmd.core.keys import CONTROL, build
 from swarmd.core.messages import Code, Latch, Refusal, Reply, State, Status
 from swarmd.core.verbs import Request, RunRequest
+from swarmd.network.carriers.session import MAX_WIRE
 from swarmd.network.datagram import Latches, Stop
-from swarmd.network.session import MAX_WIRE
 from swarmd.robot.latches import MAX_HELD
 from tests.support.processes import CAP, wait_until
 

@@ -8,7 +8,7 @@ import pytest
 
 from swarmd.core.goal import GoalState
 from swarmd.core.messages import Latch, Presence, Reason, State
-from swarmd.network.members_view import Contact
+from swarmd.network.operator.members_view import Contact
 from swarmd.texts.goal import (
     Difference,
     content_of,

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from swarmd.core.messages import DecisionSummary, Health, LimitingObstacle, Presence, Reason, State
-from swarmd.network.members_view import Contact, SeenMember
+from swarmd.network.operator.members_view import Contact, SeenMember
 from swarmd.texts.why import absence, obstacles, why
 from tests.support.statuses import ESTOPPED, make_member
 

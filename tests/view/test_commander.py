@@ -11,9 +11,9 @@ from typing import Any, cast
 import pytest
 
 from swarmd.core.messages import Code, Reply
-from swarmd.network.members_view import MembersView
-from swarmd.network.operator import Operator
-from swarmd.network.outcome import Outcome
+from swarmd.network.operator.members_view import MembersView
+from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.outcome import Outcome
 from swarmd.view.commander import MAX_REQUESTS, LiveCommander
 from swarmd.view.source import Answer
 from tests.support.operator_threads import is_closing

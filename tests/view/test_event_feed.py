@@ -15,7 +15,7 @@ from swarmd.core.messages import (
     State,
     Status,
 )
-from swarmd.network.members_view import MembersView
+from swarmd.network.operator.members_view import MembersView
 from swarmd.view.event_feed import BURST, EventFeed, EventLine
 from tests.support.statuses import make_member, status
 

@@ -10,7 +10,7 @@ import pytest
 
 from swarmd.cli.web import Served, WebOptions
 from swarmd.core.messages import State
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.view.commander import LiveCommander
 from swarmd.view.live import LiveSource
 from tests.support.chromium import FOUND, Page

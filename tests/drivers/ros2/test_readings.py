@@ -15,7 +15,7 @@ from rosbags.typesys import Stores
 from swarmd.core.values import Value
 from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.message_types import MessageTypes
-from swarmd.network.session import has_subscriber
+from swarmd.network.carriers.session import has_subscriber
 from swarmd.testing.driver_contract import DriverHarness, play
 from tests.drivers.ros2.harness import announce, check
 from tests.drivers.ros2.robots import HASHES, PACKAGES, BridgedRobot, Robot, ZenohRobot

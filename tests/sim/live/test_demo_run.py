@@ -12,9 +12,9 @@ import pytest
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from swarmd.core.messages import Code, Epoch, Reply, State
 from swarmd.core.verbs import RunRequest
-from swarmd.network.members_view import MembersView, SeenMember
-from swarmd.network.operator import Operator
-from swarmd.network.outcome import Outcome
+from swarmd.network.operator.members_view import MembersView, SeenMember
+from swarmd.network.operator.operator import Operator
+from swarmd.network.operator.outcome import Outcome
 from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.starting import Started, know_each_other, start_pattern

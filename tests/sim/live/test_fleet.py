@@ -14,7 +14,7 @@ import pytest
 
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import State
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
 from swarmd.sim.live.starting import await_robots, statuses_of

@@ -8,7 +8,7 @@ import pytest
 
 from swarmd.core.messages import Reason, State, Status
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.fleet import Fleet, FleetSpec, world_command
 from swarmd.sim.live.starting import await_robots, statuses_of

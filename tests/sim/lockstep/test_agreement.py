@@ -11,7 +11,7 @@ import pytest
 
 from swarmd.core.values import Array
 from swarmd.core.verbs import RunRequest
-from swarmd.network.operator import Operator
+from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
 from swarmd.sim.live.demo_run import WorldWatcher
 from swarmd.sim.live.fleet import Fleet, FleetSpec

@@ -1,0 +1,1 @@
+"""How datagrams and Zenoh messages travel: UDP, routers, sessions, links, floods."""

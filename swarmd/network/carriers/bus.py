@@ -1,0 +1,212 @@
+"""The bus over Zenoh: how a daemon answers operators, and publishes its status to those who ask.
+
+Order of use in a daemon::
+
+    bus = ZenohBus(session, swarm="lab", robot="tb3-01")
+    bus.serve("control", "run", on_run)  # on_run(query): query.payload, query.reply(bytes)
+    bus.publish("status", lambda: encode(status))
+    bus.close(); session.close()
+
+Zenoh calls from its own threads. Each callback checks key, kind and size, and puts the bytes into
+an inbound queue (`inbound_queue.py`). Nothing raises into Zenoh. The handlers run on the loop. What
+they raise is counted, such as `control/run:malformed`, and answers nothing: `DropCounter.refusing`.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+import zenoh
+
+from swarmd.core.codec import MAX_CONTROL, Decoder, encode
+from swarmd.core.keys import ANY, CONTROL, SHARED, Key, build, parse
+from swarmd.core.messages import Member, PeerView, Status
+from swarmd.core.verbs import MembersQuery
+from swarmd.network.carriers.inbound_queue import DropCounter, InboundQueue
+from swarmd.network.carriers.session import has_subscriber, undeclare
+
+
+class Query(Protocol):
+    """A question or request put to this robot, on its own key."""
+
+    payload: bytes
+    asker: str
+    """The last chunk of its key; in a secured swarm the name that the link has proved."""
+
+    @property
+    def source(self) -> str:
+        """The address from which it came."""
+
+    def reply(self, payload: bytes) -> None:
+        """Answer, at most once, now or later, on the loop; never blocks, never raises."""
+
+    def drop(self) -> None:
+        """Do not answer; the asker learns that nothing more comes. Harmless after `reply`."""
+
+
+_members_query = Decoder(MembersQuery)
+
+
+class ZenohQuery:
+    """A `Query` of Zenoh that came on a session, answered on this robot's own key."""
+
+    __slots__ = ("_info", "_key", "_query", "_session", "asker", "payload")
+
+    def __init__(
+        self, session: zenoh.Session, query: zenoh.Query, key: str, asker: str, payload: bytes
+    ) -> None:
+        self.asker = asker
+        self._session = session
+        self._query: zenoh.Query | None = query
+        self._info = query.source_info
+        self._key = key
+        self.payload = payload
+
+    @property
+    def source(self) -> str:
+        """The address of the link to the session that the asker names; nothing proves that name."""
+        asker = None if self._info is None else self._info.source_id.zid
+        with suppress(zenoh.ZError):
+            for link in self._session.info.links():
+                is_proved = link.auth_identifier is None or link.auth_identifier == self.asker
+                if link.zid == asker and is_proved:
+                    address = str(link.dst).partition("/")[2].partition("?")[0].partition("#")[0]
+                    return without_mapping(address)
+        return "an unknown address"
+
+    def reply(self, payload: bytes) -> None:
+        """Answer; nothing happens for a plain put or after the first time."""
+        query, self._query = self._query, None
+        if query is None:
+            return
+        try:
+            query.reply(self._key, payload)
+            query.drop()
+        except zenoh.ZError:  # the asker or the session is gone
+            return
+
+    def drop(self) -> None:
+        """Do not answer."""
+        query, self._query = self._query, None
+        if query is not None:
+            query.drop()
+
+
+def without_mapping(address: str) -> str:
+    """An address and port; an IPv4 address within IPv6, `[::ffff:10.0.0.7]:7440`, as IPv4."""
+    start, end = "[::ffff:", "]:"
+    if not address.startswith(start) or "." not in address:
+        return address
+    return address.removeprefix(start).replace(end, ":", 1)
+
+
+class ZenohBus:
+    """The bus of one robot; built on the loop's thread, on which all handlers run.
+
+    Samples and queries with a wild or foreign key are dropped and counted in `dropped`, by kind.
+    """
+
+    def __init__(
+        self, session: zenoh.Session, *, swarm: str, robot: str, drops: DropCounter
+    ) -> None:
+        self.swarm = swarm
+        self.robot = robot
+        self.drops = drops
+        self._session = session
+        self._loop = asyncio.get_running_loop()
+        self._entities: list[zenoh.Queryable[None]] = []
+        self._queues: list[InboundQueue] = []
+        self._publishers = {
+            name: session.declare_publisher(
+                build(swarm, robot, "state", name),
+                congestion_control=zenoh.CongestionControl.DROP,
+                express=True,
+            )
+            for name in ("status", "motion", "scan", "log")
+        }
+        self._is_closed = False
+
+    def publish(self, name: str, payload: Callable[[], bytes | None]) -> None:
+        """Publish `state/<name>` to the viewers that subscribe to it; without any it is not made.
+
+        `name`: status, motion, scan or log. A `payload` of None: there is nothing to publish.
+        """
+        publisher = self._publishers[name]
+        if self._is_closed or not has_subscriber(publisher):
+            return
+        try:
+            content = payload()
+            if content is not None:
+                publisher.put(content)
+        except zenoh.ZError:
+            self.drops.add(f"state/{name}:unsent")
+
+    def serve(self, plane: str, name: str, handler: Callable[[Query], None]) -> None:
+        """Answer queries to this robot or to all, of any asker that links let pass.
+
+        A query of which the handler raises is counted and dropped.
+        """
+        asker = ANY if plane in (CONTROL, SHARED) else ""
+        kind = f"{plane}/{name}"
+        queue = InboundQueue(self._loop, self.drops, kind)
+        self._queues.append(queue)
+
+        def handle(query: Query) -> None:
+            with self.drops.refusing(kind, lambda code, text: query.drop()):
+                handler(query)
+
+        def on_query(query: zenoh.Query) -> None:
+            if not queue.is_full():
+                payload = b"" if query.payload is None else query.payload
+                key = parse(str(query.key_expr), is_query=True)
+                if key is None or not self._is_own(key, plane, name):
+                    self.drops.add(f"{kind}:key")
+                elif len(payload) > MAX_CONTROL:
+                    self.drops.add(f"{kind}:oversized")
+                else:
+                    own = build(self.swarm, self.robot, plane, name, key.asker)
+                    asked = ZenohQuery(self._session, query, own, key.asker, bytes(payload))
+                    if queue.offer(handle, asked):
+                        return
+            query.drop()
+
+        everyone = build(self.swarm, self.robot, plane, name, asker)
+        self._entities.append(self._session.declare_queryable(everyone, on_query))
+
+    def serve_view(
+        self,
+        status: Callable[[], Status],
+        members: Callable[[], tuple[Member, ...]],
+        roster: tuple[str, ...] = (),
+    ) -> None:
+        """Answer `state/status` with the status, and `control/members` with a view."""
+
+        def on_members(query: Query) -> None:
+            if self._is_excused(query.payload):
+                query.drop()
+                return
+            view = PeerView(robot=self.robot, status=status(), members=members(), roster=roster)
+            query.reply(encode(view))
+
+        self.serve("state", "status", lambda query: query.reply(encode(status())))
+        self.serve("control", "members", on_members)
+
+    def close(self) -> None:
+        """Stop at once: no handler is called and nothing is published any more. Idempotent."""
+        if self._is_closed:
+            return
+        self._is_closed = True
+        for queue in self._queues:
+            queue.close()
+        undeclare(*self._entities, *self._publishers.values())
+
+    def _is_own(self, key: Key, plane: str, name: str) -> bool:
+        asked = (key.swarm, key.plane, key.name)
+        return asked == (self.swarm, plane, name) and key.robot in (self.robot, ANY)
+
+    def _is_excused(self, payload: bytes) -> bool:
+        """True if the asker has this robot's answer already. CodecError if it is malformed."""
+        return bool(payload) and self.robot in _members_query(payload).answered

@@ -1,0 +1,139 @@
+"""Programs of the kernel's packet filter for the sockets of a swarm. Pure: values in, bytes out.
+
+Classic BPF (linux/filter.h; Documentation/networking/filter.rst). A stage of a program is a row of
+blocks: the first one whose tests all hold decides, and what no block decides is dropped. A program
+sees a datagram from its UDP head on. It is kept short, since old kernels lend a socket no more
+than 20 kB for its filters (net.core.optmem_max).
+"""
+
+from __future__ import annotations
+
+import ipaddress
+import struct
+from collections.abc import Iterable, Sequence
+
+from swarmd.network.carriers.flood_limits import FloodRules
+from swarmd.network.datagram import (
+    ANY_SWARM,
+    MAGIC,
+    MAX_DATAGRAM,
+    URGENT,
+    Address,
+    Kind,
+)
+
+_LOAD, _LOAD_HALF, _LOAD_BYTE, _LOAD_LENGTH, _LOAD_MEMORY = 0x20, 0x28, 0x30, 0x80, 0x60
+_STORE, _TO_X, _XOR_X, _SHIFT_LEFT = 0x02, 0x07, 0xAC, 0x64
+_EQUALS, _EXCEEDS, _JUMP, _RETURN = 0x15, 0x25, 0x05, 0x06
+# Offsets that the kernel reads as: the IP head, and a random number.
+_IP_HEAD, _RANDOM = 2**32 - 0x100000, 2**32 - 0x1000 + 56
+_SOURCE4, _SOURCE6, _SOURCE_PORT = _IP_HEAD + 12, _IP_HEAD + 8, 0
+_UDP_HEAD = 8
+_KIND_AT, _TAG_AT = _UDP_HEAD + len(MAGIC), _UDP_HEAD + len(MAGIC) + 1
+_KEY_CELL, _KIND_CELL = 0, 1  # of the program's memory
+
+_ACCEPT, _DROP, _NEXT_STAGE = 0xFFFFFFFF, 0, -1
+
+Instruction = tuple[int, int, int, int]  # code, jump if true, jump if false, operand
+Test = tuple[int, int, int, int]  # code of the load, its offset, code of the test, its operand
+Block = tuple[int, Sequence[Test]]  # verdict, tests
+
+
+def swarm_filter(tag: bytes, rules: FloodRules, *, is_ipv6: bool) -> bytes:
+    """Accepts the datagrams of a swarm, and `Solicit` and `Swarm` of any swarm, within the rules.
+
+    For a socket of one family; sources of the other are left out. As struct sock_filter.
+    """
+    heads = [
+        (_DROP, [(_LOAD_LENGTH, 0, _EXCEEDS, _UDP_HEAD + MAX_DATAGRAM)]),
+        (_NEXT_STAGE, _head(tag)),
+        *(
+            (_NEXT_STAGE, [(_LOAD_BYTE, _KIND_AT, _EQUALS, kind), *_head(ANY_SWARM)])
+            for kind in (Kind.SOLICIT, Kind.SWARM)
+        ),
+    ]
+    limits: list[Block] = []
+    for key, share in _keys(dict(rules.thinned), is_ipv6):
+        limits += [(_DROP, [_is_kind(k), _is_from(key), _random_above(share)]) for k in URGENT]
+    known = dict.fromkeys(rules.known, 1.0)
+    limits += [(_ACCEPT, [_is_from(key)]) for key, _ in _keys(known, is_ipv6)]
+    if rules.share < 1.0:
+        limits += [(_DROP, [_is_kind(kind), _random_above(rules.share)]) for kind in URGENT]
+    limits += [(_ACCEPT, [_is_kind(kind)]) for kind in URGENT]
+    blocked = dict.fromkeys(rules.blocked, 0.0)
+    limits += [(_DROP, [_is_from(key)]) for key, _ in _keys(blocked, is_ipv6)]
+    limits.append((_DROP if rules.only_known else _ACCEPT, []))
+    program = [*_stage(heads), *_keep_key_and_kind(is_ipv6), *_stage(limits)]
+    return b"".join(struct.pack("=HBBI", *one) for one in program)
+
+
+def host_filter(hosts: Iterable[ipaddress.IPv4Address | ipaddress.IPv6Address]) -> bytes:
+    """Accepts what comes from these hosts, of either family; for a listening TCP socket."""
+    blocks: list[Block] = []
+    for host in hosts:
+        words = struct.unpack(f">{len(host.packed) // 4}I", host.packed)
+        first = _SOURCE4 if host.version == 4 else _SOURCE6
+        tests = [(_LOAD, first + 4 * index, _EQUALS, word) for index, word in enumerate(words)]
+        blocks.append((_ACCEPT, tests))
+    return b"".join(struct.pack("=HBBI", *one) for one in _stage(blocks))
+
+
+def _head(tag: bytes) -> list[Test]:
+    (magic,) = struct.unpack(">I", MAGIC)
+    first, second = struct.unpack(">II", tag)
+    return [
+        (_LOAD, _TAG_AT, _EQUALS, first),
+        (_LOAD, _TAG_AT + 4, _EQUALS, second),
+        (_LOAD, _UDP_HEAD, _EQUALS, magic),
+    ]
+
+
+def _keys(sources: dict[Address, float], is_ipv6: bool) -> Iterable[tuple[int, float]]:
+    """The key of each source of a family: all words of its address and its port in 32 bits.
+
+    Two sources may have the same key; who would seek that can forge addresses at once.
+    """
+    for (text, port), value in sources.items():
+        host = ipaddress.ip_address(text.partition("%")[0])
+        if (host.version == 6) is is_ipv6:
+            key = port << 16
+            for word in struct.unpack(f">{len(host.packed) // 4}I", host.packed):
+                key ^= word
+            yield key, value
+
+
+def _keep_key_and_kind(is_ipv6: bool) -> list[Instruction]:
+    words = [_SOURCE6 + 4 * index for index in range(4)] if is_ipv6 else [_SOURCE4]
+    made = [(_LOAD_HALF, 0, 0, _SOURCE_PORT), (_SHIFT_LEFT, 0, 0, 16)]
+    for offset in words:
+        made += [(_TO_X, 0, 0, 0), (_LOAD, 0, 0, offset), (_XOR_X, 0, 0, 0)]
+    return [
+        *(*made, (_STORE, 0, 0, _KEY_CELL)),
+        *((_LOAD_BYTE, 0, 0, _KIND_AT), (_STORE, 0, 0, _KIND_CELL)),
+    ]
+
+
+def _is_kind(kind: Kind) -> Test:
+    return (_LOAD_MEMORY, _KIND_CELL, _EQUALS, kind)
+
+
+def _is_from(key: int) -> Test:
+    return (_LOAD_MEMORY, _KEY_CELL, _EQUALS, key)
+
+
+def _random_above(share: float) -> Test:
+    return (_LOAD, _RANDOM, _EXCEEDS, int(share * (2**32 - 1)))
+
+
+def _stage(blocks: Sequence[Block]) -> list[Instruction]:
+    made: list[Instruction] = []
+    end = sum(2 * len(tests) + 1 for _, tests in blocks) + 1
+    for verdict, tests in blocks:
+        for index, (load, offset, test, operand) in enumerate(tests):
+            to_next_block = 2 * (len(tests) - index) - 1
+            made += [(load, 0, 0, offset), (test, 0, to_next_block, operand)]
+        if verdict == _NEXT_STAGE:
+            made.append((_JUMP, 0, 0, end - len(made) - 1))
+        else:
+            made.append((_RETURN, 0, 0, verdict))
+    return [*made, (_RETURN, 0, 0, _DROP)]

@@ -1,0 +1,47 @@
+"""Which robots a query of an operator reaches by now, without sending it."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Collection, Iterable
+from typing import TYPE_CHECKING
+
+from swarmd.core.keys import ANY
+
+if TYPE_CHECKING:
+    import zenoh
+
+
+class QueryLinks:
+    """The robots that a query on `key` (with any robot) reaches by now."""
+
+    def __init__(self, key: str) -> None:
+        self._key = key
+        self._queriers: list[tuple[zenoh.Session, dict[str, zenoh.Querier]]] = []
+
+    def of(self, robots: Collection[str], sessions: Iterable[zenoh.Session]) -> set[str]:
+        """Those of `robots` that have declared the key in one of the sessions."""
+        if not robots:
+            return set()
+        known = [session for session, _ in self._queriers]
+        self._queriers += [(one, {}) for one in sessions if not any(one is old for old in known)]
+        return {robot for robot in robots if self._is_linked(robot)}
+
+    def close(self) -> None:
+        """Undeclare the queriers."""
+        from swarmd.network.carriers.session import undeclare
+
+        undeclare(*(one for _, queriers in self._queriers for one in queriers.values()))
+
+    def _is_linked(self, robot: str) -> bool:
+        import zenoh
+
+        from swarmd.network.carriers.session import has_queryable
+
+        for session, queriers in self._queriers:
+            with contextlib.suppress(zenoh.ZError):  # the session is closed
+                if robot not in queriers:
+                    queriers[robot] = session.declare_querier(self._key.replace(ANY, robot, 1))
+                if has_queryable(queriers[robot]):
+                    return True
+        return False

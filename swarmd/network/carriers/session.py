@@ -1,0 +1,465 @@
+"""Opens Zenoh sessions: those of a swarm by profile, and others from Zenoh's own options.
+
+Each session tunes the sockets of its links, so that a peer that vanished does not stall the links
+to the others. Zenoh sets SO_LINGER to 10 s on its TCP sockets: when a lease expires with
+unacknowledged data, close() blocks one of the two receiving threads in the kernel, and the
+survivors receive nothing from each other for up to 10 s (measured: 10.1 s with six of eight robots
+gone). Linux only, since the sockets are found in /proc/self/fd; elsewhere nothing is tuned.
+
+swarmctl imports this module and must start fast, so asyncio is imported where it is used.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import ipaddress
+import json
+import os
+import re
+import socket
+import struct
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import zenoh
+
+from swarmd.core.errors import ConfigError, NetworkError, SwarmError
+from swarmd.network.access import asker_access, robot_access
+from swarmd.network.settings import FIELD_PORT, NetworkSettings, parse_endpoint
+
+MAX_WIRE = 1024 * 1024
+MAX_PORT_TRIES = 5
+PULL_LINK_TIMEOUT = 3.0  # s
+# How long a full link may hold up the caller, in us: Zenoh's own 5 s would stall the daemon.
+_MAX_BLOCK_US = 250_000
+# The timeout of dialling, in ms: TCP's handshake and two round trips of Zenoh, on a network that
+# loses some of it. The one of accepting is longer: an opening that its deadline meets between the
+# last two steps leaves a link that one side never reads, and that side lacks the other's
+# declarations for good.
+_OPEN_TIMEOUT_MS = 9000
+_MAX_PENDING_LINKS = 512  # silent connections until their timeout; Zenoh's own 100 are soon used up
+_MAX_BATCHES = 16  # as many as Zenoh allows
+_FRAGMENT_TIMEOUT_US = 5_000
+_SIOCGIFFLAGS, _IFF_UP = 0x8913, 1  # linux/sockios.h, linux/if.h
+_FDS = "/proc/self/fd"
+# Off: close() returns at once, and unsent data is still delivered in the background. On with 0 s
+# would cut off the last words of a daemon that leaves.
+_NO_LINGER = struct.pack("ii", 0, 0)
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future
+
+    from swarmd.security.identity import Identity
+
+Address = tuple[str, int]
+S = TypeVar("S", bound=zenoh.Session | None)
+
+
+def open_session(settings: NetworkSettings, identity: Identity | None = None) -> zenoh.Session:
+    """Open the session of a daemon, which listens only. Raises NetworkError in one line."""
+    return _open(settings, session_options(settings, identity))
+
+
+def open_operator_session(
+    settings: NetworkSettings, endpoints: Sequence[str], identity: Identity | None = None
+) -> zenoh.Session:
+    """Open a session that dials `endpoints` in the background; takes about 1 ms.
+
+    All are dialled at once and for as long as the session is open. More cannot be added: robots
+    that are found later need a further session. Raises NetworkError in one line.
+    """
+    return _open(settings, operator_options(settings, endpoints, identity))
+
+
+def open_pull_session(
+    settings: NetworkSettings, address: Address, identity: Identity | None = None
+) -> zenoh.Session:
+    """Open a session to one peer, or to the routers; returns once it is linked.
+
+    Raises NetworkError in one line, at the latest after PULL_LINK_TIMEOUT.
+    """
+    host, port = address
+    endpoint = f"tcp/[{host}]:{port}" if ":" in host else f"tcp/{host}:{port}"
+    options = {
+        **operator_options(settings, [endpoint], identity),
+        "mode": "client",
+        "connect/timeout_ms": round(1000 * PULL_LINK_TIMEOUT),
+        "connect/exit_on_failure": True,
+    }
+    return _open(settings, options)
+
+
+def _open(settings: NetworkSettings, options: dict[str, object]) -> zenoh.Session:
+    if settings.profile != "routed":
+        check_interface(settings.interface_name)
+    connect = options["connect/endpoints"]
+    assert isinstance(connect, list)
+    options = {**options, "connect/endpoints": [_dialled(one) for one in connect]}
+    session = open_with(options, what=f"swarm {settings.swarm!r}")
+    tune_sockets(session, settings.lease_seconds)
+    return session
+
+
+PROMPT_OPTIONS: Mapping[str, object] = {
+    "scouting/multicast/enabled": False,
+    "scouting/gossip/enabled": False,
+    # Sending never waits; without room for a burst the newest would be dropped: a zero.
+    "transport/link/tx/queue/congestion_control/drop/wait_before_drop": 0,
+    "transport/link/tx/queue/size/real_time": 16,
+    "transport/shared_memory/enabled": False,
+}
+"""Of a session that finds one endpoint and drops what cannot be sent at once."""
+
+
+def open_with(options: Mapping[str, object], what: str) -> zenoh.Session:
+    """Open a session from Zenoh's own option paths; NetworkError names `what` it was for."""
+    config = zenoh.Config()
+    try:
+        for path, value in options.items():
+            config.insert_json5(path, json.dumps(value))
+        return zenoh.open(config)
+    except zenoh.ZError as error:
+        raise NetworkError(f"no session for {what}: {_explain(str(error), options)}") from error
+
+
+def open_listening(
+    endpoint: str, options: Mapping[str, object], what: str
+) -> tuple[zenoh.Session, str]:
+    """Open a session that listens at a TCP endpoint, port 0 for a free one; and the endpoint.
+
+    Raises NetworkError naming `what` if the endpoint cannot be had, ConfigError if it is malformed.
+    """
+    try:
+        protocol, host, port, suffix = parse_endpoint(endpoint)
+    except ConfigError as error:
+        raise ConfigError(f"endpoint is {error}") from error
+    if protocol != "tcp" or suffix:
+        raise ConfigError(f"endpoint is {endpoint!r}; expected a value such as tcp/127.0.0.1:0")
+    if port:
+        return open_with({**options, "listen/endpoints": [endpoint]}, what), endpoint
+    for _ in range(MAX_PORT_TRIES):
+        chosen = f"{endpoint.removesuffix('0')}{_free_port(host, what)}"
+        try:
+            return open_with({**options, "listen/endpoints": [chosen]}, what), chosen
+        except NetworkError:  # another process took the port in between
+            continue
+    raise NetworkError(f"no free port for {what} at {endpoint}")
+
+
+async def open_in_thread(open_it: Callable[[], S]) -> S:
+    """The result of `open_it`, called in a thread; closed at once if the caller is cancelled.
+
+    Even if the loop ends meanwhile: a session that is left open would keep the process alive.
+    """
+    import asyncio
+    from concurrent.futures import Future
+
+    opened: Future[S] = Future()
+
+    def run() -> S:
+        session = open_it()
+        opened.set_result(session)
+        return session
+
+    try:
+        return await asyncio.to_thread(run)
+    except asyncio.CancelledError:
+        opened.add_done_callback(_close)
+        raise
+
+
+def realtime_publisher(session: zenoh.Session, key: str, **options: Any) -> zenoh.Publisher:
+    """A publisher that never waits and has the highest priority."""
+    return session.declare_publisher(
+        key,
+        congestion_control=zenoh.CongestionControl.DROP,
+        priority=zenoh.Priority.REAL_TIME,
+        express=True,
+        **options,
+    )
+
+
+def has_subscriber(publisher: zenoh.Publisher) -> bool:
+    """True if another session subscribes to its key."""
+    # The stubs call it a bool; it is an object with that attribute.
+    return bool(getattr(publisher.matching_status, "matching", False))
+
+
+def has_queryable(querier: zenoh.Querier) -> bool:
+    """True if another session answers queries on its key."""
+    return bool(getattr(querier.matching_status, "matching", False))
+
+
+def undeclare(*entities: Any) -> None:
+    """Undeclare tokens, subscribers, queryables, publishers; harmless once the session closed."""
+    for entity in entities:
+        with contextlib.suppress(zenoh.ZError):
+            entity.undeclare()
+
+
+def session_options(
+    settings: NetworkSettings, identity: Identity | None = None
+) -> dict[str, object]:
+    """Zenoh's configuration of a daemon, path to value. Raises ConfigError for wrong settings."""
+    if settings.profile == "routed":
+        return _options(settings, "client", (), settings.routers, identity)
+    options = _options(settings, "peer", _listen(settings), (), identity)
+    if identity is not None:
+        options["access_control"] = robot_access(identity.roster, identity.name)
+    return options
+
+
+def operator_options(
+    settings: NetworkSettings, endpoints: Sequence[str], identity: Identity | None = None
+) -> dict[str, object]:
+    """Zenoh's configuration of an operator; dials `endpoints`, or the routers in profile routed.
+
+    Raises ConfigError for wrong settings.
+    """
+    if settings.profile == "routed":
+        return _options(settings, "client", (), settings.routers, identity)
+    options = _options(settings, "peer", (), endpoints, identity)
+    if identity is not None:
+        options["access_control"] = asker_access(identity.roster, identity.name)
+    return options
+
+
+def tls_options(identity: Identity) -> dict[str, object]:
+    """The options of links on which both ends show a certificate of the swarm's authority.
+
+    The names in them are not compared with addresses: those of robots change. Access rules compare
+    them with keys. A link ends when the certificate of its other end does.
+    """
+    certificate, key = str(identity.certificate), str(identity.key)
+    return {
+        "transport/link/protocols": ["tls"],
+        "transport/link/tls": {
+            "root_ca_certificate": str(identity.authority),
+            "listen_certificate": certificate,
+            "listen_private_key": key,
+            "connect_certificate": certificate,
+            "connect_private_key": key,
+            "enable_mtls": True,
+            "verify_name_on_connect": False,
+            "close_link_on_expiration": True,
+        },
+    }
+
+
+def _secured(endpoints: Sequence[str]) -> list[str]:
+    """The endpoints with TLS in place of TCP. Raises ConfigError for another protocol."""
+    made = []
+    for text in endpoints:
+        if not text.startswith(("tcp/", "tls/")):
+            raise ConfigError(f"{text!r}; a secured swarm expects an endpoint tls/HOST:PORT")
+        made.append(f"tls/{text[4:]}")
+    return made
+
+
+def _dialled(endpoint: str) -> str:
+    """The endpoint, or one on loopback from which bytes are forwarded to an IPv6 address."""
+    if not endpoint.startswith("tls/["):
+        return endpoint
+    _, host, port, _ = parse_endpoint(endpoint)
+    from swarmd.network.carriers.ipv6_forward import forward_to
+
+    return f"tls/127.0.0.1:{forward_to(host, port)}"
+
+
+def _options(
+    settings: NetworkSettings,
+    mode: str,
+    listen: Sequence[str],
+    connect: Sequence[str],
+    identity: Identity | None,
+) -> dict[str, object]:
+    settings.check()
+    if identity is not None:
+        listen, connect = _secured(listen), _secured(connect)
+    return {
+        **({} if identity is None else tls_options(identity)),
+        "mode": mode,
+        "scouting/multicast/enabled": False,
+        "scouting/gossip/enabled": False,
+        "listen/endpoints": list(listen),
+        "connect/endpoints": list(connect),
+        # A peer with a timeout of 0 would dial one endpoint after the other. A client with another
+        # one would wait for its first router alone.
+        "connect/timeout_ms": 0 if mode == "client" else -1,
+        "connect/exit_on_failure": False,
+        "connect/retry": {
+            "period_init_ms": 200,
+            "period_max_ms": 1000,
+            "period_increase_factor": 1.5,
+        },
+        "open/return_conditions/connect_scouted": False,
+        "transport/unicast/open_timeout": _OPEN_TIMEOUT_MS,
+        "transport/unicast/accept_timeout": _OPEN_TIMEOUT_MS + 1000,
+        "transport/unicast/accept_pending": _MAX_PENDING_LINKS,
+        "transport/link/tx/lease": round(settings.lease_seconds * 1000),
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": _MAX_BLOCK_US,
+        "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": (
+            _FRAGMENT_TIMEOUT_US
+        ),
+        # Requests and their acks never wait: without room for a burst some would be dropped.
+        "transport/link/tx/queue/size/interactive_high": _MAX_BATCHES,
+        "transport/link/tx/queue/size/real_time": _MAX_BATCHES,
+        "transport/link/rx/max_message_size": MAX_WIRE,
+        "transport/shared_memory/enabled": False,
+    }
+
+
+def default_listen(settings: NetworkSettings) -> str:
+    """Where a daemon listens without `listen`: on loopback, or at every address (both families)."""
+    if settings.profile == "dev":
+        return "tcp/127.0.0.1:0"
+    try:
+        socket.socket(socket.AF_INET6, socket.SOCK_STREAM).close()
+    except OSError:  # a kernel without IPv6
+        return f"tcp/0.0.0.0:{FIELD_PORT}"
+    return f"tcp/[::]:{FIELD_PORT}"
+
+
+def _listen(settings: NetworkSettings) -> list[str]:
+    wanted = settings.listen or (default_listen(settings),)
+    if settings.profile == "dev":
+        return list(wanted)
+    return [one if "#" in one else f"{one}#iface={settings.interface_name}" for one in wanted]
+
+
+def check_interface(interface: str) -> None:
+    """Raise NetworkError in one line if the interface is absent, or loopback is down."""
+    try:
+        socket.if_nametoindex(interface)
+    except OSError:
+        known = ", ".join(sorted(name for _, name in socket.if_nameindex()))
+        raise NetworkError(
+            f"no network interface {interface!r} on this machine; there are: {known}"
+        ) from None
+    if interface == "lo" and not _is_up(interface):
+        raise NetworkError(
+            "the network interface lo is down, so that nothing on this machine can meet;"
+            " run: sudo ip link set lo up"
+        )
+
+
+def _is_up(interface: str) -> bool:
+    """The flag IFF_UP, asked of the kernel: /sys shows another network namespace's interfaces."""
+    wanted = struct.pack("16sh14x", interface.encode(), 0)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        answer = fcntl.ioctl(asking, _SIOCGIFFLAGS, wanted)
+    return bool(struct.unpack("16xh14x", answer)[0] & _IFF_UP)
+
+
+def _explain(text: str, options: Mapping[str, object]) -> str:
+    listen = options.get("listen/endpoints")
+    where = ", ".join(listen) if isinstance(listen, list) and listen else "no endpoint"
+    if "in use" in text:
+        return f"{where} is in use on this machine; give this robot a `listen` of its own"
+    if "assign requested address" in text:
+        return f"{where} is not an address of this machine; correct `listen`"
+    if "No such device" in text:
+        return f"{where} names an interface that is not there; correct `interface`"
+    if "ermission" in text or "not permitted" in text:
+        return f"{where} may not be bound by this user; run with the right to, or change `listen`"
+    brief = " ".join(re.sub(r" at /\S+", "", text).split())
+    return f"{brief[:300]} (listening on {where})"
+
+
+def _free_port(host: str, what: str) -> int:
+    family = socket.AF_INET6 if ":" in host else socket.AF_INET
+    with socket.socket(family, socket.SOCK_STREAM) as probe:
+        try:
+            probe.bind((host, 0))
+        except OSError as error:
+            raise SwarmError(f"no port at {host} for {what}: {error}") from error
+        return int(probe.getsockname()[1])
+
+
+def _close(opened: Future[S]) -> None:
+    session: zenoh.Session | None = opened.result()
+    if session is not None:
+        session.close()
+
+
+# Tuning of sockets
+
+
+def tune_sockets(session: zenoh.Session, lease: float) -> None:
+    """Tune every link of the session, now and later, until it closes. `lease` in s."""
+    if not sys.platform.startswith("linux"):
+        return
+
+    def on_link(event: zenoh.LinkEvent) -> None:
+        # On a thread of its own, which Zenoh starts for this callback.
+        if event.kind == zenoh.SampleKind.PUT:
+            tune_link(event.link.src, event.link.dst, lease)
+
+    session.info.declare_link_events_listener(on_link, history=True)
+
+
+def tune_link(src: str, dst: str, lease: float) -> int:
+    """Tune the sockets between two locators such as `tcp/127.0.0.1:7447`; returns their number."""
+    ends = {_address(src), _address(dst)}
+    tuned = 0
+    for sock in connected_sockets():
+        with contextlib.suppress(OSError):  # closed meanwhile
+            if _canonical(sock.getsockname()) in ends and _canonical(sock.getpeername()) in ends:
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _NO_LINGER)
+                sock.setsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT, round(lease * 1000))
+                tuned += 1
+    return tuned
+
+
+def connected_sockets() -> Iterator[socket.socket]:
+    """This process's connected TCP sockets, each as a duplicate that is closed after its turn.
+
+    The descriptors belong to other threads, which may close and reuse them at any moment. A
+    duplicate keeps referring to the same socket.
+    """
+    for name in os.listdir(_FDS):
+        try:
+            duplicate = _duplicate(int(name))
+        except OSError:
+            continue
+        if duplicate is None:
+            continue
+        with duplicate:
+            if _is_connected_tcp(duplicate):
+                yield duplicate
+
+
+def _duplicate(fd: int) -> socket.socket | None:
+    if not os.readlink(f"{_FDS}/{fd}").startswith("socket:"):
+        return None
+    copy = os.dup(fd)
+    try:
+        return socket.socket(fileno=copy)
+    except OSError:
+        os.close(copy)
+        return None
+
+
+def _is_connected_tcp(sock: socket.socket) -> bool:
+    is_tcp = sock.family in (socket.AF_INET, socket.AF_INET6) and sock.type == socket.SOCK_STREAM
+    with contextlib.suppress(OSError):
+        return is_tcp and bool(sock.getpeername())
+    return False
+
+
+def _address(locator: str) -> Address | None:
+    host, _, port = locator.partition("/")[2].partition("#")[0].partition("?")[0].rpartition(":")
+    return _canonical((host.strip("[]"), int(port))) if port.isdecimal() else None
+
+
+def _canonical(name: object) -> Address | None:
+    if not isinstance(name, tuple) or len(name) < 2:
+        return None
+    try:
+        address = ipaddress.ip_address(str(name[0]).partition("%")[0])
+    except ValueError:
+        return None
+    mapped = getattr(address, "ipv4_mapped", None)
+    return str(mapped or address), int(name[1])

@@ -1,0 +1,643 @@
+"""The datagrams of a swarm on UDP: by multicast, by broadcast as a fallback, and by unicast.
+
+What is sent to all goes
+
+- to the IPv4 group if the interface has an IPv4 address, else to the IPv6 group of the link. While
+  a robot without an IPv4 address is heard, the others send copies by IPv6, to a group of their own:
+  the copies tell nobody that somebody lacks IPv4;
+- in profile field by broadcast, too: each `Stop`, `Ack` and `Latches`, every fifth beacon, and
+  everything while nobody has been heard by multicast for a lease (access points may drop it);
+- by unicast to seeds and to peers that are not heard by the group (`Recipients`).
+
+A datagram waits in its socket while the process is frozen or busy. The kernel's time of its arrival
+(SO_TIMESTAMPNS) tells for how long. That time is of the wall clock; the time since the sockets were
+empty bounds what a step of that clock can add.
+
+A copy that arrives by another way than its twin is dropped. Sockets are bound to the interface and
+not to an address, so that they outlive a change of addresses. Profile dev is on loopback, without
+broadcast and IPv6.
+
+swarmctl imports this module and must start fast, so asyncio is not imported.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import errno
+import ipaddress
+import os
+import select
+import socket
+import struct
+import threading
+import time
+from array import array
+from collections import Counter
+from collections.abc import Callable, Iterable
+from enum import Enum
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmd.core.clock import Clock, boottime
+from swarmd.core.errors import NetworkError
+from swarmd.network.carriers.flood_limits import MAX_WEIGHT, FloodLimits
+from swarmd.network.carriers.interface_watch import addresses_of, index_of
+from swarmd.network.carriers.packet_filter import swarm_filter
+from swarmd.network.carriers.recipients import MAX_ADDRESSES, Recipients
+from swarmd.network.datagram import (
+    KIND_OFFSET,
+    MAX_DATAGRAM,
+    TAG_BYTES,
+    URGENT,
+    Address,
+    Kind,
+    OnDatagram,
+)
+from swarmd.network.members.link_quality import WaysHeard
+from swarmd.network.settings import NetworkSettings, parse_endpoint
+
+if TYPE_CHECKING:
+    from asyncio import AbstractEventLoop
+
+GROUP4, GROUP6, COPIES6 = "224.0.0.226", "ff02::5357:4d44", "ff02::5357:4d45"
+BROADCAST = "255.255.255.255"
+GROUP_PORT = 7446
+
+BATCH = 64  # datagrams in a turn of the loop; a dropped one costs an eighth
+PAUSE = 0.005  # s after a full batch
+OVERLOAD_TIME = 1.0  # s without an empty queue after which lost datagrams count as a flood's
+BEACONS_A_BROADCAST = 5
+RESOLVE_PERIOD = 60.0  # s between two looks for the addresses of seeds that are names
+RETRY_PERIOD = 5.0  # s, while some name has no address
+REFRESH_PERIOD = 1.0  # s between two looks at the own addresses
+COPY_TIME = 0.1  # s within which twins of a datagram arrive
+_RECEIVE_BUFFER = 2 * 1024 * 1024  # some 2700 small datagrams
+_DROP_COST, _COST = 1, 8
+_PORT_TRIES = 5
+_TAG = slice(5, 5 + TAG_BYTES)
+# linux/in.h, linux/in6.h and asm-generic/socket.h; Python names none of them.
+_IP_UNICAST_IF, _IP_MULTICAST_ALL = 50, 49
+_IPV6_UNICAST_IF, _IPV6_MULTICAST_ALL = 76, 29
+_SO_ATTACH_FILTER, _SO_RCVBUFFORCE, _SO_TIMESTAMPNS, _SO_MEMINFO = 26, 33, 35, 55
+_MEMINFO = struct.Struct("@9I")  # linux/sock_diag.h; in bytes, the last one in datagrams
+_QUEUED, _QUEUE_LIMIT, _LOST = 0, 1, 8
+_TIMESPEC = struct.Struct("@ll")
+_ROOM = socket.CMSG_SPACE(_TIMESPEC.size)
+SHORT_WAIT = 0.2  # s since the sockets were empty below which the wait of a datagram counts as none
+
+
+class Received(NamedTuple):
+    """A datagram, its source, and for how many seconds it waited."""
+
+    payload: bytes
+    source: Address
+    waited: float
+
+
+class _Way(Enum):
+    """How a datagram came."""
+
+    UNICAST = "unicast"
+    MULTICAST = "multicast"
+    BROADCAST = "broadcast"
+    COPY = "copy"
+
+
+class _Listener(NamedTuple):
+    socket: socket.socket
+    way: _Way
+
+
+_PASSING = Kind.MESSAGE, Kind.PLACE  # robots that were only mentioned get no copy
+
+
+class UdpCarrier:
+    """Sends and receives the datagrams of a swarm; raises NetworkError if it cannot be opened.
+
+    `port`: the unicast port, from which everything is sent; 0 for a free one. Sending and receiving
+    may be done by two threads. `is_secured`: the source of a beacon gets datagrams only after
+    `confirm`.
+    """
+
+    def __init__(
+        self,
+        settings: NetworkSettings,
+        tag: bytes,
+        *,
+        port: int = 0,
+        is_secured: bool = False,
+        clock: Clock = boottime,
+    ) -> None:
+        self._interface = settings.interface_name
+        self._is_dev = settings.profile == "dev"
+        self._multicast = settings.multicast
+        self._lease = settings.lease_seconds
+        self._clock = clock
+        self._tag = tag
+        self._index = index_of(self._interface)
+        self._lock = threading.Lock()
+        self._listeners: list[_Listener] = []
+        self._own4: socket.socket | None = None
+        self._own6: socket.socket | None = None
+        self._seeds = _Seeds(settings.seeds)
+        self._addresses: frozenset[str] = frozenset()
+        self._has_ipv4 = self._is_dev
+        self._refresh_at = -1e9
+        self._beacons = 0
+        self._multicast_at = self._ipv6_only_at = -1e9
+        self._twins: dict[tuple[Address, bytes], tuple[float, _Way]] = {}
+        self._is_secured = is_secured
+        self._unconfirmed: dict[Address, _Way] = {}
+        self._detach: Callable[[], None] = lambda: None
+        self._is_full = False
+        self._emptied_at = clock()
+        self._limits = FloodLimits()
+        self._rules = self._limits.rules(0.0)
+        self._turns = self._reads = 0
+        self._weight = 1.0
+        self._lost: dict[socket.socket, int] = {}
+        self.recipients = Recipients(self._lease, with_group=self._multicast)
+        # Every fifth beacon is a broadcast.
+        self.ways = WaysHeard(max(2 * self._lease, 2.0 * BEACONS_A_BROADCAST))
+        self.unsent = 0
+        try:
+            self.port = self._open(port)
+        except OSError as error:
+            self.close()
+            raise NetworkError(self._explain(error, port)) from error
+
+    @property
+    def filenos(self) -> tuple[int, ...]:
+        """The descriptors that become readable."""
+        return tuple(one.socket.fileno() for one in self._listeners)
+
+    @property
+    def dropped(self) -> Counter[str]:
+        """What was dropped here, by kind; what the kernel drops is not counted."""
+        return self._limits.dropped
+
+    def close(self) -> None:
+        """Close the sockets and end the thread; more than once is harmless."""
+        self._detach()
+        self._detach = lambda: None
+        with self._lock:
+            for one in self._listeners:
+                one.socket.close()
+            self._listeners.clear()
+            self._own4 = self._own6 = None
+
+    # Sending
+
+    def send(self, payload: bytes) -> None:
+        """Send to all: the group, and copies as the module says. Never raises or blocks."""
+        kind = payload[KIND_OFFSET]
+        now = self._clock()
+        is_urgent = kind in URGENT
+        with self._lock:
+            self._refresh(now)
+            if self._multicast:
+                self._send_to_groups(payload, kind, is_urgent, now)
+            for address in self.recipients.unicast(now, is_message=kind in _PASSING):
+                self._send_to(payload, address)
+
+    def send_to(self, payload: bytes, address: Address) -> None:
+        """Send to one address. Never raises or blocks."""
+        with self._lock:
+            self._send_to(payload, address)
+
+    def _send_to_groups(self, payload: bytes, kind: int, is_urgent: bool, now: float) -> None:
+        if self._has_ipv4:
+            self._emit(self._own4, payload, (GROUP4, GROUP_PORT))
+            self._beacons += kind == Kind.BEACON
+            is_fifth = kind == Kind.BEACON and self._beacons % BEACONS_A_BROADCAST == 0
+            if not self._is_dev and (is_urgent or is_fifth or self._needs_broadcast(now)):
+                self._emit(self._own4, payload, (BROADCAST, GROUP_PORT))
+        if self._own6 is not None and not self._has_ipv4:
+            self._emit(self._own6, payload, (GROUP6, GROUP_PORT, 0, self._index))
+        elif self._own6 is not None and now - self._ipv6_only_at <= 2 * self._lease:
+            self._emit(self._own6, payload, (COPIES6, GROUP_PORT, 0, self._index))
+
+    def _needs_broadcast(self, now: float) -> bool:
+        return now - self._multicast_at > self._lease
+
+    def _send_to(self, payload: bytes, address: Address) -> None:
+        target = _sockaddr(address, self._index)
+        if target is None:
+            self.unsent += 1
+        else:
+            self._emit(self._own4 if len(target) == 2 else self._own6, payload, target)
+
+    def _emit(
+        self,
+        sock: socket.socket | None,
+        payload: bytes,
+        target: tuple[str, int] | tuple[str, int, int, int],
+    ) -> None:
+        try:
+            if sock is None:
+                raise OSError(errno.EAFNOSUPPORT, "no socket of this family")
+            sock.sendto(payload, target)
+        except (OSError, OverflowError, ValueError):  # no route, full queue, no permission, ...
+            self.unsent += 1
+
+    def _refresh(self, now: float) -> None:
+        """Look at the own addresses and at those of seeds, now and then."""
+        if now - self._refresh_at < REFRESH_PERIOD:
+            return
+        self._refresh_at = now
+        with contextlib.suppress(NetworkError):
+            self._addresses = frozenset(addresses_of(self._index))
+        self._has_ipv4 = self._is_dev or any(":" not in one for one in self._addresses)
+        if (addresses := self._seeds.addresses(now)) is not None:
+            self.recipients.set_seeds(addresses)
+
+    # Receiving
+
+    def receive(self) -> list[Received]:
+        """What has arrived, at most BATCH."""
+        found: list[Received] = []
+        with self._lock:
+            now = self._clock()
+            self._refresh(now)
+            self._is_full = False
+            self._turns += 1
+            first = self._turns % max(len(self._listeners), 1)
+            room = BATCH * _COST
+            self._weigh(now)
+            for listener in (*self._listeners[first:], *self._listeners[:first]):
+                room -= self._take_from(listener, room // 2, now, found)
+            rules = self._limits.rules(now)
+            if rules is not self._rules:
+                self._rules = rules
+                for sock, _ in self._listeners:
+                    self._attach_filter(sock)
+            if not self._is_full:
+                self._emptied_at = now
+        return found
+
+    def _weigh(self, now: float) -> None:
+        """Update the weight: the ratio of arrived to read datagrams, above 1 in an overload.
+
+        A machine with little time for this process reads less than any budget, and the kernel drops
+        the rest, whoever sent it: a flood would pass for usual traffic and drown all stops.
+        """
+        if now - self._emptied_at < OVERLOAD_TIME:
+            self._weight = 1.0
+            self._lost.clear()
+        else:
+            before, self._lost = self._lost, {}
+            for sock, _ in self._listeners:
+                if (count := _count_lost(sock)) is not None:
+                    self._lost[sock] = count
+            lost = sum(count - before.get(sock, count) for sock, count in self._lost.items())
+            self._weight = min(1.0 + lost / max(self._reads, 1), MAX_WEIGHT)
+        self._reads = 0
+
+    def _take_from(self, listener: _Listener, room: int, now: float, found: list[Received]) -> int:
+        """Append what a listener has; returns what it cost, at most `room` and one more."""
+        cost, waited = 0, 0.0
+        longest = now - self._emptied_at
+        while cost < room:
+            try:
+                if longest <= SHORT_WAIT:
+                    payload, name = listener.socket.recvfrom(MAX_DATAGRAM + 1)
+                else:
+                    payload, ancillary, _, name = listener.socket.recvmsg(MAX_DATAGRAM + 1, _ROOM)
+                    waited = min(max(_waited(ancillary), 0.0), longest)
+            except BlockingIOError:
+                return cost
+            except OSError:  # what the network said of an earlier datagram
+                cost += _DROP_COST
+                continue
+            source = self._admit(payload, name, listener.way, now)
+            cost += _DROP_COST if source is None else _COST
+            if source is not None:
+                found.append(Received(payload, source, waited))
+        self._is_full = True
+        return cost
+
+    def _admit(
+        self, payload: bytes, name: tuple[str, int], way: _Way, now: float
+    ) -> Address | None:
+        """The source of a datagram that counts; None of one that does not."""
+        host, port = name[0], name[1]
+        self._reads += 1
+        if port == self.port and (host in self._addresses or self._is_dev):
+            return None  # an own one, from the group
+        source = _address(name)
+        if len(payload) <= KIND_OFFSET:
+            self.dropped["datagram:short"] += 1
+            return None
+        if not self._limits.admits(source, payload[KIND_OFFSET], now, self._weight):
+            return None
+        is_of_robot = payload[KIND_OFFSET] == Kind.BEACON and payload[_TAG] == self._tag
+        if is_of_robot:
+            self.ways.on_heard(source, _Way.MULTICAST.value if way is _Way.COPY else way.value, now)
+        if self._is_twin(payload, source, way, now):
+            return None
+        if is_of_robot and self._is_secured:
+            self._unconfirmed.pop(source, None)
+            self._unconfirmed[source] = way
+            if len(self._unconfirmed) > MAX_ADDRESSES:
+                del self._unconfirmed[next(iter(self._unconfirmed))]
+        elif is_of_robot:
+            self._note_robot(source, way, now)
+        return source
+
+    def confirm(self, source: Address) -> None:
+        """The last beacon from this source is signed and fresh."""
+        with self._lock:
+            way = self._unconfirmed.pop(source, None)
+            if way is not None:
+                self._note_robot(source, way, self._clock())
+
+    def _note_robot(self, source: Address, way: _Way, now: float) -> None:
+        """A robot of this swarm was heard: its way decides how the next datagrams are sent."""
+        is_by_group = way in (_Way.MULTICAST, _Way.COPY)
+        if is_by_group:
+            self._multicast_at = now
+        if way is _Way.MULTICAST and ":" in source[0]:
+            self._ipv6_only_at = now
+        if way is _Way.BROADCAST:
+            is_by_group = self._needs_broadcast(now)
+        self.recipients.on_heard(source, is_by_group, now)
+
+    def _is_twin(self, payload: bytes, source: Address, way: _Way, now: float) -> bool:
+        key = (source, payload)
+        first = self._twins.get(key)
+        if first is not None and now - first[0] <= COPY_TIME:
+            return first[1] is not way
+        if len(self._twins) >= BATCH:
+            self._twins = {
+                one: old for one, old in self._twins.items() if now - old[0] <= COPY_TIME
+            }
+        if len(self._twins) < BATCH:
+            self._twins[key] = (now, way)
+        return False
+
+    def attach(self, loop: AbstractEventLoop, on_datagram: OnDatagram) -> None:
+        """Call `on_datagram(payload, source, waited)` on a running loop until `close`."""
+        files = self.filenos
+        timer: list[object] = []
+
+        def listen() -> None:
+            for file in files:
+                loop.add_reader(file, on_readable)
+
+        def ignore() -> None:
+            for file in files:
+                loop.remove_reader(file)
+
+        def on_readable() -> None:
+            received = self.receive()
+            if self._is_full:
+                ignore()
+                timer[:] = [loop.call_later(PAUSE, listen)]
+            for one in received:
+                on_datagram(one.payload, one.source, one.waited)
+
+        def detach() -> None:
+            ignore()
+            for handle in timer:
+                handle.cancel()  # type: ignore[attr-defined]
+
+        self._detach = detach
+        listen()
+
+    def start_thread(self, on_datagram: OnDatagram) -> None:
+        """Call `on_datagram(payload, source, waited)` on a thread until `close`."""
+        wake_read, wake_write = os.pipe()
+        ended = threading.Event()
+        poll = select.poll()
+        for file in (*self.filenos, wake_read):
+            poll.register(file, select.POLLIN)
+
+        def run() -> None:
+            while not ended.is_set():
+                poll.poll()
+                if ended.is_set():
+                    break
+                for one in self.receive():
+                    on_datagram(one.payload, one.source, one.waited)
+                if self._is_full:
+                    ended.wait(PAUSE)
+
+        thread = threading.Thread(target=run, name="swarmd-udp", daemon=True)
+
+        def detach() -> None:
+            ended.set()
+            os.write(wake_write, b"x")
+            if threading.current_thread() is not thread:
+                thread.join()
+            os.close(wake_read)
+            os.close(wake_write)
+
+        self._detach = detach
+        thread.start()
+
+    # Sockets
+
+    def rejoin(self) -> None:
+        """Join the groups again: after the interface was down or away. Never raises."""
+        with self._lock, contextlib.suppress(OSError, NetworkError):
+            self._refresh_at = -1e9
+            self._index = index_of(self._interface)
+            for one in self._listeners:
+                with contextlib.suppress(OSError):
+                    self._bind_to_interface(one.socket)
+                if one.way in (_Way.MULTICAST, _Way.COPY):
+                    with contextlib.suppress(OSError):
+                        self._join(one, socket.IP_DROP_MEMBERSHIP, socket.IPV6_LEAVE_GROUP)
+                    self._join(one, socket.IP_ADD_MEMBERSHIP, socket.IPV6_JOIN_GROUP)
+
+    def _open(self, port: int) -> int:
+        bound = self._open_unicast(port)
+        if self._multicast:
+            self._listen(socket.AF_INET, GROUP4, GROUP_PORT, _Way.MULTICAST)
+            if not self._is_dev:
+                self._listen(socket.AF_INET, BROADCAST, GROUP_PORT, _Way.BROADCAST)
+            if self._own6 is not None:
+                with contextlib.suppress(OSError):  # IPv6 is switched off on this interface
+                    self._listen(socket.AF_INET6, GROUP6, GROUP_PORT, _Way.MULTICAST)
+                    self._listen(socket.AF_INET6, COPIES6, GROUP_PORT, _Way.COPY)
+        self._refresh(self._clock())
+        return bound
+
+    def _open_unicast(self, port: int) -> int:
+        """Open the sockets that send, of one port in both families."""
+        for is_last in (*[False] * (0 if port else _PORT_TRIES), True):
+            host = "127.0.0.1" if self._is_dev else "0.0.0.0"
+            self._own4 = self._listen(socket.AF_INET, host, port, _Way.UNICAST)
+            bound = int(self._own4.getsockname()[1])
+            if self._is_dev:
+                break
+            try:
+                self._own6 = self._listen(socket.AF_INET6, "::", bound, _Way.UNICAST)
+                break
+            except OSError as error:
+                if error.errno != errno.EADDRINUSE:  # there is no IPv6 on this machine
+                    break
+                if is_last:
+                    raise
+                self._listeners.pop().socket.close()
+        return bound
+
+    def _listen(self, family: int, host: str, port: int, way: _Way) -> socket.socket:
+        """A bound socket that hears by one way."""
+        sock = socket.socket(family, socket.SOCK_DGRAM | socket.SOCK_NONBLOCK)
+        one = _Listener(sock, way)
+        try:
+            self._attach_filter(sock)
+            self._bind_to_interface(sock)
+            if family == socket.AF_INET6:
+                sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
+            if way is not _Way.UNICAST:
+                sock.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+            scope = self._index if host.startswith("ff") else 0
+            sock.bind((host, port) if family == socket.AF_INET else (host, port, 0, scope))
+            self._enlarge(sock)
+            sock.setsockopt(socket.SOL_SOCKET, _SO_TIMESTAMPNS, 1)
+            if way in (_Way.MULTICAST, _Way.COPY):
+                self._join(one, socket.IP_ADD_MEMBERSHIP, socket.IPV6_JOIN_GROUP)
+        except OSError:
+            sock.close()
+            raise
+        self._listeners.append(one)
+        return sock
+
+    def _bind_to_interface(self, sock: socket.socket) -> None:
+        """Send and receive on the interface alone."""
+        if sock.family == socket.AF_INET:
+            index = struct.pack("4s4si", bytes(4), bytes(4), self._index)
+            sock.setsockopt(socket.IPPROTO_IP, socket.IP_MULTICAST_IF, index)
+            sock.setsockopt(socket.IPPROTO_IP, _IP_MULTICAST_ALL, 0)
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        else:
+            sock.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_MULTICAST_IF, self._index)
+            sock.setsockopt(socket.IPPROTO_IPV6, _IPV6_MULTICAST_ALL, 0)
+        if self._is_dev:
+            return
+        try:
+            name = self._interface.encode()
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_BINDTODEVICE, name)
+        except PermissionError:  # before Linux 5.7, or bound already
+            index = struct.pack("!I", self._index)
+            if sock.family == socket.AF_INET:
+                sock.setsockopt(socket.IPPROTO_IP, _IP_UNICAST_IF, index)
+            else:
+                sock.setsockopt(socket.IPPROTO_IPV6, _IPV6_UNICAST_IF, index)
+
+    def _join(self, one: _Listener, ipv4: int, ipv6: int) -> None:
+        """Join or leave the group of a listener."""
+        if one.socket.family == socket.AF_INET:
+            group = socket.inet_aton(GROUP4)
+            membership = struct.pack("4s4si", group, bytes(4), self._index)
+            one.socket.setsockopt(socket.IPPROTO_IP, ipv4, membership)
+        else:
+            text = GROUP6 if one.way is _Way.MULTICAST else COPIES6
+            group = socket.inet_pton(socket.AF_INET6, text)
+            membership = struct.pack("16si", group, self._index)
+            one.socket.setsockopt(socket.IPPROTO_IPV6, ipv6, membership)
+
+    def _attach_filter(self, sock: socket.socket) -> None:
+        """Replace the kernel's filter; without one the limits and the reader do all the work."""
+        for rules in (self._rules, self._rules.shortened()):
+            program = swarm_filter(self._tag, rules, is_ipv6=sock.family == socket.AF_INET6)
+            code = array("B", program)
+            filter_ = struct.pack("@HP", len(program) // 8, code.buffer_info()[0])
+            with contextlib.suppress(OSError):  # no memory for a long one, or no filters here
+                sock.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, filter_)
+                return
+
+    def _enlarge(self, sock: socket.socket) -> None:
+        try:
+            sock.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _RECEIVE_BUFFER)
+        except PermissionError:
+            sock.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
+
+    def _explain(self, error: OSError, port: int) -> str:
+        if error.errno == errno.EADDRINUSE:
+            return (
+                f"udp port {port or GROUP_PORT} is in use on this machine; give this robot a"
+                " `listen` with another port"
+            )
+        return f"no datagrams on {self._interface}: {error.strerror}"
+
+
+class _Seeds:
+    """The addresses of seeds; names are resolved on a thread, since that may take seconds."""
+
+    def __init__(self, endpoints: Iterable[str]) -> None:
+        parsed = [parse_endpoint(one) for one in endpoints]
+        self._names = [(one.host, one.port) for one in parsed]
+        self._is_numeric = all(_sockaddr(name, 0) for name in self._names)
+        self._next = -1e9
+        self._found: list[list[Address]] = []
+        self._is_under_way = False
+
+    def addresses(self, now: float) -> list[Address] | None:
+        """The addresses, if they are new since the last call; begins to look for more if due."""
+        found = self._found.pop() if self._found else None
+        if found is not None and len(found) < len(self._names):
+            self._next = min(self._next, now + RETRY_PERIOD)
+        if now >= self._next and not self._is_under_way and self._names:
+            self._next = now + RESOLVE_PERIOD
+            if self._is_numeric:
+                self._next = float("inf")
+                return self._names
+            self._is_under_way = True
+            threading.Thread(target=self._resolve, name="swarmd-seeds", daemon=True).start()
+        return found
+
+    def _resolve(self) -> None:
+        found: list[Address] = []
+        for host, port in self._names:
+            with contextlib.suppress(OSError, UnicodeError):
+                for *_, name in socket.getaddrinfo(host, port, type=socket.SOCK_DGRAM)[:1]:
+                    found.append(_address(name))
+        self._found.append(found)
+        self._is_under_way = False
+
+
+def _waited(ancillary: Iterable[tuple[int, int, bytes]]) -> float:
+    """Seconds since a datagram arrived, by the wall clock; 0 without the kernel's time."""
+    for level, kind, content in ancillary:
+        if (level, kind, len(content)) == (socket.SOL_SOCKET, _SO_TIMESTAMPNS, _TIMESPEC.size):
+            seconds, nanoseconds = _TIMESPEC.unpack(content)
+            return time.time() - float(seconds) - 1e-9 * float(nanoseconds)
+    return 0.0
+
+
+def _count_lost(sock: socket.socket) -> int | None:
+    """Datagrams that the kernel has dropped at a socket; None unless its queue is nearly full.
+
+    They include those that the filter has refused, which need no queue.
+    """
+    try:
+        info = _MEMINFO.unpack(sock.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))
+    except (OSError, struct.error):  # before Linux 4.12
+        return None
+    return int(info[_LOST]) if info[_QUEUED] > 0.75 * info[_QUEUE_LIMIT] else None
+
+
+def _address(name: tuple[object, ...]) -> Address:
+    """An address as the interfaces of this package write it, from one of a socket."""
+    host, port = str(name[0]), int(str(name[1]))
+    is_scoped = len(name) == 4 and name[3] and "%" not in host
+    return (f"{host}%{name[3]}" if is_scoped else host), port
+
+
+def _sockaddr(address: Address, index: int) -> tuple[str, int] | tuple[str, int, int, int] | None:
+    """An address for a socket; None if its host is a name, which would have to be resolved.
+
+    `index`: the interface of a link-local address that names none.
+    """
+    host, _, scope = address[0].partition("%")
+    try:
+        ip = ipaddress.ip_address(host)
+        if scope:
+            index = int(scope) if scope.isdecimal() else socket.if_nametoindex(scope)
+    except (ValueError, OSError):
+        return None
+    if ip.version == 4:
+        return None if scope else (host, address[1])
+    return (host, address[1], 0, index if ip.is_link_local else 0)

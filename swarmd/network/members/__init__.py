@@ -1,0 +1,1 @@
+"""The members of a swarm as a robot hears them."""

@@ -1,0 +1,95 @@
+"""Which robots are neighbors: all, those within a range, or those with a good link. Pure.
+
+A robot hears messages of its neighbors only. The knob is that of the simulated radio
+(`radio.neighborhood` and `radio.range` of a scenario), so that a pattern meets the same
+neighborhood in simulation and in the field. Each limit has a hysteresis: a robot at the edge does
+not change with each measurement.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Mapping
+from typing import NamedTuple
+
+from msgspec import structs
+
+from swarmd.core.values import Neighbor, PeerPlace, SharedPose
+from swarmd.network.members.neighbor_settings import NeighborSettings
+
+RANGE_MARGIN = 1.1  # times the range beyond which a neighbor is one no more
+QUALITY_MARGIN, SIGNAL_MARGIN = 0.2, 6.0  # below the limits of quality and of signal (dB)
+PLACE_TIMEOUT = 1.0  # s after which the place of a peer is too old
+
+
+class Link(NamedTuple):
+    """The link from a robot: the share of its beacons that arrived, and its signal in dBm."""
+
+    quality: float
+    signal: float | None = None
+
+
+class Neighborhood:
+    """The neighbors of one robot. All times are in s on its monotonic clock."""
+
+    def __init__(self, settings: NeighborSettings) -> None:
+        self.settings = settings
+        self._own: SharedPose | None = None
+        self._places: dict[str, tuple[float, float]] = {}  # distance in m, and until when it counts
+        self._ids: frozenset[str] = frozenset()
+
+    def on_pose(self, pose: SharedPose) -> None:
+        """Take in the own pose in a shared frame."""
+        if pose.is_valid:
+            self._own = pose
+
+    def on_place(self, place: PeerPlace, now: float) -> None:
+        """Take in where a peer is by its own word; ignored without an own pose in that frame."""
+        if self._own is None or place.frame != self._own.frame:
+            return
+        own = self._own.pose
+        away = math.hypot(place.x - own.x, place.y - own.y)
+        self._places[place.robot] = away, now - place.age + PLACE_TIMEOUT
+
+    def select(
+        self,
+        candidates: Collection[Neighbor],
+        now: float,
+        links: Mapping[str, Link] | None = None,
+    ) -> tuple[Neighbor, ...]:
+        """The candidates, each marked as within reach or not; `links` by robot.
+
+        A distance that the base measures precedes one by poses. A robot of unknown distance, or
+        without a link that was measured, is not within reach.
+        """
+        if self.settings.neighborhood == "all":
+            return tuple(candidates)
+        is_near = [self._is_near(one, now, links or {}) for one in candidates]
+        marked = [
+            one if near else structs.replace(one, in_reach=False)
+            for one, near in zip(candidates, is_near, strict=True)
+        ]
+        self._ids = frozenset(one.id for one in marked if one.in_reach)
+        self._places = {robot: one for robot, one in self._places.items() if now <= one[1]}
+        return tuple(marked)
+
+    def _is_near(self, one: Neighbor, now: float, links: Mapping[str, Link]) -> bool:
+        was_near = one.id in self._ids
+        if self.settings.neighborhood == "range":
+            away = one.distance if one.distance is not None else self._told_distance(one.id, now)
+            limit = self.settings.range or 0.0
+            return away is not None and away <= limit * (RANGE_MARGIN if was_near else 1.0)
+        link, signal = links.get(one.id), self.settings.signal
+        if link is None:
+            return False
+        is_strong = (
+            signal is None
+            or link.signal is None
+            or (link.signal >= signal - (SIGNAL_MARGIN if was_near else 0.0))
+        )
+        least = self.settings.quality - (QUALITY_MARGIN if was_near else 0.0)
+        return is_strong and link.quality >= least
+
+    def _told_distance(self, robot: str, now: float) -> float | None:
+        away, until = self._places.get(robot, (math.inf, -math.inf))
+        return away if now <= until else None

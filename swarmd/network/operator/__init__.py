@@ -1,0 +1,1 @@
+"""The operator's side: who is there, requests, questions, and their outcome."""

@@ -1,0 +1,142 @@
+"""What an operator or viewer takes from the robots of a secured swarm. Pure.
+
+Each look asks often, so that a robot counts once it has answered, as in `liveness.py`. Answers
+count only if the robot itself signed them for this operator. An ack counts only in a datagram that
+a robot of this roster signed, and with the proof of the robot that made it for this operator, also
+if another robot hands it on. An identity that is older than a robot has no key of that pair:
+nothing of that robot counts until it has handed over its key by a link (`roster_follower.py`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from swarmd.network.datagram import (
+    Ack,
+    Address,
+    Beacon,
+    ClockReply,
+    Datagram,
+    Flag,
+    GoalReport,
+    MemberList,
+    only_names,
+)
+from swarmd.network.members.liveness import Liveness
+from swarmd.network.signature import Flaw, Trust, generation_of
+from swarmd.security.identity import Identity
+
+HINT_PERIOD = 5.0  # s between two hints; of missing keys, for each robot and source
+MAX_MISSING_KEYS = 4096
+
+
+class Answers:
+    """The keys of an operator or viewer at work.
+
+    `on_newer_roster` takes the name, address and generation of a robot that may have a newer
+    roster, `on_missing_key` the name and address of a robot of which this identity has no key.
+    `outdated`: the robots that were heard with an older roster. `unproven`: those without a key.
+    Both have their addresses, and are not proven.
+    """
+
+    def __init__(
+        self,
+        identity: Identity,
+        lease: float,
+        on_newer_roster: Callable[[str, Address, int], object] = lambda *_: None,
+        on_missing_key: Callable[[str, Address], object] = lambda *_: None,
+    ) -> None:
+        self._trust = Trust.of(identity)
+        self._names = frozenset(identity.roster.robots)
+        self._on_newer_roster = on_newer_roster
+        self._on_missing_key = on_missing_key
+        self._known_hint_at = self._unknown_hint_at = -1e9  # by robots of the own roster, by others
+        self._key_asked_at: dict[tuple[str, Address], float] = {}  # the last hints of missing keys
+        # Its own questions are numbered by the operator, which notes them.
+        self.liveness = Liveness(lease, lambda: 0)
+        self.unproven: dict[str, Address] = {}
+        self.outdated: dict[str, Address] = {}
+
+    def take_keys(self, identity: Identity) -> None:
+        """The identity has keys of more robots; its roster is the same."""
+        self._trust = Trust.of(identity)
+        has_key_of = self._trust.verifier.has_key_of
+        self.unproven = {n: one for n, one in self.unproven.items() if not has_key_of(n)}
+
+    def sign(self, payload: bytes) -> bytes:
+        """A datagram with the signature of this name."""
+        return self._trust.signer.sign(payload)
+
+    def admit(self, body: Datagram, payload: bytes, source: Address, now: float) -> Datagram | None:
+        """What of a datagram counts; None: nothing."""
+        author = self._trust.verifier.verify(payload, now)
+        if isinstance(author, Flaw):
+            self._note_generation(author, body, payload, source, now)
+            return None
+        match body:
+            case Ack() if body.robot in self._names:
+                is_direct = not body.via
+                if not self._has_key(body.robot, source if is_direct else None, now):
+                    return None
+                return body if self._trust.verifier.is_proven(body) else None
+            case Beacon() if body.robot in self._names:
+                self.outdated.pop(body.robot, None)
+                if not self._has_key(body.robot, source, now):
+                    return None
+                return body if self._is_fresh(body, payload, now) else None
+            case MemberList() if self.liveness.is_own_echo(body.echo, now):
+                is_known = self.liveness.knows(body.robot, body.instance)
+                return (
+                    only_names(body, self._names)
+                    if is_known and self._is_own(body, payload)
+                    else None
+                )
+            case ClockReply() | GoalReport() if body.robot in self._names:
+                return body if self._is_own(body, payload) else None
+        return None
+
+    def _is_fresh(self, beacon: Beacon, payload: bytes, now: float) -> bool:
+        if beacon.flags & Flag.JOINING:
+            return False
+        is_answer = self.liveness.is_own_echo(beacon.echo, now)
+        if is_answer and not self._is_own(beacon, payload):
+            return False
+        return self.liveness.on_beacon(beacon, now) is None
+
+    def _is_own(self, body: Beacon | MemberList | ClockReply | GoalReport, payload: bytes) -> bool:
+        """True if that robot answers this operator."""
+        return self._trust.verifier.is_answer_of(body.robot, payload) is True
+
+    def _has_key(self, robot: str, source: Address | None, now: float) -> bool:
+        """True if there is a key of that robot; else it is asked for at `source`, if that is known.
+
+        Any robot of the roster can make this datagram: the link to `source` proves the name.
+        """
+        if self._trust.verifier.has_key_of(robot):
+            return True
+        if source is not None:
+            self.unproven[robot] = source
+            if now - self._key_asked_at.get((robot, source), -1e9) >= HINT_PERIOD:
+                self._key_asked_at.pop((robot, source), None)
+                self._key_asked_at[robot, source] = now
+                if len(self._key_asked_at) > MAX_MISSING_KEYS:
+                    del self._key_asked_at[next(iter(self._key_asked_at))]
+                self._on_missing_key(robot, source)
+        return False
+
+    def _note_generation(
+        self, flaw: Flaw, body: Datagram, payload: bytes, source: Address, now: float
+    ) -> None:
+        if not isinstance(body, Beacon):
+            return
+        if flaw is Flaw.OLDER and body.robot in self._names:
+            self.outdated[body.robot] = source
+        elif flaw is Flaw.NEWER:
+            is_known = body.robot in self._names
+            if now - (self._known_hint_at if is_known else self._unknown_hint_at) < HINT_PERIOD:
+                return
+            if is_known:
+                self._known_hint_at = now
+            else:
+                self._unknown_hint_at = now
+            self._on_newer_roster(body.robot, source, generation_of(payload))

@@ -1,0 +1,105 @@
+"""How far the clocks of robots are from the operator's own, so that runs start at one moment.
+
+A robot's clock showed the time of its answer between the query and the answer, so that the offset
+lies within half of the round trip around its middle (Cristian, Probabilistic clock
+synchronization, Distributed Computing 3, 1989). Of several exchanges the shortest round trip
+counts (the clock filter of NTP, RFC 5905, section 10). All times are CLOCK_BOOTTIME, in s.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING, NamedTuple
+
+from swarmd.core.clock import boottime
+from swarmd.network.datagram import ClockQuery, ClockReply
+
+if TYPE_CHECKING:
+    from swarmd.network.operator.operator import Operator
+
+EXCHANGES, PERIOD = 8, 0.03
+"""Exchanges with each robot, and the time between two, in s: a robot answers 30 a second."""
+TIMEOUT, TRIPS = 0.6, 3.0
+"""How long answers are waited for, in s and round trips."""
+MAX_DRIFT = 500e-6
+"""The largest relative rate of two clocks."""
+
+
+class ClockOffset(NamedTuple):
+    """A robot's clock less the operator's: `offset`, off by at most `error`; read at `at`."""
+
+    offset: float
+    error: float
+    at: float
+
+    def error_at(self, moment: float) -> float:
+        """The bound of the error at another time: clocks drift."""
+        return self.error + MAX_DRIFT * abs(moment - self.at)
+
+
+class ClockReadings:
+    """The offsets of robots by the exchanges so far. Pure."""
+
+    def __init__(self) -> None:
+        self.offsets: dict[str, ClockOffset] = {}
+        self._sent: set[int] = set()
+        self._clocks: dict[str, bytes] = {}
+        self._answers: dict[str, int] = {}
+
+    def query(self, now: float) -> ClockQuery:
+        """The query that is sent to a robot now."""
+        query = ClockQuery(sent=max(round(1e9 * now), 0))
+        self._sent.add(query.sent)
+        return query
+
+    def on_reply(self, reply: ClockReply, now: float) -> None:
+        """Take an answer; an answer to no question is ignored."""
+        if reply.sent not in self._sent:
+            return
+        sent, answered = 1e-9 * reply.sent, 1e-9 * reply.answered
+        if self._clocks.setdefault(reply.robot, reply.clock) != reply.clock:
+            # It was booted again, or two daemons have one id: the readings are not valid.
+            self._clocks[reply.robot] = reply.clock
+            self.offsets.pop(reply.robot, None)
+        self._answers[reply.robot] = self._answers.get(reply.robot, 0) + 1
+        error = max(now - sent, 0.0) / 2.0
+        found = ClockOffset(answered - (sent + now) / 2.0, error, now)
+        known = self.offsets.get(reply.robot)
+        if known is None or error < known.error:
+            self.offsets[reply.robot] = found
+
+    def lacking(self, robots: Collection[str]) -> set[str]:
+        """The robots with which there were fewer than EXCHANGES exchanges."""
+        return {robot for robot in robots if self._answers.get(robot, 0) < EXCHANGES}
+
+
+def read_clocks(operator: Operator, robots: Collection[str]) -> dict[str, ClockOffset]:
+    """The offsets of the clocks of robots that the operator's last look has heard.
+
+    A robot that does not answer is left out. Takes some 0.25 s, and longer on long round trips.
+    """
+    readings = ClockReadings()
+    operator.listen(ClockReply, readings.on_reply)
+    try:
+        begun = now = boottime()
+        until = begun + TIMEOUT + TRIPS * operator.seen().round_trip
+        while now < until and (lacking := readings.lacking(robots)):
+            operator.send_to_robots(lambda: readings.query(boottime()), lacking)
+            time.sleep(PERIOD)
+            now = boottime()
+    finally:
+        operator.listen(ClockReply, None)
+    return {robot: readings.offsets[robot] for robot in robots if robot in readings.offsets}
+
+
+def start_times(
+    offsets: Mapping[str, ClockOffset], moment: float
+) -> tuple[dict[str, float], float]:
+    """When each robot starts on its own clock, and how far apart they may start by clocks, in s.
+
+    `moment`: on the operator's clock.
+    """
+    starts = {robot: moment + one.offset for robot, one in offsets.items()}
+    errors = sorted((one.error_at(moment) for one in offsets.values()), reverse=True)
+    return starts, sum(errors[:2]) if len(errors) > 1 else 0.0

@@ -1,0 +1,438 @@
+"""The members of a swarm as an operator finds them. Pure: datagrams, views and times in.
+
+Four sources are put together: beacons that the operator hears itself (`beacon_table.py`), the words
+of robots about the others (`member_reports.py`), the robots' own statuses by Zenoh
+(`status_table.py`), and rosters. A look is complete once every expected robot has answered for
+itself and no news has come for a while, or all views agree. Until then it goes on for a time that
+follows from the measured round trip and loss.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+
+from swarmd.core.goal import generation_of
+from swarmd.core.keys import is_id
+from swarmd.core.messages import PeerView, Presence, StatusHeader
+from swarmd.network.datagram import Address, Beacon, MemberList
+from swarmd.network.operator.beacon_table import MAX_ROBOTS, QUIET_TIME, BeaconChange, BeaconTable
+from swarmd.network.operator.member_reports import (
+    EARLIER,
+    LIST,
+    VIEW,
+    MemberReports,
+    Report,
+    most_certain,
+    reports_of_view,
+)
+from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
+from swarmd.network.operator.seen_member import INDIRECT_TIME, present_member, silent_member
+from swarmd.network.operator.status_table import Answer, StatusTable
+
+MAX_COPIES = 128  # of one datagram to single addresses: false words name many
+MAX_INDIRECT_DIALS = 64  # robots at a time that are dialled by the word of others alone
+FORGET_PERIOD = 1.0  # between two searches for robots that no list names any more, in s
+
+# Between requests for member lists, in s: while all robots heard have sent theirs, and else.
+LISTS_PERIOD, LIST_REPEAT_PERIOD = 2.0, 0.25
+
+# How long a look waits, in s, and in round trips.
+FIRST_ROBOT_TIMEOUT, DEV_WAIT = 3.0, 1.0  # nobody is heard; on loopback
+ANSWER_WAIT, ANSWER_TRIPS = 2.0, 14.0  # since the last robot was found that is heard directly
+SECURED_WAIT = 1.5  # times that with keys: a link is signed and verified by both ends
+UNREACHABLE_WAIT, UNREACHABLE_TRIPS = 2.0, 6.0  # one that is alive by the word of others
+GONE_WAIT, GONE_TRIPS = 0.5, 4.0  # one that failed, or is on a roster and was not seen
+LOSS_WAIT = 15.0  # times the share of solicits without an answer: TCP repeats after 1, 3 and 7 s
+LOOK_CAP = 45.0  # the bound of a look, in s, that no datagram can raise
+# A robot that is found later than this in a look, in s, prolongs it only if another robot knows it
+# or it answered.
+PROLONGING_TIME = 3.0
+
+
+class Discovery:
+    """What one look of an operator has found; `roster`: robots that are expected in any case.
+
+    `first_robot_timeout`: how long to wait for a first robot, in s. `earlier`: the result of an
+    earlier look: its robots stay expected, and count as failed until they are heard again.
+    `is_local`: all robots are on this machine, by the loopback interface. `is_secured`: links take
+    longer to open. `needs_status`: only a
+    status is an answer; else also a beacon that echoes a solicit, with a whole member list.
+    """
+
+    def __init__(
+        self,
+        now: float,
+        roster: Iterable[str] = (),
+        *,
+        first_robot_timeout: float = FIRST_ROBOT_TIMEOUT,
+        earlier: MembersView | None = None,
+        is_local: bool = False,
+        is_secured: bool = False,
+        needs_status: bool = True,
+    ) -> None:
+        self.started = now
+        self._answer_wait = ANSWER_WAIT * (SECURED_WAIT if is_secured else 1.0)
+        self._needs_status = needs_status
+        self._nobody_wait = first_robot_timeout
+        self.found_at = now  # when the last robot was found
+        self._news = self._prolonging_news = now
+        self._roster = set(roster)
+        self._beacons = BeaconTable()
+        self._reports = MemberReports(is_local=is_local)
+        self._statuses = StatusTable()
+        self._mentioned: dict[str, float] = {}
+        # When a robot that is known by the word of others was last named; never, if seen before.
+        self._named: dict[str, float] = {}
+        self._forgot_at = now
+        self._lists_at = -float("inf")
+        for robot, member in (earlier.members if earlier else {}).items():
+            if member.presence is not Presence.LEFT:
+                self._mentioned[robot] = now
+                self._named[robot] = now if member.by else float("inf")
+                found = Report(member.instance, Presence.FAILED, now - member.age)
+                self._reports.store(robot, "", EARLIER, [found])
+
+    # Events
+
+    def wants_members(self, now: float) -> bool:
+        """True if robots are to be asked for their member lists now, which are long.
+
+        All are asked at the start, and soon again while a robot heard has not sent its list.
+        """
+        has_all_lists = bool(self.heard) and not self.unlisted
+        period = LISTS_PERIOD if has_all_lists else max(LIST_REPEAT_PERIOD, 1.5 * self.round_trip)
+        if now - self._lists_at < period:
+            return False
+        self._lists_at = now
+        return True
+
+    def on_solicit(self, echo: int, now: float) -> None:
+        """A `Solicit` with this number is sent now."""
+        self._beacons.on_solicit(echo, now)
+
+    def on_beacon(self, beacon: Beacon, address: Address, now: float) -> None:
+        """A robot's own beacon; one that does not own its id yet is no member."""
+        robot = beacon.robot
+        change = self._beacons.on_beacon(beacon, address, now, has_room=self._has_room(robot))
+        if change is BeaconChange.IGNORED:
+            return
+        if change is BeaconChange.LEFT:
+            self._lists_at = -float("inf")  # do the others know?
+            self._statuses.drop(robot, beacon.instance.hex())
+            self._on_news(robot, now)
+            return
+        if change is BeaconChange.FOUND:
+            self._mention(robot, now)
+            self._on_news(robot, now)
+            self.found_at = now
+        self._beacons.on_echo(beacon, now)
+
+    def on_member_list(self, word: MemberList, now: float) -> None:
+        """A robot's word about others; the parts of one come one by one."""
+        if word.part >= word.parts or not self._has_room(word.robot):
+            return
+        self._mention(word.robot, now)
+        self._name(word.robot, now)
+        if not self._reports.has_list(word.robot):
+            self._on_news(word.robot, now)
+        reports = self._reports.add_list(word, now)
+        self._roster.update(word.roster if len(self._roster) < MAX_ROBOTS else ())
+        self._store_reports(word.robot, LIST, reports, now)
+        if self._beacons.is_fresh(word.robot, now) and now - self._forgot_at >= FORGET_PERIOD:
+            self._forgot_at = now
+            self._forget(now)
+
+    def on_view(self, view: PeerView, now: float) -> None:
+        """A robot answered with its status and its members."""
+        self._take_answer(view.robot, Answer(view.status, view.members, now), now)
+        if len(self._roster) < MAX_ROBOTS:
+            self._roster.update(name for name in view.roster if is_id(name))
+        self._store_reports(view.robot, VIEW, reports_of_view(view, now), now)
+
+    def on_header(self, header: StatusHeader, now: float) -> None:
+        """A robot of another version answered with its status."""
+        self._take_answer(header.robot, Answer(header, (), now), now)
+
+    # What is known
+
+    @property
+    def round_trip(self) -> float:
+        """The round trip, in s, as `BeaconTable` measures it."""
+        return self._beacons.round_trip
+
+    @property
+    def heard(self) -> frozenset[str]:
+        """The robots that the operator has heard itself."""
+        return self._beacons.robots
+
+    @property
+    def known(self) -> frozenset[str]:
+        """Every name that was heard, mentioned or is on a roster."""
+        return frozenset(self._mentioned.keys() | self._roster)
+
+    @property
+    def of_other_version(self) -> frozenset[str]:
+        """The robots whose beacons show another version of requests."""
+        return self._beacons.of_other_version
+
+    @property
+    def doubted(self) -> frozenset[str]:
+        """The robots that left by a beacon, and are alive in the newest list of another robot."""
+        return frozenset(
+            robot
+            for robot, instance in self._beacons.gone
+            if self._reports.is_alive(robot, instance)
+        )
+
+    @property
+    def settled(self) -> frozenset[str]:
+        """The robots of which every living instance has answered: both, if two hold one id."""
+        found = {
+            robot
+            for robot in self._statuses.robots
+            if (answers := self._statuses.instances(robot))
+            and self.holders(robot) <= answers.keys()
+        }
+        if not self._needs_status:
+            found |= {robot for robot in self.heard - found if self._answered_by_datagram(robot)}
+        return frozenset(found)
+
+    def _answered_by_datagram(self, robot: str) -> bool:
+        """True if its only instance echoed a solicit and listed its members.
+
+        Of an id that two daemons hold, both must be linked before a request goes out.
+        """
+        heard, holders = self._beacons.instances(robot), self.holders(robot)
+        is_echoed = all(one in heard and heard[one].echoes for one in holders)
+        return len(holders) == 1 and is_echoed and self._reports.has_full_list(robot)
+
+    def holders(self, robot: str) -> frozenset[str]:
+        """The living instances of an id, by beacons and by the word of any one robot."""
+        double = self._reports.doubles(robot)
+        told = (one for one in double if (robot, one) not in self._beacons.gone)
+        return frozenset(self._beacons.living(robot).union(told))
+
+    def address(self, robot: str) -> Address | None:
+        """Where a robot is: the source of its beacons, else what others say."""
+        heard = self._beacons.newest(robot)
+        if heard is not None:
+            return heard.address
+        reports = [one for one in self._all_reports(robot) if one.address is not None]
+        return max(reports, key=lambda one: one.at).address if reports else None
+
+    def to_dial(self, now: float) -> dict[tuple[str, str], Address]:
+        """The addresses of all robots that are not known to be gone, by robot and instance.
+
+        Of those that are known by the word of others alone and did not answer, the most reported.
+        """
+        found: dict[tuple[str, str], Address] = {}
+        indirect: dict[tuple[str, str], Address] = {}
+        for robot in self._mentioned:
+            heard = self._beacons.instances(robot)
+            if heard:
+                for instance in self.holders(robot) & heard.keys():
+                    found[robot, instance] = heard[instance].address
+            elif (address := self.address(robot)) is not None:
+                best = most_certain(self._all_reports(robot))
+                is_alive = best is not None and best.presence is Presence.ALIVE
+                if best is not None and is_alive and now - best.at <= INDIRECT_TIME:
+                    has_answered = robot in self._statuses.robots
+                    (found if has_answered else indirect)[robot, best.instance] = address
+        names = self.heard
+        first = sorted(indirect, key=lambda who: -len(self._reports.reporters(who[0]) & names))
+        return found | {who: indirect[who] for who in first[:MAX_INDIRECT_DIALS]}
+
+    def to_solicit(self) -> tuple[Address, ...]:
+        """The addresses of robots that are known by the word of others alone, some at a time."""
+        known = {self.address(robot) for robot in self._mentioned.keys() - self.heard}
+        found = sorted(one for one in known if one is not None)
+        first = self._beacons.solicits * MAX_COPIES % len(found) if len(found) > MAX_COPIES else 0
+        return tuple((found[first:] + found[:first])[:MAX_COPIES])
+
+    # When to end
+
+    @property
+    def quiet_time(self) -> float:
+        """How long no news must come, in s."""
+        return max(QUIET_TIME, 2.0 * self.round_trip)
+
+    def is_complete(self, now: float) -> bool:
+        """True once every expected robot answered, and the views agree or the quiet time passed."""
+        settled = self.settled
+        if not settled or not self.heard <= settled:
+            return False
+        if not self.result(now).expected <= settled:
+            return False
+        if not self._needs_status:
+            return self.has_all_lists(now)
+        return self._statuses.agree(settled) or now - self._news >= self.quiet_time
+
+    @property
+    def unlisted(self) -> tuple[str, ...]:
+        """The robots heard that did not list the members that they know."""
+        return tuple(
+            sorted(robot for robot in self.heard if not self._reports.has_full_list(robot))
+        )
+
+    def has_all_lists(self, now: float) -> bool:
+        """True once all robots heard have sent their lists, and agree or the quiet time passed."""
+        heard = self.heard
+        if not heard or self.unlisted:
+            return False
+        agree = len(heard) > 1 and all(
+            heard - {reporter} <= self._reports.listed_alive(reporter) for reporter in heard
+        )
+        return agree or now - self._news >= self.quiet_time
+
+    def ends_at(self, now: float, lacking: Iterable[str]) -> float:
+        """When to stop waiting for the robots in `lacking`, as far as is known now."""
+        if not self._mentioned:
+            return self.started + self._nobody_wait
+        trip = self.round_trip
+        ends = [self._prolonging_news + self.quiet_time]
+        prolonging = {robot for robot in self._mentioned if self._prolongs(robot)}
+        found_at = max((self._mentioned[robot] for robot in prolonging), default=self.started)
+        for robot in lacking:
+            if robot in self._mentioned and robot not in prolonging:
+                continue
+            since = self._mentioned.get(robot, self.started)
+            best = most_certain(self._all_reports(robot))
+            if self._beacons.is_fresh(robot, now):
+                wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * self._beacons.loss(
+                    now
+                )
+                since = max(since, found_at)
+            elif best is not None and best.presence is Presence.ALIVE:
+                wait = UNREACHABLE_WAIT + UNREACHABLE_TRIPS * trip
+            else:
+                wait = GONE_WAIT + GONE_TRIPS * trip
+            ends.append(since + wait)
+        if not self.heard:
+            ends.append(self.started + self._nobody_wait)
+        return max(ends)
+
+    def is_over(self, now: float) -> bool:
+        """True once a look has waited long enough for those that have not answered."""
+        if now - self.started < GONE_WAIT:
+            return False
+        if now - self.started >= LOOK_CAP:
+            return True
+        lacking = self.result(now).expected - self.settled
+        return now >= self.ends_at(now, lacking)
+
+    # The result
+
+    def links(self, now: float) -> frozenset[tuple[str, str]]:
+        """Pairs of robots, in order of their names, that report each other as alive."""
+        return self._reports.links(now)
+
+    def result(self, now: float) -> MembersView:
+        """The members as known so far."""
+        members = {robot: self._member(robot, now) for robot in sorted(self._mentioned)}
+        seen = {robot: member for robot, member in members.items() if member is not None}
+        others = {name for name, one in seen.items() if one.contact is Contact.OTHER_VERSION}
+        alive = {name for name, one in seen.items() if one.presence is Presence.ALIVE}
+        holders = {robot: self.holders(robot) for robot in alive}
+        return MembersView(
+            members=seen,
+            answered=frozenset((self.settled & alive) | others),
+            roster=frozenset(self._roster),
+            duplicates={
+                robot: tuple(sorted(some)) for robot, some in holders.items() if len(some) > 1
+            },
+            round_trip=self.round_trip,
+            loss=self._beacons.loss(now),
+            seconds=now - self.started,
+            goal_generation=max(self._generations(), default=0),
+        )
+
+    def _generations(self) -> Iterator[int]:
+        """Those of the goals that robots show in beacons and in statuses."""
+        for robot in self.heard:
+            instances = self._beacons.instances(robot).values()
+            yield from (generation_of(one.beacon.goal) for one in instances)
+        for _, status, _ in self._statuses.statuses():
+            if status.goal is not None and status.goal.held is not None:
+                yield status.goal.held.goal.generation
+
+    def _member(self, robot: str, now: float) -> SeenMember | None:
+        heard = self._beacons.newest(robot)
+        answer = self._statuses.newest(robot, self.holders(robot))
+        if self._beacons.is_fresh(robot, now) or (answer is not None and heard is None):
+            return present_member(robot, heard, answer, now)
+        report = most_certain(self._all_reports(robot))
+        return silent_member(robot, heard, answer, report, now)
+
+    # Parts
+
+    def _on_news(self, robot: str, now: float) -> None:
+        self._news = now
+        if now - self.started <= PROLONGING_TIME or self._prolongs(robot):
+            self._prolonging_news = now
+
+    def _prolongs(self, robot: str) -> bool:
+        """True if a look waits for a robot: found early, known to another, or it answered."""
+        if self._mentioned.get(robot, self.started) - self.started <= PROLONGING_TIME:
+            return True
+        heard = self._beacons.instances(robot).values()
+        return (
+            robot in self._statuses.robots
+            or self._reports.is_reported(robot)
+            or any(one.echoes for one in heard)
+        )
+
+    def _has_room(self, robot: str) -> bool:
+        return robot in self._mentioned or len(self._mentioned) < MAX_ROBOTS
+
+    def _mention(self, robot: str, now: float) -> bool:
+        """Note that a name is known; True if it is new."""
+        if robot in self._mentioned or len(self._mentioned) >= MAX_ROBOTS:
+            return False
+        self._mentioned[robot] = now
+        return True
+
+    def _name(self, robot: str, now: float) -> None:
+        self._named[robot] = max(now, self._named.get(robot, now))
+
+    def _forget(self, now: float) -> None:
+        """Drop the robots that were never seen, and that no list has named for a while."""
+        seen = self.heard | self._statuses.robots | {robot for robot, _ in self._beacons.gone}
+        for robot, at in list(self._named.items()):
+            if now - at > INDIRECT_TIME and robot not in seen:
+                del self._named[robot]
+                self._mentioned.pop(robot, None)
+                self._reports.forget(robot)
+
+    def _store_reports(
+        self, reporter: str, way: str, reports: Mapping[str, list[Report]], now: float
+    ) -> None:
+        """Replace the earlier reports of a robot that came by one way."""
+        self._reports.drop(reporter, way)
+        for robot, some in reports.items():
+            if robot == reporter:
+                continue
+            is_new = self._mention(robot, now)
+            if robot in self._mentioned:
+                self._name(robot, now)
+                self._reports.store(robot, reporter, way, some)
+            if is_new:
+                self._on_news(robot, now)
+                self.found_at = now
+
+    def _take_answer(self, robot: str, answer: Answer, now: float) -> None:
+        if not self._has_room(robot):
+            return
+        is_new = self._statuses.add(robot, answer)
+        self._mention(robot, now)
+        if is_new:
+            self._on_news(robot, now)
+
+    def _all_reports(self, robot: str) -> list[Report]:
+        """The reports of other robots about a robot, and its own last beacon before it left."""
+        left = [
+            Report(instance, Presence.LEFT, at)
+            for (name, instance), (at, _) in self._beacons.gone.items()
+            if name == robot
+        ]
+        gone = {one.instance for one in left}
+        return [*left, *(one for one in self._reports.of(robot) if one.instance not in gone)]

@@ -1,0 +1,198 @@
+"""What robots report of other robots to an operator, by member lists and by views. Pure."""
+
+from __future__ import annotations
+
+import ipaddress
+from collections.abc import Iterable, Mapping
+
+from msgspec import Struct
+
+from swarmd.core.messages import PeerView, Presence
+from swarmd.network.datagram import PRESENCES, Address, MemberList
+from swarmd.network.operator.beacon_table import FRESH_TIME, MAX_INSTANCES
+
+LIST, VIEW, EARLIER = "list", "view", "earlier"
+"""The ways of a report: a member list, a view, an earlier look of the operator (of reporter "").
+
+Of one reporter the list is the better: it says when a living robot was heard.
+"""
+
+
+class Report(Struct, frozen=True):
+    """What one robot says of another; `at`: when that was so."""
+
+    instance: str
+    presence: Presence
+    at: float
+    by: str = ""
+    address: Address | None = None
+
+
+def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
+    """The address of a robot in the report of another robot; None if no robot can have it.
+
+    The host must be an IP literal, with a numeric scope only if it is local to its link. With
+    `is_local` it must be in 127.0.0.0/8, else it must not be this machine itself.
+    """
+    try:
+        ip = ipaddress.ip_address(host)
+    except ValueError:
+        return None
+    scope = ip.scope_id if isinstance(ip, ipaddress.IPv6Address) else None
+    if scope is not None and not (ip.is_link_local and scope.isascii() and scope.isdecimal()):
+        return None
+    if ip.is_unspecified or ip.is_multicast or not 1 <= port <= 65535:
+        return None
+    if ip.is_loopback is not is_local or (is_local and ip.version != 4):
+        return None
+    return host, port
+
+
+def most_certain(reports: Iterable[Report]) -> Report | None:
+    """The most certain of reports on one robot: alive, then the newest, `left` before failed."""
+    some = list(reports)
+    alive = [one for one in some if one.presence is Presence.ALIVE]
+    if alive:
+        return max(alive, key=lambda one: one.at)
+    newest = max(some, key=lambda one: one.at, default=None)
+    if newest is None:
+        return None
+    same = [one for one in some if one.instance == newest.instance]
+    return max(same, key=lambda one: (one.presence is Presence.LEFT, one.at))
+
+
+def reports_of_view(view: PeerView, now: float) -> dict[str, list[Report]]:
+    """What a view reports, by robot."""
+    reports: dict[str, list[Report]] = {}
+    for one in view.members:
+        at = now if one.presence is Presence.ALIVE else now - one.age
+        reports.setdefault(one.robot, []).append(
+            Report(one.instance, one.presence, at, by=view.robot)
+        )
+    return reports
+
+
+class MemberReports:
+    """The newest reports of each robot on each other one.
+
+    `is_local`: all robots are on this machine, by the loopback interface.
+    """
+
+    def __init__(self, *, is_local: bool) -> None:
+        self._is_local = is_local
+        # By robot, then by echo and part: a list in parts counts once it is whole.
+        self._lists: dict[str, dict[tuple[int, int], tuple[MemberList, float]]] = {}
+        # By the robot reported, then by reporter and way.
+        self._reports: dict[str, dict[tuple[str, str], list[Report]]] = {}
+        # The ids of which one robot says that several instances are alive, by that robot.
+        self._doubles: dict[str, dict[str, frozenset[str]]] = {}
+
+    # Events
+
+    def add_list(self, word: MemberList, now: float) -> dict[str, list[Report]]:
+        """Keep a part of a robot's member list; what all parts that are there report, by robot."""
+        parts = self._lists.setdefault(word.robot, {})
+        parts[word.echo, word.part] = (word, now)
+        whole = [echo for echo, _ in parts if _has_all(parts, echo)]
+        oldest = whole[-1] if whole else list(dict.fromkeys(echo for echo, _ in parts))[-4:][0]
+        for key in list(parts):
+            if key[0] == oldest:
+                break
+            del parts[key]
+        reports: dict[str, list[Report]] = {}
+        for part, at in parts.values():
+            for one in part.members:
+                if one.presence < len(PRESENCES):
+                    found = Report(
+                        one.instance.hex(),
+                        PRESENCES[one.presence],
+                        at - one.age / 1000.0,
+                        word.robot,
+                        reported_address(one.host, one.port, is_local=self._is_local),
+                    )
+                    reports.setdefault(one.robot, []).append(found)
+        return reports
+
+    def drop(self, reporter: str, way: str) -> None:
+        """Drop what a robot reported by one way, before its newer reports are stored."""
+        for known in self._reports.values():
+            known.pop((reporter, way), None)
+        for doubles in self._doubles.values():
+            doubles.pop(reporter, None)
+
+    def store(self, robot: str, reporter: str, way: str, reports: list[Report]) -> None:
+        """Keep what a robot reports of one other robot."""
+        self._reports.setdefault(robot, {})[reporter, way] = reports[:MAX_INSTANCES]
+        alive = {one.instance for one in reports if one.presence is Presence.ALIVE}
+        if len(alive) > 1:
+            self._doubles.setdefault(robot, {})[reporter] = frozenset(alive)
+
+    def forget(self, robot: str) -> None:
+        """Drop the reports on a robot, and its own member list."""
+        for known in (self._reports, self._doubles, self._lists):
+            known.pop(robot, None)
+
+    # What is known
+
+    def of(self, robot: str) -> list[Report]:
+        """The reports on a robot: of each reporter those of its list, else those of its view."""
+        reporters = self._reports.get(robot, {})
+        return [
+            one
+            for (reporter, way), some in reporters.items()
+            if way == LIST or (reporter, LIST) not in reporters
+            for one in some
+        ]
+
+    def is_reported(self, robot: str) -> bool:
+        """True if there is a report on a robot."""
+        return any(self._reports.get(robot, {}).values())
+
+    def is_alive(self, robot: str, instance: str) -> bool:
+        """True if a robot reports an instance of another robot as alive."""
+        return any(
+            one.instance == instance and one.presence is Presence.ALIVE
+            for some in self._reports.get(robot, {}).values()
+            for one in some
+        )
+
+    def reporters(self, robot: str) -> frozenset[str]:
+        """The robots that report a robot."""
+        return frozenset(reporter for reporter, _ in self._reports.get(robot, {}))
+
+    def doubles(self, robot: str) -> frozenset[str]:
+        """The instances of an id of which one robot says that several are alive."""
+        return frozenset[str]().union(*self._doubles.get(robot, {}).values())
+
+    def listed_alive(self, reporter: str) -> frozenset[str]:
+        """The robots that a robot lists as alive."""
+        return frozenset(
+            robot
+            for robot, reporters in self._reports.items()
+            if any(one.presence is Presence.ALIVE for one in reporters.get((reporter, LIST), ()))
+        )
+
+    def has_list(self, robot: str) -> bool:
+        """True if a part of a robot's member list is there."""
+        return bool(self._lists.get(robot))
+
+    def has_full_list(self, robot: str) -> bool:
+        """True if all parts of one member list of a robot are there."""
+        parts = self._lists.get(robot, {})
+        return any(_has_all(parts, echo) for echo, _ in parts)
+
+    def links(self, now: float) -> frozenset[tuple[str, str]]:
+        """Pairs of robots, in order of their names, that report each other as alive."""
+        alive = {
+            (reporter, robot)
+            for robot, reports in self._reports.items()
+            for (reporter, _), some in reports.items()
+            if any(one.presence is Presence.ALIVE and now - one.at <= FRESH_TIME for one in some)
+        }
+        return frozenset(pair for pair in alive if pair[0] < pair[1] and pair[::-1] in alive)
+
+
+def _has_all(parts: Mapping[tuple[int, int], tuple[MemberList, float]], echo: int) -> bool:
+    """True if all parts of the answer to one solicit are there."""
+    some = [word for (number, _), (word, _) in parts.items() if number == echo]
+    return bool(some) and len(some) >= some[0].parts

@@ -1,0 +1,99 @@
+"""How an operator finds the members of a swarm: solicits, links, and questions for statuses."""
+
+from __future__ import annotations
+
+import time
+
+from swarmd.core import codec
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder, encode, version_of
+from swarmd.core.keys import ANY, CONTROL
+from swarmd.core.messages import PeerView, StatusHeader
+from swarmd.core.verbs import MembersQuery
+from swarmd.network.operator.arrivals import Arrivals
+from swarmd.network.operator.discovery import Discovery
+from swarmd.network.operator.members_view import MembersView
+from swarmd.network.operator.operator_datagrams import OperatorDatagrams
+from swarmd.network.operator.operator_sessions import OperatorSessions
+from swarmd.network.operator.repeat_timer import SOLICIT_PACE, RepeatTimer
+
+POLL_PACE = ((0.2, 0.015), (float("inf"), 0.1))  # steps of a RepeatTimer
+# A look that needs no status asks for them only after this time, in s: it takes longer than most.
+STATUS_DELAY = 0.1
+MAX_EXCUSED = 512  # names in a question for members: they fit one request
+
+_header = Decoder(StatusHeader, any_version=True)
+
+
+class MemberSearch:
+    """Looks for members by the datagrams and sessions of an operator."""
+
+    def __init__(
+        self, datagrams: OperatorDatagrams, sessions: OperatorSessions, arrivals: Arrivals
+    ) -> None:
+        self._datagrams = datagrams
+        self._sessions = sessions
+        self._arrivals = arrivals
+
+    def look(
+        self, discovery: Discovery, timeout: float | None, cap: float, *, needs_status: bool
+    ) -> MembersView:
+        """The members, once `discovery`, which was just begun, is complete.
+
+        Else after `timeout` s; without a `timeout` once it is over, and after `cap` s at the
+        latest. Without `needs_status` a datagram is answer enough.
+        """
+        now = discovery.started
+        solicit, poll = RepeatTimer(now, SOLICIT_PACE), RepeatTimer(now, POLL_PACE)
+        until = None if timeout is None else now + timeout
+        ask_at = now if needs_status else now + STATUS_DELAY
+        over = RepeatTimer(now, ((float("inf"), 0.02),))
+        while True:
+            with self._arrivals.lock:
+                now, count = boottime(), self._arrivals.count
+                is_complete = discovery.is_complete(now)
+                is_late = until is not None and now >= until
+                is_over = until is None and (
+                    now - discovery.started >= cap or (over.is_due(now) and discovery.is_over(now))
+                )
+            if is_complete or is_late or is_over:
+                while is_complete and (wait := self._sessions.dial(discovery, now)) < float("inf"):
+                    time.sleep(wait)
+                    now = boottime()
+                with self._arrivals.lock:
+                    return discovery.result(now)
+            if solicit.is_due(now):
+                self._datagrams.solicit(discovery, now)
+            wait = self._sessions.dial(discovery, now)
+            if now >= ask_at and poll.is_due(now):
+                self._ask_members(discovery)
+            ends = [0.02 if until is None else until - now, wait]
+            self._arrivals.wait(count, min(solicit.pause(now), poll.pause(now), *ends))
+
+    def _ask_members(self, discovery: Discovery) -> None:
+        if not self._sessions.is_open:
+            return
+        from swarmd.network.carriers.session import MAX_WIRE
+
+        with self._arrivals.lock:
+            known = sorted(discovery.settled)
+        decode = Decoder(PeerView, MAX_WIRE)
+
+        def on_view(robot: str, payload: bytes) -> None:
+            if version_of(payload) != codec.VERSION:
+                return
+            view = decode(payload)
+            if view.robot == robot:
+                discovery.on_view(view, boottime())
+
+        def on_status(robot: str, payload: bytes) -> None:
+            header = _header(payload)
+            if header.robot == robot and version_of(payload) != codec.VERSION:
+                discovery.on_header(header, boottime())
+
+        query = encode(MembersQuery(answered=tuple(known[:MAX_EXCUSED])))
+        self._sessions.get(ANY, CONTROL, "members", query, 10.0, on_view)
+        with self._arrivals.lock:
+            others = discovery.of_other_version - set(known)
+        for robot in sorted(others):
+            self._sessions.get(robot, "state", "status", b"", 10.0, on_status)

@@ -1,0 +1,472 @@
+"""The operator's side: finds the members of a swarm, sends requests and collects the acks.
+
+Synchronous, without asyncio and numpy, since a command must start fast::
+
+    with Operator(settings) as operator:
+        view = operator.members()
+        outcome = operator.request(RunRequest, view.epochs(names), pattern="attraction")
+        outcome = operator.send_stop("estop", reason="...")
+
+Robots are found, stopped and emergency-stopped by datagrams. Everything else goes by Zenoh, on
+links that the operator dials to the addresses of the robots that it found. Threads of Zenoh and of
+the carrier only put what they receive into tables (`arrivals.py`); the caller's thread waits.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+import os
+import time
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from functools import partial
+from typing import TYPE_CHECKING, Any, Literal, Self, TypeVar
+
+from msgspec.structs import replace
+
+from swarmd.core.clock import boottime
+from swarmd.core.errors import ConfigError
+from swarmd.core.keys import ANY
+from swarmd.core.messages import Epoch
+from swarmd.core.verbs import AnyRequest
+from swarmd.network.access import may_ask
+from swarmd.network.datagram import (
+    ANY_SWARM,
+    Ack,
+    Address,
+    Beacon,
+    Datagram,
+    MemberList,
+    Solicit,
+    Stop,
+    Swarm,
+    pack,
+    tag_of,
+)
+from swarmd.network.operator.arrivals import Arrivals
+from swarmd.network.operator.discovery import DEV_WAIT, FIRST_ROBOT_TIMEOUT, Discovery
+from swarmd.network.operator.member_search import MemberSearch
+from swarmd.network.operator.members_view import MembersView
+from swarmd.network.operator.operator_datagrams import Carrier, OperatorDatagrams
+from swarmd.network.operator.operator_sessions import OperatorSessions
+from swarmd.network.operator.operator_text import (
+    operator_name,
+    request_reason,
+    sendable_name,
+    stop_reason,
+)
+from swarmd.network.operator.outcome import Outcome
+from swarmd.network.operator.repeat_timer import RepeatTimer
+from swarmd.network.operator.request_sender import REQUEST_WAIT, RequestSender, request_timeout
+from swarmd.network.settings import NetworkSettings
+from swarmd.network.spread.roster_follower import RosterFollower
+from swarmd.network.stops.stop_request import PendingStop, Renew, Select
+from swarmd.network.stops.stop_sender import StopSender
+from swarmd.security.identity import Identity, authority_of
+
+if TYPE_CHECKING:
+    from swarmd.network.operator.answers import Answers
+
+CLOSE_TIMEOUT = 0.2
+MAX_SWARMS = 256
+SWARMS_TIME = 0.3
+R = TypeVar("R", bound=AnyRequest)
+D = TypeVar("D")
+
+StopVerb = Literal["stop", "estop"]
+
+
+class Operator:
+    """An operator in a swarm; a context manager.
+
+    `settings` are those of the swarm. With an `identity` the swarm is secured, and the operator's
+    name is that of the identity. `roster` names robots that are expected even if no daemon
+    has seen them. `takes_rosters` False: it stays with the identity's roster. Raises
+    NetworkError in one line if the network cannot be used.
+    """
+
+    def __init__(
+        self,
+        settings: NetworkSettings,
+        *,
+        identity: Identity | None = None,
+        name: str | None = None,
+        roster: Iterable[str] = (),
+        carrier: Carrier | None = None,
+        takes_rosters: bool = True,
+    ) -> None:
+        settings.check()
+        self.settings = settings
+        self.identity = identity
+        whole = name or operator_name() if identity is None else identity.name
+        self.name = sendable_name(whole)
+        self._roster = frozenset(roster)
+        if identity is not None:
+            self._roster |= frozenset(identity.roster.robots)
+        self._discovery: Discovery | None = None
+        self._looked = MembersView({})
+        self._swarms: set[str] = set()
+        self._listeners: dict[type, Callable[[Any, float], object]] = {}
+        self._rosters = RosterFollower(self, is_on=takes_rosters)
+        self._arrivals = Arrivals()
+        self._sessions = OperatorSessions(settings, identity, self._arrivals)
+        tag = tag_of(settings.profile, settings.swarm, authority_of(identity))
+        self._datagrams = OperatorDatagrams(
+            carrier or self._open_carrier(tag),
+            tag,
+            settings.interface_name,
+            self._arrivals,
+            self._take,
+            answers=None if identity is None else self._answers_for(identity),
+        )
+        self._search = MemberSearch(self._datagrams, self._sessions, self._arrivals)
+        self._requests = RequestSender(self._sessions, self._arrivals)
+        self._stops = StopSender(self._datagrams, self._rosters, self._arrivals)
+        self._datagrams.start()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Leave the network, within 0.2 s: sessions that take longer are closed on a thread."""
+        with contextlib.suppress(Exception):
+            self._datagrams.carrier.close()
+        closing = self._sessions.close()
+        deadline = boottime() + CLOSE_TIMEOUT
+        for thread in closing:
+            thread.join(max(0.0, deadline - boottime()))
+
+    def trust_notes(self) -> tuple[str, ...]:
+        """Lines about robots whose keys do not fit those of this identity; for an answer."""
+        with self._arrivals.lock:
+            answers = self._datagrams.answers
+            if answers is None:
+                return ()
+            notes = list(self._unproven(answers.unproven))
+            for robot, (host, _) in sorted(answers.outdated.items()):
+                notes.append(f"{robot} at {host} seems to have an older roster, and is not counted")
+            if self._rosters.shown is not None:
+                robot, (host, _), generation = self._rosters.shown
+                notes.append(f"{robot} at {host} seems to have a newer roster, {generation}")
+            return tuple(notes)
+
+    @property
+    def notices(self) -> list[str]:
+        """Lines about rosters that were taken, or could not be, for the user."""
+        return self._rosters.notices
+
+    @property
+    def outdated(self) -> Mapping[str, Address]:
+        """The robots that were heard with an older roster than that of the identity, not proven."""
+        with self._arrivals.lock:
+            answers = self._datagrams.answers
+            return {} if answers is None else dict(answers.outdated)
+
+    def update_roster(self) -> bool:
+        """Take the newer roster that a robot has shown, or missing keys; True if any was taken.
+
+        `notices` gets a line. Raises NetworkError if the own name is no longer on it.
+        """
+        before = self.identity
+        self._rosters.update()
+        return self.identity is not before
+
+    def take_identity(self, identity: Identity) -> None:
+        """Ask with this identity from the next look on: with its keys, on links of its own.
+
+        An identity with the same roster, and keys of more robots, counts at once.
+        """
+        with self._arrivals.lock:
+            known, old = self._datagrams.answers, self.identity
+            if known is not None and old is not None and old.roster == identity.roster:
+                self.identity = identity
+                known.take_keys(identity)
+                return
+        answers = self._answers_for(identity)
+        with self._arrivals.lock:
+            self.identity = identity
+            self._datagrams.answers, self._rosters.shown = answers, None
+            self._roster |= frozenset(identity.roster.robots)
+        self._sessions.take_identity(identity)
+
+    def expect(self, names: Iterable[str]) -> None:
+        """Expect these robots as well, as if they were on the roster."""
+        self._roster |= frozenset(names)
+
+    # Looks
+
+    def members(
+        self,
+        *,
+        timeout: float | None = None,
+        cap: float = math.inf,
+        needs_status: bool = True,
+    ) -> MembersView:
+        """The members, once all that are expected have answered.
+
+        Else after `timeout` s, or without one after a time that follows from the round trip, and
+        after `cap` s at the latest. Without `needs_status` a datagram is answer enough: its beacon
+        has the epoch for a request. If robots are missing that may have a newer roster, it is
+        taken, and the look repeated.
+        """
+        view = self._look(timeout, cap, needs_status=needs_status)
+        if view.missing and self.update_roster():
+            view = self._look(timeout, cap, needs_status=needs_status)
+        return view
+
+    def _look(self, timeout: float | None, cap: float, *, needs_status: bool) -> MembersView:
+        discovery = self._new_discovery(boottime(), needs_status=needs_status)
+        self._looked = self._search.look(discovery, timeout, cap, needs_status=needs_status)
+        return self._looked
+
+    def seen(self) -> MembersView:
+        """The members as the last look or stop has found them by now."""
+        now = boottime()
+        with self._arrivals.lock:
+            return (self._discovery or Discovery(now, self._roster)).result(now)
+
+    def links(self) -> frozenset[tuple[str, str]]:
+        """Pairs of robots that reported each other as alive to the last look."""
+        with self._arrivals.lock:
+            return frozenset() if self._discovery is None else self._discovery.links(boottime())
+
+    def ways(self, robot: str) -> tuple[str, ...]:
+        """By which ways beacons of a robot came lately; empty without any, and by routers."""
+        from swarmd.network.carriers.udp import UdpCarrier
+
+        now = boottime()
+        with self._arrivals.lock:
+            found = {} if self._discovery is None else self._discovery.to_dial(now)
+            addresses = [address for (name, _), address in found.items() if name == robot]
+        carrier = self._datagrams.carrier
+        if not isinstance(carrier, UdpCarrier):
+            return ()
+        return tuple(way for one in addresses[:1] for way in carrier.ways.of(one, now))
+
+    def swarms(self, *, timeout: float = SWARMS_TIME) -> tuple[str, ...]:
+        """The names of all swarms within reach, for an operator who finds no member of this one."""
+        pace = RepeatTimer(boottime(), ((float("inf"), 0.1),))
+        while pace.age(now := boottime()) < timeout:
+            if pace.is_due(now):
+                self._datagrams.carrier.send(pack(ANY_SWARM, Solicit(echo=0)))
+            time.sleep(pace.pause(now))
+        with self._arrivals.lock:
+            return tuple(sorted(self._swarms))
+
+    def watch(self, name: str, handler: Callable[[str, bytes], object], robot: str = ANY) -> None:
+        """Hand what robots publish on `state/<name>` to `handler`, with the robot's name.
+
+        On Zenoh's threads, for robots that are found now and by later looks. `unwatch` ends it.
+        """
+        self._sessions.watch(name, handler, robot)
+
+    def unwatch(self, name: str, robot: str = ANY) -> None:
+        """End what `watch` began."""
+        self._sessions.unwatch(name, robot)
+
+    def listen(self, kind: type[D], handler: Callable[[D, float], object] | None) -> None:
+        """Hand datagrams of a kind to `handler` with the time, on the carrier's thread; None ends.
+
+        The handler must not block and takes no lock.
+        """
+        with self._arrivals.lock:
+            self._listeners.pop(kind, None)
+            if handler is not None:
+                self._listeners[kind] = handler
+
+    def send_to_robots(self, make: Callable[[], Datagram], robots: Collection[str]) -> None:
+        """Send a datagram, made anew for each, to robots that the last look has found."""
+        with self._arrivals.lock:
+            found = {} if self._discovery is None else self._discovery.to_dial(boottime())
+        for (robot, _), address in found.items():
+            if robot in robots:
+                self._datagrams.send(make(), (address,), is_to_all=False)
+
+    # Requests
+
+    def request(
+        self,
+        kind: type[AnyRequest],
+        targets: Mapping[str, Epoch | None],
+        *,
+        timeout: float | None = None,
+        least: float = REQUEST_WAIT,
+        **fields: Any,
+    ) -> Outcome:
+        """Send a request to the robots in `targets`, with the epoch that was seen of each.
+
+        `fields` are those of `kind`. Repeated under one id to each robot without a reply. Returns
+        as soon as all have answered, else after `timeout` s, or by default after `least` s and more
+        by the round trip and the loss. Robots that the last look, and all that was heard since,
+        show unreachable or gone count as missing and are not waited for. ConfigError if the role of
+        the own identity does not permit it: robots would refuse it silently.
+        """
+        self._check_role(str(kind.__struct_config__.tag))
+        view, fresh = self._looked, self.seen()
+        asked = {
+            name: epoch
+            for name, epoch in targets.items()
+            if view.is_in_reach(name) or fresh.is_in_reach(name)
+        }
+        request = self._new(kind, targets=asked, **fields)
+        if timeout is None:
+            timeout = request_timeout(view, least)
+        outcome, linked = self._requests.send(
+            request, targets, asked, view, self._discovery, timeout
+        )
+        return replace(outcome, mute=self._mute(linked, outcome.missing))
+
+    def ask(self, robot: str, name: str, payload: bytes = b"", *, timeout: float) -> bytes | None:
+        """The answer of one robot to a query of `control/<name>`, which moves nothing.
+
+        Repeated while there is none, for `timeout` s; None without an answer. Call `members` first.
+        ConfigError as `request`.
+        """
+        return self.ask_all((robot,), name, payload, timeout=timeout).get(robot)
+
+    def ask_all(
+        self, robots: Iterable[str], name: str, payload: bytes = b"", *, timeout: float
+    ) -> dict[str, bytes]:
+        """As `ask`, for several robots at once: the answers of those that did answer."""
+        self._check_role(name)
+        return self._requests.ask(robots, name, payload, timeout)
+
+    def send_stop(
+        self,
+        verb: StopVerb,
+        *,
+        select: Select | None = None,
+        names: Collection[str] = (),
+        reason: str = "",
+        timeout: float | None = None,
+        until_all: bool = False,
+        on_progress: Callable[[tuple[str, ...]], None] = lambda missing: None,
+        is_ended: Callable[[], bool] = lambda: False,
+    ) -> Outcome:
+        """Stop or estop by datagrams: sent at once, repeated until each expected robot has acked.
+
+        `select` picks robots from the names known so far and is called again as more appear, beside
+        `names`; None: all. An estop of all is swarm-wide: robots that join take it over. `reason`
+        is kept with an estop. It ends after `timeout` s, or after a time that follows from the
+        round trip; with `until_all` only when all have acked, when `is_ended` returns True, or at a
+        KeyboardInterrupt, which is an end like any other. `on_progress` takes the robots without an
+        ack, when they change.
+        """
+        self._check_role(verb)
+        now = boottime()
+        discovery = self._new_discovery(now)
+        stop = Stop(
+            id=os.urandom(6).hex(),
+            verb=verb,
+            operator=self.name,
+            scope="swarm" if select is None else "robots",
+            reason=stop_reason(reason) if verb == "estop" else "",
+        )
+        renew: Renew | None = None
+        if self.identity is not None:
+            from swarmd.network.stops.stop_origin import StopOrigin
+
+            numbers = StopOrigin(self.identity.folder)
+            origin, counter = numbers.next()
+            stop = replace(stop, origin=origin, counter=counter)
+            renew = partial(numbers.next, is_new=True)
+        pending = PendingStop(stop, discovery, now, select=select, names=names, renew=renew)
+        outcome = self._stops.send(
+            pending,
+            discovery,
+            None if timeout is None or until_all else now + timeout,
+            until_all=until_all,
+            on_progress=on_progress,
+            is_ended=is_ended,
+        )
+        with self._arrivals.lock:
+            return replace(outcome, warnings=(*outcome.warnings, *self._unproven(outcome.missing)))
+
+    # Parts
+
+    def _unproven(self, robots: Collection[str]) -> Iterator[str]:
+        """A warning about robots that were heard and whose answers this identity cannot prove."""
+        answers = self._datagrams.answers
+        unproven = set() if answers is None else answers.unproven.keys() & set(robots)
+        if unproven:
+            yield (
+                f"{', '.join(sorted(unproven))}: heard, not proven and not counted: this identity"
+                " has no key of them, and they handed over none; install its new bundle"
+            )
+
+    def _check_role(self, verb: str) -> None:
+        """Raise ConfigError if the role of the own identity does not permit a verb."""
+        one = self.identity
+        if one is not None and not may_ask(one.role, verb):
+            raise ConfigError(
+                f"{one.name} is a {one.role} of swarm {self.settings.swarm}, which may only look;"
+                f" {verb} needs the identity of an operator; nothing was sent"
+            )
+
+    def _mute(self, linked: Collection[str], missing: Collection[str]) -> tuple[str, ...]:
+        """Those of `missing` that answer this operator otherwise, in a secured swarm."""
+        if self.identity is None:
+            return ()
+        return tuple(sorted((self._looked.answered | set(linked)) & set(missing)))
+
+    def _open_carrier(self, tag: bytes) -> Carrier:
+        settings = self.settings
+        if settings.profile != "routed":
+            from swarmd.network.carriers.udp import UdpCarrier
+
+            return UdpCarrier(settings, tag, is_secured=self.identity is not None)
+        from swarmd.network.carriers.routed import RoutedCarrier
+
+        session = self._sessions.open()
+        return RoutedCarrier(session, settings.swarm, f"operator-{os.urandom(6).hex()}")
+
+    def _answers_for(self, identity: Identity) -> Answers:
+        from swarmd.network.operator.answers import Answers
+
+        rosters = self._rosters
+        lease = self.settings.lease_seconds
+        return Answers(identity, lease, rosters.on_shown, rosters.on_missing_key)
+
+    def _new(self, kind: type[R], **fields: Any) -> R:
+        if "reason" in fields:
+            fields["reason"] = request_reason(fields["reason"])
+        return kind(id=os.urandom(6).hex(), operator=self.name, **fields)
+
+    def _new_discovery(self, now: float, *, needs_status: bool = True) -> Discovery:
+        wait = DEV_WAIT if self.settings.profile == "dev" else FIRST_ROBOT_TIMEOUT
+        with self._arrivals.lock:
+            earlier = None if self._discovery is None else self._discovery.result(now)
+            discovery = Discovery(
+                now,
+                self._roster,
+                first_robot_timeout=wait,
+                earlier=earlier,
+                is_local=self.settings.interface_name == "lo",
+                is_secured=self.identity is not None,
+                needs_status=needs_status,
+            )
+            self._discovery = discovery
+        return discovery
+
+    def _take(self, body: Datagram, source: Address, now: float) -> bool:
+        """Note what a datagram tells; False if no call waits for it."""
+        if isinstance(body, Swarm):
+            if len(self._swarms) < MAX_SWARMS:
+                self._swarms.add(body.swarm)
+            return False
+        if isinstance(body, Ack):
+            return self._stops.on_ack(body, now)
+        if listener := self._listeners.get(type(body)):
+            listener(body, now)
+        if self._discovery is None:
+            return False
+        if isinstance(body, Beacon):
+            self._discovery.on_beacon(body, source, now)
+        elif isinstance(body, MemberList):
+            self._discovery.on_member_list(body, now)
+        else:
+            return False
+        return True

@@ -1,0 +1,132 @@
+"""The datagrams of an operator: signed and sent by a carrier, verified when they arrive."""
+
+from __future__ import annotations
+
+import os
+import socket
+from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING, Protocol
+
+from swarmd.core.clock import boottime
+from swarmd.core.errors import CodecError
+from swarmd.network.datagram import (
+    Address,
+    Beacon,
+    Datagram,
+    OnDatagram,
+    Solicit,
+    Swarm,
+    pack,
+    unpack,
+)
+from swarmd.network.operator.arrivals import Arrivals
+from swarmd.network.operator.discovery import Discovery
+
+if TYPE_CHECKING:
+    from swarmd.network.operator.answers import Answers
+
+OnBody = Callable[[Datagram, Address, float], bool]
+"""Takes a datagram, its source and the time, with the lock held; True if it is worth a wake-up."""
+
+
+class Carrier(Protocol):
+    """What carries datagrams; see `udp.UdpCarrier`."""
+
+    def send(self, payload: bytes) -> None:
+        """Send to all."""
+
+    def send_to(self, payload: bytes, address: Address) -> None:
+        """Send to one address."""
+
+    def confirm(self, source: Address) -> None:
+        """The last beacon from this source counts, in a secured swarm."""
+
+    def start_thread(self, on_datagram: OnDatagram) -> None:
+        """Hand what arrives to `on_datagram`."""
+
+    def close(self) -> None:
+        """End."""
+
+
+def reachable(address: Address, interface: str) -> Address:
+    """The address, with the scope of this machine's interface if it is local to the link."""
+    host, port = address
+    if not host.lower().startswith("fe80:"):
+        return address
+    try:
+        index = socket.if_nametoindex(interface)
+    except OSError:
+        return address
+    return f"{host.partition('%')[0]}%{index}", port
+
+
+class OperatorDatagrams:
+    """Sends and verifies the datagrams of one swarm.
+
+    `answers`: the keys of the operator at work, in a secured swarm; they change under the lock of
+    `arrivals`. `on_body` takes what counts, on the carrier's thread, from `start` on.
+    """
+
+    def __init__(
+        self,
+        carrier: Carrier,
+        tag: bytes,
+        interface: str,
+        arrivals: Arrivals,
+        on_body: OnBody,
+        *,
+        answers: Answers | None = None,
+    ) -> None:
+        self.carrier = carrier
+        self.answers = answers
+        self._tag = tag
+        self._interface = interface
+        self._arrivals = arrivals
+        self._on_body = on_body
+        self._echo = int.from_bytes(os.urandom(6), "big")
+
+    def start(self) -> None:
+        """Take what arrives."""
+        self.carrier.start_thread(self._on_datagram)
+
+    def send(
+        self, body: Datagram, addresses: Iterable[Address] = (), *, is_to_all: bool = True
+    ) -> None:
+        """Send a datagram to all, and to each of these addresses."""
+        payload = pack(self._tag, body)
+        if self.answers is not None:
+            payload = self.answers.sign(payload)
+        if is_to_all:
+            self.carrier.send(payload)
+        for address in addresses:
+            self.carrier.send_to(payload, reachable(address, self._interface))
+
+    def solicit(self, discovery: Discovery, now: float) -> None:
+        """Ask robots for beacons, and for member lists if they are due."""
+        self._echo += 1
+        with self._arrivals.lock:
+            if self.answers is not None:
+                self.answers.liveness.note_echo(self._echo, now)
+            discovery.on_solicit(self._echo, now)
+            wants_members = discovery.wants_members(now)
+            addresses = discovery.to_solicit()
+        self.send(Solicit(echo=self._echo, wants_members=wants_members), addresses)
+
+    def _on_datagram(self, payload: bytes, source: Address, waited: float) -> None:
+        """A datagram came, on the carrier's thread."""
+        try:
+            body = unpack(self._tag, payload)
+        except CodecError:
+            return
+        if body is None:
+            return
+        with self._arrivals.lock:
+            now = boottime()
+            if self.answers is not None and not isinstance(body, Swarm):
+                body = self.answers.admit(body, payload, source, now)
+                if body is None:
+                    return
+                if isinstance(body, Beacon):
+                    self.carrier.confirm(source)
+            if self._on_body(body, source, now):
+                self._arrivals.notify()

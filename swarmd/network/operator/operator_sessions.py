@@ -1,0 +1,240 @@
+"""The Zenoh sessions of an operator: links to the robots that it found, queries, subscriptions."""
+
+from __future__ import annotations
+
+import contextlib
+import threading
+from collections.abc import Callable, Collection
+from typing import TYPE_CHECKING
+
+from swarmd.core.errors import CodecError, NetworkError
+from swarmd.core.keys import ANY, ANYONE, CONTROL, build, parse
+from swarmd.network.carriers.query_links import QueryLinks
+from swarmd.network.datagram import Address
+from swarmd.network.operator.arrivals import Arrivals
+from swarmd.network.operator.discovery import Discovery
+from swarmd.network.operator.operator_datagrams import reachable
+from swarmd.network.settings import NetworkSettings
+from swarmd.network.spread.roster_follower import CLOSING
+from swarmd.security.identity import Identity
+
+if TYPE_CHECKING:
+    import zenoh
+
+# Robots found within this time of each other are dialled together, in s.
+GATHER_TIME = 0.004
+# Sessions at a time, and the time before a second one, in s; it doubles with each.
+MAX_SESSIONS, DIAL_PERIOD = 8, 0.01
+# A robot that is heard and does not answer is dialled again after this time, in s and round trips.
+REDIAL_WAIT, REDIAL_TRIPS = 1.5, 5.0
+
+Handler = Callable[[str, bytes], object]
+"""Takes the robot and the payload of a reply or sample; may raise CodecError."""
+
+
+class OperatorSessions:
+    """Sessions to the robots of one swarm. `identity`: whose links and queries they are."""
+
+    def __init__(
+        self, settings: NetworkSettings, identity: Identity | None, arrivals: Arrivals
+    ) -> None:
+        self._identity = identity
+        self._settings = settings
+        self._asker = ANYONE if identity is None else identity.name
+        self._arrivals = arrivals
+        self._opened: list[zenoh.Session] = []
+        self._dial_at = 0.0
+        self._wanted_at: float | None = None
+        self._dialled: dict[tuple[str, str], tuple[Address, float]] = {}
+        self._watched: dict[tuple[str, str], Handler] = {}
+        self._subscribers: dict[tuple[str, str], list[zenoh.Subscriber[None]]] = {}
+
+    @property
+    def needs_links(self) -> bool:
+        """True if robots are dialled; False if routers link all."""
+        return self._settings.profile != "routed"
+
+    @property
+    def is_open(self) -> bool:
+        """True if there is a session."""
+        return bool(self._opened)
+
+    def open(self) -> zenoh.Session:
+        """Open a session that dials no robot."""
+        from swarmd.network.carriers.session import open_operator_session
+
+        session = open_operator_session(self._settings, (), self._identity)
+        self._opened.append(session)
+        return session
+
+    def take_identity(self, identity: Identity) -> None:
+        """Dial as this identity from now on; a session to routers stays, since its carrier uses it.
+
+        The roster sets the access rules of sessions that dial robots, and of no other.
+        """
+        self._identity = identity
+        if self.needs_links:
+            self.close()
+
+    def close(self) -> list[threading.Thread]:
+        """Close all sessions, each on a thread; robots are dialled anew afterwards."""
+        closing = [
+            threading.Thread(target=_close, args=(session,), name=CLOSING, daemon=True)
+            for session in self._opened
+        ]
+        self._opened.clear()
+        self._dialled.clear()
+        for thread in closing:
+            thread.start()
+        return closing
+
+    # Links
+
+    def dial(self, discovery: Discovery, now: float, only: Collection[str] | None = None) -> float:
+        """Dial the robots that were found; the time until it is to be called again, in s.
+
+        `only` None: all of them, again if their status does not come.
+        """
+        with self._arrivals.lock:
+            found = discovery.to_dial(now)
+            if only is not None:
+                found = {who: address for who, address in found.items() if who[0] in only}
+            answered = discovery.settled if only is None else frozenset[str]()
+            trip = discovery.round_trip
+        again = REDIAL_WAIT + REDIAL_TRIPS * trip
+        wanted: dict[tuple[str, str], Address] = {}
+        for who, address in found.items():
+            known, at = self._dialled.get(who, (None, 0.0))
+            is_late = who[0] not in answered and now - max(at, discovery.started) >= again
+            if known != address or is_late:
+                wanted[who] = address
+        if not wanted or not self.needs_links:
+            self._wanted_at = None
+            return float("inf")
+        self._wanted_at = now if self._wanted_at is None else self._wanted_at
+        gathered = min(discovery.found_at + GATHER_TIME, self._wanted_at + 10 * GATHER_TIME)
+        due = max(gathered, self._dial_at)
+        if now < due:
+            return due - now
+        if len(self._opened) >= MAX_SESSIONS:
+            self.close()
+            wanted = dict(found)
+        interface = self._settings.interface_name
+        endpoints = sorted({_endpoint(reachable(one, interface)) for one in wanted.values()})
+        opened = self._open_to(endpoints)
+        self._opened += opened
+        for session in opened:
+            for name, robot in self._watched:
+                self._subscribe(session, name, robot)
+        self._dialled.update({who: (address, now) for who, address in wanted.items()})
+        self._dial_at = now + DIAL_PERIOD * 2 ** len(self._opened)
+        return float("inf")
+
+    def linked(self, links: QueryLinks, robots: Collection[str]) -> set[str]:
+        """Those of `robots` that a query reaches by now."""
+        return links.of(robots, self._opened)
+
+    def _open_to(self, endpoints: list[str]) -> list[zenoh.Session]:
+        """One session, or several without those endpoints that Zenoh refuses."""
+        from swarmd.network.carriers.session import open_operator_session
+
+        try:
+            return [open_operator_session(self._settings, endpoints, self._identity)]
+        except NetworkError:
+            if len(endpoints) < 2:
+                return []
+            half = len(endpoints) // 2
+            first, second = endpoints[:half], endpoints[half:]
+            return [*self._open_to(first), *self._open_to(second)]
+
+    # Queries
+
+    def question_links(self, name: str) -> QueryLinks:
+        """Tells which robots take `control/<name>` from this operator; to be closed."""
+        return QueryLinks(build(self._settings.swarm, ANY, CONTROL, name, self._asker))
+
+    def get(
+        self, robot: str, plane: str, name: str, payload: bytes, timeout: float, handler: Handler
+    ) -> None:
+        """Query a key in every session; `handler` takes each reply, with the lock held.
+
+        Queries use DROP, since a reply inherits the query's congestion control and must not block
+        a daemon's loop; a query that may get lost is repeated.
+        """
+        import zenoh
+        from zenoh.handlers import Callback
+
+        from swarmd.network.carriers.session import MAX_WIRE
+
+        asker = self._asker if plane == CONTROL else ""
+
+        def on_reply(reply: zenoh.Reply) -> None:
+            sample = reply.ok
+            if sample is None or len(sample.payload) > MAX_WIRE:
+                return
+            key = parse(str(sample.key_expr))
+            if key is None or (key.swarm, *key[2:]) != (self._settings.swarm, plane, name, asker):
+                return
+            answer = sample.payload.to_bytes()
+            with self._arrivals.lock, contextlib.suppress(CodecError):
+                handler(key.robot, answer)
+                self._arrivals.notify()
+
+        for session in self._opened:
+            with contextlib.suppress(zenoh.ZError):
+                session.get(
+                    build(self._settings.swarm, robot, plane, name, asker),
+                    Callback(on_reply, indirect=False),
+                    target=zenoh.QueryTarget.ALL,
+                    consolidation=zenoh.ConsolidationMode.NONE,
+                    congestion_control=zenoh.CongestionControl.DROP,
+                    priority=zenoh.Priority.INTERACTIVE_HIGH,
+                    express=True,
+                    timeout=timeout,
+                    payload=payload,
+                    source_info=zenoh.SourceInfo(session.id, 0),  # for the robot's log
+                )
+
+    # Subscriptions
+
+    def watch(self, name: str, handler: Handler, robot: str) -> None:
+        """Hand what robots publish on `state/<name>` to `handler`, in later sessions as well."""
+        self._watched[name, robot] = handler
+        for session in self._opened:
+            self._subscribe(session, name, robot)
+
+    def unwatch(self, name: str, robot: str) -> None:
+        """End what `watch` began."""
+        from swarmd.network.carriers.session import undeclare
+
+        self._watched.pop((name, robot), None)
+        undeclare(*self._subscribers.pop((name, robot), ()))
+
+    def _subscribe(self, session: zenoh.Session, name: str, robot: str) -> None:
+        import zenoh
+
+        from swarmd.network.carriers.session import MAX_WIRE
+
+        handler, swarm = self._watched[name, robot], self._settings.swarm
+
+        def on_sample(sample: zenoh.Sample) -> None:
+            key = parse(str(sample.key_expr))
+            if key is None or (key.swarm, key.plane, key.name) != (swarm, "state", name):
+                return
+            if len(sample.payload) <= MAX_WIRE:
+                with contextlib.suppress(CodecError):
+                    handler(key.robot, sample.payload.to_bytes())
+
+        with contextlib.suppress(zenoh.ZError):
+            one = session.declare_subscriber(build(swarm, robot, "state", name), on_sample)
+            self._subscribers.setdefault((name, robot), []).append(one)
+
+
+def _endpoint(address: Address) -> str:
+    host, port = address
+    return f"tcp/[{host}]:{port}" if ":" in host else f"tcp/{host}:{port}"
+
+
+def _close(session: zenoh.Session) -> None:
+    with contextlib.suppress(Exception):  # whatever it is, the answer is out already
+        session.close()

@@ -1,0 +1,68 @@
+"""One robot as an operator sees it, from its beacons, its status and reports of others. Pure."""
+
+from __future__ import annotations
+
+from swarmd.core import codec
+from swarmd.core.messages import Epoch, Presence, Status, StatusHeader
+from swarmd.network.datagram import STATES
+from swarmd.network.operator.beacon_table import HeardInstance
+from swarmd.network.operator.member_reports import Report
+from swarmd.network.operator.members_view import Contact, SeenMember
+from swarmd.network.operator.status_table import Answer
+
+INDIRECT_TIME = 10.0  # s after others heard a robot, in which it counts
+
+
+def present_member(
+    robot: str, heard: HeardInstance | None, answer: Answer | None, now: float
+) -> SeenMember:
+    """A robot that is heard, or that answered."""
+    status = answer.status if answer is not None else None
+    at = answer.at if answer is not None else heard.last if heard is not None else now
+    beacon = heard.beacon if heard is not None else None
+    contact = Contact.ANSWERED if isinstance(status, Status) else Contact.NO_ANSWER
+    if isinstance(status, StatusHeader) or (beacon and beacon.wire != codec.VERSION):
+        contact = Contact.OTHER_VERSION
+    epoch = None if beacon is None else Epoch(beacon.instance.hex(), beacon.revision)
+    shown = STATES[beacon.state] if beacon and beacon.state < len(STATES) else ""
+    return SeenMember(
+        robot=robot,
+        instance=status.instance if status else beacon.instance.hex() if beacon else "unknown",
+        presence=Presence.ALIVE,
+        age=max(now - at, 0.0),
+        status=status if isinstance(status, Status) else None,
+        contact=contact,
+        state=status.state if status else shown,
+        wire=beacon.wire if beacon else None,
+        version=status.version if status else heard.version if heard else "",
+        header=status if isinstance(status, StatusHeader) else None,
+        epoch=status.epoch if isinstance(status, Status) else epoch,
+    )
+
+
+def silent_member(
+    robot: str,
+    heard: HeardInstance | None,
+    answer: Answer | None,
+    report: Report | None,
+    now: float,
+) -> SeenMember | None:
+    """A robot that is not heard now; `report`: the most certain one on it. None: it is not known.
+
+    It is alive if others heard it lately; it failed if its last beacon is newer than the report.
+    """
+    if heard is not None and (report is None or report.at <= heard.last):
+        report = Report(heard.beacon.instance.hex(), Presence.FAILED, heard.last)
+    if report is None:
+        return None
+    is_alive = report.presence is Presence.ALIVE and now - report.at <= INDIRECT_TIME
+    presence = Presence.FAILED if report.presence is Presence.ALIVE else report.presence
+    return SeenMember(
+        robot=robot,
+        instance=report.instance,
+        presence=Presence.ALIVE if is_alive else presence,
+        age=max(now - report.at, 0.0),
+        status=answer.status if answer and isinstance(answer.status, Status) else None,
+        contact=Contact.UNREACHABLE if is_alive else Contact.GONE,
+        by=report.by,
+    )

@@ -1,0 +1,72 @@
+"""The statuses with which robots answered an operator, by robot and instance. Pure."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, KeysView, Mapping
+
+from msgspec import Struct
+
+from swarmd.core.messages import Member, Presence, Status, StatusHeader
+from swarmd.network.operator.beacon_table import MAX_INSTANCES
+
+
+class Answer(Struct, frozen=True):
+    """A robot's status, or what is read of another version's, and its members; `at` in s."""
+
+    status: Status | StatusHeader
+    members: tuple[Member, ...]
+    at: float
+
+
+class StatusTable:
+    """The newest answer of each instance."""
+
+    def __init__(self) -> None:
+        self._answers: dict[str, dict[str, Answer]] = {}
+
+    def add(self, robot: str, answer: Answer) -> bool:
+        """Keep an answer; True if that instance had not answered."""
+        known = self._answers.setdefault(robot, {})
+        instance = answer.status.instance
+        is_new = instance not in known
+        if not is_new or len(known) < MAX_INSTANCES:
+            known[instance] = answer
+            return is_new
+        return False
+
+    def drop(self, robot: str, instance: str) -> None:
+        """Drop the answer of an instance that left."""
+        self._answers.get(robot, {}).pop(instance, None)
+
+    @property
+    def robots(self) -> KeysView[str]:
+        """The robots of which an instance answered, also if it left."""
+        return self._answers.keys()
+
+    def instances(self, robot: str) -> Mapping[str, Answer]:
+        """The answers of the instances of a robot that did not leave."""
+        return self._answers.get(robot, {})
+
+    def newest(self, robot: str, living: Collection[str]) -> Answer | None:
+        """The newest answer of a robot; of an instance in `living`, if there are any."""
+        answers = self.instances(robot).values()
+        some = [one for one in answers if not living or one.status.instance in living]
+        return max(some, key=lambda one: one.at, default=None)
+
+    def statuses(self) -> Iterator[tuple[str, Status, tuple[Member, ...]]]:
+        """The robot, the status and the members of each answer of this version."""
+        for robot, answers in self._answers.items():
+            for one in answers.values():
+                if isinstance(one.status, Status):
+                    yield robot, one.status, one.members
+
+    def agree(self, robots: Collection[str]) -> bool:
+        """True if two robots or more answered, and each has all of `robots` as alive members."""
+        views = [(robot, members) for robot, _, members in self.statuses()]
+        if len(robots) < 2 or len(views) < 2:
+            return False
+        return all(
+            set(robots)
+            <= {robot} | {one.robot for one in members if one.presence is Presence.ALIVE}
+            for robot, members in views
+        )

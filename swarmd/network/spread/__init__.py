@@ -1,0 +1,1 @@
+"""What spreads among robots: goals, latches, rosters, and pulled blobs."""

@@ -1,0 +1,283 @@
+"""A robot or operator pulls a named blob from a peer: a roster, a table or a behaviour.
+
+Robots have no links to each other. A pull opens a short session to the address of one peer, asks
+for pieces on `swarm/<swarm>/<peer>/shared/<what>/<asker>`, compares the SHA-256 of the whole, and
+closes the session. A daemon pulls one blob at a time, and no more often than PULL_RATE.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import hashlib
+import logging
+from collections.abc import Callable
+from contextlib import suppress
+from functools import partial
+from typing import Annotated
+
+import zenoh
+from msgspec import Meta, Struct
+
+from swarmd.core.bounds import Count, Line, Word
+from swarmd.core.clock import boottime
+from swarmd.core.codec import Decoder, encode
+from swarmd.core.errors import CodecError, NetworkError
+from swarmd.core.keys import SHARED, build
+from swarmd.core.threads import hand_over
+from swarmd.core.token_bucket import TokenBucket
+from swarmd.network.carriers.bus import Query, ZenohBus
+from swarmd.network.carriers.inbound_queue import FAILED, DropCounter
+from swarmd.network.carriers.session import open_in_thread, open_pull_session
+from swarmd.network.datagram import Address
+from swarmd.network.settings import NetworkSettings
+from swarmd.security.identity import Identity
+
+log = logging.getLogger(__name__)
+
+PIECE = 64 * 1024
+"""Bytes of one answer; a whole blob exceeds what one message may have on a narrow link."""
+MAX_BLOB = 1024 * 1024
+PULL_TIMEOUT = 20.0  # s for a whole blob, with the opening of the session
+PIECE_TIMEOUT = 2.0  # s for one piece; then it is asked for again
+PULL_RATE, PULL_BURST = 1.0, 4.0  # pulls a second
+SERVE_RATE, SERVE_BURST = 64.0, 64.0  # pieces a second
+MAX_ASKERS = 64
+MAX_SERVING = 4  # pieces that are read from the disk at a time
+DIGEST_BYTES = 32
+
+Blob = bytes | None
+Provider = Callable[[str, str], Blob]
+"""(name, asker) to the blob of that name; None if it is not here. It is called in a thread.
+
+In a secured swarm the link has proved the asker.
+"""
+
+
+class PullQuery(Struct, frozen=True, kw_only=True):
+    """Asks for `length` bytes of the blob `name` from `offset` on."""
+
+    name: Word = ""
+    offset: Count = 0
+    length: Annotated[int, Meta(gt=0, le=PIECE)] = PIECE
+
+
+class PullReply(Struct, frozen=True, kw_only=True):
+    """A piece of a blob; `size` and SHA-256 (`digest`) of the whole; `text`: why not."""
+
+    size: Count = 0
+    offset: Count = 0
+    data: Annotated[bytes, Meta(max_length=PIECE)] = b""
+    digest: Annotated[bytes, Meta(max_length=DIGEST_BYTES)] = b""
+    text: Line = ""
+
+
+_query = Decoder(PullQuery)
+_reply = Decoder(PullReply, 2 * PIECE)
+
+
+# The side that asks
+
+
+class Puller:
+    """Pulls blobs for one daemon, one at a time; `asker` is its own name. Use it on the loop.
+
+    `drops` counts the blobs that cannot be taken because of an error.
+    """
+
+    def __init__(
+        self,
+        settings: NetworkSettings,
+        asker: str,
+        identity: Identity | None = None,
+        *,
+        drops: DropCounter,
+    ) -> None:
+        self.settings = settings
+        self._drops = drops
+        self._identity = identity
+        self._asker = asker
+        self._rate = TokenBucket(PULL_RATE, PULL_BURST)
+        self._task: asyncio.Task[None] | None = None
+
+    def pull(
+        self,
+        peer: str,
+        address: Address,
+        what: str,
+        name: str = "",
+        *,
+        limit: int = MAX_BLOB,
+        digest: bytes | None = None,
+        on_done: Callable[[Blob, str], object],
+    ) -> bool:
+        """Begin to pull `what` from `peer`, unless another pull is under way or came just before.
+
+        `on_done` gets the blob, or None and the reason. `digest`: the SHA-256 that is wanted. False
+        if it was not begun; the caller tries again later.
+        """
+        if self._task is not None or not self._rate.take(1.0, boottime()):
+            return False
+
+        async def run() -> None:
+            blob, why = None, FAILED
+            with self._drops.refusing(f"shared/{what}"):
+                try:
+                    blob = await pull(
+                        self.settings,
+                        peer,
+                        address,
+                        what,
+                        self._asker,
+                        name=name,
+                        limit=limit,
+                        digest=digest,
+                        identity=self._identity,
+                    )
+                except (NetworkError, TimeoutError) as error:
+                    why = str(error) or f"{peer} did not hand it over within {PULL_TIMEOUT:.0f} s"
+            self._task = None
+            with self._drops.refusing(f"shared/{what}"):
+                on_done(blob, why)
+
+        self._task = asyncio.get_running_loop().create_task(run())
+        return True
+
+    def take_identity(self, identity: Identity) -> None:
+        """Ask as this identity from now on."""
+        self._identity = identity
+
+    def close(self) -> None:
+        """Cancel the pull under way; `on_done` is not called."""
+        if self._task is not None:
+            self._task.cancel()
+            self._task = None
+
+
+async def pull(
+    settings: NetworkSettings,
+    peer: str,
+    address: Address,
+    what: str,
+    asker: str,
+    *,
+    name: str = "",
+    limit: int = MAX_BLOB,
+    digest: bytes | None = None,
+    identity: Identity | None = None,
+    timeout: float = PULL_TIMEOUT,
+) -> bytes:
+    """The blob `name` that `peer` shares as `what`.
+
+    Raises NetworkError in one line if the peer is not reached, does not have it, or sends more than
+    `limit` bytes or other bytes than `digest`; TimeoutError after `timeout` s.
+    """
+    key = build(settings.swarm, peer, SHARED, what, asker)
+    async with asyncio.timeout(timeout):
+        session = await open_in_thread(partial(open_pull_session, settings, address, identity))
+        try:
+            return await _pieces(session, key, f"{peer}: {what}", name, limit, digest)
+        finally:
+            asyncio.get_running_loop().run_in_executor(None, _close, session)
+
+
+async def _pieces(
+    session: zenoh.Session, key: str, label: str, name: str, limit: int, digest: bytes | None
+) -> bytes:
+    content, first = bytearray(), None
+    while first is None or len(content) < first.size:
+        reply = await _piece(session, key, PullQuery(name=name, offset=len(content)))
+        if reply is None:
+            continue  # it was lost, or the peer is busy; the caller's time is bounded
+        first = first or reply
+        if reply.text:
+            raise NetworkError(f"{label}: {reply.text}")
+        if reply.size > limit:
+            raise NetworkError(f"{label} has {reply.size} bytes; at most {limit} are taken")
+        is_next = reply.offset == len(content) and (reply.data or not reply.size)
+        if not is_next or (reply.size, reply.digest) != (first.size, first.digest):
+            raise NetworkError(f"{label} changed while it was pulled")
+        content += reply.data
+    whole = bytes(content)
+    found = hashlib.sha256(whole).digest()
+    if found != (first.digest if digest is None else digest):
+        raise NetworkError(f"{label} is damaged: its SHA-256 is {found.hex()[:12]}..")
+    return whole
+
+
+async def _piece(session: zenoh.Session, key: str, query: PullQuery) -> PullReply | None:
+    """One answer; None without an answer within PIECE_TIMEOUT."""
+    loop = asyncio.get_running_loop()
+    answered: asyncio.Future[bytes] = loop.create_future()
+
+    def take(payload: bytes) -> None:
+        if not answered.done():
+            answered.set_result(payload)
+
+    def on_reply(reply: zenoh.Reply) -> None:
+        if reply.ok is not None and len(reply.ok.payload) <= 2 * PIECE:
+            hand_over(loop, take, reply.ok.payload.to_bytes())
+
+    try:
+        session.get(
+            key,
+            zenoh.handlers.Callback(on_reply, indirect=False),
+            congestion_control=zenoh.CongestionControl.DROP,
+            timeout=PIECE_TIMEOUT,
+            payload=encode(query),
+        )
+        return _reply(await asyncio.wait_for(answered, PIECE_TIMEOUT))
+    except TimeoutError:
+        return None
+    except (zenoh.ZError, CodecError) as error:
+        raise NetworkError(f"{key}: {error}") from error
+
+
+def _close(session: zenoh.Session) -> None:
+    with suppress(zenoh.ZError):
+        session.close()
+
+
+# The side that answers
+
+
+def serve_shared(bus: ZenohBus, what: str, provider: Provider) -> None:
+    """Hand the blobs of `provider` to the robots and operators that ask for `what`.
+
+    Queries of one asker beyond SERVE_RATE, and beyond MAX_SERVING at a time, get no answer; the
+    asker repeats.
+    """
+    loop = asyncio.get_running_loop()
+    rates: dict[str, TokenBucket] = {}
+    tasks: dict[asyncio.Task[None], str] = {}
+
+    async def answer(query: Query) -> None:
+        with bus.drops.refusing(f"{SHARED}/{what}", lambda code, text: query.drop()):
+            query.reply(await asyncio.to_thread(_answer, provider, query.payload, query.asker))
+
+    def on_query(query: Query) -> None:
+        asker = query.asker
+        rate = rates.pop(asker, None) or TokenBucket(SERVE_RATE, SERVE_BURST)
+        rates[asker] = rate  # the last of the dict: the oldest is dropped first
+        if len(rates) > MAX_ASKERS:
+            del rates[next(iter(rates))]
+        is_full = len(tasks) >= MAX_SERVING or asker in tasks.values()
+        if is_full or not rate.take(1.0, boottime()):
+            query.drop()
+            return
+        task = loop.create_task(answer(query))
+        tasks[task] = asker
+        task.add_done_callback(lambda done: tasks.pop(done, None))
+
+    bus.serve(SHARED, what, on_query)
+
+
+def _answer(provider: Provider, payload: bytes, asker: str) -> bytes:
+    query = _query(payload)
+    blob = provider(query.name, asker)
+    if blob is None:
+        return encode(PullReply(text="is not here"))
+    if len(blob) > MAX_BLOB:
+        return encode(PullReply(text=f"has {len(blob)} bytes; at most {MAX_BLOB} are sent"))
+    end = query.offset + query.length
+    data, digest = blob[query.offset : end], hashlib.sha256(blob).digest()
+    return encode(PullReply(size=len(blob), offset=query.offset, data=data, digest=digest))

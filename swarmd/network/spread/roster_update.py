@@ -1,0 +1,106 @@
+"""An operator or viewer whose roster is older than that of the robots takes theirs.
+
+Robots do not answer what is signed with keys of an earlier generation, so that nothing else works
+before that. The key with a robot that was added later is taken from that robot: its link proves the
+name, since `access.py` lets a robot answer on its own keys alone.
+"""
+
+from __future__ import annotations
+
+import asyncio
+from collections.abc import Iterable
+from contextlib import suppress
+
+from swarmd.core.errors import CodecError, ConfigError, NetworkError
+from swarmd.network.datagram import Address
+from swarmd.network.settings import NetworkSettings
+from swarmd.network.spread.pull import pull
+from swarmd.security.datagram_keys import KEY_BYTES
+from swarmd.security.identity import Identity
+from swarmd.security.roster_change import read_shared, take_answers, take_roster
+
+PULL_TIMEOUT = 5.0  # s
+MAX_PULLS = 8  # at a time
+KEYS_TIMEOUT = 10.0  # s for the keys of all robots
+
+
+def pulled_roster(
+    settings: NetworkSettings, identity: Identity, robot: str, address: Address, generation: int
+) -> tuple[Identity | None, str]:
+    """The identity with the roster that a robot hands over, and a line for the user.
+
+    The identity's folder gets it, too. None if the roster cannot be had. Raises NetworkError in one
+    line if this name is no longer on it.
+    """
+    pulling = pull(
+        settings,
+        robot,
+        address,
+        "roster",
+        identity.name,
+        identity=identity,
+        timeout=PULL_TIMEOUT,
+    )
+    try:
+        taken = take_roster(identity, read_shared(asyncio.run(pulling)), giver=robot)
+    except (NetworkError, TimeoutError, CodecError, ConfigError, OSError) as error:
+        return None, (
+            f"{robot} shows generation {generation} of the roster, {identity.name} has"
+            f" {identity.roster.generation}, and the newer one cannot be had"
+            f" ({str(error) or 'no answer'}); {identity.name} was revoked, or needs a new bundle"
+        )
+    if taken.is_revoked:
+        raise NetworkError(f"{identity.name} is no longer on the roster of {settings.swarm}")
+    return (
+        taken.identity,
+        f"took {taken.text} from {robot}",
+    )
+
+
+def pulled_keys(
+    settings: NetworkSettings, identity: Identity, robots: Iterable[tuple[str, Address]]
+) -> Identity | None:
+    """The identity with the keys that these robots hand over, each its own; None without any.
+
+    `robots`: with the addresses at which they were heard, of which some may be false.
+    """
+    try:
+        found = asyncio.run(_pull_keys(settings, identity, robots))
+    except OSError:  # no loop, such as without a free file: they are asked for again
+        return None
+    return take_answers(identity, found) if found else None
+
+
+async def _pull_keys(
+    settings: NetworkSettings, identity: Identity, robots: Iterable[tuple[str, Address]]
+) -> dict[str, bytes]:
+    found: dict[str, bytes] = {}
+    places = asyncio.Semaphore(MAX_PULLS)
+
+    async def ask(robot: str, address: Address) -> None:
+        async with places:
+            if robot in found:
+                return
+            try:
+                shared = read_shared(
+                    await pull(
+                        settings,
+                        robot,
+                        address,
+                        "roster",
+                        identity.name,
+                        identity=identity,
+                        timeout=PULL_TIMEOUT,
+                    )
+                )
+            except (NetworkError, TimeoutError, CodecError, ConfigError, OSError):
+                return
+        key = None if shared.keys is None else shared.keys.answers.get(robot)
+        if key is not None and len(key) == KEY_BYTES:
+            found[robot] = key
+
+    with suppress(TimeoutError):
+        async with asyncio.timeout(KEYS_TIMEOUT), asyncio.TaskGroup() as group:
+            for robot, address in robots:
+                group.create_task(ask(robot, address))
+    return found

@@ -1,0 +1,1 @@
+"""A stop on its way: sender, relay, and freshness."""
