@@ -263,7 +263,7 @@ async def test_a_disk_that_takes_no_write_stops_no_tick(
     changes: list[asyncio.Task[None]] = []
     await run(daemon, stop, lambda: changes.append(asyncio.create_task(change())))
     await changes[0]
-    assert set(asked) >= {"goal", "versions"}
+    assert set(asked) >= {"goal", "record"}
 
 
 @pytest.mark.parametrize("is_written", [True, False])
