@@ -1,8 +1,7 @@
 """The state of one robot and all that changes it: triggers, transitions, the lifecycle. Pure.
 
 Each method of `Lifecycle` adds the effects of one event to `Effects`; requests and goals call these
-methods. Only `StateMachine.apply` changes the state. Every trigger is fired in this
-file:
+methods. Only `StateMachine.apply` changes the state. Every trigger is fired in this file:
 
 | trigger     | fired because                                          | reason               |
 |-------------|--------------------------------------------------------|----------------------|
