@@ -8,11 +8,10 @@ from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
 import click
-from msgspec.structs import replace
 
 from swarmd.cli.output import signals_end, warn
 from swarmd.cli.run_start import start
-from swarmd.cli.send import report, show, stop_names
+from swarmd.cli.send import Asked, report, stop_names
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder
 from swarmd.core.goal import GoalState
@@ -21,10 +20,8 @@ from swarmd.network.datagram import RunLease
 from swarmd.texts.values import seconds
 
 if TYPE_CHECKING:
-    from swarmd.cli.options import CommonOptions
     from swarmd.core.goal import Goal
     from swarmd.core.messages import Epoch
-    from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
     from swarmd.network.operator.outcome import Outcome
 
@@ -35,34 +32,28 @@ SILENCE = 5.0  # s beyond the lease for which a robot that is not heard is waite
 _status = Decoder(Status)
 
 
-def run_while_here(
-    options: CommonOptions,
-    operator: Operator,
-    view: MembersView,
-    goal: Goal,
-    names: Collection[str],
-    unlabelled: tuple[str, ...] = (),
-) -> NoReturn:
-    """Run a goal with a lease on robots until all runs have ended, or a signal; then stop them."""
-    assert goal.lease is not None
-    keeper = _Keeper(operator, goal, names)
+def run_while_here(asked: Asked, goal: Goal, lease: float) -> NoReturn:
+    """Run a goal on all targets until all runs have ended, or a signal; then stop them.
+
+    The goal's `lease`, in s, is renewed until then.
+    """
+    options, operator = asked.options, asked.operator
+    keeper = _Keeper(operator, goal.id, lease, asked.names)
     ended: Outcome | None = None
     with signals_end():
         try:
             keeper.start()
-            outcome, _ = start(options, operator, view, goal, names)
-            outcome = replace(outcome, unlabelled=unlabelled)
-            show(options, outcome)
+            outcome = asked.show(start(asked, goal))
             if not outcome.applied:
                 report_again(outcome)
             warn(
-                f"the robots run while this command runs, and {seconds(goal.lease)} longer;"
+                f"the robots run while this command runs, and {seconds(lease)} longer;"
                 " Ctrl-C stops them"
             )
             running = {name: outcome.replies[name].epoch for name in outcome.applied}
-            follow_runs(operator, goal, goal.lease + SILENCE, running)
+            follow_runs(operator, goal, lease + SILENCE, running)
         except (KeyboardInterrupt, SystemExit):
-            ended = stop_names(operator, names)
+            ended = stop_names(operator, asked.names)
         finally:
             keeper.close()
     if ended is not None:
@@ -125,11 +116,12 @@ def follow_runs(
 class _Keeper(threading.Thread):
     """Renews the lease of a goal."""
 
-    def __init__(self, operator: Operator, goal: Goal, names: Collection[str]) -> None:
+    def __init__(
+        self, operator: Operator, goal_id: str, lease: float, names: Collection[str]
+    ) -> None:
         super().__init__(name="swarmd-lease", daemon=True)
-        assert goal.lease is not None
-        self._operator, self._goal, self._names = operator, goal, names
-        self._period = goal.lease / PARTS
+        self._operator, self._goal_id, self._names = operator, goal_id, names
+        self._period = lease / PARTS
         self._ending = threading.Event()
 
     def run(self) -> None:
@@ -141,7 +133,7 @@ class _Keeper(threading.Thread):
             self._ending.wait(self._period)
 
     def _lease(self, count: int) -> RunLease:
-        return RunLease(id=self._goal.id, operator=self._operator.name[:128], count=count)
+        return RunLease(id=self._goal_id, operator=self._operator.name[:128], count=count)
 
     def close(self) -> None:
         """Renew no longer."""

@@ -6,7 +6,9 @@ The outcome is a line for each robot, a count, and the exit code.
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
@@ -75,6 +77,56 @@ def time_left(options: CommonOptions, view: MembersView) -> float | None:
     return max(options.timeout - view.seconds, LEAST_REQUEST_TIME)
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The robots `names` that requests of a verb are for, in the swarm as `view` shows it.
+
+    `unlabelled`: robots that may be targets by a label, since theirs are not known.
+    """
+
+    options: CommonOptions
+    operator: Operator
+    view: MembersView
+    names: tuple[str, ...]
+    unlabelled: tuple[str, ...]
+
+    def request(
+        self, kind: type[AnyRequest], names: Collection[str] | None = None, **fields: Any
+    ) -> Outcome:
+        """The outcome of a request to all targets or `names`, in what `--timeout` has left."""
+        epochs = self.view.epochs(self.names if names is None else names)
+        return self.operator.request(
+            kind, epochs, timeout=time_left(self.options, self.view), **fields
+        )
+
+    def show(self, outcome: Outcome) -> Outcome:
+        """Print the outcome, and return it as it counts: with robots whose labels are not known."""
+        outcome = replace(outcome, unlabelled=self.unlabelled)
+        show(self.options, outcome)
+        return outcome
+
+    def report(self, outcome: Outcome, notes: Mapping[str, Any] | None = None) -> NoReturn:
+        """Print the outcome and end with its exit code. `notes`: more, for JSON."""
+        report(self.options, replace(outcome, unlabelled=self.unlabelled), notes)
+
+
+@contextmanager
+def asking(options: CommonOptions, targets: Targets, *, needs_status: bool) -> Iterator[Asked]:
+    """A session in the swarm after a look, and the targets of requests; Failure if there are none.
+
+    Half of `--timeout` is left for requests. Targets by label need statuses in any case.
+    """
+    with options.operator() as operator:
+        view = known_members(
+            options,
+            operator,
+            is_request_next=True,
+            needs_status=needs_status or bool(targets.labels),
+        )
+        names = targets_of(view, targets)
+        yield Asked(options, operator, view, names, unlabelled(view, targets))
+
+
 def unreachable(operator: Operator, sent: str = "") -> Failure:
     """The error of a swarm in which no robot was reached; `sent`: what was sent nevertheless."""
     text = f"no daemon of swarm {operator.settings.swarm!r} can be reached{sent}"
@@ -130,19 +182,11 @@ def named_now(options: CommonOptions, operator: Operator, targets: Targets) -> T
 
 
 def send_to(
-    options: CommonOptions,
-    kind: type[AnyRequest],
-    targets: Targets,
-    **fields: Any,
+    options: CommonOptions, kind: type[AnyRequest], targets: Targets, **fields: Any
 ) -> NoReturn:
     """Send a request to the targets and report."""
-    with options.operator() as operator:
-        by_label = bool(targets.labels)
-        view = known_members(options, operator, is_request_next=True, needs_status=by_label)
-        names = targets_of(view, targets)
-        epochs, wait = view.epochs(names), time_left(options, view)
-        outcome = operator.request(kind, epochs, timeout=wait, **fields)
-        report(options, replace(outcome, unlabelled=unlabelled(view, targets)))
+    with asking(options, targets, needs_status=False) as asked:
+        asked.report(asked.request(kind, **fields))
 
 
 def send_stop(

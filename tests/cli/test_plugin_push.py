@@ -93,8 +93,8 @@ def test_generations_of_behaviours_count_by_their_signatures(tmp_path: Path) -> 
 
 def test_without_an_answer_no_generation_is_guessed(monkeypatch: pytest.MonkeyPatch) -> None:
     view: Any = SimpleNamespace(members={"r1": None, "r2": None})
-    anyone: Any = SimpleNamespace(identity=None)
-    pusher = plugin_push._Pusher(anyone, anyone, view, None, "", replace=False, rerun=False)
+    asked: Any = SimpleNamespace(options=None, operator=SimpleNamespace(identity=None), view=view)
+    pusher = plugin_push._Pusher(asked, None)
     answers = {"r2": BehavioursReply(robot="r2", generation=4)}
     monkeypatch.setattr(plugin_push, "behaviours_of", lambda *_: answers)
     assert pusher.next_generation() == 5
