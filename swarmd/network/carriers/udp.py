@@ -244,8 +244,7 @@ class UdpCarrier:
         if now - self._refresh_at < REFRESH_PERIOD:
             return
         self._refresh_at = now
-        with contextlib.suppress(NetworkError):
-            self._addresses = frozenset(addresses_of(self._index))
+        self._addresses = frozenset(addresses_of(self._index))
         self._has_ipv4 = self._is_dev or any(":" not in one for one in self._addresses)
         if (addresses := self._seeds.addresses(now)) is not None:
             self.recipients.set_seeds(addresses)
