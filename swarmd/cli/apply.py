@@ -12,7 +12,7 @@ import click
 
 from swarmd.cli.arguments import Failure
 from swarmd.cli.goal import resume_on
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import FILE, CommonOptions, common_options
 from swarmd.cli.output import need_consent, print_json, print_table, warn
 from swarmd.cli.run_start import send_goal
 from swarmd.cli.send import known_members, show
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from swarmd.settings.apply_plan import Plan
     from swarmd.settings.swarmfile import SwarmFile
 
-_file = click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+_file = click.argument("file", type=FILE)
 
 
 @click.command()

@@ -16,7 +16,7 @@ import click
 from swarmd.calibration.figures import DONE, PATTERN, Figure
 from swarmd.cli import completion
 from swarmd.cli.arguments import Failure, check_known
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import FILE, CommonOptions, common_options
 from swarmd.cli.output import need_consent, print_json, print_table, rewrite, warn
 from swarmd.cli.send import known_members
 from swarmd.core.messages import Presence, Reason, State, Status
@@ -54,7 +54,7 @@ _NO_HOLD = (None, Reason.PROTECTION, Reason.NO_REQUESTED_COMMAND)
 @click.option(
     "-w",
     "--write",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="Write the platform file that follows, which must end in .yaml.",
 )

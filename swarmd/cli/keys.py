@@ -26,7 +26,7 @@ from swarmd.cli.authority_folder import (
     open_authority,
 )
 from swarmd.cli.install import report_identity
-from swarmd.cli.options import CommonOptions, VerbGroup, local_options
+from swarmd.cli.options import FILE, FOLDER, PROFILES, CommonOptions, VerbGroup, local_options
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import ConfigError
@@ -62,11 +62,11 @@ def keys() -> None:
 @click.option("--viewers", metavar="NAMES", help="Names that may look and command nothing.")
 @click.option(
     "--config",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="swarm.yaml with further settings of the swarm, such as labels.",
 )
-@click.option("--profile", type=click.Choice(["dev", "field", "routed"]), help="Of the network.")
+@click.option("--profile", type=PROFILES, help="Of the network.")
 @click.option("--interface", metavar="NAME", help="The network interface of robots.")
 @click.option("--seed", "seeds", multiple=True, metavar="ENDPOINT", help="A robot to dial.")
 @click.option("--router", "routers", multiple=True, metavar="ENDPOINT", help="Of profile routed.")
@@ -219,7 +219,7 @@ def list_(options: CommonOptions) -> None:
 
 
 @keys.command()
-@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("file", type=FILE)
 @click.option("--interface", metavar="NAME", help="This machine's interface, if it has another.")
 @click.option("--force", is_flag=True, help="Replace an identity of another name or authority.")
 def install(file: Path, interface: str | None, force: bool) -> None:
@@ -325,7 +325,7 @@ def _login_id() -> str:
 @click.option("--swarm", metavar="NAME", required=True, help="The swarm of the identity.")
 @click.option(
     "--identity",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     metavar="FOLDER",
     help="The router's identity [that of this user or machine for the swarm].",
 )

@@ -14,7 +14,7 @@ from msgspec.structs import replace as with_fields
 
 from swarmd.cli.arguments import Duration, Failure, Targets, takes_targets
 from swarmd.cli.canary import canaries_of, read_canary
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import EXISTING_FILE, CommonOptions, common_options
 from swarmd.cli.output import warn
 from swarmd.cli.plugin_list import behaviours_of
 from swarmd.cli.run_start import goal_targets
@@ -48,7 +48,7 @@ class Source(NamedTuple):
 
 
 @click.command("push")
-@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("file", type=EXISTING_FILE)
 @takes_targets(is_required=True)
 @click.option("--version", default="", help="Shown beside the hash [that of the wheel].")
 @click.option(

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.options import VerbGroup
+from swarmd.cli.options import VerbGroup, output_option
 from swarmd.core.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -132,9 +132,7 @@ def uninstall(root: Path, dry_run: bool, purge: bool) -> None:
 @click.option(
     "-n", "--lines", type=click.IntRange(0, 1000), default=5, help="Lines of the log [5]."
 )
-@click.option(
-    "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."
-)
+@output_option
 def status(root: Path, lines: int, output: str | None) -> None:
     """Show unit, settings, identity and the last lines of the log; 3 if it is not active."""
     from swarmd.cli.output import print_json, print_section
