@@ -35,6 +35,7 @@ HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 EXAMPLE = "udp"  # the driver in examples/
 NAME = re.compile(r"`(swarmd(?:\.\w+)+)`")
 GROUPS = [f"swarmd.{name}" for name in ("patterns", "drivers", "emulators", "commands", "metrics")]
+STEP = re.compile(r"^\| \d+ \| `([\w/]+\.py)` `(\w+)` \|", re.MULTILINE)
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```", re.MULTILINE | re.DOTALL)
 
 
@@ -183,6 +184,16 @@ def test_the_page_on_safety_lists_how_far_each_platform_must_see(name: str) -> N
         needed = f"{BindingRange(platform, barrier, TICK).for_sensor():.2f} m"
     row = f"| `{name}` | {needed} | {platform.scan.range_max:.2f} m |"
     assert row in (ROOT / "docs/safety.md").read_text()
+
+
+def test_each_step_of_a_story_names_a_function() -> None:
+    text = (ROOT / "ARCHITECTURE.md").read_text()
+    stories = text.partition("\n## Three stories\n")[2].partition("\n## ")[0]
+    steps = STEP.findall(stories)
+    assert len(steps) == sum(line.startswith("| ") for line in stories.splitlines()) - 3
+    for file, function in steps:
+        path = next(one for one in (ROOT / "swarmd" / file, ROOT / file) if one.is_file())
+        assert re.search(rf"^ *(?:async )?def {function}\(", path.read_text(), re.MULTILINE), file
 
 
 @pytest.mark.parametrize("page", PAGES, ids=name_of)

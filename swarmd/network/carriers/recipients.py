@@ -18,7 +18,7 @@ MAX_ADDRESSES = 256
 MENTION_TIME = 30.0  # s for which the word of another robot counts
 
 
-class _Known(Struct):
+class _AddressUse(Struct):
     by_group: float = -1e9
     heard: float = -1e9
     mentioned: float = -1e9
@@ -32,14 +32,14 @@ class Recipients:
 
     def __init__(self, lease: float, *, with_group: bool = True) -> None:
         self._lease, self._with_group = 2 * lease, with_group
-        self._known: dict[Address, _Known] = {}
+        self._known: dict[Address, _AddressUse] = {}
         self._seeds: frozenset[Address] = frozenset()
 
     def set_seeds(self, addresses: Iterable[Address]) -> None:
         """The addresses that count whether or not they were ever heard."""
         self._seeds = frozenset(addresses)
         for address in self._seeds:
-            self._known.setdefault(address, _Known())
+            self._known.setdefault(address, _AddressUse())
 
     def on_heard(self, address: Address, by_group: bool, now: float) -> None:
         """A valid datagram came from this address."""
@@ -67,7 +67,7 @@ class Recipients:
                 chosen.append(address)
         return chosen
 
-    def _place(self, address: Address, now: float) -> _Known | None:
+    def _place(self, address: Address, now: float) -> _AddressUse | None:
         known = self._known.get(address)
         if known is None:
             if len(self._known) >= MAX_ADDRESSES:
@@ -75,10 +75,10 @@ class Recipients:
                     one: old for one, old in self._known.items() if self._is_current(one, old, now)
                 }
             if len(self._known) < MAX_ADDRESSES:
-                known = self._known[address] = _Known()
+                known = self._known[address] = _AddressUse()
         return known
 
-    def _is_current(self, address: Address, known: _Known, now: float) -> bool:
+    def _is_current(self, address: Address, known: _AddressUse, now: float) -> bool:
         return (
             address in self._seeds
             or now - known.heard <= self._lease

@@ -28,7 +28,7 @@ LATCH_TIME = 1.0  # s for which a robot that joins waits for the answer of one w
 _Key = tuple[str, bytes]
 
 
-class _Known(Struct):
+class _ProvenLife(Struct):
     """An instance that has answered. `said`, `clock`: what is not newer was sent before that."""
 
     sequence: int
@@ -52,7 +52,7 @@ class Liveness:
         self._lease = lease
         self._new_number = echoes
         self._echoes: dict[int, float] = {}
-        self._known: dict[_Key, _Known] = {}
+        self._known: dict[_Key, _ProvenLife] = {}
         self._asked: dict[_Key, _Asked] = {}
         self._questions = TokenBucket(QUESTION_RATE, QUESTION_BURST)
 
@@ -87,7 +87,7 @@ class Liveness:
             return Flaw.UNPROVEN
         self._asked.pop(key, None)
         self._known.pop(key, None)
-        self._known[key] = _Known(beacon.sequence, now, beacon.said, beacon.clock)
+        self._known[key] = _ProvenLife(beacon.sequence, now, beacon.said, beacon.clock)
         if len(self._known) > MAX_INSTANCES:
             del self._known[min(self._known, key=lambda one: self._known[one].heard)]
         return None

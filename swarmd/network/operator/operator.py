@@ -65,7 +65,7 @@ from swarmd.network.stops.stop_sender import StopSender
 from swarmd.security.identity import Identity, authority_of
 
 if TYPE_CHECKING:
-    from swarmd.network.operator.answers import Answers
+    from swarmd.network.operator.operator_admission import OperatorAdmission
 
 CLOSE_TIMEOUT = 0.2
 MAX_SWARMS = 256
@@ -423,12 +423,12 @@ class Operator:
         session = self._sessions.open()
         return RoutedCarrier(session, settings.swarm, f"operator-{os.urandom(6).hex()}")
 
-    def _answers_for(self, identity: Identity) -> Answers:
-        from swarmd.network.operator.answers import Answers
+    def _answers_for(self, identity: Identity) -> OperatorAdmission:
+        from swarmd.network.operator.operator_admission import OperatorAdmission
 
         rosters = self._rosters
         lease = self.settings.lease_seconds
-        return Answers(identity, lease, rosters.on_shown, rosters.on_missing_key)
+        return OperatorAdmission(identity, lease, rosters.on_shown, rosters.on_missing_key)
 
     def _new(self, kind: type[R], **fields: Any) -> R:
         if "reason" in fields:

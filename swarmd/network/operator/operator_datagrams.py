@@ -23,7 +23,7 @@ from swarmd.network.operator.arrivals import Arrivals
 from swarmd.network.operator.discovery import Discovery
 
 if TYPE_CHECKING:
-    from swarmd.network.operator.answers import Answers
+    from swarmd.network.operator.operator_admission import OperatorAdmission
 
 OnBody = Callable[[Datagram, Address, float], bool]
 """Takes a datagram, its source and the time, with the lock held; True if it is worth a wake-up."""
@@ -75,7 +75,7 @@ class OperatorDatagrams:
         arrivals: Arrivals,
         on_body: OnBody,
         *,
-        answers: Answers | None = None,
+        answers: OperatorAdmission | None = None,
     ) -> None:
         self.carrier = carrier
         self.answers = answers

@@ -20,7 +20,7 @@ from swarmd.network.datagram import (
     pack,
     tag_of,
 )
-from swarmd.network.operator.answers import Answers
+from swarmd.network.operator.operator_admission import OperatorAdmission
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.signature import Author, Previous, Trust
 from swarmd.network.spread import roster_update
@@ -56,7 +56,9 @@ class Rig:
     def __init__(self, keyring: Keyring) -> None:
         self.keyring = keyring
         self.hints: list[tuple[str, Address, int]] = []
-        self.answers = Answers(keyring.identity("anna"), 3.0, lambda *hint: self.hints.append(hint))
+        self.answers = OperatorAdmission(
+            keyring.identity("anna"), 3.0, lambda *hint: self.hints.append(hint)
+        )
         self.answers.liveness.note_echo(7, 0.0)
 
     def hear(
@@ -126,7 +128,7 @@ def test_nothing_of_a_robot_counts_without_its_key(keyring: Keyring) -> None:
     keys = replace(full.datagram_keys, answers={"r2": full.datagram_keys.answers["r2"]})
     lacking: list[tuple[str, Address]] = []
     rig = Rig(keyring)
-    rig.answers = Answers(
+    rig.answers = OperatorAdmission(
         dataclasses.replace(full, datagram_keys=keys),
         3.0,
         on_missing_key=lambda *hint: lacking.append(hint),
@@ -170,7 +172,9 @@ def test_a_robot_that_was_added_later_hides_no_robot_that_proves_a_newer_roster(
     following = Following(keyring.identity("anna"))
     rosters, pulled = RosterFollower(following, is_on=True), list[str]()
     rig = Rig(keyring)
-    rig.answers = Answers(keyring.identity("anna"), 3.0, rosters.on_shown, rosters.on_missing_key)
+    rig.answers = OperatorAdmission(
+        keyring.identity("anna"), 3.0, rosters.on_shown, rosters.on_missing_key
+    )
 
     def pull(settings: object, identity: Identity, robot: str, *_: object) -> tuple[None, str]:
         pulled.append(robot)

@@ -30,7 +30,7 @@ HINT_PERIOD = 5.0  # s between two hints; of missing keys, for each robot and so
 MAX_MISSING_KEYS = 4096
 
 
-class Answers:
+class OperatorAdmission:
     """The keys of an operator or viewer at work.
 
     `on_newer_roster` takes the name, address and generation of a robot that may have a newer
