@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from msgspec.structs import asdict
 
 from swarmd.cli import keys_rollout
 from swarmd.cli.authority_folder import (
@@ -247,15 +248,7 @@ def bundle_of(authority: Authority, name: str, *, days: float | None = None) -> 
 
     path = authority.folder / SWARM_YAML
     settings = checked_settings(str(path), authority.roster.swarm, read(path))
-    issued = authority.issue(name, days=days)
-    made = Bundle(
-        info=issued.info,
-        certificate=issued.certificate,
-        key=issued.key,
-        authority=issued.authority,
-        roster=issued.roster,
-        settings=settings,
-    )
+    made = Bundle(**asdict(authority.issue(name, days=days)), settings=settings)
     pack_bundle(made)  # ConfigError if it is too large
     return made
 
