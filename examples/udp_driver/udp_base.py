@@ -30,7 +30,8 @@ from swarmd.core.values import (
     Value,
 )
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
+from swarmd.core.finding import Finding
+from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
 
 SILENCE_TIMEOUT = 1.0
 HELLO_PERIOD = 0.2
