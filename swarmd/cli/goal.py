@@ -11,7 +11,7 @@ from msgspec import to_builtins
 from swarmd.cli.arguments import Failure, Targets, takes_targets
 from swarmd.cli.labels import robots_of
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.run_start import send_goal
 from swarmd.cli.send import asking, known_members, report, stop_names, time_left
 from swarmd.core.verbs import ResumeRequest
@@ -161,10 +161,7 @@ def _as_json(view: MembersView, found: list[Difference], code: int) -> dict[str,
             one.robot: {
                 "goal": None if one.goal is None else digests.get(one.goal.id),
                 "desired": None if one.goal is None else one.desired,
-                "actual": one.actual,
-                "is_as_desired": one.is_as_desired,
-                "reason": one.reason,
-                "note": one.note,
+                **fields(one, "actual", "is_as_desired", "reason", "note"),
             }
             for one in found
         },

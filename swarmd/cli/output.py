@@ -44,6 +44,11 @@ def print_line(kind: str, content: Mapping[str, Any]) -> None:
     click.echo(_json_text(document))
 
 
+def fields(one: object, *names: str) -> dict[str, Any]:
+    """These attributes of a value, for JSON."""
+    return {name: getattr(one, name) for name in names}
+
+
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print aligned columns; states in colour on a terminal, unless NO_COLOR is set."""
     is_coloured = has_colour(sys.stdout is not None and sys.stdout.isatty())

@@ -10,7 +10,7 @@ import click
 
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.questions import ask_robots, in_reach
 from swarmd.cli.send import gap, known_members, targets_of
 from swarmd.core.verbs import PLUGINS, BehaviourReport, BehavioursReply
@@ -91,16 +91,11 @@ def _print_list_json(
     robots = {
         robot: [
             {
-                "name": one.name,
-                "version": one.version,
+                **fields(one, "name", "version"),
                 "hash": one.digest,
-                "pushed": one.pushed,
-                "standing": one.standing,
+                **fields(one, "pushed", "standing"),
                 "ran": round(one.ran, 1),
-                "issuer": one.issuer,
-                "generation": one.generation,
-                "source": one.source,
-                "text": one.text,
+                **fields(one, "issuer", "generation", "source", "text"),
                 "differs": (robot, one.name) in marked,
             }
             for one in reply.behaviours

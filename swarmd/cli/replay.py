@@ -9,7 +9,7 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.options import FOLDER, CommonOptions, local_options, recordings_argument
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.record_merge import parts_of
 from swarmd.core.errors import ConfigError
 from swarmd.network.exit_codes import FAILED
@@ -92,12 +92,7 @@ def _print_json(robot: str, parity: Parity, is_equal: bool) -> None:
     from swarmd.replay.replay import TOLERANCE
 
     content = {
-        name: {
-            "count": one.count,
-            "equal": one.equal,
-            "largest": one.largest,
-            "first": one.first,
-        }
+        name: fields(one, "count", "equal", "largest", "first")
         for name, one in (("safe", parity.safe), ("requested", parity.requested))
     }
     more = {"robot": robot, "seconds": parity.seconds, "notes": list(parity.notes)}

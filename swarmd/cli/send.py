@@ -17,7 +17,7 @@ from msgspec.structs import replace
 from swarmd.cli.arguments import Failure, Targets
 from swarmd.cli.known_robots import remember
 from swarmd.cli.labels import STOP_LOOK, named, robots_of, stopped, unlabelled
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Refusal
 from swarmd.network.exit_codes import NO_TARGET, PARTIAL, TIMEOUT, UNREACHABLE, USAGE
@@ -331,17 +331,12 @@ def _no_target(*reasons: str) -> Failure:
 def _as_json(outcome: Outcome) -> dict[str, Any]:
     return {
         "verb": click.get_current_context().command_path.partition(" ")[2],
-        "targeted": outcome.targeted,
-        "applied": list(outcome.applied),
-        "refused": list(outcome.refused),
-        "failed": list(outcome.failed),
-        "missing": list(outcome.missing),
-        "line": outcome.line,
-        "exit_code": outcome.exit_code,
+        **fields(outcome, "targeted", "applied", "refused", "failed", "missing"),
+        **fields(outcome, "line", "exit_code"),
         "seconds": round(outcome.seconds, 4),
         "replies": {
-            name: {"code": reply.code, "refusal": reply.refusal, "text": reply.text}
+            name: fields(reply, "code", "refusal", "text")
             for name, reply in outcome.replies.items()
         },
-        "warnings": list(outcome.warnings),
+        "warnings": outcome.warnings,
     }
