@@ -14,11 +14,16 @@ import contextlib
 import ipaddress
 import os
 import socket
-import struct
-from array import array
+from asyncio import AbstractEventLoop
 from collections.abc import Callable, Collection, Iterator
 
-from swarmd.network.carriers.packet_filter import host_filter
+import zenoh
+
+from swarmd.core.clock import boottime
+from swarmd.core.threads import hand_over
+from swarmd.core.token_bucket import TokenBucket
+from swarmd.network.carriers.packet_filter import attach_filter, host_filter
+from swarmd.security.roster import Roster
 
 LOOK_PERIOD = 0.25  # s
 MAX_WAITING = 48  # connections without a link, beside what else a daemon opens in a run
@@ -26,8 +31,10 @@ CLOSED_TIME, MAX_CLOSED_TIME = 60.0, 600.0  # s; doubled if the flood is back wi
 RENEW_PERIOD = 30.0  # s between two new sessions, which end the links of operators, too
 KNOWN_TIME = 600.0  # s after which a host is forgotten
 MAX_HOSTS = 64  # places in the kernel's filter
+LINE_RATE, LINE_BURST = 0.1, 5.0
+"""Lines of `watch_links` per second, and at once."""
 _FDS = "/proc/self/fd"
-_SO_ATTACH_FILTER, _SO_DETACH_FILTER = 26, 27
+_SO_DETACH_FILTER = 27
 
 
 class LinkFlood:
@@ -100,10 +107,7 @@ class LinkGate:
                 if hosts is None:
                     one.setsockopt(socket.SOL_SOCKET, _SO_DETACH_FILTER, 0)
                     continue
-                program = host_filter(map(ipaddress.ip_address, hosts))
-                code = array("B", program)
-                filter_ = struct.pack("@HP", len(program) // 8, code.buffer_info()[0])
-                one.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, filter_)
+                attach_filter(one, host_filter(map(ipaddress.ip_address, hosts)))
 
     def close(self) -> None:
         """Let go of the sockets."""
@@ -140,3 +144,28 @@ def _listening(ports: Collection[int]) -> Iterator[socket.socket]:
 def _is_listening(one: socket.socket) -> bool:
     is_tcp = one.family in (socket.AF_INET, socket.AF_INET6) and one.type == socket.SOCK_STREAM
     return is_tcp and bool(one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN))
+
+
+def watch_links(
+    session: zenoh.Session,
+    roster: Roster,
+    loop: AbstractEventLoop,
+    on_event: Callable[[str], None],
+) -> None:
+    """Call `on_event` on the loop with a line for each link of a name that the roster lacks.
+
+    Its certificate is valid, and nothing passes. Zenoh denies silently, so that a name that was
+    revoked and goes on trying would not be noticed. The rate of lines is limited.
+    """
+    rate = TokenBucket(LINE_RATE, LINE_BURST)
+
+    def on_link(event: zenoh.LinkEvent) -> None:
+        name = event.link.auth_identifier
+        if event.kind != zenoh.SampleKind.PUT or name is None or roster.role_of(name) is not None:
+            return
+        if rate.take(1.0, boottime()):
+            address = str(event.link.dst).partition("/")[2]
+            text = f"{address} has a certificate of {name[:63]!r}, which is not on roster"
+            hand_over(loop, on_event, f"{text} {roster.generation}: nothing passes this link")
+
+    session.info.declare_link_events_listener(on_link, history=True)
