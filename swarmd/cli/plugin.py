@@ -18,8 +18,7 @@ from swarmd.cli.options import (
     local_options,
 )
 from swarmd.cli.output import print_json
-from swarmd.cli.plugin_list import list_pushed
-from swarmd.cli.plugin_push import push, remove
+from swarmd.cli.plugin_push import list_pushed, push, remove
 from swarmd.cli.send import send_to
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import ReloadRequest

@@ -14,7 +14,7 @@ from swarmd.cli.output import warn
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.messages import Status
-from swarmd.network.exit_codes import PARTIAL, TIMEOUT
+from swarmd.network.exit_codes import code_of_answers
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
@@ -95,4 +95,4 @@ def end(robots: Collection[str], answered: Collection[str]) -> None:
     missing = sorted(set(robots) - set(answered))
     if missing:
         warn(f"no answer: {', '.join(missing)}")
-        click.get_current_context().exit(PARTIAL if answered else TIMEOUT)
+        click.get_current_context().exit(code_of_answers(robots, answered))

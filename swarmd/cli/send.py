@@ -20,7 +20,7 @@ from swarmd.cli.labels import STOP_LOOK, named, robots_of, stopped, unlabelled
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Refusal
-from swarmd.network.exit_codes import NO_TARGET, PARTIAL, TIMEOUT, UNREACHABLE, USAGE
+from swarmd.network.exit_codes import NO_TARGET, UNREACHABLE, USAGE, code_of_answers
 from swarmd.network.operator.outcome import Outcome
 from swarmd.texts.values import NOTHING, seconds
 
@@ -160,10 +160,7 @@ def gap(view: MembersView, name: str) -> str:
 
 def exit_code_of(view: MembersView, names: Collection[str]) -> int:
     """The exit code of a look at the robots in `names`: 0, 3 if some answered, 5 if none."""
-    missing = set(names) - view.answered
-    if not missing:
-        return 0
-    return PARTIAL if missing < set(names) else TIMEOUT
+    return code_of_answers(names, view.answered)
 
 
 def targets_of(view: MembersView, targets: Targets) -> tuple[str, ...]:

@@ -10,8 +10,7 @@ import pytest
 
 from swarmd.cli import plugin_push
 from swarmd.cli.arguments import Failure
-from swarmd.cli.plugin_list import _differing
-from swarmd.cli.plugin_push import greatest_of, read_source
+from swarmd.cli.plugin_push import _differing, greatest_of, read_source
 from swarmd.core.behaviour import MAX_CODE, Manifest, encode_manifest
 from swarmd.core.errors import SwarmError
 from swarmd.core.verbs import BehaviourReport, BehavioursReply
