@@ -15,7 +15,7 @@ import ipaddress
 import os
 import socket
 from asyncio import AbstractEventLoop
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection
 
 import zenoh
 
@@ -23,6 +23,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.threads import hand_over
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.carriers.packet_filter import attach_filter, host_filter
+from swarmd.network.carriers.session import own_sockets
 from swarmd.security.roster import Roster
 
 LOOK_PERIOD = 0.25  # s
@@ -96,7 +97,12 @@ class LinkGate:
     """The listening sockets of this process at some ports, which Zenoh has opened. Linux only."""
 
     def __init__(self, ports: Collection[int]) -> None:
-        self._sockets = list(_listening(ports))
+        self._sockets = [
+            one.dup()
+            for one in own_sockets()
+            if one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+            and one.getsockname()[1] in ports
+        ]
         self.is_closed = False
 
     def admit(self, hosts: Collection[str] | None) -> None:
@@ -122,28 +128,6 @@ def open_files() -> int:
         return len(os.listdir(_FDS))
     except OSError:
         return os.sysconf("SC_OPEN_MAX")
-
-
-def _listening(ports: Collection[int]) -> Iterator[socket.socket]:
-    """Duplicates of the listening TCP sockets of this process at these ports."""
-    try:
-        names = os.listdir(_FDS)
-    except OSError:  # not Linux, or no file can be opened
-        return
-    for name in names:
-        with contextlib.suppress(OSError):  # closed meanwhile
-            if not os.readlink(f"{_FDS}/{name}").startswith("socket:"):
-                continue
-            one = socket.socket(fileno=os.dup(int(name)))
-            if _is_listening(one) and one.getsockname()[1] in ports:
-                yield one
-            else:
-                one.close()
-
-
-def _is_listening(one: socket.socket) -> bool:
-    is_tcp = one.family in (socket.AF_INET, socket.AF_INET6) and one.type == socket.SOCK_STREAM
-    return is_tcp and bool(one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN))
 
 
 def watch_links(

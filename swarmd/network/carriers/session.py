@@ -400,39 +400,38 @@ def tune_link(src: str, dst: str, lease: float) -> int:
 
 
 def connected_sockets() -> Iterator[socket.socket]:
-    """This process's connected TCP sockets, each as a duplicate that is closed after its turn.
+    """This process's connected TCP sockets; see `own_sockets`."""
+    for one in own_sockets():
+        with contextlib.suppress(OSError):
+            if one.getpeername():
+                yield one
+
+
+def own_sockets() -> Iterator[socket.socket]:
+    """This process's TCP sockets, each as a duplicate that is closed after its turn. Linux only.
 
     The descriptors belong to other threads, which may close and reuse them at any moment. A
     duplicate keeps referring to the same socket.
     """
-    for name in os.listdir(_FDS):
-        try:
-            duplicate = _duplicate(int(name))
-        except OSError:
-            continue
-        if duplicate is None:
-            continue
-        with duplicate:
-            if _is_connected_tcp(duplicate):
-                yield duplicate
-
-
-def _duplicate(fd: int) -> socket.socket | None:
-    if not os.readlink(f"{_FDS}/{fd}").startswith("socket:"):
-        return None
-    copy = os.dup(fd)
     try:
-        return socket.socket(fileno=copy)
-    except OSError:
-        os.close(copy)
-        return None
-
-
-def _is_connected_tcp(sock: socket.socket) -> bool:
-    is_tcp = sock.family in (socket.AF_INET, socket.AF_INET6) and sock.type == socket.SOCK_STREAM
-    with contextlib.suppress(OSError):
-        return is_tcp and bool(sock.getpeername())
-    return False
+        names = os.listdir(_FDS)
+    except OSError:  # not Linux, or no file can be opened
+        return
+    for name in names:
+        try:
+            if not os.readlink(f"{_FDS}/{name}").startswith("socket:"):
+                continue
+            copy = os.dup(int(name))
+        except OSError:  # closed meanwhile
+            continue
+        try:
+            one = socket.socket(fileno=copy)
+        except OSError:  # reused meanwhile, for a file
+            os.close(copy)
+            continue
+        with one:
+            if one.type == socket.SOCK_STREAM and one.family in (socket.AF_INET, socket.AF_INET6):
+                yield one
 
 
 def _address(locator: str) -> Address | None:
