@@ -98,7 +98,7 @@ class LinkGate:
 
     def __init__(self, ports: Collection[int]) -> None:
         self._sockets = [
-            one.dup()
+            socket.socket(fileno=one.detach())  # `dup` would let Zenoh's socket block
             for one in own_sockets()
             if one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
             and one.getsockname()[1] in ports
