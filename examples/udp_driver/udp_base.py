@@ -19,6 +19,7 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.finding import Finding
 from swarmd.core.values import (
     ZERO,
     Odometry,
@@ -30,7 +31,6 @@ from swarmd.core.values import (
     Value,
 )
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.core.finding import Finding
 from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
 
 SILENCE_TIMEOUT = 1.0
