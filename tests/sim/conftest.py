@@ -109,7 +109,7 @@ def swarmctl_in(folder: Path) -> Swarmctl:
             text=True,
             cwd=folder,
             env={**os.environ, "HOME": str(folder), **environ},
-            timeout=120,
+            timeout=170,
             check=False,
         )
 
