@@ -130,13 +130,13 @@ def test_ghosts_swap_places_and_swap_back() -> None:
 
 
 def test_rushing_robots_gather_at_the_centre_and_count_no_goals() -> None:
-    trace = run(Scene("rush", "burger", mode="ghost", duration=30.0))
+    trace = run(Scene("rush", "burger", mode="ghost", duration=20.0))
     assert np.hypot(*trace.pose[-1, :, :2].T).max() < 0.4
     assert "goals" not in trace.report
 
 
 def test_random_twists_drive_and_turn_in_both_directions() -> None:
-    trace = run(Scene("twists", "burger", mode="ghost", duration=30.0))
+    trace = run(Scene("twists", "burger", mode="ghost", duration=15.0))
     linear, angular = trace.safe[..., 0], trace.safe[..., 1]
     limits = load_platform("burger").limits
     assert (linear.min(), linear.max()) == pytest.approx((-limits.linear, limits.linear), rel=0.2)
@@ -183,7 +183,7 @@ def test_attackers_move_at_the_speed_of_their_cell(family: str, platform: str) -
 
 @pytest.mark.parametrize("family", ["ram", "lead", "behind", "corner", "flank", "spin"])
 def test_attackers_drive_into_unprotected_robots(family: str) -> None:
-    trace = run(Scene(family, "burger", mode="off", duration=20.0))
+    trace = run(Scene(family, "burger", mode="off", duration=8.0))
     attack = {trace.ids.index(robot) for robot in attackers(trace)}
     hits = [
         speed
