@@ -14,12 +14,7 @@ import swarmd
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.files import whole_file
 from swarmd.sim.experiments.plan import Plan, Shard, Variant, check_seeds
-from swarmd.sim.experiments.provenance import (
-    GitState,
-    digests_of_folders,
-    git_state,
-    made_with,
-)
+from swarmd.sim.experiments.provenance import GitState, digests_of_folders, git_state, made_with
 from swarmd.sim.metrics.metric import Better, Metric
 
 NAME = "manifest.json"

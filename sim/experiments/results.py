@@ -16,13 +16,7 @@ from swarmd.sim.experiments.manifest import Manifest, read_manifest
 from swarmd.sim.experiments.plan import Plan, Run
 from swarmd.sim.experiments.report import HEADER, aligned, summary_rows
 from swarmd.sim.experiments.statistics import LEVEL, METHOD, Summary, summarize
-from swarmd.sim.experiments.store import (
-    Row,
-    read_errors,
-    read_failures,
-    read_table,
-    trace_path,
-)
+from swarmd.sim.experiments.store import Row, read_errors, read_failures, read_table, trace_path
 from swarmd.sim.metrics.catalog import METRICS, Metric, check_has_value, measure, metric_of
 from swarmd.sim.metrics.own import MetricError
 from swarmd.sim.trace import Trace, load_trace, pandas

@@ -47,11 +47,7 @@ class LiveTimeline:
     """Events in order of time, carried out when due or as soon as the earlier ones are done."""
 
     def __init__(
-        self,
-        events: Sequence[ScheduledEvent],
-        fleet: Fleet,
-        operator: Operator,
-        world: WorldView,
+        self, events: Sequence[ScheduledEvent], fleet: Fleet, operator: Operator, world: WorldView
     ) -> None:
         self._events = list(events)
         self._fleet, self._operator, self._world = fleet, operator, world

@@ -124,10 +124,7 @@ def _spread(what: str, values: Mapping[str, Mapping[str, Scalar]]) -> list[tuple
 
 
 def numbers_of(
-    trace: Trace,
-    platforms: Mapping[str, Platform],
-    duty: float | None,
-    real_time_factor: float,
+    trace: Trace, platforms: Mapping[str, Platform], duty: float | None, real_time_factor: float
 ) -> Numbers:
     """The numbers of a trace; `platforms` by name, `duty` as the robots reported it."""
     kinds = (platforms[name] for name in set(trace.platforms))
@@ -161,10 +158,7 @@ def mean_duty(statuses: Mapping[str, Status]) -> float | None:
 
 
 def problems_of(
-    robots: Iterable[str],
-    before: Mapping[str, Status],
-    after: Mapping[str, Status],
-    contacts: int,
+    robots: Iterable[str], before: Mapping[str, Status], after: Mapping[str, Status], contacts: int
 ) -> tuple[str, ...]:
     """A line for each robot that did not run to the end, and one for contacts.
 

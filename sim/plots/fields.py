@@ -22,12 +22,7 @@ _MAPS = ("YlOrBr", "PuBu", "Greens")
 
 
 def paint_fields(
-    axes: Axes,
-    trace: Trace,
-    extent: Extent,
-    fields: Sequence[Field],
-    *,
-    is_small: bool = False,
+    axes: Axes, trace: Trace, extent: Extent, fields: Sequence[Field], *, is_small: bool = False
 ) -> None:
     """Paint each field as shades with lines of equal value, which have numbers unless `is_small`.
 

@@ -342,11 +342,7 @@ class _Gallery:
         if metric.name in METRICS and metric.name not in self._results.metrics:
             return np.full(len(self._of(variant)), np.nan)  # of another version
         by_seed = dict(
-            zip(
-                self._results.seeds(variant),
-                self._results.metric(metric, variant),
-                strict=True,
-            )
+            zip(self._results.seeds(variant), self._results.metric(metric, variant), strict=True)
         )
         return np.array([by_seed[run.seed] for run in self._of(variant)])
 

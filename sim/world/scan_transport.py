@@ -15,11 +15,7 @@ class ScanTransport:
     """Delays the scans of a swarm; those of one robot keep their order."""
 
     def __init__(
-        self,
-        noise: LidarNoise,
-        platforms: Sequence[Platform],
-        ids: Sequence[str],
-        seed: int,
+        self, noise: LidarNoise, platforms: Sequence[Platform], ids: Sequence[str], seed: int
     ) -> None:
         """`platforms` and `ids` (n,) in the order of rows."""
         self._delays = [
