@@ -22,7 +22,16 @@ from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.cli.exp_plot import plot
 from swarmd.sim.cli.exp_results import check, export, report, view
 from swarmd.sim.cli.exp_video import video
-from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_option, scenarios
+from swarmd.sim.cli.options import (
+    chosen_metrics,
+    folder_argument,
+    need,
+    new_folder,
+    out_option,
+    output_option,
+    scenarios,
+    set_option,
+)
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 
 if TYPE_CHECKING:
@@ -53,12 +62,6 @@ _timeout = click.option(
     metavar="SECONDS",
     help="A run without progress for this time fails, and the others continue [60].",
 )
-_folder = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-
-
-def _out(text: str) -> Callable[[Function], Function]:
-    kind: click.Path[Path] = click.Path(file_okay=False, path_type=Path)
-    return click.option("--out", type=kind, metavar="DIR", help=text)
 
 
 @click.group(cls=VerbGroup)
@@ -75,13 +78,7 @@ def exp() -> None:
     metavar="SEEDS",
     help="Number of seeds from 0 on, or the seeds: 500-519, or 3,5,9.",
 )
-@click.option(
-    "--set",
-    "sets",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Override a value of the scenario, such as duration=30; may be repeated.",
-)
+@set_option
 @click.option(
     "--sweep",
     "sweeps",
@@ -97,7 +94,9 @@ def exp() -> None:
     " [1].",
 )
 @_timeout
-@_out("Folder of the results; an interrupted experiment in it resumes [experiments/SCENARIO-N].")
+@out_option(
+    "Folder of the results; an interrupted experiment in it resumes [experiments/SCENARIO-N]."
+)
 @click.option(
     "--shard", metavar="K/N", help="Run only the K-th of N parts; `exp merge` joins their folders."
 )
@@ -196,8 +195,8 @@ def run(
 
 
 @exp.command()
-@_folder
-@_out("Folder of the new results; without it they are compared and discarded.")
+@folder_argument
+@out_option("Folder of the new results; without it they are compared and discarded.")
 @_processes
 @_timeout
 @output_option
@@ -240,13 +239,7 @@ def rerun(
 @click.argument(
     "folders", metavar="DIR..", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    required=True,
-    metavar="DIR",
-    help="Folder of all runs; it may hold parts that were merged before.",
-)
+@out_option("Folder of all runs; it may hold parts that were merged before.", required=True)
 @_metrics
 @output_option
 @click.pass_context
@@ -292,7 +285,7 @@ def compare(a: str, b: str, metrics: str | None, is_json: bool) -> None:
 
 
 @exp.command()
-@_folder
+@folder_argument
 @_metrics
 @output_option
 def show(folder: Path, metrics: str | None, is_json: bool) -> None:

@@ -9,21 +9,15 @@ from pathlib import Path
 import click
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.cli.options import chosen_metrics, need
+from swarmd.sim.cli.options import chosen_metrics, folder_argument, need, out_option
 
 _INCHES = {"in": 1.0, "cm": 1.0 / 2.54, "mm": 0.1 / 2.54, "pt": 1.0 / 72.27}
 _NARROWEST, _WIDEST = 2.0, 20.0
 
 
 @click.command("plot")
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="DIR",
-    help="Folder of the pictures [DIR/plots; with --seeds DIR/plots/seeds-SEEDS].",
-)
+@folder_argument
+@out_option("Folder of the pictures [DIR/plots; with --seeds DIR/plots/seeds-SEEDS].", "-o")
 @click.option(
     "--metrics", metavar="A,B,..", help="Draw these metrics; also report:KEY and FILE.py:NAME."
 )

@@ -10,7 +10,7 @@ import click
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.options import chosen_metrics, need, output_option
+from swarmd.sim.cli.options import chosen_metrics, folder_argument, need, out_option, output_option
 from swarmd.texts.values import megabytes
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ MISSED = 1  # exit code
 
 
 @click.command("export")
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@folder_argument
 @click.option(
     "--to",
     "form",
@@ -33,13 +33,7 @@ MISSED = 1  # exit code
     required=True,
     help="Tables of results and traces as csv or parquet; or a file of each run as mcap.",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="DIR",
-    help="Folder of the files [DIR/export].",
-)
+@out_option("Folder of the files [DIR/export].", "-o")
 @click.option("--no-traces", is_flag=True, help="Only the results of each run.")
 def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
     """Write the experiment in DIR as tables for pandas and R, or as MCAP for Foxglove.
@@ -109,13 +103,7 @@ def check(
 
 @click.command()
 @click.argument("place", metavar="DIR|FILE.mcap", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="The report [DIR/report.html, or FILE.html].",
-)
+@out_option("The report [DIR/report.html, or FILE.html].", "-o", is_file=True)
 @click.option("--metrics", metavar="A,B,..", help="Show these metrics first, and draw them.")
 @click.option("--seed", type=click.IntRange(min=0), help="The run to play [a typical one].")
 @click.option("--variant", metavar="NAME", help="Of a sweep, the variant of the run to play.")
@@ -159,7 +147,7 @@ def report(
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@folder_argument
 @click.option("--seed", type=int, metavar="N", help="The run that is shown first [the first].")
 @click.option("--variant", metavar="NAME", help="Of a sweep, the variant that is shown first.")
 @web_options

@@ -92,6 +92,25 @@ _OPTIONS = (
 )
 
 
+folder_argument = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+set_option = click.option(
+    "--set",
+    "sets",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Override a value of SCENARIO, such as duration=30; may be repeated.",
+)
+
+
+def out_option(
+    text: str, *names: str, is_file: bool = False, **others: Any
+) -> Callable[[Function], Function]:
+    """The option --out, a folder or a file; `names` are further names of the option."""
+    kind: click.Path[Path] = click.Path(file_okay=is_file, dir_okay=not is_file, path_type=Path)
+    metavar = "FILE" if is_file else "DIR"
+    return click.option(*names, "--out", type=kind, metavar=metavar, help=text, **others)
+
+
 def scenarios(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """What Tab offers for a scenario: those that are shipped, else files."""
     from swarmd.sim.scenarios.scenariofile import scenario_names
@@ -115,14 +134,8 @@ def fleet_options(function: Function) -> Function:
     """Give a verb the argument SCENARIO and the options of a fleet."""
     for option in reversed(_OPTIONS):
         function = option(function)
-    sets = click.option(
-        "--set",
-        "sets",
-        multiple=True,
-        metavar="KEY=VALUE",
-        help="Override a value of SCENARIO, such as duration=30; may be repeated.",
-    )
-    return click.argument("scenario", required=False, shell_complete=scenarios)(sets(function))
+    named = click.argument("scenario", required=False, shell_complete=scenarios)
+    return named(set_option(function))
 
 
 def fleet_for(
