@@ -357,7 +357,7 @@ def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None
 
     A live trace has no requested commands: metrics that need them stay empty.
     """
-    from swarmd.sim.experiments.report import number
+    from swarmd.sim.experiments.statistics import number
     from swarmd.sim.metrics import catalog
 
     chosen = chosen_metrics(metrics) or tuple(catalog.METRICS.values())
@@ -423,7 +423,7 @@ def _warn_of_metrics(results: Results, names: Sequence[str]) -> None:
 
 
 def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:
-    from swarmd.sim.experiments.report import interval, number
+    from swarmd.sim.experiments.statistics import interval, number
 
     is_paired = any(one.is_paired for one in differences)
     click.echo(f"A: {a.label}\nB: {b.label}")

@@ -73,7 +73,7 @@ def check(
     """
     from swarmd.sim.experiments import requirements as checking
     from swarmd.sim.experiments.compare import sides_of
-    from swarmd.sim.experiments.report import NOTHING, interval, number
+    from swarmd.sim.experiments.statistics import NOTHING, interval, number
 
     wanted = [checking.parse_requirement(text) for text in requirements]
     sides = sides_of(experiment)

@@ -14,8 +14,15 @@ from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.values import Array
 from swarmd.sim.experiments.manifest import Manifest, read_manifest
 from swarmd.sim.experiments.plan import Plan, Run
-from swarmd.sim.experiments.report import HEADER, aligned, summary_rows
-from swarmd.sim.experiments.statistics import LEVEL, METHOD, Summary, summarize
+from swarmd.sim.experiments.statistics import (
+    HEADER,
+    LEVEL,
+    METHOD,
+    Summary,
+    aligned,
+    summarize,
+    summary_rows,
+)
 from swarmd.sim.experiments.store import Row, read_errors, read_failures, read_table, trace_path
 from swarmd.sim.metrics.catalog import METRICS, Metric, check_has_value, measure, metric_of
 from swarmd.sim.metrics.own import MetricError

@@ -10,8 +10,8 @@ import numpy as np
 from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.compare import Difference, Side, compare
 from swarmd.sim.experiments.manifest import Manifest
-from swarmd.sim.experiments.report import HEADER, interval, number, summary_rows
 from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.statistics import HEADER, interval, number, summary_rows
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.metrics.metric import Metric
