@@ -423,17 +423,12 @@ def _warn_of_metrics(results: Results, names: Sequence[str]) -> None:
 
 
 def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:
-    from swarmd.sim.experiments.statistics import interval, number
+    from swarmd.sim.experiments.compare import DIFFERENCE_HEADER, difference_row
 
     is_paired = any(one.is_paired for one in differences)
     click.echo(f"A: {a.label}\nB: {b.label}")
     click.echo(f"{'paired by seed' if is_paired else 'independent samples'}, 95 % bootstrap\n")
-    rows = [
-        (d.metric, d.unit or "-", number(d.mean_a), number(d.mean_b), number(d.difference),
-         interval(d.interval), str(d.n_a) if d.n_a == d.n_b else f"{d.n_a}, {d.n_b}", d.conclusion)
-        for d in differences
-    ]  # fmt: skip
-    print_table(("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "RUNS", "RESULT"), rows)
+    print_table(DIFFERENCE_HEADER, [difference_row(one) for one in differences])
     differing = sum(one.differs for one in differences)
     click.echo(f"\n{differing} of {len(differences)} metrics differ", nl=False)
     by_chance = 0.05 * sum(one.interval is not None for one in differences)

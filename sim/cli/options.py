@@ -191,8 +191,6 @@ def _platform_and_ids(platform: str, count: int) -> tuple[Platform, tuple[str, .
     from swarmd.settings.platforms import load_platform
     from swarmd.sim.live.fleet import robot_ids
 
-    if any(mark in platform for mark in ",:"):
-        raise ConfigError(f"--platform {platform!r}: a comma or colon; rename the file or folder")
     kind = load_platform(platform)
     ids = robot_ids(kind.name, count)
     if not all(map(is_id, ids)):

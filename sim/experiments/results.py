@@ -8,6 +8,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError, unknown
@@ -309,15 +310,11 @@ def known_metrics(manifest: Manifest) -> dict[str, Metric]:
     """
     return {
         one.name: Metric(
-            name=one.name,
-            unit=one.unit,
+            **msgspec.structs.asdict(one),
             meaning="",
             source=one.origin,
             value=partial(_value_of, one.origin),
             series=partial(_series_of, one.origin),
-            better=one.better,
-            is_time_to_event=one.is_time_to_event,
-            origin=one.origin,
             digest=manifest.plugins.get(one.origin, ""),
         )
         for one in manifest.metrics

@@ -6,8 +6,9 @@ import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from typing import Any
 
-from swarmd.core.values import Neighbor, Odometry, Platform, Scan, SharedPose, Twist
+from swarmd.core.values import Platform, Twist
 from swarmd.driver_api.emulator import Emulator, EmulatorFactory
 
 DRIVER = "simulated"
@@ -46,23 +47,10 @@ class EmulatorTransport:
         self._commands: dict[str, Command] = {}
         self.side: Emulator = factory(robots=robots, endpoint=endpoint, on_command=self._on_command)
 
-    def scan(self, robot: str, scan: Scan) -> None:
-        """Publish a scan."""
-        self.side.scan(robot, scan)
-
-    def odometry(self, robot: str, odometry: Odometry) -> None:
-        """Publish a measured pose and twist."""
-        self.side.odometry(robot, odometry)
-
-    def neighbors(self, robot: str, neighbors: tuple[Neighbor, ...]) -> None:
-        """Ignored: emulated robots do not publish neighbors."""
-
-    def pose(self, robot: str, pose: SharedPose) -> None:
-        """Ignored: emulated robots do not publish poses in a shared frame."""
-
-    def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        """Publish scalar readings."""
-        self.side.readings(robot, values)
+    def send(self, robot: str, name: str, value: Any) -> None:
+        """Publish a measurement; emulated robots publish no neighbors and no shared poses."""
+        if name in ("scan", "odometry", "readings"):
+            getattr(self.side, name)(robot, value)
 
     def take_commands(self) -> Mapping[str, Command]:
         """The newest command of each robot since the last call."""

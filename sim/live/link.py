@@ -11,13 +11,15 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
 import zenoh
 
 from swarmd.core import keys
 from swarmd.core.codec import MAX_CONTROL, encode
 from swarmd.core.errors import CodecError, NetworkError, SwarmError
-from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose, Twist
+from swarmd.core.values import Twist
 from swarmd.driver_api.hw_codec import (
     INPUTS,
     MAX_MESSAGES,
@@ -61,6 +63,16 @@ _OPTIONS: dict[str, object] = {
     "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 0,
     "transport/shared_memory/enabled": False,
 }
+
+_ENCODERS: Mapping[str, Callable[[Any], bytes]] = MappingProxyType(
+    {
+        "scan": encode_scan,
+        "odometry": encode_odometry,
+        "neighbors": encode_neighbors,
+        "pose": encode_pose,
+        "readings": encode_readings,
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,25 +124,9 @@ class WorldLink:
         """Publish sensor data of a robot; dropped if the link is busy."""
         self._publishers[robot, name].put(payload)
 
-    def scan(self, robot: str, scan: Scan) -> None:
-        """Publish a scan."""
-        self.publish(robot, "scan", encode_scan(scan))
-
-    def odometry(self, robot: str, odometry: Odometry) -> None:
-        """Publish a measured pose and twist."""
-        self.publish(robot, "odometry", encode_odometry(odometry))
-
-    def neighbors(self, robot: str, neighbors: tuple[Neighbor, ...]) -> None:
-        """Publish the robots in radio contact."""
-        self.publish(robot, "neighbors", encode_neighbors(neighbors))
-
-    def pose(self, robot: str, pose: SharedPose) -> None:
-        """Publish a pose in the frame that the robots share."""
-        self.publish(robot, "pose", encode_pose(pose))
-
-    def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        """Publish scalar readings."""
-        self.publish(robot, "readings", encode_readings(values))
+    def send(self, robot: str, name: str, value: Any) -> None:
+        """Publish what the sensor `name` of INPUTS of a robot has measured."""
+        self.publish(robot, name, _ENCODERS[name](value))
 
     def messages(self, robot: str, messages: Sequence[MessageWire]) -> None:
         """Publish the messages of patterns that the radio of `robot` receives now, in their order.
