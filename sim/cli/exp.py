@@ -129,8 +129,8 @@ def run(
     """
     need("mujoco")
     from swarmd.sim.cli.progress import progress, time_span
-    from swarmd.sim.experiments.arguments import parse_seeds, parse_sets, parse_shard, parse_sweeps
     from swarmd.sim.experiments.manifest import manifest_of
+    from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_shard, parse_sweeps
     from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.experiments.simulate import Runner, plan_of, run_experiment

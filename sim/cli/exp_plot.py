@@ -58,7 +58,7 @@ def plot(
 ) -> None:
     """Draw the experiment in DIR: trajectories, metrics by run and over time, differences."""
     need("matplotlib")
-    from swarmd.sim.experiments.arguments import parse_seeds
+    from swarmd.sim.experiments.plan import parse_seeds
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.plots.figures import Look, draw_experiment
 

@@ -159,6 +159,6 @@ def view(folder: Path, seed: int | None, variant: str | None, page: WebOptions) 
     """
     need("mujoco", "websockets", extra="sim,web")
     check_web(page)
-    from swarmd.sim.view.experiment import source_of
+    from swarmd.sim.view.trace_source import source_of
 
     serve(source_of(folder, seed, variant), None, page)

@@ -79,7 +79,7 @@ def video(
     """
     need_film()
     from swarmd.sim.film.film import FilmSettings, title_of
-    from swarmd.sim.view.experiment import runs_of
+    from swarmd.sim.view.trace_source import runs_of
 
     settings = FilmSettings(
         camera="perspective" if camera == "perspective" else "top",

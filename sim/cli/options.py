@@ -249,7 +249,7 @@ def scenario_fleet(
 
     Raises ConfigError for options that a scenario replaces, too.
     """
-    from swarmd.sim.experiments.arguments import parse_sets
+    from swarmd.sim.experiments.plan import parse_sets
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.live.live_scenario import LiveScenario, check_live
     from swarmd.sim.scenarios.scenariofile import load_scenario

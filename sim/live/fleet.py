@@ -197,21 +197,15 @@ def robot_ids(platform: str, count: int) -> tuple[str, ...]:
 
 def world_options(spec: FleetSpec) -> WorldOptions:
     """The options of the world process."""
-    options = WorldOptions(
-        swarm=spec.swarm,
-        seed=spec.seed,
-        endpoint=spec.endpoint,
-        emulator=spec.emulator,
-        shared_frame=spec.shared_frame,
-        trace=None if spec.trace is None else str(spec.trace),
-        seconds=spec.seconds,
-    )
-    if spec.scenario is not None:
-        path, rate = str(spec.folder / SCENARIO_FILE), spec.scenario.scenario.trace_rate
-        return structs.replace(options, scenario=path, trace_rate=rate)
+    trace = None if spec.trace is None else str(spec.trace)
+    same = ("swarm", "seed", "endpoint", "emulator", "shared_frame", "seconds")
     plain = ("arena", "layout", "realism", "lidar_visibility", "radio_range")
-    values = {name: getattr(spec, name) for name in plain}
-    return structs.replace(options, robots=dict(spec.robots), **values)
+    names = same if spec.scenario is not None else (*same, *plain)
+    options = WorldOptions(trace=trace, **{name: getattr(spec, name) for name in names})
+    if spec.scenario is None:
+        return structs.replace(options, robots=dict(spec.robots))
+    path, rate = str(spec.folder / SCENARIO_FILE), spec.scenario.scenario.trace_rate
+    return structs.replace(options, scenario=path, trace_rate=rate)
 
 
 def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object]:

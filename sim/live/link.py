@@ -1,5 +1,7 @@
 """The Zenoh session of a live world: the robots' `hw/*` keys, its state and its requests.
 
+`EmulatorTransport` replaces the `hw/*` keys for robots that emulate a ROS driver.
+
 The only module of the simulation that imports Zenoh. Multicast and gossip are off: drivers and
 viewers connect to the world and to no other peer.
 """
@@ -19,7 +21,8 @@ import zenoh
 from swarmd.core import keys
 from swarmd.core.codec import MAX_CONTROL, encode
 from swarmd.core.errors import CodecError, NetworkError, SwarmError
-from swarmd.core.values import Twist
+from swarmd.core.values import Platform, Twist
+from swarmd.driver_api.emulator import Emulator, EmulatorFactory
 from swarmd.driver_api.hw_codec import (
     INPUTS,
     MAX_MESSAGES,
@@ -34,7 +37,6 @@ from swarmd.driver_api.hw_codec import (
     encode_scan,
 )
 from swarmd.network.carriers.session import open_listening, open_with, tune_sockets
-from swarmd.sim.live.body_transport import Command
 from swarmd.sim.live.state import (
     Action,
     Triple,
@@ -295,3 +297,56 @@ def client_options(endpoint: str) -> dict[str, object]:
             "period_increase_factor": 1.0,
         },
     }
+
+
+DRIVER = "simulated"
+"""The driver of daemons whose robots are not emulated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """The newest command of a robot and its time of arrival.
+
+    `scan_seq`: the scan behind the decision; -1: no scan, None: unknown.
+    """
+
+    twist: Twist
+    arrival: float
+    scan_seq: int | None = None
+
+
+class EmulatorTransport:
+    """The emulator of a driver's robots, in place of the `hw/*` keys of the world's link.
+
+    `side` is the hub to which the daemons connect.
+    """
+
+    def __init__(
+        self,
+        factory: EmulatorFactory,
+        robots: Mapping[str, Platform],
+        endpoint: str,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Open the hub; raises what the factory raises."""
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._commands: dict[str, Command] = {}
+        self.side: Emulator = factory(robots=robots, endpoint=endpoint, on_command=self._on_command)
+
+    def send(self, robot: str, name: str, value: Any) -> None:
+        """Publish a measurement; emulated robots publish no neighbors and no shared poses."""
+        if name in ("scan", "odometry", "readings"):
+            getattr(self.side, name)(robot, value)
+
+    def take_commands(self) -> Mapping[str, Command]:
+        """The newest command of each robot since the last call."""
+        with self._lock:
+            commands, self._commands = self._commands, {}
+        return commands
+
+    def _on_command(self, robot: str, twist: Twist) -> None:
+        command = Command(twist, self._clock())
+        with self._lock:
+            self._commands[robot] = command

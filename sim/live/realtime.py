@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from swarmd.core.errors import CodecError, ConfigError, SwarmError, unknown
 from swarmd.core.values import Array, Pose, SharedPose
 from swarmd.driver_api.hw_codec import MessageWire
-from swarmd.sim.live.body_transport import EmulatorTransport
-from swarmd.sim.live.link import PendingRequest, WorldLink
+from swarmd.sim.live.link import EmulatorTransport, PendingRequest, WorldLink
 from swarmd.sim.live.pacing import Staggered, StepPacer
 from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request

@@ -28,8 +28,7 @@ from swarmd.plugins import load_emulator
 from swarmd.settings.driver_options import stops_after
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.body_transport import DRIVER, EmulatorTransport
-from swarmd.sim.live.link import WorldLink
+from swarmd.sim.live.link import DRIVER, EmulatorTransport, WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
 from swarmd.sim.live.state import WorldOptions

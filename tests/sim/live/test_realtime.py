@@ -29,8 +29,7 @@ from swarmd.driver_api.hw_codec import (
     encode_message,
 )
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.body_transport import EmulatorTransport
-from swarmd.sim.live.link import WorldLink, WorldView, client_options
+from swarmd.sim.live.link import EmulatorTransport, WorldLink, WorldView, client_options
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
 from swarmd.sim.live.state import WorldState
