@@ -1,4 +1,4 @@
-"""Recorded runs of experiments, demos and files on the page: traces play, pause and jump in time."""
+"""Recorded runs of experiments, demos and files on the page, where their traces play."""
 
 from __future__ import annotations
 
