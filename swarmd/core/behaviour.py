@@ -99,9 +99,11 @@ class Entry:
 
 Table = tuple[Entry, ...]
 """Entries in their order, the greatest first."""
+Manifests = Annotated[tuple[Signed, ...], Meta(max_length=2 * MAX_TABLE)]
+"""A table as it is sent and written."""
 
 _manifest = msgspec.msgpack.Decoder(Manifest)
-_table = msgspec.msgpack.Decoder(Annotated[tuple[Signed, ...], Meta(max_length=2 * MAX_TABLE)])
+_table = msgspec.msgpack.Decoder(Manifests)
 _encoder = msgspec.msgpack.Encoder()
 
 
@@ -140,7 +142,12 @@ def decode_table(content: bytes) -> Table:
         found = _table.decode(content)
     except (msgspec.MsgspecError, RecursionError) as error:
         raise CodecError(f"a table of behaviours that cannot be read: {error}") from error
-    return merged((), (read_entry(signed) for signed in found))
+    return read_table(found)
+
+
+def read_table(manifests: Manifests) -> Table:
+    """The entries of these manifests, as `decode_table`."""
+    return merged((), map(read_entry, manifests))
 
 
 def merged(table: Iterable[Entry], others: Iterable[Entry]) -> Table:

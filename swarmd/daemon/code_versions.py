@@ -23,14 +23,14 @@ from swarmd.core.behaviour import (
     greatest_generation,
     merged,
     read_entry,
+    read_table,
     wanted_by,
 )
 from swarmd.core.errors import ChangedCodeError, CodecError
 from swarmd.core.host_messages import HostEvent, Load, Loaded, TrialDone
 from swarmd.core.messages import Epoch, Reply
 from swarmd.core.verbs import BehaviourReport, BehavioursReply, ReloadRequest
-from swarmd.daemon.record_writer import RecordWriter
-from swarmd.daemon.store import CodeFiles
+from swarmd.daemon.store import CodeFiles, CodeRecord, RecordWriter
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.pushed_code import PushedCode, Version
@@ -87,10 +87,6 @@ class Candidate(Struct, frozen=True):
     is_accepted: bool = False
 
 
-Versions = Mapping[str, PushedCode]
-"""The versions of each pushed behaviour, by name."""
-
-
 class CodeVersions:
     """The pushed behaviours of `robot`. `operators` None: code needs no signature.
 
@@ -107,9 +103,7 @@ class CodeVersions:
         operators: Callable[[], Operators | None],
     ) -> None:
         self.files = files
-        self._writer = RecordWriter(
-            files.folder, _write_to(files), lambda text: self.control.fault(text)
-        )
+        self._writer = RecordWriter(files, lambda text: self.control.fault(text))
         self.robot, self.swarm = robot, swarm
         self.operators = operators
         self.control: RobotControl  # from `open` on
@@ -126,7 +120,8 @@ class CodeVersions:
     async def open(self, control: RobotControl) -> None:
         """Read what is on the disk, and check it; call it once, before the robot may run."""
         self.control = control
-        table, versions = await asyncio.to_thread(self.files.read)
+        record = await asyncio.to_thread(self.files.read)
+        table, versions = read_table(record.table), record.versions
         if not table and not versions:
             return
         foreign, checked = await asyncio.to_thread(self._check, table, versions)
@@ -144,11 +139,12 @@ class CodeVersions:
         self.changes += 1
         self._writer.store(self._record())
 
-    def _record(self) -> tuple[Table, Versions]:
+    def _record(self) -> CodeRecord:
         """What the disk is to have."""
-        if self._adopting is None:
-            return self.table, dict(self.versions)
-        return self._adopted(*self._adopting)
+        table, versions = self.table, dict(self.versions)
+        if self._adopting is not None:
+            table, versions = self._adopted(*self._adopting)
+        return CodeRecord(tuple(entry.signed for entry in table), versions)
 
     def _adopted(self, entry: Entry, version: Version) -> tuple[Table, dict[str, PushedCode]]:
         """The state after a removal, or after a trial that `version` passed."""
@@ -349,10 +345,6 @@ class CodeVersions:
             if current is not None and current.digest.hex() == digest:
                 return self.files.code(name, current.digest)
         return None
-
-
-def _write_to(files: CodeFiles) -> Callable[[tuple[Table, Versions]], None]:
-    return lambda record: files.write(*record)
 
 
 def _report(name: str, entry: Entry | None, code: PushedCode) -> BehaviourReport:

@@ -514,7 +514,7 @@ class Daemon:
             log.info("the run ended: %s", actions.ended)
         if actions.goals is not None:
             self._goals.store(actions.goals)
-        is_stored = actions.latches is None or self._latches.write(actions.latches)
+        is_stored = actions.latches is None or self._latches.store(actions.latches)
         self._tools.storage = self._latches.fault
         for command in (actions.trial, actions.host):
             if command is not None:

@@ -9,13 +9,13 @@ from collections import Counter
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-import msgspec
+from msgspec import Struct
 from msgspec.structs import replace
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
-from swarmd.core.files import write_whole
 from swarmd.core.token_bucket import TokenBucket
+from swarmd.daemon.store import StateFile
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import KIND_OFFSET, Ack, Address, Beacon, Kind, Stop, unpack
 from swarmd.network.members.admission import Admission
@@ -32,6 +32,12 @@ HINT_PERIOD = 5.0  # s between two hints that a newer roster exists, to keep lin
 HINT_AGAIN = 15.0  # s between two hints of one host: others must have their turn
 MAX_HINTED = 256
 _STRANGE = (Flaw.UNSIGNED, Flaw.FORGED, Flaw.ROLE)
+
+
+class StopCounters(Struct, frozen=True):
+    """The greatest counter of stops of each origin."""
+
+    counters: dict[bytes, int] = {}
 
 
 class DatagramGuard:
@@ -55,11 +61,11 @@ class DatagramGuard:
     ) -> None:
         self._identity = identity
         self._tag = tag
-        self._path = counters
+        self._file = StateFile(counters, StopCounters, "replayed stops may count")
         self._drops = drops
         self._on_event, self._on_newer_roster = on_event, on_newer_roster
         self._trust = Trust.of(identity)
-        self._written = _read(counters)
+        self._written: Mapping[bytes, int] = self._file.read().counters
         self._writing = threading.Lock()
         self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)
         self._strange: Counter[str] = Counter()
@@ -135,10 +141,11 @@ class DatagramGuard:
         """Write the counters for the next life of the daemon; on a thread, since disks are slow."""
         try:
             with self._writing:
-                self._path.parent.mkdir(parents=True, exist_ok=True)
-                write_whole(self._path, msgspec.msgpack.encode(self._written))
+                self._file.write(StopCounters(dict(self._written)))
         except OSError as error:
-            log.warning("%s cannot be written (%s): a restart forgets stops", self._path, error)
+            log.warning(
+                "%s cannot be written (%s): a restart forgets stops", self._file.path, error
+            )
 
     def _hint(self, payload: bytes, source: Address, now: float) -> None:
         if (
@@ -157,16 +164,6 @@ class DatagramGuard:
             if len(self._hinted) > MAX_HINTED:
                 del self._hinted[next(iter(self._hinted))]
             self._on_newer_roster(body.robot, source, generation_of(payload))
-
-
-def _read(path: Path) -> Mapping[bytes, int]:
-    try:
-        return msgspec.msgpack.decode(path.read_bytes(), type=dict[bytes, int])
-    except FileNotFoundError:
-        return {}
-    except (OSError, msgspec.MsgspecError) as error:
-        log.warning("%s cannot be read (%s): replayed stops may count", path, error)
-        return {}
 
 
 def _shown(source: Address) -> str:

@@ -12,8 +12,7 @@ from swarmd.core.clock import boottime, clock_id
 from swarmd.core.goal import Goal, GoalRecord, digest_of
 from swarmd.core.messages import Code, Refusal, Reply
 from swarmd.core.verbs import Request
-from swarmd.daemon.record_writer import RecordWriter
-from swarmd.daemon.store import GoalFile
+from swarmd.daemon.store import RecordWriter, StateFile
 from swarmd.network.spread.goal_sync import GoalCheck, is_signed_goal
 from swarmd.security.identity import Identity
 
@@ -31,9 +30,9 @@ class GoalService:
     def __init__(
         self, folder: Path, identity: Callable[[], Identity | None], on_event: Callable[[str], None]
     ) -> None:
-        self._file = GoalFile(folder)
+        self._file = StateFile(folder / "goal", GoalRecord, "goal and labels are lost")
         self._identity = identity
-        self._writer = RecordWriter(self._file.path, self._file.write, on_event)
+        self._writer = RecordWriter(self._file, on_event)
         # Robots that hand on false goals must not use up what the requests of operators need.
         self._check, self._check_asked = GoalCheck(self._key_of), GoalCheck(self._key_of)
 

@@ -1,31 +1,32 @@
-"""What a robot keeps on its disk: latches, goals with labels, and pushed behaviours.
+"""What a robot keeps on its disk: latches, goals with labels, stop counters, pushed behaviours.
 
 Each file is whole or absent, also after a power cut. In the folder of one robot::
 
     latches                                    emergency stops; written before their ack
     goal                                       goals and labels
-    behaviours/table                           the manifests of the swarm, signed
-    behaviours/versions                        which versions this robot has, and how they stand
+    stops                                      counters of stops that were heard
+    behaviours/record                          the signed manifests of the swarm, and the versions
     behaviours/code/<name>/<sha256>/<name>.py  a behaviour of one file
     behaviours/code/<name>/<sha256>/code.whl   a wheel
 """
 
 from __future__ import annotations
 
+import asyncio
 import hashlib
 import logging
 import shutil
-from collections.abc import Collection, Mapping
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from pathlib import Path
+from typing import Generic, TypeVar
 
-import msgspec
+from msgspec import Struct
 
-from swarmd.core.behaviour import Manifest, Table, decode_table, encode_table
-from swarmd.core.codec import Decoder, encode
+from swarmd.core.behaviour import Manifest, Manifests, read_table
+from swarmd.core.codec import MAX_CONTROL, Decoder, encode
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.files import sync_folder, write_fault, write_whole
-from swarmd.core.goal import GoalRecord
 from swarmd.core.messages import Latch
 from swarmd.pattern_host.wheel import inspect_wheel
 from swarmd.plugins import IN_WHEEL
@@ -34,124 +35,216 @@ from swarmd.robot.pushed_code import PushedCode
 
 log = logging.getLogger(__name__)
 
+RETRY_PERIOD = 5.0  # s between two tries to write a record that could not be written
 
-class LatchFile:
+T = TypeVar("T", bound=Struct)
+
+
+class StateFile(Generic[T]):
+    """A file that holds one record of the type `kind`; `lost`: what follows if it is unreadable.
+
+    `limit`: bytes that are read.
+    """
+
+    def __init__(self, path: Path, kind: type[T], lost: str, limit: int = MAX_CONTROL) -> None:
+        self.path = path
+        self._kind, self._lost = kind, lost
+        self._decode = Decoder(kind, limit)
+        self._written: T | None = None
+
+    def read(self) -> T:
+        """The record that was written last; an empty one without a file."""
+        try:
+            return self._decoded(self.path.read_bytes())
+        except FileNotFoundError:
+            return self._kind()
+        except (OSError, CodecError) as error:
+            log.warning("%s cannot be read (%s): %s", self.path, error, self._lost)
+            return self._unreadable(error)
+
+    def write(self, record: T) -> None:
+        """Write the record and wait until it is on the disk. OSError if that fails.
+
+        An unchanged record is not written again: an operator repeats an estop on every link.
+        """
+        if record != self._written:
+            self._written = None  # a write that fails may leave the new content
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            write_whole(self.path, encode(record))
+            self._written = record
+
+    def _decoded(self, content: bytes) -> T:
+        return self._decode(content)
+
+    def _unreadable(self, error: Exception) -> T:
+        return self._kind()
+
+
+class LatchFile(StateFile[LatchRecord]):
     """The file `latches` in a robot's state folder, which the daemon writes on its loop.
 
     A latch is on the disk before it is acknowledged. The robot does not run when its latches
-    change, so that a slow disk ends no run. The command zero is sent before.
+    change, so that a slow disk ends no run. The command zero is sent before. An unreadable file
+    latches.
 
     `fault`: why what is latched now would be lost by a restart; empty if it would not.
     """
 
     def __init__(self, folder: Path) -> None:
-        self.path = folder / "latches"
-        self._decode = Decoder(LatchRecord)
-        self._written: LatchRecord | None = None
+        super().__init__(folder / "latches", LatchRecord, "estopped until reset")
         self._unwritten: LatchRecord | None = None
         self.fault = ""
-
-    def read(self) -> LatchRecord:
-        """The record that was written last, else an empty one. An unreadable file latches."""
-        try:
-            return self._decode(self.path.read_bytes())
-        except FileNotFoundError:
-            return LatchRecord()
-        except (OSError, CodecError) as error:
-            log.warning("%s cannot be read (%s): estopped until reset", self.path, error)
-            reason = f"{self.path.name} could not be read: {error}"
-            latch = Latch(issuer="swarmd", scope="robots", reason=reason[:300])
-            return LatchRecord(held={"unreadable": latch})
 
     def check(self) -> bool:
         """Write what could not be written before, else try the folder; True if `fault` changed."""
         before = self.fault
         if self._unwritten is not None:
-            self.write(self._unwritten)
+            self.store(self._unwritten)
         else:
             why = write_fault(self.path.parent)
             self.fault = f"{self.path.parent} cannot be written ({why})" if why else ""
         return self.fault != before
 
-    def write(self, record: LatchRecord) -> bool:
-        """Write the record and wait until it is on the disk; False, with a log line, if that fails.
-
-        An unchanged record is not written again: an operator repeats an estop on every link.
-        """
-        if record == self._written:
-            return True
+    def store(self, record: LatchRecord) -> bool:
+        """Write the record on the calling thread; False, with a log line, if that fails."""
         try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            write_whole(self.path, encode(record))
+            self.write(record)
         except OSError as error:
             if not self.fault:
                 log.error("%s cannot be written (%s): latched in memory only", self.path, error)
             self._unwritten = record
             self.fault = f"{self.path.parent} cannot be written ({error.strerror})"
             return False
-        self._written, self._unwritten, self.fault = record, None, ""
+        self._unwritten, self.fault = None, ""
         return True
 
+    def _unreadable(self, error: Exception) -> LatchRecord:
+        reason = f"{self.path.name} could not be read: {error}"
+        latch = Latch(issuer="swarmd", scope="robots", reason=reason[:300])
+        return LatchRecord(held={"unreadable": latch})
 
-class GoalFile:
-    """The file `goal` in a robot's state folder: goals and labels."""
 
-    def __init__(self, folder: Path) -> None:
-        self.path = folder / "goal"
-        self._decode = Decoder(GoalRecord)
+class RecordWriter(Generic[T]):
+    """Writes the newest record of `file` in a thread, since a disk may take seconds.
 
-    def read(self) -> GoalRecord:
-        """The record that was written last, else an empty one."""
+    A record that cannot be written is tried again, or a newer one. `on_event` takes a line when
+    records cannot be written, and when they can be written again. All methods are called on the
+    loop.
+    """
+
+    def __init__(self, file: StateFile[T], on_event: Callable[[str], None]) -> None:
+        self._file = file
+        self._on_event = on_event
+        self._newest: T
+        self._tried: asyncio.Future[str] | None = None  # of the try that is to begin
+        self._last: asyncio.Future[str] | None = None  # of the try that takes the newest record
+        self._task: asyncio.Task[None] | None = None
+        self._asked = asyncio.Event()  # there is a newer record, or the writer closes
+        self._is_closed = False
+        self._fault = ""
+
+    def store(self, record: T) -> None:
+        """Write the record soon; a later one replaces it."""
+        self._begin(record)
+
+    async def write(self, record: T) -> str:
+        """Write the record, or a later one; why it could not be written, empty if it is on disk.
+
+        It returns after one try; later tries follow without the caller.
+        """
+        return await asyncio.shield(self._begin(record))
+
+    async def is_written(self, seconds: float) -> bool:
+        """True once all records are on the disk; False after `seconds`, or while writes fail."""
+        if self._last is None or self._fault or not self.is_busy:
+            return not self.is_busy
+        with suppress(TimeoutError):
+            return not await asyncio.wait_for(asyncio.shield(self._last), seconds)
+        return False
+
+    async def close(self) -> None:
+        """Wait until the newest record is on the disk, or could not be written once more."""
+        self._is_closed = True
+        self._asked.set()
+        if self._task is not None:
+            await self._task
+
+    @property
+    def is_busy(self) -> bool:
+        """True while the newest record is not on the disk."""
+        return self._task is not None and not self._task.done()
+
+    def _begin(self, record: T) -> asyncio.Future[str]:
+        loop = asyncio.get_running_loop()
+        self._newest = record
+        self._asked.set()
+        if self._tried is None:
+            self._tried = self._last = loop.create_future()
+        if not self.is_busy:
+            self._task = loop.create_task(self._run())
+            self._task.add_done_callback(_raise)
+        return self._tried
+
+    async def _run(self) -> None:
+        """Write until the newest record is on the disk."""
+        while True:
+            self._asked.clear()
+            tried, self._tried = self._tried, None
+            fault = await asyncio.to_thread(self._try, self._newest)
+            if fault != self._fault:
+                self._fault = fault
+                self._on_event(
+                    f"{self._file.path} cannot be written ({fault}): kept in memory only"
+                    if fault
+                    else f"{self._file.path} can be written again"
+                )
+            if tried is not None:
+                tried.set_result(fault)
+            if self._tried is not None:
+                continue
+            if not fault or self._is_closed:
+                return
+            with suppress(TimeoutError):
+                await asyncio.wait_for(self._asked.wait(), RETRY_PERIOD)
+
+    def _try(self, record: T) -> str:
         try:
-            return self._decode(self.path.read_bytes())
-        except FileNotFoundError:
-            return GoalRecord()
-        except (OSError, CodecError) as error:
-            log.warning("%s cannot be read (%s): goal and labels are lost", self.path, error)
-            return GoalRecord()
+            self._file.write(record)
+        except OSError as error:
+            return error.strerror or str(error)
+        return ""
 
-    def write(self, record: GoalRecord) -> None:
-        """Write the record and wait until it is on the disk. OSError if that fails."""
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        write_whole(self.path, encode(record))
+
+def _raise(task: asyncio.Task[None]) -> None:
+    """Hand what `write` raised beside OSError to the loop's handler of exceptions."""
+    if not task.cancelled():
+        task.result()
 
 
 CODE, WHEEL = "code", "code.whl"
 
-_versions = msgspec.msgpack.Decoder(dict[str, PushedCode])
+MAX_CODE_RECORD = 16 * 1024 * 1024  # bytes
 
 
-class CodeFiles:
+class CodeRecord(Struct, frozen=True):
+    """The manifests of the swarm, and how the versions on this robot stand, by name."""
+
+    table: Manifests = ()
+    versions: dict[str, PushedCode] = {}
+
+
+class CodeFiles(StateFile[CodeRecord]):
     """The folder of the pushed behaviours of one robot; nothing is made before it is needed."""
 
     def __init__(self, folder: Path) -> None:
+        lost = "behaviours are pulled again"
+        super().__init__(folder / "record", CodeRecord, lost, MAX_CODE_RECORD)
         self.folder = folder
 
-    def read(self) -> tuple[Table, dict[str, PushedCode]]:
-        """The table and the versions; empty, with a log line, what cannot be read."""
-        table: Table = ()
-        versions: dict[str, PushedCode] = {}
-        try:
-            table = decode_table((self.folder / "table").read_bytes())
-            versions = _versions.decode((self.folder / "versions").read_bytes())
-        except FileNotFoundError:
-            pass
-        except (OSError, CodecError, msgspec.MsgspecError) as error:
-            log.warning("%s cannot be read (%s): behaviours are pulled again", self.folder, error)
-        return table, versions
-
-    def write(self, table: Table, versions: Mapping[str, PushedCode]) -> None:
-        """Write both, and wait until they are on the disk. OSError if that fails."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self._write("versions", msgspec.msgpack.encode(versions))
-        self._write("table", encode_table(table))
-
-    def _write(self, name: str, content: bytes) -> None:
-        path = self.folder / name
-        with suppress(OSError):
-            if path.read_bytes() == content:
-                return
-        write_whole(path, content)
+    def _decoded(self, content: bytes) -> CodeRecord:
+        record = super()._decoded(content)
+        read_table(record.table)  # CodecError if a manifest cannot be read
+        return record
 
     def add(self, manifest: Manifest, code: bytes) -> None:
         """Write code that a manifest names. PluginError if it is no such code, OSError."""

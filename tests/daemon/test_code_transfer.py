@@ -16,11 +16,11 @@ from msgspec.structs import replace
 from swarmd.core.behaviour import (
     Manifest,
     Signed,
-    Table,
     encode_manifest,
     encode_table,
     merged,
     read_entry,
+    read_table,
 )
 from swarmd.core.clock import boottime
 from swarmd.core.errors import ChangedCodeError
@@ -30,11 +30,11 @@ from swarmd.core.verbs import PushRequest, ReloadRequest
 from swarmd.daemon import code_versions
 from swarmd.daemon.code_transfer import CodeIntake, CodePull
 from swarmd.daemon.code_versions import CodeRuns, CodeVersions
-from swarmd.daemon.store import CodeFiles
+from swarmd.daemon.store import CodeFiles, CodeRecord
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
-from swarmd.robot.pushed_code import HOLD_TIME, PushedCode
+from swarmd.robot.pushed_code import HOLD_TIME
 from swarmd.security.content_signature import Purpose, sign
 from swarmd.security.private_keys import load_private_key
 from swarmd.settings.settings import load_platform
@@ -106,12 +106,12 @@ class GatedFiles(CodeFiles):
         self.error: OSError | None = None
         self.written = 0
 
-    def write(self, table: Table, versions: Mapping[str, PushedCode]) -> None:
+    def write(self, record: CodeRecord) -> None:
         self.is_asked.set()
         assert self.is_open.wait(60.0)
         if self.error is not None:
             raise self.error
-        super().write(table, versions)
+        super().write(record)
         self.written += 1
 
     @contextmanager
@@ -274,7 +274,7 @@ async def test_code_that_a_host_found_changed_is_missing_until_it_is_pushed_agai
     assert (Path(rig.origin()).read_bytes(), rig.standing()) == (CODE, "provisional")
 
 
-@pytest.mark.parametrize("name", ["table", "versions", "code"])
+@pytest.mark.parametrize("name", ["record", "code"])
 async def test_a_name_of_a_file_of_the_daemon_is_a_name_of_a_pattern(rig: Rig, name: str) -> None:
     assert (await rig.push(name=name)).code is Code.APPLIED
     await rig.start()
@@ -336,7 +336,7 @@ async def test_a_push_is_applied_when_it_is_on_the_disk_and_the_loop_goes_on_mea
         assert len(rig.control.replies) == count
         assert rig.state.table == before  # nor do the peers see it
     assert (await pushing).code is Code.APPLIED
-    assert rig.files.read()[0] == rig.state.table != before
+    assert read_table(rig.files.read().table) == rig.state.table != before
     assert (rig.origin() == "") == (what == "removal")
 
 

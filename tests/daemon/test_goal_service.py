@@ -11,33 +11,39 @@ from msgspec.structs import replace
 from swarmd.core.clock import boottime
 from swarmd.core.goal import Goal, GoalRecord
 from swarmd.core.verbs import GoalRequest
-from swarmd.daemon import record_writer
+from swarmd.daemon import store
 from swarmd.daemon.goal_service import GoalService
-from swarmd.daemon.store import GoalFile
+from swarmd.daemon.store import StateFile
 from swarmd.network.spread.next_goal import sign_goal
 from tests.support.keys import SwarmKeys
 
 GOAL = Goal(generation=3, issuer="bob", id="g3", pattern="drive")
+
+
+def goal_file(folder: Path) -> StateFile[GoalRecord]:
+    return StateFile(folder / "goal", GoalRecord, "goals are lost")
+
+
 RECORD = GoalRecord(held=GOAL, own=GOAL, ended="stopped", labels=("red",))
 
 
 def test_a_record_is_written_whole_and_read_again(tmp_path: Path) -> None:
-    file = GoalFile(tmp_path / "deep")
+    file = goal_file(tmp_path / "deep")
     assert file.read() == GoalRecord()
     file.write(RECORD)
-    assert GoalFile(tmp_path / "deep").read() == RECORD
+    assert goal_file(tmp_path / "deep").read() == RECORD
     assert [path.name for path in (tmp_path / "deep").iterdir()] == ["goal"]
 
 
 def test_a_file_that_cannot_be_read_is_no_goal(tmp_path: Path) -> None:
-    GoalFile(tmp_path).path.write_bytes(b"\x01\xff\xff")
-    assert GoalFile(tmp_path).read() == GoalRecord()
+    goal_file(tmp_path).path.write_bytes(b"\x01\xff\xff")
+    assert goal_file(tmp_path).read() == GoalRecord()
 
 
 def test_a_folder_that_cannot_be_written_is_told_once_and_tried_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(record_writer, "RETRY_PERIOD", 0.01)
+    monkeypatch.setattr(store, "RETRY_PERIOD", 0.01)
     blocker, told = tmp_path / "state", list[str]()
     blocker.write_text("in the way")
 
@@ -58,7 +64,7 @@ def test_a_folder_that_cannot_be_written_is_told_once_and_tried_again(
 
     asyncio.run(run())
     assert len(told) == 2
-    assert GoalFile(blocker).read() == RECORD
+    assert goal_file(blocker).read() == RECORD
 
 
 @pytest.mark.parametrize("is_restarted", [False, True])
@@ -71,7 +77,7 @@ def test_the_time_of_the_last_stop_outlives_the_daemon_and_is_bounded_after_a_re
         await service.close()
 
     asyncio.run(run())
-    file = GoalFile(tmp_path)
+    file = goal_file(tmp_path)
     if is_restarted:
         file.write(replace(file.read(), clock="another"))
     read = GoalService(tmp_path, lambda: None, lambda text: None).read()
@@ -88,7 +94,7 @@ def test_the_last_record_is_on_disk_when_the_service_closes(tmp_path: Path) -> N
         await service.close()
 
     asyncio.run(run())
-    assert GoalFile(tmp_path).read().labels == ("l19",)
+    assert goal_file(tmp_path).read().labels == ("l19",)
 
 
 def test_goals_that_no_operator_signed_do_not_survive_a_restart_or_a_roster(tmp_path: Path) -> None:
@@ -96,7 +102,7 @@ def test_goals_that_no_operator_signed_do_not_survive_a_restart_or_a_roster(tmp_
     service = GoalService(tmp_path, lambda: keys["r1"], lambda text: None)
     good = sign_goal(GOAL, keys["bob"])
     foreign = replace(good, generation=9)
-    GoalFile(tmp_path).write(GoalRecord(held=foreign, own=good, before=GOAL, labels=("red",)))
+    goal_file(tmp_path).write(GoalRecord(held=foreign, own=good, before=GOAL, labels=("red",)))
     assert service.read() == GoalRecord(held=good, own=good, labels=("red",))
     assert service.foreign(service.read()) == ()
 

@@ -192,7 +192,7 @@ def test_code_that_was_changed_on_the_disk_is_not_run(pushing: Pushing, kind: st
     pushing.run("r1", 1)
 
 
-@pytest.mark.parametrize("name", ["table", "versions", "code"])
+@pytest.mark.parametrize("name", ["record", "code"])
 def test_no_name_of_a_pattern_is_that_of_a_file(pushing: Pushing, name: str) -> None:
     swarm = pushing.swarm
     first = swarm.start("r1")
