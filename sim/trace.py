@@ -268,7 +268,7 @@ class TraceBuilder:
 
 
 DECISION_ARRAYS = ("state", "reason", "active", "recovering", "gap", "scan_age", "bound")
-NO_DECISION = ("", "", False, False, np.nan, np.nan, (np.nan, np.nan, np.nan))
+NO_DECISION: tuple[Any, ...] = ("", "", False, False, np.nan, np.nan, (np.nan, np.nan, np.nan))
 """What a robot reports that reports nothing, in the order of DECISION_ARRAYS."""
 
 

@@ -19,8 +19,7 @@ import click
 from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.exp_plot import plot
-from swarmd.sim.cli.exp_results import check, export, report, view
+from swarmd.sim.cli.exp_results import check, export, plot, report, view
 from swarmd.sim.cli.exp_video import video
 from swarmd.sim.cli.options import (
     chosen_metrics,
