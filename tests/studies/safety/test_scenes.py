@@ -20,7 +20,7 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.lockstep.lockstep import Lockstep, simulate_run
-from swarmd.sim.metrics.contacts import contacts_with_arena
+from swarmd.sim.metrics.contacts import count_of
 from swarmd.sim.trace import Trace
 
 
@@ -118,7 +118,7 @@ def test_a_family_changes_the_realism_of_its_scenes() -> None:
 def test_ghosts_reach_goals_and_never_touch_a_wall() -> None:
     trace = run(Scene("goals", "burger", mode="ghost", duration=40.0))
     assert (trace.report["goals"][-1] >= 1).all()
-    assert contacts_with_arena(trace) == 0
+    assert count_of(trace, "arena") == 0
 
 
 def test_ghosts_swap_places_and_swap_back() -> None:
