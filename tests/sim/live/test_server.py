@@ -218,7 +218,7 @@ async def _ended(pidfd: int) -> None:
         ({"layout": "row:0.1"}, "robot 1"),
         ({"endpoint": "here"}, "endpoint"),
         ({"radio_range": -1.0}, "radio_range"),
-        ({"colour": "red"}, "colour"),
+        ({"colour": "red", "robots": {}}, "colour"),
     ],
 )
 def test_an_invalid_option_is_one_line_and_exit_code_2(
