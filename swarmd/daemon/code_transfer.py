@@ -22,6 +22,7 @@ from functools import partial
 from msgspec.structs import replace
 
 from swarmd.core.behaviour import Entry, Signed, decode_table, encode_table, merged, read_entry
+from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.events import CodeInput, HostInput, Input, NoteInput
@@ -34,6 +35,7 @@ from swarmd.daemon.requests import Answer
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import FAILED, DropCounter
 from swarmd.network.datagram import Address
+from swarmd.network.spread.asks import Asks
 from swarmd.network.spread.pull import Blob, Puller, serve_shared
 from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.plugins import Origin
@@ -96,9 +98,8 @@ class CodeIntake:
         if fault := self._refusal_of(entry):
             return self._refused(request.id, *fault)
         manifest = entry.manifest
-        code = self._uploads.setdefault(manifest.digest, bytearray())
-        while len(self._uploads) > MAX_UPLOADS:
-            del self._uploads[next(iter(self._uploads))]
+        code = self._uploads.get(manifest.digest, bytearray())
+        keep_newest(self._uploads, manifest.digest, code, MAX_UPLOADS)
         if request.offset > len(code) or len(code) > manifest.size:
             self._uploads.pop(manifest.digest, None)
             text = "a piece of the behaviour is missing; push it again"
@@ -317,7 +318,6 @@ TABLE_PERIOD, CODE_PERIOD = 30.0, 5.0
 FALSE_PERIOD = 300.0
 """s for which nothing is pulled from a robot that handed over a false signature: each takes 4 ms
 of a core to refuse, and robots keep only entries that they verified."""
-MAX_ASKED = 256
 
 
 class CodePull:
@@ -340,10 +340,9 @@ class CodePull:
         self._store = store
         self._on_taken = on_taken
         self._puller = puller
-        self._asked: dict[tuple[str, bytes], float] = {}
+        self._asks = Asks(CODE_PERIOD)
         self._complete_at: tuple[int, tuple[str, ...]] = (-1, ())  # nothing was missing then
         self._checking: asyncio.Task[None] | None = None
-        self._false: dict[str, float] = {}  # until when nothing is pulled from a robot
 
     def serve(self, bus: ZenohBus) -> None:
         """Hand tables and code to other robots."""
@@ -362,9 +361,8 @@ class CodePull:
 
     def on_beacon(self, robot: str, digest: bytes, address: Address, now: float) -> None:
         """The beacon of another robot shows this digest of its table."""
-        if not digest or self._checking is not None or self._store.is_busy:
-            return
-        if now < self._false.get(robot, -1e9):
+        is_busy = self._checking is not None or self._store.is_busy
+        if not digest or is_busy or not self._asks.may(robot, now):
             return
         own = self._state.digest
         is_new = digest != own and generation_of(digest) >= generation_of(own)
@@ -375,17 +373,17 @@ class CodePull:
         def on_done(blob: Blob, why: str) -> None:
             if blob is None:
                 log.info("the behaviours of %s are not known: %s", robot, why)
-                self._asked[robot, digest] = now + CODE_PERIOD - TABLE_PERIOD
+                self._asks.wait((robot, digest), now + CODE_PERIOD)
             else:
                 self._checking = asyncio.get_running_loop().create_task(
                     self._check(robot, address, blob)
                 )
 
-        if not self._may_ask(robot, digest, now, TABLE_PERIOD):
+        if not self._asks.may((robot, digest), now):
             return False
         is_begun = self._puller.pull(robot, address, TABLE, on_done=on_done)
         if is_begun:
-            self._asked[robot, digest] = now
+            self._asks.wait((robot, digest), now + TABLE_PERIOD)
         return is_begun
 
     def _pull_code(self, robot: str, address: Address, now: float) -> None:
@@ -398,7 +396,7 @@ class CodePull:
             self._complete_at = present
         for entry in missing:
             wanted = entry.manifest.digest
-            if not self._may_ask(robot, wanted, now, CODE_PERIOD):
+            if not self._asks.may((robot, wanted), now):
                 continue
             if self._puller.pull(
                 robot,
@@ -409,13 +407,8 @@ class CodePull:
                 digest=wanted,
                 on_done=partial(self._on_code, robot, entry),
             ):
-                self._asked[robot, wanted] = now
+                self._asks.wait((robot, wanted), now + CODE_PERIOD)
             return
-
-    def _may_ask(self, robot: str, what: bytes, now: float, period: float) -> bool:
-        while len(self._asked) > MAX_ASKED:
-            del self._asked[next(iter(self._asked))]
-        return now >= self._asked.get((robot, what), -1e9) + period
 
     async def _check(self, robot: str, address: Address, blob: bytes) -> None:
         known, operators = set(self._state.table), self._state.operators()
@@ -439,7 +432,7 @@ class CodePull:
             finally:
                 self._checking = None
             if is_false:
-                self._false[robot] = boottime() + FALSE_PERIOD
+                self._asks.wait(robot, boottime() + FALSE_PERIOD)
             if len(good) < count:
                 log.warning(
                     "%s has behaviours that no operator of the roster signed; they are left out",

@@ -26,6 +26,7 @@ from swarmd.core.behaviour import (
     read_table,
     wanted_by,
 )
+from swarmd.core.bounds import keep_newest
 from swarmd.core.errors import ChangedCodeError, CodecError
 from swarmd.core.host_messages import HostEvent, Load, Loaded, TrialDone
 from swarmd.core.messages import Epoch, Reply
@@ -432,9 +433,7 @@ class CodeRuns:
         state.pinned[name] = version
         if name != load.pattern:
             return
-        self._loads[load.generation] = LoadedCode(name, version.digest)
-        while len(self._loads) > MAX_LOADS:
-            del self._loads[next(iter(self._loads))]
+        keep_newest(self._loads, load.generation, LoadedCode(name, version.digest), MAX_LOADS)
         if self.is_provisional(load.generation) and not state.versions[name].is_running:
             state.versions[name] = state.versions[name].begin()
             state.save()

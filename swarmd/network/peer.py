@@ -14,6 +14,7 @@ from functools import partial
 
 from msgspec.structs import replace
 
+from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import ClockSample
 from swarmd.core.goal import Goal, HeldGoal, encode_goal
 from swarmd.core.messages import Body, Latch, State
@@ -630,10 +631,7 @@ class Peer:
         """True if a host may have so many datagrams now, which are then taken from its budget."""
         # All robots of one machine have one host, and a robot behind routers has no port.
         host = f"{source[0]}:{source[1]}" if source[0].startswith("127.") else source[0]
-        budget = self._answers_by_host.pop(host, None)
-        if budget is None:
-            budget = TokenBucket(ANSWER_RATE_OF_HOST, ANSWER_RATE_OF_HOST)
-        self._answers_by_host[host] = budget
-        while len(self._answers_by_host) > MAX_HOSTS:
-            del self._answers_by_host[next(iter(self._answers_by_host))]
+        budget = self._answers_by_host.get(host)
+        budget = budget or TokenBucket(ANSWER_RATE_OF_HOST, ANSWER_RATE_OF_HOST)
+        keep_newest(self._answers_by_host, host, budget, MAX_HOSTS)
         return budget.take(count, now) and self._answers.take(count, now)
