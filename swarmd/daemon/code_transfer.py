@@ -26,9 +26,9 @@ from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError, PluginError
 from swarmd.core.events import CodeInput, HostInput, Input, NoteInput
-from swarmd.core.goal import generation_of
 from swarmd.core.host_messages import HostEvent, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
+from swarmd.core.record import may_replace
 from swarmd.core.verbs import BehavioursReply, Nothing, PushRequest, ReloadRequest, Request
 from swarmd.daemon.code_versions import Candidate, CodeVersions
 from swarmd.daemon.requests import Answer
@@ -364,8 +364,7 @@ class CodePull:
         is_busy = self._checking is not None or self._store.is_busy
         if not digest or is_busy or not self._asks.may(robot, now):
             return
-        own = self._state.digest
-        is_new = digest != own and generation_of(digest) >= generation_of(own)
+        is_new = may_replace(digest, self._state.digest)
         if not is_new or not self._pull_table(robot, digest, address, now):
             self._pull_code(robot, address, now)
 

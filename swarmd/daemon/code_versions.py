@@ -268,9 +268,7 @@ class CodeVersions:
         if operators is None:
             return True
         key, signed = operators.get(manifest.issuer), entry.signed
-        return key is not None and is_signed_by(
-            key, Purpose.MANIFEST, signed.content, signed.signature
-        )
+        return is_signed_by(key, Purpose.MANIFEST, signed.content, signed.signature)
 
     # What is here
 

@@ -28,9 +28,11 @@ import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.core.bounds import Line, Name
+from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import MAX_GOAL
 from swarmd.core.messages import Body, Latch, Presence, State
+from swarmd.core.record import Digest
 
 MAGIC = b"SWMD"
 TAG_BYTES = 8
@@ -47,8 +49,6 @@ _ROUNDING = 1e-6  # mm that rounding adds to a whole number of them
 
 RobotId = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 Bytes6 = Annotated[bytes, Meta(min_length=6, max_length=6)]
-DIGEST_BYTES = 6
-Digest = Annotated[bytes, Meta(max_length=DIGEST_BYTES)]
 Milliseconds = Annotated[int, Meta(ge=0, le=_MAX_MS)]
 Nanoseconds = Annotated[int, Meta(ge=0, le=2**62)]
 Millimetres = Annotated[int, Meta(ge=0, le=100_000)]
@@ -412,10 +412,8 @@ def unpack(tag: bytes, payload: bytes) -> Datagram | None:
         return None
     if _HEAD.size + length > len(payload):
         raise CodecError("a datagram that is cut short")
-    try:
-        body: Datagram = decoder.decode(memoryview(payload)[_HEAD.size : _HEAD.size + length])
-    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise CodecError(str(error)) from error
+    content = memoryview(payload)[_HEAD.size : _HEAD.size + length]
+    body: Datagram = decode(decoder, content, "a datagram")
     return body
 
 

@@ -15,6 +15,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta, Struct
 
+from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.keys import is_id
 from swarmd.security.identity import IdentityInfo, RosterFile, write_identity, write_private
@@ -83,10 +84,7 @@ def unpack_bundle(data: bytes) -> OpenedBundle:
     body = data[len(FORMAT) + _DIGEST_BYTES :]
     if hashlib.sha256(body).digest() != digest:
         raise CodecError("damaged or cut short; copy it again")
-    try:
-        bundle = _bundle.decode(body)
-    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise CodecError(f"a bundle that cannot be read: {error}") from error
+    bundle = decode(_bundle, body, "a bundle")
     info = bundle.info
     roster = read_roster(bundle.roster.roster, info.authority)
     if roster.swarm != info.swarm or roster.role_of(info.name) is not info.role:

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
-from swarmd.core.goal import generation_of
 from swarmd.core.keys import is_id
 from swarmd.core.messages import PeerView, Presence, StatusHeader
+from swarmd.core.record import generation_of
 from swarmd.network.datagram import Address, Beacon, MemberList
 from swarmd.network.operator.beacon_table import MAX_ROBOTS, QUIET_TIME, BeaconChange, BeaconTable
 from swarmd.network.operator.member_reports import (

@@ -16,15 +16,14 @@ from typing import NamedTuple
 from swarmd.core.bounds import keep_newest
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import (
-    DIGEST_BYTES,
     MAX_UNSIGNED,
     Goal,
     HeldGoal,
     decode_goal,
     digest_of,
-    generation_of,
     signed_part,
 )
+from swarmd.core.record import may_replace
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.datagram import Address, GoalReport
 from swarmd.network.spread.asks import MAX_KNOWN, Asks
@@ -75,15 +74,12 @@ class GoalSync:
         self, instance: bytes, digest: bytes, source: Address, own: HeldGoal | None, now: float
     ) -> int | None:
         """The number of a question to a beacon's sender with this digest; None: no question."""
-        if len(digest) != DIGEST_BYTES:
-            return None
         if own is not None and digest == own.digest:
             is_due = _lacks_age(own) and now - self._age_asked >= AGE_PERIOD
             self._age_asked = now if is_due else self._age_asked
         else:
-            is_lesser = own is not None and generation_of(digest) < own.goal.generation
-            is_known = is_lesser or self._asks.knows(instance, digest)
-            is_due = not is_known and self._asks.take(instance, now, digest)
+            is_lacking = self.lacks(instance, digest, b"" if own is None else own.digest)
+            is_due = is_lacking and self._asks.take(instance, now, digest)
         return self._ask(_Question(instance, digest, source, now), now) if is_due else None
 
     def repeats(self, own: HeldGoal | None, now: float) -> list[tuple[int, Address]]:
@@ -120,9 +116,7 @@ class GoalSync:
 
     def lacks(self, instance: bytes, digest: bytes, own: bytes) -> bool:
         """True if a robot shows a goal that may be greater than the own one, and is not known."""
-        if len(digest) != DIGEST_BYTES or digest == own or self._asks.knows(instance, digest):
-            return False
-        return generation_of(digest) >= generation_of(own)
+        return may_replace(digest, own) and not self._asks.knows(instance, digest)
 
     def retry(self, instance: bytes) -> None:
         """The answer of a robot could not be used: ask it again."""
@@ -143,11 +137,8 @@ def needs_no_signature(goal: Goal) -> bool:
 
 def is_signed_goal(goal: Goal, key_of: Callable[[str], bytes | None]) -> bool:
     """True if a goal is signed by its issuer, or needs no signature; takes some 4 ms."""
-    if needs_no_signature(goal):
-        return True
-    public_key = key_of(goal.issuer)
-    return public_key is not None and is_signed_by(
-        public_key, Purpose.GOAL, signed_part(goal), goal.signature
+    return needs_no_signature(goal) or is_signed_by(
+        key_of(goal.issuer), Purpose.GOAL, signed_part(goal), goal.signature
     )
 
 

@@ -14,7 +14,8 @@ import msgspec
 
 from swarmd.core.bounds import keep_newest
 from swarmd.core.messages import Latch
-from swarmd.network.datagram import DIGEST_BYTES, Latches
+from swarmd.core.record import DIGEST_BYTES
+from swarmd.network.datagram import Latches
 from swarmd.network.spread.asks import MAX_KNOWN, Asks
 
 ASK_PERIOD = 0.25  # between requests to one robot, in s
