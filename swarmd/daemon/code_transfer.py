@@ -16,7 +16,7 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import deque
-from collections.abc import Callable, Collection, Coroutine, Mapping
+from collections.abc import Callable, Collection, Coroutine
 from functools import partial
 
 from msgspec.structs import replace
@@ -25,11 +25,10 @@ from swarmd.core.behaviour import Entry, Signed, decode_table, encode_table, mer
 from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError, PluginError
-from swarmd.core.events import CodeInput, HostInput, Input, NoteInput
 from swarmd.core.host_messages import HostEvent, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.core.record import may_replace
-from swarmd.core.verbs import BehavioursReply, Nothing, PushRequest, ReloadRequest, Request
+from swarmd.core.verbs import BehavioursReply, Nothing, PushRequest, ReloadRequest
 from swarmd.daemon.code_versions import Candidate, CodeVersions
 from swarmd.daemon.requests import Answer
 from swarmd.network.carriers.bus import ZenohBus
@@ -37,10 +36,7 @@ from swarmd.network.carriers.inbound_queue import FAILED, DropCounter
 from swarmd.network.datagram import Address
 from swarmd.network.spread.asks import Asks
 from swarmd.network.spread.pull import Blob, Puller, serve_shared
-from swarmd.pattern_host.runner import ProcessRunner
-from swarmd.plugins import Origin
 from swarmd.robot.pushed_code import Version
-from swarmd.robot.robot import Robot
 
 log = logging.getLogger(__name__)
 
@@ -447,66 +443,3 @@ class CodePull:
         elif not self._store.is_busy:
             self._on_taken(robot, entry)
             self._store.take(entry, blob, robot)
-
-
-class CodeControl:
-    """The `RobotControl` of a daemon.
-
-    `on_request` takes a request to the robot, `step` another input, `reply` the answer to a push,
-    and `warn` a line for the events and a warning for the log.
-    """
-
-    def __init__(
-        self,
-        robot: Robot,
-        runner: ProcessRunner,
-        *,
-        on_request: Callable[[Request], None],
-        step: Callable[[Input], None],
-        reply: Callable[[Reply], None],
-        warn: Callable[[str], None],
-    ) -> None:
-        self._robot = robot
-        self._runner = runner
-        self._on_request, self._step = on_request, step
-        self._reply, self._warn = reply, warn
-
-    def try_code(self, request: ReloadRequest) -> None:
-        """Hand a reload of pushed code to the robot."""
-        self._on_request(request)
-
-    def end_trial(self, event: TrialDone) -> None:
-        """Hand the end of a trial of pushed code to the robot."""
-        self._step(HostInput(event))
-
-    def code_changed(self) -> None:
-        """Let the next run have a fresh pattern host."""
-        self._step(CodeInput())
-
-    def reply(self, reply: Reply) -> None:
-        """Answer a push."""
-        self._reply(reply)
-
-    def event(self, text: str) -> None:
-        """A line for the events and the log."""
-        log.info("%s", text)
-        self._step(NoteInput(text))
-
-    def fault(self, text: str) -> None:
-        """A line for the events and a warning for the log."""
-        self._warn(text)
-
-    def epoch(self) -> Epoch:
-        """The robot's present epoch."""
-        return self._robot.epoch
-
-    def labels(self) -> tuple[str, ...]:
-        """The robot's present labels."""
-        return self._robot.labels
-
-    def own_patterns(self) -> Mapping[str, Origin]:
-        """The patterns that the robot has beside pushed ones."""
-        try:
-            return self._runner.own_patterns()
-        except PluginError:  # the folder is gone; a run is refused with the reason
-            return {}

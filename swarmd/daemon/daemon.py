@@ -47,8 +47,8 @@ from swarmd.core.messages import Reply, Status
 from swarmd.core.values import Neighbor
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
-from swarmd.daemon.code_transfer import CodeControl, CodeIntake, CodePull
-from swarmd.daemon.code_versions import CodeRuns, CodeVersions
+from swarmd.daemon.code_transfer import CodeIntake, CodePull
+from swarmd.daemon.code_versions import CodeControl, CodeRuns, CodeVersions
 from swarmd.daemon.driver import DriverOutput, make_driver
 from swarmd.daemon.driver_sink import DriverSink
 from swarmd.daemon.goal_service import GoalService
