@@ -9,6 +9,7 @@ from __future__ import annotations
 import fnmatch
 import hashlib
 from collections.abc import Collection
+from enum import IntEnum
 from typing import Annotated
 
 from msgspec import Meta, Struct
@@ -21,6 +22,14 @@ LABEL = "label:"
 
 Target = Annotated[str, Meta(min_length=1, max_length=70)]
 """A robot's name, a shell-style pattern of names, or `label:` and a label."""
+
+
+class RecordKind(IntEnum):
+    """What spreads among robots: the place of its digest in a beacon; append only."""
+
+    LATCH = 0
+    GOAL = 1
+    BEHAVIOUR = 2
 
 
 class Issued(Struct, frozen=True, kw_only=True):

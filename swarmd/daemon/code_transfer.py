@@ -346,6 +346,11 @@ class CodePull:
         serve_shared(bus, TABLE, lambda name, asker: encode_table(state.table))
         serve_shared(bus, CODE, lambda name, asker: state.shared_code(name))
 
+    @property
+    def digest(self) -> bytes:
+        """Of the table, for beacons."""
+        return self._state.digest
+
     def on_plugins(self, _: Nothing) -> BehavioursReply:
         """The pushed behaviours of this robot."""
         return self._state.report()

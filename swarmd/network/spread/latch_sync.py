@@ -8,7 +8,7 @@ and nothing is sent while all agree.
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 
 import msgspec
 
@@ -34,22 +34,21 @@ def digest_of(latches: Mapping[str, Latch]) -> bytes:
     return hashlib.blake2b("\n".join(names).encode(), digest_size=DIGEST_BYTES).digest()
 
 
-def latch_parts(robot: str, instance: bytes, latches: Mapping[str, Latch]) -> Iterable[Latches]:
+def latch_parts(robot: str, instance: bytes, latches: Mapping[str, Latch]) -> list[Latches]:
     """The swarm-wide latches of a robot in datagrams that fit."""
-    digest, room = digest_of(latches), ROOM
-    part: dict[str, Latch] = {}
+    digest, room = digest_of(latches), 0
+    parts: list[dict[str, Latch]] = []
     for name, latch in sorted(latches.items()):
         if latch.scope != "swarm":
             continue
         issuer, reason = _cut(latch.issuer, MAX_ISSUER), _cut(latch.reason, MAX_REASON)
         size = len(name) + len(issuer.encode()) + len(reason.encode()) + 40
-        if part and size > room:
-            yield Latches(robot=robot, instance=instance, digest=digest, held=part)
-            part, room = {}, ROOM
-        part[name] = msgspec.structs.replace(latch, issuer=issuer, reason=reason)
+        if not parts or size > room:
+            parts.append({})
+            room = ROOM
+        parts[-1][name] = msgspec.structs.replace(latch, issuer=issuer, reason=reason)
         room -= size
-    if part:
-        yield Latches(robot=robot, instance=instance, digest=digest, held=part)
+    return [Latches(robot=robot, instance=instance, digest=digest, held=part) for part in parts]
 
 
 def _cut(text: str, size: int) -> str:

@@ -123,16 +123,9 @@ class Puller:
             with self._drops.refusing(f"shared/{what}"):
                 try:
                     blob = await pull(
-                        self.settings,
-                        peer,
-                        address,
-                        what,
-                        self._asker,
-                        name=name,
-                        limit=limit,
-                        digest=digest,
-                        identity=self._identity,
-                    )
+                        self.settings, peer, address, what, self._asker,
+                        name=name, limit=limit, digest=digest, identity=self._identity
+                    )  # fmt: skip
                 except (NetworkError, TimeoutError) as error:
                     why = str(error) or f"{peer} did not hand it over within {PULL_TIMEOUT:.0f} s"
             self._task = None
