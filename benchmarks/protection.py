@@ -7,6 +7,15 @@ from __future__ import annotations
 
 import os
 
+from swarmd.core.events import (
+    TICK_INPUT,
+    DriverInput,
+    HostInput,
+    OdometryInput,
+    RequestInput,
+    ScanInput,
+)
+
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as in the daemon
 
 import math
@@ -54,28 +63,30 @@ class LiveRobot:
         settings = RobotSettings(driver="simulated", layers=lambda name: ())
         self.now, self.seq = 0.0, 0
         self.robot = Robot("r", platform, settings, seed=0, instance="b", now=0.0)
-        self.robot.on_driver(True, "", self.now)
-        self.robot.on_request(
-            RunRequest(
-                id="1", operator="bench", targets={"r": Epoch("b", 0)}, pattern="attraction"
+        self.robot.step(DriverInput(True, ""), self.now)
+        self.robot.step(
+            RequestInput(
+                RunRequest(
+                    id="1", operator="bench", targets={"r": Epoch("b", 0)}, pattern="attraction"
+                )
             ),
             self.now,
         )
-        self.robot.on_host(Loaded(1, 10.0, frozenset(), {}), self.now)
+        self.robot.step(HostInput(Loaded(1, 10.0, frozenset(), {})), self.now)
 
     def advance(self, scan: Scan) -> Scan:
         """Let a scan period pass, with ticks, odometry and answers; the scan, numbered anew."""
         for _ in range(4):
             self.now += PERIOD / 4
-            self.robot.tick(self.now)
-            self.robot.on_odometry(Odometry(self.now, Pose(), REQUESTED), self.now)
+            self.robot.step(TICK_INPUT, self.now)
+            self.robot.step(OdometryInput(Odometry(self.now, Pose(), REQUESTED)), self.now)
             self.answer()
         self.seq += 1
         return replace(scan, seq=self.seq, stamp=self.now)
 
     def answer(self) -> None:
         """What the pattern host says to a step."""
-        self.robot.on_host(Stepped(1, Outputs(twist=REQUESTED), self.seq), self.now)
+        self.robot.step(HostInput(Stepped(1, Outputs(twist=REQUESTED), self.seq)), self.now)
 
 
 def live_rows(platform: Platform, scans: Sequence[Scan]) -> Iterator[Row]:
@@ -84,13 +95,13 @@ def live_rows(platform: Platform, scans: Sequence[Scan]) -> Iterator[Row]:
 
     def prepare() -> Callable[[], object]:
         scan = live.advance(next(some))
-        return lambda: live.robot.on_scan(scan, live.now)
+        return lambda: live.robot.step(ScanInput(scan), live.now)
 
     yield Row("Robot.on_scan", measure_each(prepare), note="all that a scan leads to")
-    yield Row("Robot.tick", measure_each(lambda: partial(live.robot.tick, live.now)))
+    yield Row("Robot.tick", measure_each(lambda: partial(live.robot.step, TICK_INPUT, live.now)))
 
     def prepare_answer() -> Callable[[], object]:
-        live.robot.on_scan(live.advance(next(some)), live.now)
+        live.robot.step(ScanInput(live.advance(next(some))), live.now)
         return live.answer
 
     yield Row("Robot.on_host, a step's answer", measure_each(prepare_answer))

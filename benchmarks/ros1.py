@@ -24,6 +24,7 @@ import numpy as np
 from benchmarks.plain_field import plain_field
 from benchmarks.table import Row, print_table
 from swarmd.core.clock import boottime
+from swarmd.core.events import DriverInput, ScanInput
 from swarmd.core.values import Scan, Twist
 from swarmd.drivers.ros.messages import LaserScan
 from swarmd.drivers.ros1 import serialization
@@ -77,8 +78,13 @@ def core() -> Answer:
     """A robot's core without a pattern: its safe command, which is zero."""
     settings = RobotSettings(driver="ros1", layers=lambda pattern: ())
     robot = Robot("r", PLATFORM, settings, seed=1, instance="bench", now=boottime())
-    robot.on_driver(True, "", boottime())
-    return lambda scan: robot.on_scan(scan, boottime()).twist
+    robot.step(DriverInput(True, ""), boottime())
+
+    def answer(scan: Scan) -> Twist:
+        robot.step(ScanInput(scan), boottime())
+        return robot.decision.safe
+
+    return answer
 
 
 async def answer_all(master: str, answers: Mapping[str, Answer]) -> None:

@@ -14,21 +14,15 @@ from msgspec.structs import astuple
 
 from swarmd.core import events
 from swarmd.core.events import Input
-from swarmd.core.goal import Goal, GoalRecord, HeldGoal
-from swarmd.core.hazard import Hazard
-from swarmd.core.host_messages import HostEvent, Step, TrialDone
-from swarmd.core.messages import Body, Epoch, Latch, Motion, Reason, State, Status
+from swarmd.core.goal import GoalRecord, HeldGoal
+from swarmd.core.host_messages import Step, TrialDone
+from swarmd.core.messages import Epoch, Latch, Motion, Reason, State, Status
 from swarmd.core.values import (
-    Neighbor,
-    Odometry,
-    PeerPlace,
     Platform,
     Scalar,
     Scan,
     SharedPose,
-    Value,
 )
-from swarmd.core.verbs import Request
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import NO_PERMIT, Decision
 from swarmd.robot.actions import Actions, Effects
@@ -193,13 +187,12 @@ class Robot:
 
     # Inputs from the driver and the network
 
-    def on_scan(self, scan: Scan, now: float) -> Actions:
-        """A raw scan arrived."""
+    def _on_scan(self, one: events.ScanInput, now: float) -> Actions:
         effects = self._begin(now)
         effects.is_routine = True
         blind = self._sensors.blind_text
         restarts = self._sensors.scan_delay.restarts
-        effects.is_new_scan = self._sensors.on_scan(scan, now)
+        effects.is_new_scan = self._sensors.on_scan(one.scan, now)
         self._log_restart(restarts, now)
         if self._sensors.blind_text != blind:
             text = self._sensors.blind_text or "all sectors return something again"
@@ -209,16 +202,14 @@ class Robot:
             self._log_protection(now)
         return self._settle(effects)
 
-    def on_ranges(self, scan: Scan, now: float) -> Actions:
-        """A raw scan of the platform's ring of range sensors arrived."""
+    def _on_ranges(self, one: events.RangesInput, now: float) -> Actions:
         effects = self._begin(now)
         effects.is_routine = True
-        self._sensors.on_ranges(scan, now)
+        self._sensors.on_ranges(one.scan, now)
         return self._settle(effects)
 
-    def on_odometry(self, odometry: Odometry, now: float) -> None:
-        """A measured pose and twist arrived."""
-        restarts = self._sensors.scan_delay.restarts
+    def _on_odometry(self, one: events.OdometryInput, now: float) -> None:
+        odometry, restarts = one.odometry, self._sensors.scan_delay.restarts
         self._sensors.on_odometry(odometry, now)
         self._log_restart(restarts, now)
         if self._sensors.odometry is odometry:
@@ -226,160 +217,126 @@ class Robot:
             self._log_protection(now)
             self._log_following(now)
 
-    def on_neighbors(self, neighbors: tuple[Neighbor, ...], now: float) -> None:
-        """The present neighbours: from the driver if it provides them, else all members."""
-        self._sensors.on_neighbors(neighbors, now)
+    def _on_neighbors(self, one: events.NeighborsInput, now: float) -> None:
+        self._sensors.on_neighbors(one.neighbors, now)
 
-    def on_peers(self, bodies: Mapping[str, Body | None], now: float) -> None:
-        """What the other robots tell of their bodies: all that were heard and are not forgotten."""
+    def _on_peers(self, one: events.PeersInput, now: float) -> None:
         robots: dict[tuple[str, str], list[str]] = {}  # a swarm of one kind is one event
-        for found in self._sensors.on_peers(bodies):
+        for found in self._sensors.on_peers(one.bodies):
             robots.setdefault((found.kind, found.text), []).append(found.robot)
             self._due_at = self._quiet_until = -math.inf
         for (kind, text), names in robots.items():
             self._events.log(f"peers {kind}", f"peer {', '.join(names)}: {text}", now)
         self._events.advance(now)
 
-    def on_pose(self, pose: SharedPose, now: float) -> None:
-        """The robot's own pose in a frame that robots share."""
-        self._sensors.on_pose(pose, now)
+    def _on_pose(self, one: events.PoseInput, now: float) -> None:
+        self._sensors.on_pose(one.pose, now)
 
-    def on_peer_place(self, place: PeerPlace, now: float) -> None:
-        """Where a peer says that it is in a shared frame."""
-        self._sensors.on_place(place, now)
+    def _on_place(self, one: events.PlaceInput, now: float) -> None:
+        self._sensors.on_place(one.place, now)
 
     def pose_to_tell(self, now: float) -> tuple[SharedPose, float] | None:
         """The own pose in a shared frame and its age in s, if peers are to be told it."""
         return self._sensors.peers.pose_to_tell(now)
 
-    def on_readings(self, readings: Mapping[str, float]) -> None:
-        """Scalar sensor readings by name; NaN for one without a fresh value."""
-        self._sensors.on_readings(readings)
+    def _on_readings(self, one: events.ReadingsInput, now: float) -> None:
+        self._sensors.on_readings(one.readings)
 
-    def on_hazards(self, hazards: tuple[Hazard, ...], now: float) -> Actions:
-        """All hazards that the base senses now; see `HazardHolds`."""
+    def _on_hazards(self, one: events.HazardsInput, now: float) -> Actions:
         effects, holds = self._begin(now), self._sensors.hazards
         before = holds.present
-        holds.take(hazards, now)
+        holds.take(one.hazards, now)
         if before != holds.present:
-            text = ", ".join(one.text for one in holds.present) or "none any more"
+            text = ", ".join(hazard.text for hazard in holds.present) or "none any more"
             self._events.log("hazards", f"hazards: {text}", now)
             self._events.advance(now)
         return self._settle(effects)
 
-    def on_message(self, sender: str, name: str, value: Value, now: float) -> bool:
-        """A message on `<pattern>/<channel>` arrived; False if its sender is no neighbour.
-
-        A message on a channel that the running pattern does not declare is ignored.
-        """
+    def _on_message(self, one: events.MessageInput, now: float) -> None:
+        """Take a message; ignored on a channel that the running pattern does not declare."""
         running = self._lifecycle.pattern_run.running
-        channel = None if running is None else running.channel(name)
-        return channel is None or self._sensors.on_message(sender, channel, value, now)
+        channel = None if running is None else running.channel(one.channel)
+        if channel is not None:
+            self._sensors.on_message(one.sender, channel, one.value, now)
 
-    def _on_message(self, message: events.MessageInput, now: float) -> None:
-        self.on_message(message.sender, message.channel, message.value, now)
-
-    def on_driver(
-        self,
-        is_up: bool,
-        text: str,
-        now: float,
-        *,
-        hold: Reason | None = None,
-        gets_zero: bool = False,
-    ) -> Actions:
-        """The driver is connected (`is_up`) or lost; `text` says why. See `Sink.state`."""
-        effects = self._begin(now)
-        if (is_up, hold) != (self._sensors.is_driver_up, self._sensors.driver_hold):
-            self._lifecycle.log(f"driver: {text}", now)
-        self._sensors.on_driver(is_up, text, hold=hold, gets_zero=gets_zero)
+    def _on_driver(self, one: events.DriverInput, now: float) -> Actions:
+        effects, sensors = self._begin(now), self._sensors
+        if (one.is_up, one.hold) != (sensors.is_driver_up, sensors.driver_hold):
+            self._lifecycle.log(f"driver: {one.text}", now)
+        sensors.on_driver(one.is_up, one.text, hold=one.hold, gets_zero=one.gets_zero)
         return self._settle(effects)
 
     # Pattern host, operators and peers
 
-    def on_host(self, event: HostEvent, now: float) -> Actions:
-        """An event of the pattern host arrived."""
+    def _on_host(self, one: events.HostInput, now: float) -> Actions:
         effects = self._begin(now)
-        if isinstance(event, TrialDone):
-            self._requests.on_trial_done(event, effects)
+        if isinstance(one.event, TrialDone):
+            self._requests.on_trial_done(one.event, effects)
         else:
-            self._lifecycle.on_host(event, effects)
+            self._lifecycle.on_host(one.event, effects)
         if effects.is_new_run:
             self._sensors.forget_messages()
             self._duty = DutyCycle()
         return self._settle(effects)
 
-    def on_request(self, request: Request, now: float) -> Actions:
-        """A request arrived; its reply is in these actions or in those of a later host event."""
+    def _on_request(self, one: events.RequestInput, now: float) -> Actions:
+        """Act on a request; its reply is in these actions or in those of a later host event."""
         effects = self._begin(now)
-        self._requests.answer(request, effects)
+        self._requests.answer(one.request, effects)
         return self._settle(effects)
 
-    def _on_provisional(self, generations: tuple[int, ...]) -> None:
-        self._lifecycle.provisional = generations
+    def _on_provisional(self, one: events.ProvisionalInput, now: float) -> None:
+        self._lifecycle.provisional = one.generations
 
-    def on_code_changed(self, now: float) -> Actions:
-        """The code of patterns was replaced or removed: the next run has a fresh host."""
+    def _on_code(self, one: events.CodeInput, now: float) -> Actions:
         effects = self._begin(now)
         self._lifecycle.outdate_host(effects)
         return self._settle(effects)
 
-    def on_latches(self, latches: Mapping[str, Latch], now: float) -> Actions:
-        """A peer holds latches; swarm-wide ones hold this robot, too."""
+    def _on_latches(self, one: events.LatchesInput, now: float) -> Actions:
         effects = self._begin(now)
-        self._lifecycle.adopt_latches(latches, effects)
+        self._lifecycle.adopt_latches(one.latches, effects)
         return self._settle(effects)
 
-    def on_goal(self, goal: Goal, age: float | None, now: float, *, may_join: bool) -> Actions:
-        """A peer holds this goal, set `age` s ago (None: the peer does not know).
-
-        `may_join`: what the other peers hold is known, too, so that the robot may join a run.
-        """
+    def _on_goal(self, one: events.GoalInput, now: float) -> Actions:
         effects = self._begin(now)
-        self._goals.on_goal(goal, age, effects, may_join=may_join)
+        self._goals.on_goal(one.goal, one.age, effects, may_join=one.may_join)
         return self._settle(effects)
 
-    def forget_goals(self, digests: tuple[str, ...], now: float) -> Actions:
-        """Drop goals by digest, in hex: their issuers are not operators any more."""
+    def _on_forget(self, one: events.ForgetInput, now: float) -> Actions:
         effects = self._begin(now)
-        self._lifecycle.forget_goals(digests, effects)
+        self._lifecycle.forget_goals(one.digests, effects)
         return self._settle(effects)
 
-    def on_run_lease(self, goal: str, count: int, now: float) -> None:
-        """The operator of the goal with this id is there; see `RunLease`."""
-        self._lifecycle.goals.on_lease(goal, count, now)
+    def _on_lease(self, one: events.LeaseInput, now: float) -> None:
+        self._lifecycle.goals.on_lease(one.goal, one.count, now)
 
-    def on_duplicate(self, holder: str | None, now: float) -> Actions:
-        """Another instance has this id; None: it has left."""
+    def _on_duplicate(self, one: events.DuplicateInput, now: float) -> Actions:
         effects = self._begin(now)
-        self._lifecycle.on_duplicate(holder, effects)
+        self._lifecycle.on_duplicate(one.holder, effects)
         return self._settle(effects)
 
-    def on_network_changed(self, text: str, now: float) -> Actions:
-        """The daemon speaks on another network; `text` says what changed. The run ends."""
+    def _on_network(self, one: events.NetworkInput, now: float) -> Actions:
         effects = self._begin(now)
-        self._lifecycle.on_network_changed(text, effects)
+        self._lifecycle.on_network_changed(one.text, effects)
         return self._settle(effects)
 
-    def on_roster(self, text: str, now: float, *, is_revoked: bool) -> Actions:
-        """The daemon takes a roster, described by `text`. The run ends; see `Lifecycle`."""
+    def _on_roster(self, one: events.RosterInput, now: float) -> Actions:
         effects = self._begin(now)
-        self._lifecycle.on_roster(text, effects, is_revoked=is_revoked)
+        self._lifecycle.on_roster(one.text, effects, is_revoked=one.is_revoked)
         return self._settle(effects)
 
-    def on_leave(self, now: float) -> Actions:
-        """The daemon leaves: the run ends."""
+    def _on_leave(self, one: events.LeaveInput, now: float) -> Actions:
         effects = self._begin(now)
         self._lifecycle.end(Trigger.STOP, Reason.LEAVING, "", effects)
         return self._settle(effects)
 
-    def log(self, text: str, now: float) -> None:
-        """Record an event of the daemon for `describe`."""
-        self._lifecycle.log(text, now)
+    def _on_note(self, one: events.NoteInput, now: float) -> None:
+        self._lifecycle.log(one.text, now)
 
     # Time
 
-    def tick(self, now: float) -> Actions:
+    def _tick(self, one: events.TickInput, now: float) -> Actions:
         """Check all deadlines: 20 times a second, and at `wake_at`."""
         if now >= self._quiet_until:
             self._look_ahead()
@@ -610,35 +567,29 @@ class Robot:
 
 
 _HANDLERS: Mapping[type[Input], Callable[[Robot, Any, float], Actions | None]] = {
-    events.ScanInput: lambda robot, one, now: robot.on_scan(one.scan, now),
-    events.RangesInput: lambda robot, one, now: robot.on_ranges(one.scan, now),
-    events.OdometryInput: lambda robot, one, now: robot.on_odometry(one.odometry, now),
-    events.NeighborsInput: lambda robot, one, now: robot.on_neighbors(one.neighbors, now),
-    events.PoseInput: lambda robot, one, now: robot.on_pose(one.pose, now),
-    events.ReadingsInput: lambda robot, one, now: robot.on_readings(one.readings),
-    events.HazardsInput: lambda robot, one, now: robot.on_hazards(one.hazards, now),
-    events.DriverInput: lambda robot, one, now: robot.on_driver(
-        one.is_up, one.text, now, hold=one.hold, gets_zero=one.gets_zero
-    ),
-    events.MessageInput: lambda robot, one, now: robot._on_message(one, now),
-    events.PeersInput: lambda robot, one, now: robot.on_peers(one.bodies, now),
-    events.PlaceInput: lambda robot, one, now: robot.on_peer_place(one.place, now),
-    events.LatchesInput: lambda robot, one, now: robot.on_latches(one.latches, now),
-    events.GoalInput: lambda robot, one, now: robot.on_goal(
-        one.goal, one.age, now, may_join=one.may_join
-    ),
-    events.LeaseInput: lambda robot, one, now: robot.on_run_lease(one.goal, one.count, now),
-    events.DuplicateInput: lambda robot, one, now: robot.on_duplicate(one.holder, now),
-    events.HostInput: lambda robot, one, now: robot.on_host(one.event, now),
-    events.RequestInput: lambda robot, one, now: robot.on_request(one.request, now),
-    events.CodeInput: lambda robot, one, now: robot.on_code_changed(now),
-    events.ProvisionalInput: lambda robot, one, now: robot._on_provisional(one.generations),
-    events.ForgetInput: lambda robot, one, now: robot.forget_goals(one.digests, now),
-    events.NetworkInput: lambda robot, one, now: robot.on_network_changed(one.text, now),
-    events.RosterInput: lambda robot, one, now: robot.on_roster(
-        one.text, now, is_revoked=one.is_revoked
-    ),
-    events.LeaveInput: lambda robot, one, now: robot.on_leave(now),
-    events.NoteInput: lambda robot, one, now: robot.log(one.text, now),
-    events.TickInput: lambda robot, one, now: robot.tick(now),
+    events.ScanInput: Robot._on_scan,
+    events.RangesInput: Robot._on_ranges,
+    events.OdometryInput: Robot._on_odometry,
+    events.NeighborsInput: Robot._on_neighbors,
+    events.PoseInput: Robot._on_pose,
+    events.ReadingsInput: Robot._on_readings,
+    events.HazardsInput: Robot._on_hazards,
+    events.DriverInput: Robot._on_driver,
+    events.MessageInput: Robot._on_message,
+    events.PeersInput: Robot._on_peers,
+    events.PlaceInput: Robot._on_place,
+    events.LatchesInput: Robot._on_latches,
+    events.GoalInput: Robot._on_goal,
+    events.LeaseInput: Robot._on_lease,
+    events.DuplicateInput: Robot._on_duplicate,
+    events.HostInput: Robot._on_host,
+    events.RequestInput: Robot._on_request,
+    events.CodeInput: Robot._on_code,
+    events.ProvisionalInput: Robot._on_provisional,
+    events.ForgetInput: Robot._on_forget,
+    events.NetworkInput: Robot._on_network,
+    events.RosterInput: Robot._on_roster,
+    events.LeaveInput: Robot._on_leave,
+    events.NoteInput: Robot._on_note,
+    events.TickInput: Robot._tick,
 }

@@ -9,11 +9,13 @@ import threading
 from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
+from typing import NoReturn
 
 import pytest
 
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
+from swarmd.core.events import DriverInput, Input, RequestInput
 from swarmd.core.files import write_whole
 from swarmd.core.goal import GoalRecord
 from swarmd.core.messages import Code, Epoch, Reply
@@ -24,6 +26,7 @@ from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.store import LatchFile
 from swarmd.driver_api.driver import Finding, Sink
 from swarmd.network.datagram import Stop, pack, tag_of
+from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 from tests.support.processes import unique_swarm
@@ -85,12 +88,12 @@ async def test_a_daemon_that_raises_sends_zero_and_ends(
     driver = RecordingDriver()
     daemon = Daemon(settings, driver)
 
-    def broken(now: float) -> None:
+    def broken(input: Input, now: float) -> None:
         driver.sent.append(Twist(0.2))
         raise ZeroDivisionError("on purpose")
 
     with pytest.raises(ZeroDivisionError, match="on purpose"):
-        await run(daemon, later=lambda: monkeypatch.setattr(daemon._robot, "tick", broken))
+        await run(daemon, later=lambda: monkeypatch.setattr(daemon._robot, "step", broken))
     assert driver.sent[-1].is_zero
 
 
@@ -110,8 +113,18 @@ class Question:
         pass
 
 
-def _broken(*args: object, **options: object) -> None:
+def _broken(*args: object, **options: object) -> NoReturn:
     raise ZeroDivisionError("on purpose")
+
+
+def _broken_by(kind: type[Input]) -> Callable[[Robot, Input, float], Actions | None]:
+    """`Robot.step` that raises for one kind of input."""
+    step = Robot.step
+
+    def broken(robot: Robot, input: Input, now: float) -> Actions | None:
+        return _broken() if isinstance(input, kind) else step(robot, input, now)
+
+    return broken
 
 
 def _label(daemon: Daemon) -> Question:
@@ -124,7 +137,7 @@ async def test_an_error_of_the_robot_in_a_request_ends_the_daemon(
 ) -> None:
     driver = RecordingDriver()
     daemon = Daemon(settings, driver)
-    monkeypatch.setattr(Robot, "on_request", _broken)
+    monkeypatch.setattr(Robot, "step", _broken_by(RequestInput))
     with pytest.raises(ZeroDivisionError, match="on purpose"):
         await run(daemon, later=lambda: daemon._requests.handle("label", _label(daemon)))
     assert driver.sent[-1].is_zero
@@ -134,7 +147,7 @@ async def test_an_error_of_the_robot_in_a_reading_of_its_driver_ends_the_daemon(
     settings: DaemonSettings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     driver = RecordingDriver()
-    monkeypatch.setattr(Robot, "on_driver", _broken)
+    monkeypatch.setattr(Robot, "step", _broken_by(DriverInput))
     with pytest.raises(ZeroDivisionError, match="on purpose"):
         await run(Daemon(settings, driver))
     assert driver.sent[-1].is_zero

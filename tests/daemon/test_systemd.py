@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.core.events import TICK_INPUT, OdometryInput
 from swarmd.core.values import ZERO, Odometry, Pose
 from swarmd.daemon.systemd import DECISION_TIMEOUT, JournalFormatter, Notifier, is_journal
 from tests.support.robot_harness import RobotHarness
@@ -48,11 +49,13 @@ def test_a_robot_that_does_not_decide_does_not_feed_the_watchdog(
         assert systemd.recv(100) == b"WATCHDOG=1"
         decided_at = harness.robot.decided_at
         late = decided_at + DECISION_TIMEOUT + 0.01
-        harness.robot.on_odometry(Odometry(late, Pose(), ZERO), late)  # an input, no decision
+        harness.robot.step(
+            OdometryInput(Odometry(late, Pose(), ZERO)), late
+        )  # an input, no decision
         notify.feed_watchdog(harness.robot.decided_at, late)
         with pytest.raises(BlockingIOError):
             systemd.recv(100)
-        harness.robot.tick(late)
+        harness.robot.step(TICK_INPUT, late)
         notify.feed_watchdog(harness.robot.decided_at, late)
         assert systemd.recv(100) == b"WATCHDOG=1"
 

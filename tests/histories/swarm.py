@@ -23,6 +23,21 @@ from typing import Any, Protocol
 import numpy as np
 from msgspec.structs import replace as struct_replace
 
+from swarmd.core.events import (
+    TICK_INPUT,
+    DriverInput,
+    DuplicateInput,
+    GoalInput,
+    HostInput,
+    Input,
+    LatchesInput,
+    LeaseInput,
+    LeaveInput,
+    NoteInput,
+    OdometryInput,
+    RequestInput,
+    ScanInput,
+)
 from swarmd.core.goal import GoalRecord
 from swarmd.core.host_messages import (
     HostCommand,
@@ -311,7 +326,7 @@ class VirtualDaemon(Node):
             admission=self.admission,
         )
         audit = Audit(
-            lambda line: self.robot.log(line, self.swarm.now),
+            lambda line: self._step(NoteInput(line)),
             wall=lambda: self.swarm.wall + self.wall,
         )
         self.server = RequestServer(
@@ -337,7 +352,7 @@ class VirtualDaemon(Node):
 
     def leave(self) -> None:
         """The daemon ends in order."""
-        self._carry_out(self.robot.on_leave(self.swarm.now))
+        self._step(LeaveInput())
         if self.peer.owns_id:
             self._send(self.peer.leave_beacon(self._summary()), None)
         self.kill()
@@ -438,7 +453,7 @@ class VirtualDaemon(Node):
 
     def _on_request(self, request: Request) -> None:
         self.event = request
-        self._carry_out(self.robot.on_request(request, self.swarm.now))
+        self._step(RequestInput(request))
         self.event = None
 
     def _ack(self, stop: Stop, source: Address, reply: Reply) -> None:
@@ -459,19 +474,18 @@ class VirtualDaemon(Node):
         """As `Network._carry_out`."""
         for body, address in effects.sends:
             self._send(body, address)
-        now, robot = self.swarm.now, self.robot
         if effects.latches:
-            self._carry_out(robot.on_latches(effects.latches, now))
+            self._step(LatchesInput(effects.latches))
         for found in effects.goals:
             if self.swarm.judge is not None and source is not None:  # else it is held already
                 self.swarm.judge.on_found(self, found, self.swarm.name_of(source))
             self.event = found
-            self._carry_out(robot.on_goal(found.goal, found.age, now, may_join=found.may_join))
+            self._step(GoalInput(found.goal, found.age, may_join=found.may_join))
             self.event = None
         for lease in effects.leases:
-            robot.on_run_lease(lease.id, lease.count, now)
+            self._step(LeaseInput(lease.id, lease.count))
         if effects.duplicate:
-            self._carry_out(robot.on_duplicate(effects.duplicate, now))
+            self._step(DuplicateInput(effects.duplicate))
 
     def _send(self, body: Datagram, to: Address | None) -> None:
         if self.swarm.judge is not None:
@@ -518,21 +532,27 @@ class VirtualDaemon(Node):
         now = self.swarm.now
         if self.is_active and now - self._scan_at >= SCAN_PERIOD:
             self._measure()
-        self._carry_out(self.robot.tick(now))
+        self._step(TICK_INPUT)
         self._apply(self.peer.advance(now, self._summary()))
         if self.admission is not None and self.admission.stops.counters != self.disk.counters:
             self._store(replace(self.disk, counters=dict(self.admission.stops.counters)))
         if not self.is_settled and self.peer.owns_id and self.peer.is_in_sync(now):
             self.is_settled = True
-            self._carry_out(self.robot.on_driver(True, "connected", now))
+            self._step(DriverInput(True, "connected"))
         self._tick_at(self._next_tick())
 
     def _measure(self) -> None:
         now, spec = self.swarm.now, platform().scan
         self._scan_at, self._scan_seq = now, self._scan_seq + 1
-        self.robot.on_odometry(Odometry(now, Pose(), ZERO), now)
+        self._step(OdometryInput(Odometry(now, Pose(), ZERO)))
         scan = Scan(self._scan_seq, now, NO_DATA, spec.bearings, spec.range_min, spec.range_max)
-        self._carry_out(self.robot.on_scan(scan, now))
+        self._step(ScanInput(scan))
+
+    def _step(self, input: Input) -> None:
+        """As `Daemon.step`."""
+        actions = self.robot.step(input, self.swarm.now)
+        if actions is not None:
+            self._carry_out(actions)
 
     def _carry_out(self, actions: Actions) -> None:
         """As `Daemon._carry_out`."""
@@ -572,11 +592,10 @@ class VirtualDaemon(Node):
     # The pattern host
 
     def _command(self, command: HostCommand) -> None:
-        now = self.swarm.now
         if isinstance(command, Step):
             speed = SPEEDS.get(self._pattern, 0.1)
             stepped = Stepped(command.generation, Outputs(twist=Twist(speed)), self._scan_seq)
-            self._carry_out(self.robot.on_host(stepped, now))
+            self._step(HostInput(stepped))
         elif isinstance(command, KillHost):
             self._load = next(self._loads)
         elif isinstance(command, SetParams):
@@ -616,7 +635,7 @@ class VirtualDaemon(Node):
 
         def say() -> None:
             if life == self.lives and load in (None, self._load):
-                self._carry_out(self.robot.on_host(event, self.swarm.now))
+                self._step(HostInput(event))
 
         self.swarm.at(self.swarm.now + delay, lambda: self.take(say))
 

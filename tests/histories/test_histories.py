@@ -5,8 +5,16 @@ A history that fails is shrunk and printed as the `replay` that repeats it.
 
 from __future__ import annotations
 
+from typing import Any
+
+import msgspec
+import numpy as np
 import pytest
 
+from swarmd.core.events import Input, decode_input, encode_input
+from swarmd.robot.actions import Actions
+from swarmd.robot.robot import Robot
+from tests.histories import swarm
 from tests.histories.history import draw, fault_of, replay, script, shrink, step
 
 BLOCK = 50
@@ -43,6 +51,37 @@ def test_a_history_repeats() -> None:
         robots = history.swarm.robots.values()
         lines.append([one.robot.status(history.swarm.now).events for one in robots])
     assert lines[0] == lines[1]
+
+
+class RecordedRobot(Robot):
+    """A robot, and a second one that gets the same inputs by their bytes, as a replay does."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self._replayed = Robot(*args, **options)
+
+    def step(self, input: Input, now: float) -> Actions | None:
+        """As `Robot.step`; both robots act and think alike."""
+        actions = super().step(input, now)
+        again = self._replayed.step(decode_input(encode_input(input)), now)
+        assert bits_of(actions) == bits_of(again)
+        assert self.status(now) == self._replayed.status(now)
+        return actions
+
+
+def bits_of(actions: Actions | None) -> bytes:
+    """The actions with all that they hold, arrays included."""
+
+    def plain(value: Any) -> Any:
+        return value.tobytes() if isinstance(value, np.ndarray) else dict(value)
+
+    return msgspec.msgpack.encode(actions, enc_hook=plain)
+
+
+def test_the_bytes_of_inputs_repeat_each_robot(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(swarm, "Robot", RecordedRobot)
+    for seed in range(8):
+        check(seed)
 
 
 def test_a_failing_history_is_shrunk(monkeypatch: pytest.MonkeyPatch) -> None:

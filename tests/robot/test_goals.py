@@ -7,6 +7,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core.events import ForgetInput, LatchesInput, LeaseInput, LeaveInput, RequestInput
 from swarmd.core.goal import MAX_UNSIGNED, Goal, GoalRecord, GoalState, GoalStatus, digest_of
 from swarmd.core.host_messages import Load, Loaded
 from swarmd.core.messages import Code, Latch, Reason, Refusal, Reply, State
@@ -149,7 +150,7 @@ def test_a_reset_does_not_run_a_goal_whose_age_is_told_after_it(verb: str) -> No
 def test_a_robot_that_restarts_while_it_runs_joins_again() -> None:
     harness = ready()
     run(harness, goal(**JOINED))
-    harness.carry_out(harness.robot.on_leave(harness.now))
+    harness.step(LeaveInput())
     again = ready(harness.record)
     again.find(goal(**JOINED), 1.0)
     again.advance(0.5)
@@ -175,7 +176,7 @@ def test_the_latch_of_a_peer_ends_a_run_that_was_joined() -> None:
     harness.find(goal(**JOINED))
     harness.is_hung = False
     latches = {"e1": Latch(issuer="anna", scope="swarm")}
-    harness.carry_out(harness.robot.on_latches(latches, harness.now))
+    harness.step(LatchesInput(latches))
     harness.advance(1.0)
     assert standing_state(harness) == (State.ESTOPPED, Reason.ESTOP)
 
@@ -278,7 +279,7 @@ def test_a_stop_of_all_makes_the_same_standing_goal_in_all_robots() -> None:
         run(harness, goal(6))
         stop = StopRequest(id="s1", operator="alice")
         for _ in range(3):  # an operator repeats it
-            harness.carry_out(harness.robot.on_request(stop, harness.now))
+            harness.step(RequestInput(stop))
             harness.advance(0.1)
         assert told(harness).state is GoalState.STANDING
     held = [harness.robot.goal for harness in harnesses]
@@ -287,7 +288,7 @@ def test_a_stop_of_all_makes_the_same_standing_goal_in_all_robots() -> None:
     assert held[0].content == held[1].content
     assert held[0].goal.order == (7, "alice")
     harnesses[0].find(goal(8), None)
-    harnesses[0].carry_out(harnesses[0].robot.on_request(stop, harnesses[0].now))
+    harnesses[0].step(RequestInput(stop))
     assert told(harnesses[0]).held.goal.generation == 8  # type: ignore[union-attr]
 
 
@@ -298,13 +299,13 @@ def test_an_estop_of_all_makes_a_standing_goal_as_a_stop_does(is_relayed: bool) 
     harness.advance(5.0)
     estop = EstopRequest(id="e1", operator="alice", is_relayed=is_relayed, age=2.0)
     for _ in range(2):
-        harness.carry_out(harness.robot.on_request(estop, harness.now))
+        harness.step(RequestInput(estop))
         harness.advance(0.1)
     harness.applied("reset", ids=("e1",))
     assert told(harness).state is GoalState.STANDING
     assert told(harness).held.goal == goal(7, "alice", id="e1", pattern=None)  # type: ignore[union-attr]
     assert harness.refused("resume").refusal is Refusal.NO_GOAL
-    harness.carry_out(harness.robot.on_request(replace(estop, is_relayed=True), harness.now))
+    harness.step(RequestInput(replace(estop, is_relayed=True)))
     assert told(harness).held.goal.generation == 7  # type: ignore[union-attr]
 
 
@@ -461,9 +462,7 @@ def test_a_run_that_began_since_ends_the_doubt_about_a_stop() -> None:
 def test_a_stop_that_is_older_than_the_held_goal_makes_none() -> None:
     harness = ready()
     harness.find(goal(7), 2.0)
-    harness.carry_out(
-        harness.robot.on_request(StopRequest(id="s1", operator="a", age=10.0), harness.now)
-    )
+    harness.step(RequestInput(StopRequest(id="s1", operator="a", age=10.0)))
     assert told(harness).held.goal.generation == 7  # type: ignore[union-attr]
 
 
@@ -503,16 +502,16 @@ def test_a_run_ends_when_its_operator_is_not_heard_for_the_lease() -> None:
     run(harness, goal(6, lease=2.0))
     for count in range(1, 4):
         harness.advance(1.5)
-        harness.robot.on_run_lease("g6bob", count, harness.now)
+        harness.robot.step(LeaseInput("g6bob", count), harness.now)
     assert told(harness).lease_left == pytest.approx(2.0)
     harness.advance(1.0)
-    harness.robot.on_run_lease("g6bob", 3, harness.now)  # an old one again
-    harness.robot.on_run_lease("other", 9, harness.now)
+    harness.robot.step(LeaseInput("g6bob", 3), harness.now)  # an old one again
+    harness.robot.step(LeaseInput("other", 9), harness.now)
     assert harness.status.state is State.RUNNING
     harness.advance(1.1)
     assert standing_state(harness) == (State.STOPPED, Reason.LEASE_ENDED)
     assert "bob" in harness.status.detail
-    harness.robot.on_run_lease("g6bob", 4, harness.now)
+    harness.robot.step(LeaseInput("g6bob", 4), harness.now)
     harness.advance(1.0)
     assert harness.twist.is_zero, "a late lease starts nothing"
 
@@ -528,7 +527,7 @@ def test_a_run_with_a_lease_is_resumed_only_while_its_operator_is_heard() -> Non
     harness.advance(1.0)
     assert standing_state(harness) == (State.STOPPED, Reason.LEASE_ENDED)
     assert harness.refused("resume").refusal is Refusal.NO_GOAL
-    harness.robot.on_run_lease("g6bob", 1, harness.now)
+    harness.robot.step(LeaseInput("g6bob", 1), harness.now)
     harness.applied("resume")
     harness.advance(0.5)
     assert told(harness).state is GoalState.RUNNING
@@ -537,10 +536,10 @@ def test_a_run_with_a_lease_is_resumed_only_while_its_operator_is_heard() -> Non
 def test_a_robot_that_finds_a_goal_with_a_lease_resumes_it_once_the_operator_is_heard() -> None:
     harness = ready(GoalRecord(held=goal(6, lease=2.0), own=goal(6, lease=2.0)))
     assert harness.refused("resume").refusal is Refusal.NO_GOAL
-    harness.robot.on_run_lease("g6bob", 7, harness.now)
+    harness.robot.step(LeaseInput("g6bob", 7), harness.now)
     harness.find(goal(7, lease=2.0))  # its operator is not that of the lease before
     assert harness.refused("resume").refusal is Refusal.NO_GOAL
-    harness.robot.on_run_lease("g7bob", 1, harness.now)
+    harness.robot.step(LeaseInput("g7bob", 1), harness.now)
     harness.applied("resume")
     harness.advance(0.5)
     assert harness.status.state is State.RUNNING
@@ -587,7 +586,7 @@ def test_a_robot_joins_no_run_with_a_lease_whose_operator_is_not_heard(is_restar
 def test_a_robot_that_joins_a_run_with_a_lease_runs_until_its_operator_is_gone() -> None:
     harness = ready()
     harness.find(goal(6, **JOINED, lease=5.0), 20.0, may_join=False)
-    harness.robot.on_run_lease("g6bob", 7, harness.now)
+    harness.robot.step(LeaseInput("g6bob", 7), harness.now)
     harness.advance(2.0)
     harness.find(goal(6, **JOINED, lease=5.0), 22.0)
     harness.advance(1.0)
@@ -600,7 +599,7 @@ def test_a_robot_that_joins_a_run_with_a_lease_runs_until_its_operator_is_gone()
 def test_a_restarted_robot_offers_its_goal_and_tells_why_it_had_ended() -> None:
     harness = ready()
     run(harness, goal(6))
-    harness.carry_out(harness.robot.on_leave(harness.now))
+    harness.step(LeaveInput())
     again = ready(harness.record)
     assert told(again).state is GoalState.OFFERED
     assert told(again).own.age is None  # type: ignore[union-attr]
@@ -818,10 +817,10 @@ def test_goals_of_a_revoked_operator_are_forgotten() -> None:
     assert run(harness, own).code is Code.APPLIED
     harness.find(last)
     assert told(harness).held.goal == last  # type: ignore[union-attr]
-    harness.carry_out(harness.robot.forget_goals((digest_of(last).hex(),), harness.now))
+    harness.step(ForgetInput((digest_of(last).hex(),)))
     assert told(harness).held.goal == own  # type: ignore[union-attr]
     assert told(harness).state is GoalState.RUNNING
-    harness.carry_out(harness.robot.forget_goals((digest_of(own).hex(),), harness.now))
+    harness.step(ForgetInput((digest_of(own).hex(),)))
     assert harness.status.goal is None
     assert run(harness, goal(1)).code is Code.APPLIED
 

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from swarmd.core.clock import TICK
+from swarmd.core.events import HazardsInput
 from swarmd.core.hazard import ENDS_RUN, Hazard, HazardKind
 from swarmd.core.messages import Reason, Refusal, State
 from swarmd.robot.hazard_holds import CLEAR_TIME, MAX_HAZARDS, HazardHolds
@@ -25,7 +26,7 @@ PASSING = sorted(set(HazardKind) - ENDS_RUN)
 
 def tell(harness: RobotHarness, *hazards: Hazard) -> None:
     """The base reports these, and no others."""
-    harness.carry_out(harness.robot.on_hazards(hazards, harness.now))
+    harness.step(HazardsInput(hazards))
 
 
 def test_a_lift_ends_the_run_also_behind_more_hazards_than_are_kept() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.api import Twist
+from swarmd.core.events import TICK_INPUT
 from swarmd.core.host_messages import KillHost, Load, Loaded
 from swarmd.core.messages import Code, Reason, Refusal, State
 from tests.support.robot_harness import RobotHarness
@@ -110,7 +111,7 @@ def test_param_request_that_the_pattern_does_not_answer_fails_after_3_s() -> Non
 def test_loop_over_1_s_late_is_stalled(late: float, state: tuple[State, Reason | None]) -> None:
     harness = started()
     harness.advance(late, ticks=False)
-    harness.carry_out(harness.robot.tick(harness.now))
+    harness.step(TICK_INPUT)
     assert harness.status.state is state[0]
     assert state[1] is None or standing_state(harness) == state
     assert harness.twist.is_zero or state[0] is State.RUNNING
@@ -132,7 +133,7 @@ def test_a_stall_leaves_an_idle_robot_idle_and_is_an_event() -> None:
     harness.advance(0.5)
     looked = harness.status.epoch
     harness.advance(1.5, ticks=False)
-    harness.carry_out(harness.robot.tick(harness.now))
+    harness.step(TICK_INPUT)
     assert standing_state(harness) == (State.IDLE, Reason.NEVER_ASKED)
     assert harness.status.events[-1].text == "the daemon did not run for 1.5 s"
     assert harness.refused("run", pattern="forward", epoch=looked).refusal is Refusal.STALE_EPOCH

@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 from msgspec import structs
 
+from swarmd.core.events import NeighborsInput, NoteInput, PeersInput
 from swarmd.core.messages import Body, Reason, State
 from swarmd.core.values import (
     MAX_TOLD_DISTANCE,
@@ -233,7 +234,7 @@ def running_jackal() -> RobotHarness:
 def test_a_run_beside_an_unseen_peer_is_held_and_ends() -> None:
     robot = running_jackal()
     assert robot.twist.linear > 0.0
-    robot.robot.on_peers({"b": BURGER}, robot.now)
+    robot.step(PeersInput({"b": BURGER}))
     robot.advance(0.2)
     status = robot.status
     assert (status.state, status.reason) == (State.RUNNING, Reason.INCOMPATIBLE_PEER)
@@ -249,32 +250,33 @@ def test_a_run_beside_an_unseen_peer_is_held_and_ends() -> None:
 
 def test_a_peer_whose_body_flaps_leaves_room_for_other_events() -> None:
     robot = running_jackal()
-    robot.robot.log("the driver was replaced", robot.now)
+    robot.step(NoteInput("the driver was replaced"))
     for turn in range(40):
         faster = structs.replace(JACKAL, surface_speed=2.0 + turn % 2)
-        robot.robot.on_peers({"j": faster}, robot.now)
+        robot.step(PeersInput({"j": faster}))
         robot.advance(0.5)
     texts = [event.text for event in robot.status.events]
     assert "the driver was replaced" in texts
     assert sum("is faster than assumed" in text for text in texts) == BURST
     robot.advance(PERIOD)
-    robot.robot.on_peers({"j": faster}, robot.now)
+    robot.step(PeersInput({"j": faster}))
     assert robot.status.events[-1].text == "peers faster: 37 more events"
 
 
 def test_many_false_names_are_few_events() -> None:
-    robot, bodies = running_jackal(), {"b0": BURGER}
+    robot = running_jackal()
+    bodies: dict[str, Body | None] = {"b0": BURGER}
     before = len(robot.status.events)
     for number in range(1, 30):
         bodies = {**bodies, f"b{number}": BURGER}
-        robot.robot.on_peers(bodies, robot.now)
+        robot.step(PeersInput(bodies))
     assert len(robot.status.events) <= before + BURST
 
 
 def test_a_robot_whose_peer_is_no_longer_told_stops_in_that_tick() -> None:
     robot = running_jackal()
-    robot.robot.on_peers({"b": BURGER}, robot.now)
-    robot.robot.on_neighbors((Neighbor("b", 0.0, 2.5, math.pi),), robot.now)
+    robot.step(PeersInput({"b": BURGER}))
+    robot.step(NeighborsInput((Neighbor("b", 0.0, 2.5, math.pi),)))
     told_until = robot.now + TOLD_TIMEOUT
     robot.advance(TOLD_TIMEOUT + 0.2)
     moving = [at for at, twist in robot.commands if not twist.is_zero]
@@ -289,11 +291,11 @@ PHASES = (0.05, 0.1, 0.15, 0.2)  # of ticks, steps and scans at which something 
 @pytest.mark.parametrize("phase", PHASES)
 def test_a_robot_whose_peer_is_told_with_an_older_place_goes_on(phase: float) -> None:
     robot = running_jackal()
-    robot.robot.on_peers({"b": BURGER}, robot.now)
-    robot.robot.on_neighbors((Neighbor("b", 0.0, 2.5, math.pi),), robot.now)
+    robot.step(PeersInput({"b": BURGER}))
+    robot.step(NeighborsInput((Neighbor("b", 0.0, 2.5, math.pi),)))
     robot.advance(phase)
     assert not robot.twist.is_zero
-    robot.robot.on_neighbors((Neighbor("b", 5.0, 2.5, math.pi),), robot.now)
+    robot.step(NeighborsInput((Neighbor("b", 5.0, 2.5, math.pi),)))
     robot.scans = lambda seq, now: None  # a scan looks at holds, too
     robot.advance(0.05)
     assert not robot.twist.is_zero
@@ -304,7 +306,7 @@ def test_a_robot_that_hears_of_a_faster_peer_stops_in_that_tick(phase: float) ->
     robot = running_jackal()
     robot.advance(phase)
     faster = structs.replace(JACKAL, surface_speed=3.0)
-    robot.robot.on_peers({"j": faster}, robot.now)
+    robot.step(PeersInput({"j": faster}))
     robot.scans = lambda seq, now: None
     robot.advance(0.05)
     assert robot.status.reason is Reason.INCOMPATIBLE_PEER

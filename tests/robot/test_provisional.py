@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from swarmd.api import Twist
+from swarmd.core.events import CodeInput
 from swarmd.core.host_messages import CancelTrial, KillHost, Load
 from swarmd.core.messages import Reason, State
 from tests.support.robot_harness import RobotHarness
@@ -61,11 +62,11 @@ def test_code_that_was_removed_lets_the_running_pattern_go_on() -> None:
     harness = running("own", is_provisional=False)
     harness.advance(0.5)
     harness.sent.clear()
-    harness.carry_out(harness.robot.on_code_changed(harness.now))
+    harness.step(CodeInput())
     harness.advance(1.0)
     assert harness.twist == Twist(0.2)
     assert not any(isinstance(command, KillHost) for command in harness.sent)
     harness.ask("stop")
     harness.sent.clear()
-    harness.carry_out(harness.robot.on_code_changed(harness.now))
+    harness.step(CodeInput())
     assert [type(command) for command in harness.sent] == [KillHost]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from random import Random
 from typing import Any
 
@@ -11,6 +10,23 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from swarmd.core.clock import TICK
+from swarmd.core.events import (
+    TICK_INPUT,
+    DriverInput,
+    DuplicateInput,
+    HazardsInput,
+    HostInput,
+    Input,
+    LatchesInput,
+    MessageInput,
+    NeighborsInput,
+    NetworkInput,
+    OdometryInput,
+    ReadingsInput,
+    RequestInput,
+    RosterInput,
+    ScanInput,
+)
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.host_messages import (
     HostDied,
@@ -44,7 +60,7 @@ from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, empty_scan, scan_of
 from tests.support.examples import examples
 from tests.support.platforms import with_mode
-from tests.support.robot_harness import RobotHarness
+from tests.support.robot_harness import RobotHarness, acted
 from tests.support.stub_patterns import started
 
 PLATFORM = with_mode(load_platform("waffle_pi"), "stop_zone")  # with recovery, and cheap
@@ -75,11 +91,11 @@ class Pair:
         self.is_answering = True
         self.takes_params = True
         self.quiet = 0
-        self.do(lambda robot: robot.on_driver(True, "there", self.now))
+        self.do(DriverInput(True, "there"))
 
-    def do(self, event: Callable[[Robot], Actions]) -> None:
-        """Let it happen to both, compare, and let the pattern host answer."""
-        actions, checked = (event(robot) for robot in self.robots)
+    def do(self, input: Input) -> None:
+        """Hand the input to both, compare, and let the pattern host answer."""
+        actions, checked = (acted(robot, input, self.now) for robot in self.robots)
         assert facts(actions) == facts(checked)
         assert not checked.is_quiet
         self.quiet += actions.is_quiet
@@ -95,14 +111,14 @@ class Pair:
 
     def host_says(self, event: HostEvent) -> None:
         """The pattern host says so to both."""
-        self.do(lambda robot: robot.on_host(event, self.now))
+        self.do(HostInput(event))
 
     def ask(self, kind: type[Request], **fields: Any) -> None:
         """Both are asked the same."""
         self.count += 1
         targets: dict[str, Epoch | None] = {"r": self.robots[0].epoch}
         request = kind(id=f"q{self.count}", operator="o", targets=targets, **fields)
-        self.do(lambda robot: robot.on_request(request, self.now))
+        self.do(RequestInput(request))
 
     def scan(self, distance: float) -> None:
         """A scan with an obstacle ahead; without a distance one that is all unknown."""
@@ -112,16 +128,18 @@ class Pair:
             scan = scan_of(PLATFORM, discs, room=6.0, seq=self.seq, noise=1e-6)
         else:
             scan = empty_scan(PLATFORM, self.seq, self.now, float("nan"))
-        self.do(lambda robot: robot.on_scan(scan, self.now))
+        self.do(ScanInput(scan))
 
     def odometry(self) -> None:
         """A reading."""
         for robot in self.robots:
-            robot.on_odometry(Odometry(self.now, Pose(0.01 * self.seq), Twist(0.1)), self.now)
+            robot.step(
+                OdometryInput(Odometry(self.now, Pose(0.01 * self.seq), Twist(0.1))), self.now
+            )
 
     def tick(self) -> None:
         """A tick."""
-        self.do(lambda robot: robot.tick(self.now))
+        self.do(TICK_INPUT)
 
     def live(self, seconds: float, *, scans: bool = True, odometry: bool = True) -> None:
         """An ordinary time: ticks, wake-ups, odometry, and scans at 5 Hz."""
@@ -218,7 +236,7 @@ def happen(pair: Pair, what: str, which: int) -> None:
     elif what == "run":
         pair.is_answering = which % 5 > 0
         for robot in robots:
-            robot.on_driver(True, "there", now)
+            robot.step(DriverInput(True, "there"), now)
         pair.ask(ResetRequest, ids=tuple(robots[0].latches))
         pattern, finish = ("a", "b")[which % 2], (None, 0.33, 0.7, 1.2)[which // 2 % 4]
         pair.ask(RunRequest, pattern=pattern, seconds=finish)
@@ -233,24 +251,24 @@ def happen(pair: Pair, what: str, which: int) -> None:
     elif what == "reload":
         pair.ask(ReloadRequest, pattern="a", is_rerun=which % 2 == 0)
     elif what == "driver":
-        pair.do(lambda robot: robot.on_driver(which % 3 > 0, "so", now, hold=hold))
+        pair.do(DriverInput(which % 3 > 0, "so", hold=hold))
     elif what == "latches":
         latches = {f"l{which}": Latch(issuer="p", scope="swarm")}
-        pair.do(lambda robot: robot.on_latches(latches, now))
+        pair.do(LatchesInput(latches))
     elif what == "duplicate":
-        pair.do(lambda robot: robot.on_duplicate((None, "other")[which % 2], now))
+        pair.do(DuplicateInput((None, "other")[which % 2]))
     elif what == "network":
-        pair.do(lambda robot: robot.on_network_changed("moved", now))
+        pair.do(NetworkInput("moved"))
     elif what == "roster":
-        pair.do(lambda robot: robot.on_roster("new", now, is_revoked=which % 8 == 0))
+        pair.do(RosterInput("new", is_revoked=which % 8 == 0))
     elif what == "hazards":
         hazards = (Hazard(tuple(HazardKind)[which % 6], "front"),) if which % 4 == 0 else ()
-        pair.do(lambda robot: robot.on_hazards(hazards, now))
+        pair.do(HazardsInput(hazards))
     else:
         for robot in robots:
-            robot.on_neighbors((Neighbor("n", 0.0),), now)
-            robot.on_message("n", "a/c", which, now)
-            robot.on_readings({"light": float(which)})
+            robot.step(NeighborsInput((Neighbor("n", 0.0),)), now)
+            robot.step(MessageInput("n", "a/c", which), now)
+            robot.step(ReadingsInput({"light": float(which)}), now)
 
 
 WEIGHTS = {
@@ -324,7 +342,7 @@ def test_quiet_tick_gives_the_command_alone() -> None:
     harness.advance(1.0)
     for _ in range(20):
         harness.now += 0.01
-        actions = harness.robot.tick(harness.now)
+        actions = acted(harness.robot, TICK_INPUT, harness.now)
         if actions.is_quiet:
             break
     assert actions.is_quiet

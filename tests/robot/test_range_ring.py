@@ -13,6 +13,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from swarmd.core.events import RangesInput
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, Scan, Twist
 from swarmd.protection.arbiter import Protection, make_arbiter, narrowest_passage
@@ -205,12 +206,12 @@ def test_a_pattern_gets_the_scan_of_the_ring() -> None:
 
 def test_a_ring_that_falls_silent_stops_a_running_robot_at_its_deadline() -> None:
     harness = RobotHarness("burger", PATTERNS, make=_robot_with_ring)
-    robot, begin = harness.robot, harness.now
+    begin = harness.now
     silent_from = begin + 3.0
 
     def ring(now: float) -> None:
         if now < silent_from:
-            harness.carry_out(robot.on_ranges(ring_scan(round(100 * now), now, NOTHING), now))
+            harness.step(RangesInput(ring_scan(round(100 * now), now, NOTHING)), now)
 
     def scans(seq: int, now: float) -> Scan:
         ring(now)

@@ -8,6 +8,7 @@ import msgspec
 import pytest
 
 from swarmd.api import Outputs, Twist
+from swarmd.core.events import DriverInput, DuplicateInput, LatchesInput, NetworkInput, RosterInput
 from swarmd.core.goal import Goal
 from swarmd.core.host_messages import KillHost, Loaded, PatternFailed, Stepped
 from swarmd.core.messages import Code, Epoch, Latch, Reason, Refusal, Reply, State
@@ -289,7 +290,7 @@ def test_answer_to_a_stop_has_the_measured_speed_and_its_age(verb: str) -> None:
 
 def test_answer_to_a_stop_never_says_commanded_if_nothing_was_sent() -> None:
     harness = started()
-    harness.carry_out(harness.robot.on_driver(False, "no bridge at 7447", harness.now))
+    harness.step(DriverInput(False, "no bridge at 7447"))
     harness.odometry = None
     harness.advance(1.0)
     text = harness.applied("estop").text
@@ -301,7 +302,7 @@ def test_answer_to_a_stop_never_says_commanded_if_nothing_was_sent() -> None:
 def test_answer_to_a_stop_says_that_someone_else_drives() -> None:
     harness = started()
     words = "someone else drives: " + "x" * 999
-    harness.carry_out(harness.robot.on_driver(False, words, harness.now, gets_zero=True))
+    harness.step(DriverInput(False, words, gets_zero=True))
     text = harness.applied("estop").text
     assert text.startswith("commanded zero; someone else drives: ")
     assert " ago" in text
@@ -338,12 +339,12 @@ def test_swarm_wide_latch_of_a_peer_is_adopted_unless_reset() -> None:
     harness = started()
     swarm_wide = {"e9": Latch(issuer="alice", scope="swarm")}
     only_there = {"e8": Latch(issuer="alice", scope="robots")}
-    harness.carry_out(harness.robot.on_latches(only_there, harness.now))
+    harness.step(LatchesInput(only_there))
     assert harness.status.state is State.RUNNING
-    harness.carry_out(harness.robot.on_latches(swarm_wide, harness.now))
+    harness.step(LatchesInput(swarm_wide))
     assert standing_state(harness) == (State.ESTOPPED, Reason.ESTOP)
     harness.ask("reset", ids=["e9"])
-    harness.carry_out(harness.robot.on_latches(swarm_wide, harness.now))
+    harness.step(LatchesInput(swarm_wide))
     assert standing_state(harness)[0] is State.IDLE
 
 
@@ -439,7 +440,7 @@ def test_param_set_holds_until_the_next_run() -> None:
 def test_change_of_the_network_ends_the_run_and_nothing_late_starts_motion() -> None:
     harness = started()
     seen = harness.epoch
-    harness.carry_out(harness.robot.on_network_changed("wlan0 has no address", harness.now))
+    harness.step(NetworkInput("wlan0 has no address"))
     assert harness.twist.is_zero
     assert standing_state(harness) == (State.STOPPED, Reason.NETWORK_CHANGED)
     assert harness.status.detail == "wlan0 has no address"
@@ -455,7 +456,7 @@ def test_change_of_the_network_ends_the_run_and_nothing_late_starts_motion() -> 
 def test_a_roster_ends_the_run_and_one_without_the_robot_refuses_further_ones() -> None:
     harness = started()
     seen = harness.epoch
-    harness.carry_out(harness.robot.on_roster("generation 3", harness.now, is_revoked=False))
+    harness.step(RosterInput("generation 3", is_revoked=False))
     assert harness.twist.is_zero
     assert standing_state(harness) == (State.STOPPED, Reason.ROSTER_CHANGED)
     late = harness.answer(harness.request("run", seen, pattern="forward"))
@@ -463,7 +464,7 @@ def test_a_roster_ends_the_run_and_one_without_the_robot_refuses_further_ones() 
     harness.ask("run", pattern="forward")
     harness.advance(0.2)
     assert not harness.twist.is_zero
-    harness.carry_out(harness.robot.on_roster("generation 4", harness.now, is_revoked=True))
+    harness.step(RosterInput("generation 4", is_revoked=True))
     assert harness.twist.is_zero
     refused = harness.answer(harness.request("run", harness.epoch, pattern="forward"))
     assert refused.refusal is Refusal.REVOKED
@@ -476,7 +477,7 @@ def test_change_of_the_network_cancels_a_load() -> None:
     harness.is_hung = True
     run = harness.request("run", pattern="forward")
     assert harness.send(run) is None
-    harness.carry_out(harness.robot.on_network_changed("wlan0 is down", harness.now))
+    harness.step(NetworkInput("wlan0 is down"))
     assert harness.reply_to(run).refusal is Refusal.OVERTAKEN
     harness.is_hung = False
     harness.advance(1.0)
@@ -489,7 +490,7 @@ def test_change_of_the_network_leaves_a_standing_robot_its_reason(verb: str) -> 
     harness = started()
     harness.ask(verb)
     before, revision = standing_state(harness), harness.epoch.revision
-    harness.carry_out(harness.robot.on_network_changed("wlan0 has 10.0.0.9 now", harness.now))
+    harness.step(NetworkInput("wlan0 has 10.0.0.9 now"))
     assert standing_state(harness) == before
     assert harness.epoch.revision == revision + 1
     assert harness.status.events[-1].text == "network: wlan0 has 10.0.0.9 now"
@@ -497,11 +498,11 @@ def test_change_of_the_network_leaves_a_standing_robot_its_reason(verb: str) -> 
 
 def test_duplicate_id_faults_until_it_left_and_a_reset() -> None:
     harness = started()
-    harness.carry_out(harness.robot.on_duplicate("instance b", harness.now))
+    harness.step(DuplicateInput("instance b"))
     assert harness.twist.is_zero
     assert standing_state(harness) == (State.FAULTED, Reason.DUPLICATE_ID)
     harness.refused("reset")
-    harness.carry_out(harness.robot.on_duplicate(None, harness.now))
+    harness.step(DuplicateInput(None))
     harness.ask("reset")
     assert standing_state(harness) == (State.IDLE, Reason.RESET)
 
@@ -522,10 +523,10 @@ def test_reset_that_crosses_a_folded_estop_leaves_it_latched() -> None:
 def test_many_latches_of_a_peer_change_the_robot_once() -> None:
     harness = RobotHarness(patterns=PATTERNS)
     many = {f"e{n}": Latch(issuer="eve", scope="swarm") for n in range(3 * MAX_HELD)}
-    harness.carry_out(harness.robot.on_latches(many, harness.now))
+    harness.step(LatchesInput(many))
     revision = harness.epoch.revision
     for _ in range(3):
-        harness.carry_out(harness.robot.on_latches(many, harness.now))
+        harness.step(LatchesInput(many))
     assert harness.epoch.revision == revision
     assert harness.status.state is State.ESTOPPED
     assert harness.status.detail == "by eve"
@@ -571,7 +572,7 @@ def test_each_state_refuses_with_its_code() -> None:
     assert refusal("run", pattern="forward") is Refusal.ESTOPPED
     assert refusal("reset") is Refusal.ESTOPPED
     assert refusal("reset", ids=("e1",)) is None
-    harness.carry_out(harness.robot.on_duplicate("instance b", harness.now))
+    harness.step(DuplicateInput("instance b"))
     assert refusal("run", pattern="forward") is Refusal.FAULTED
     assert refusal("reset") is Refusal.DUPLICATE_ID
 

@@ -8,6 +8,7 @@ import pytest
 
 from swarmd.api import Twist
 from swarmd.core.errors import PluginError
+from swarmd.core.events import RequestInput
 from swarmd.core.host_messages import (
     CancelTrial,
     KillHost,
@@ -20,7 +21,7 @@ from swarmd.core.host_messages import (
 from swarmd.core.messages import Code, Reason, Refusal, State
 from swarmd.core.verbs import Request
 from swarmd.robot.requests import TRIAL_TIMEOUT
-from tests.support.robot_harness import RobotHarness
+from tests.support.robot_harness import RobotHarness, acted
 from tests.support.stub_patterns import PATTERNS, Forward, standing_state
 
 
@@ -44,7 +45,7 @@ def driving() -> RobotHarness:
 def begun(harness: RobotHarness, **args: Any) -> Request:
     """A reload whose trial is under way, while the pattern in force goes on."""
     request = harness.request("reload", pattern="own", **args)
-    actions = harness.robot.on_request(request, harness.now)
+    actions = acted(harness.robot, RequestInput(request), harness.now)
     assert isinstance(actions.trial, StartTrial)
     assert actions.replies == ()
     assert actions.twist == Twist(0.2)
@@ -126,7 +127,7 @@ def test_copies_of_stops_that_the_robot_obeyed_before_leave_the_trial_alone() ->
     harness.advance(1.0)
     harness.ask("stop", id="s2")
     request = harness.request("reload", pattern="own")
-    harness.robot.on_request(request, harness.now)
+    harness.robot.step(RequestInput(request), harness.now)
     revision = harness.status.epoch.revision
     harness.advance(3.0)
     for id, age in (("s1", 4.0), ("s2", 3.0), ("s1", 4.1), ("s0", 4.2)):
@@ -144,7 +145,7 @@ def test_copies_of_an_emergency_stop_that_holds_the_robot_leave_the_trial_alone(
     harness = driving()
     harness.ask("estop", id="e1")
     request = harness.request("reload", pattern="own")
-    harness.robot.on_request(request, harness.now)
+    harness.robot.step(RequestInput(request), harness.now)
     copy = harness.ask("estop", id="e1")
     assert copy is not None
     assert copy.code is Code.APPLIED

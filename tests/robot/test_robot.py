@@ -8,11 +8,12 @@ import pytest
 
 from swarmd.api import Inputs, MovementPattern, Outputs, Params, Twist
 from swarmd.core.codec import Decoder, encode
+from swarmd.core.events import TICK_INPUT, DriverInput, DuplicateInput, MessageInput, NeighborsInput
 from swarmd.core.host_messages import HostDied, KillHost, Load, Loaded, Step, Stepped
 from swarmd.core.messages import Code, Reason, Refusal, State, Status
 from swarmd.core.values import ZERO, Neighbor, Scalar
 from swarmd.pattern_host.wire import MAX_FRAME, encode_command
-from tests.support.robot_harness import RobotHarness
+from tests.support.robot_harness import RobotHarness, acted
 from tests.support.stub_patterns import PATTERNS, standing_state, started
 
 
@@ -165,46 +166,46 @@ def test_actions_hold_the_scan_behind_the_command() -> None:
     harness = started()
     harness.is_hung = True
     harness.advance(0.25)
-    actions = harness.robot.tick(harness.now)
+    actions = acted(harness.robot, TICK_INPUT, harness.now)
     assert 0 <= actions.requested_scan_seq < actions.decision.scan_seq
 
 
 def test_actions_are_idle_before_a_run_while_the_base_is_there() -> None:
     harness = RobotHarness(patterns=PATTERNS)
-    assert harness.robot.tick(harness.now).is_idle
-    assert not harness.robot.on_driver(False, "gone", harness.now).is_idle
+    assert acted(harness.robot, TICK_INPUT, harness.now).is_idle
+    assert not acted(harness.robot, DriverInput(False, "gone"), harness.now).is_idle
     running = started()
-    assert not running.robot.tick(running.now).is_idle
+    assert not acted(running.robot, TICK_INPUT, running.now).is_idle
 
 
 def test_each_tick_of_a_robot_that_must_stand_is_marked() -> None:
     harness = started()
-    assert not harness.robot.tick(harness.now).is_stopped
+    assert not acted(harness.robot, TICK_INPUT, harness.now).is_stopped
     harness.ask("stop")
-    harness.carry_out(harness.robot.on_driver(False, "someone else drives", harness.now))
+    harness.step(DriverInput(False, "someone else drives"))
     for _ in range(40):  # 2 s at 20 Hz
         harness.advance(0.05)
-        actions = harness.robot.tick(harness.now)
+        actions = acted(harness.robot, TICK_INPUT, harness.now)
         assert (actions.is_stopped, actions.twist) == (True, ZERO)
         assert not actions.is_idle
     harness.ask("estop", id="e1")
-    assert harness.robot.tick(harness.now).is_stopped
+    assert acted(harness.robot, TICK_INPUT, harness.now).is_stopped
     harness.ask("reset", ids=("e1",))
-    assert not harness.robot.tick(harness.now).is_stopped
-    harness.carry_out(harness.robot.on_duplicate("instance b", harness.now))
-    assert harness.robot.tick(harness.now).is_stopped
+    assert not acted(harness.robot, TICK_INPUT, harness.now).is_stopped
+    harness.step(DuplicateInput("instance b"))
+    assert acted(harness.robot, TICK_INPUT, harness.now).is_stopped
 
 
 def test_hold_of_the_driver_zeroes_and_ends_the_run() -> None:
     harness = started()
     hold = Reason.SCAN_CONFLICT
-    harness.carry_out(harness.robot.on_driver(True, "two publish /scan", harness.now, hold=hold))
+    harness.step(DriverInput(True, "two publish /scan", hold=hold))
     assert harness.twist.is_zero
     assert standing_state(harness) == (State.RUNNING, hold)
-    harness.carry_out(harness.robot.on_driver(True, "there", harness.now))
+    harness.step(DriverInput(True, "there"))
     harness.advance(0.2)
     assert harness.twist == Twist(0.2)
-    harness.carry_out(harness.robot.on_driver(True, "two publish /scan", harness.now, hold=hold))
+    harness.step(DriverInput(True, "two publish /scan", hold=hold))
     harness.advance(2.1)
     assert standing_state(harness) == (State.STOPPED, hold)
 
@@ -222,19 +223,19 @@ def test_pattern_steps_at_its_rate_and_on_every_new_scan() -> None:
 
 def test_messages_arrive_from_neighbours_on_declared_channels() -> None:
     harness = started("listener")
-    harness.robot.on_neighbors((Neighbor("tb3-02", 0.0),), harness.now)
-    assert harness.robot.on_message("tb3-02", "listener/count", 7, harness.now)
-    assert harness.robot.on_message("tb3-02", "listener/count", "seven", harness.now)
-    assert harness.robot.on_message("tb3-02", "other/count", 8, harness.now)
-    assert not harness.robot.on_message("tb3-03", "listener/count", 9, harness.now)
+    harness.robot.step(NeighborsInput((Neighbor("tb3-02", 0.0),)), harness.now)
+    harness.step(MessageInput("tb3-02", "listener/count", 7))
+    harness.step(MessageInput("tb3-02", "listener/count", "seven"))
+    harness.step(MessageInput("tb3-02", "other/count", 8))
+    harness.step(MessageInput("tb3-03", "listener/count", 9))
     harness.advance(0.2)
     assert harness.status.report["heard"] == "(('tb3-02', 7),)"
 
 
 def test_messages_to_an_earlier_run_are_dropped() -> None:
     harness = started("listener")
-    harness.robot.on_neighbors((Neighbor("tb3-02", 0.0),), harness.now)
-    assert harness.robot.on_message("tb3-02", "listener/count", 7, harness.now)
+    harness.robot.step(NeighborsInput((Neighbor("tb3-02", 0.0),)), harness.now)
+    harness.step(MessageInput("tb3-02", "listener/count", 7))
     harness.ask("run", pattern="listener")
     harness.advance(0.5)
     assert harness.status.report["heard"] == "()"
@@ -310,10 +311,10 @@ def test_any_report_gives_a_readable_status() -> None:
 
 def test_flood_of_messages_keeps_the_newest_and_is_counted() -> None:
     harness = started("listener")
-    harness.robot.on_neighbors((Neighbor("tb3-02", 0.0),), harness.now)
+    harness.robot.step(NeighborsInput((Neighbor("tb3-02", 0.0),)), harness.now)
     harness.sent.clear()
     for n in range(1000):
-        harness.robot.on_message("tb3-02", "listener/count", [n, "x" * 900], harness.now)
+        harness.robot.step(MessageInput("tb3-02", "listener/count", [n, "x" * 900]), harness.now)
     harness.advance(0.1)
     step = next(command for command in harness.sent if isinstance(command, Step))
     assert len(encode_command(step)) < MAX_FRAME

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.core.events import DriverInput, OdometryInput
 from swarmd.core.messages import Reason, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
 from swarmd.protection.compatibility import body_of
@@ -170,7 +171,7 @@ def test_clocks_that_are_set_are_events() -> None:
     for number in range(1, 8):
         robot.advance(0.1)
         stamp = robot.now + 100.0 * number
-        robot.robot.on_odometry(Odometry(stamp, Pose(), Twist()), robot.now)
+        robot.robot.step(OdometryInput(Odometry(stamp, Pose(), Twist())), robot.now)
     texts = [event.text for event in robot.status.events[before:]]
     assert texts == BURST * ["stamps of odometry or scan jumped: the scan delay is measured anew"]
 
@@ -251,12 +252,12 @@ def test_small_faults_of_a_sensor_do_not_stop(fault: str) -> None:
 
 def test_returned_driver_does_not_start_a_stopped_robot() -> None:
     harness = started()
-    harness.carry_out(harness.robot.on_driver(False, "cable", harness.now))
+    harness.step(DriverInput(False, "cable"))
     assert harness.twist.is_zero
     assert harness.status.reason is Reason.DRIVER_LOST
     harness.advance(2.2)
     assert standing_state(harness) == (State.STOPPED, Reason.DRIVER_LOST)
-    harness.carry_out(harness.robot.on_driver(True, "there", harness.now))
+    harness.step(DriverInput(True, "there"))
     harness.advance(2.0)
     assert harness.twist.is_zero
 

@@ -7,6 +7,7 @@ import math
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core.events import PeersInput, PlaceInput, PoseInput
 from swarmd.core.messages import Body, Reason
 from swarmd.core.values import PeerPlace, Pose, SharedPose, Twist
 from swarmd.protection.compatibility import ACCEPTS_NONE, body_of
@@ -145,12 +146,12 @@ def test_a_robot_runs_beside_an_unseen_peer_while_it_is_told_and_no_longer() -> 
     harness.applied("run", pattern="forward")
     harness.advance(0.5)
     robot = harness.robot
-    robot.on_peers({"b": BURGER}, harness.now)
+    robot.step(PeersInput({"b": BURGER}), harness.now)
     harness.advance(0.2)
     assert harness.status.reason is Reason.INCOMPATIBLE_PEER
     for _ in range(10):
-        robot.on_pose(shared(stamp=harness.now), harness.now)
-        robot.on_peer_place(place(-3.0, 2.0), harness.now)
+        robot.step(PoseInput(shared(stamp=harness.now)), harness.now)
+        robot.step(PlaceInput(place(-3.0, 2.0)), harness.now)
         harness.advance(0.1)
     assert harness.twist.linear > 0.0
     harness.advance(TOLD_TIMEOUT)

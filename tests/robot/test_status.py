@@ -11,6 +11,7 @@ import pytest
 from msgspec import structs
 
 from swarmd.core.codec import Decoder, encode
+from swarmd.core.events import DriverInput, ReadingsInput
 from swarmd.core.messages import DecisionSummary, LimitingObstacle, Reason, Status
 from swarmd.core.values import Scan, Twist
 from swarmd.protection.decision import Decision
@@ -87,19 +88,19 @@ def test_status_reports_recovery(harness: RobotHarness) -> None:
 
 def test_status_reports_finite_readings(harness: RobotHarness) -> None:
     readings = {"battery": 0.71, "yaw": -1.5, "odd": math.nan}
-    harness.robot.on_readings(readings)
+    harness.robot.step(ReadingsInput(readings), harness.now)
     assert harness.status.readings == {"battery": 0.71, "yaw": -1.5}
     assert harness.status.stale_readings == ("odd",)
     assert decode(encode(harness.status)).readings == harness.status.readings
 
 
 def test_readings_are_stale_while_the_base_is_lost(harness: RobotHarness) -> None:
-    harness.robot.on_readings({"light": 0.5})
-    harness.robot.on_driver(False, "lost", harness.now)
+    harness.robot.step(ReadingsInput({"light": 0.5}), harness.now)
+    harness.robot.step(DriverInput(False, "lost"), harness.now)
     assert harness.robot.readings == {}
     assert harness.status.stale_readings == ("light",)
-    harness.robot.on_driver(True, "back", harness.now)
-    harness.robot.on_readings({"light": 0.6})
+    harness.robot.step(DriverInput(True, "back"), harness.now)
+    harness.robot.step(ReadingsInput({"light": 0.6}), harness.now)
     assert harness.status.readings == {"light": 0.6}
     assert not harness.status.stale_readings
 

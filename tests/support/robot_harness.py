@@ -52,6 +52,13 @@ from swarmd.testing.scans import empty_scan
 ScanSource = Callable[[int, float], Scan | None]
 
 
+def acted(robot: Robot, input: Input, now: float) -> Actions:
+    """The actions of an input that always has some."""
+    actions = robot.step(input, now)
+    assert actions is not None
+    return actions
+
+
 class RobotHarness:
     """A robot whose sensors deliver at their nominal rates while `advance` runs.
 

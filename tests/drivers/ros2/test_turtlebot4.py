@@ -12,6 +12,7 @@ import pytest
 import yaml
 
 from swarmd.core.clock import TICK
+from swarmd.core.events import TICK_INPUT, DriverInput, HazardsInput, OdometryInput
 from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Reason, State, Status
 from swarmd.core.values import Odometry, Scan, Value
@@ -98,23 +99,20 @@ class Daemon(CollectingSink):
         self.now.scan(scan)
 
     def odometry(self, odometry: Odometry) -> None:
-        story = self.now
-        story.robot.on_odometry(odometry, story.now)
+        self.now.step(OdometryInput(odometry))
 
     def hazards(self, hazards: tuple[Hazard, ...]) -> None:
-        story = self.now
-        story.carry_out(story.robot.on_hazards(hazards, story.now))
+        self.now.step(HazardsInput(hazards))
 
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
-        story = self.now
-        story.carry_out(story.robot.on_driver(is_up, text, story.now, hold=hold))
+        self.now.step(DriverInput(is_up, text, hold, gets_zero))
 
     def tick(self, driver: Driver) -> None:
         """A tick; the driver gets the command."""
         story = self.now
-        story.carry_out(story.robot.tick(story.now))
+        story.step(TICK_INPUT)
         driver.send(story.twist, 0, 0, is_stopped=story.robot.state is State.STOPPED)
 
 
