@@ -12,7 +12,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from msgspec import Struct
-from msgspec.structs import astuple, replace
+from msgspec.structs import replace
 
 from swarmd.core.behaviour import (
     Entry,
@@ -304,8 +304,8 @@ class CodeVersions:
             return False
         if operators is None:
             return True
-        key, (content, signature) = operators.get(manifest.issuer), astuple(entry.signed)
-        return key is not None and is_signed_by(key, Purpose.MANIFEST, content, signature)
+        key, signature = operators.get(manifest.issuer), entry.signed.signature
+        return key is not None and is_signed_by(key, Purpose.MANIFEST, entry.content, signature)
 
     # What is here
 
