@@ -17,10 +17,11 @@ import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.core.errors import CodecError, ConfigError
+from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.driver import Finding, Sink
+from swarmd.driver_api.driver import Sink
 from swarmd.driver_api.hw_codec import Input, deliver
 from swarmd.recording import messages
 from swarmd.recording.reader import RecordedMessage, read_file

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from swarmd.core.finding import Finding
 from swarmd.core.values import Scan, ScanSpec
-from swarmd.driver_api.driver import Finding
 from swarmd.sensing.scan_delay import TOLERANCE, delay_by_stamps
 
 

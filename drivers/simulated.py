@@ -13,10 +13,11 @@ from msgspec import Struct
 
 from swarmd.core import keys
 from swarmd.core.errors import CodecError
+from swarmd.core.finding import Finding
 from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, ScanSpec, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
+from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
 from swarmd.driver_api.hw_codec import (
     INPUTS,
     check_measures,

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 from difflib import SequenceMatcher
 from typing import Protocol
 
+from swarmd.core.finding import Finding
 from swarmd.core.messages import Reason
 from swarmd.core.values import Scan, ScanSpec
-from swarmd.driver_api.driver import Finding
 from swarmd.drivers.ros.endpoints import Endpoint, is_listener, nodes_of
 from swarmd.drivers.ros.foreign_commands import ForeignCommands
 from swarmd.drivers.ros.namespaces import Candidates, Namespaces

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 
 from swarmd.core.errors import CodecError
+from swarmd.core.finding import Finding
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, SharedPose, Twist
-from swarmd.driver_api.driver import Finding
 from swarmd.driver_api.hw_codec import MAX_RAYS
 from swarmd.drivers.ros import messages as ros
 

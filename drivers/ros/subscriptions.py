@@ -7,8 +7,9 @@ from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 from typing import Any
 
+from swarmd.core.finding import Finding
 from swarmd.core.values import Platform, Scan
-from swarmd.driver_api.driver import Finding, Sink
+from swarmd.driver_api.driver import Sink
 from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros.messages import (
     BatteryState,

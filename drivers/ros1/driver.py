@@ -18,10 +18,11 @@ from pathlib import Path
 from typing import Any
 
 from swarmd.core.errors import CodecError, DriverError
+from swarmd.core.finding import Finding
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Platform, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.driver import Finding, Sink, ZeroSenderSpec
+from swarmd.driver_api.driver import Sink, ZeroSenderSpec
 from swarmd.drivers.ros.diagnosis import (
     Conflict,
     Report,

@@ -13,11 +13,12 @@ import zenoh
 from zenoh.handlers import Callback
 
 from swarmd.core.errors import CodecError
+from swarmd.core.finding import Finding
 from swarmd.core.messages import Reason
 from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
+from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros.diagnosis import (

@@ -19,6 +19,7 @@ import numpy as np
 from msgspec import Struct
 
 from swarmd.core.errors import ConfigError, unknown
+from swarmd.core.finding import Finding
 from swarmd.core.values import (
     ZERO,
     Odometry,
@@ -30,7 +31,7 @@ from swarmd.core.values import (
     Value,
 )
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.driver_api.driver import Finding, NullSink, Sink, ZeroSenderSpec
+from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
 
 SILENCE_TIMEOUT = 1.0
 HELLO_PERIOD = 0.2

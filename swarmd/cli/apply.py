@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import replace
@@ -13,11 +12,11 @@ import click
 
 from swarmd.cli.arguments import Failure
 from swarmd.cli.goal import resume_on
-from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import print_json, print_table, warn
-from swarmd.cli.run_start import run_fields
+from swarmd.cli.options import FILE, CommonOptions, common_options
+from swarmd.cli.output import need_consent, print_json, print_table, warn
+from swarmd.cli.run_start import send_goal
 from swarmd.cli.send import known_members, show
-from swarmd.core.verbs import GoalRequest, LabelRequest, ParamRequest, RunRequest
+from swarmd.core.verbs import LabelRequest, ParamRequest
 from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL
 from swarmd.network.operator.outcome import Outcome, joined
 from swarmd.network.spread.next_goal import next_goal
@@ -29,7 +28,7 @@ if TYPE_CHECKING:
     from swarmd.settings.apply_plan import Plan
     from swarmd.settings.swarmfile import SwarmFile
 
-_file = click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+_file = click.argument("file", type=FILE)
 
 
 @click.command()
@@ -68,7 +67,8 @@ def apply(options: CommonOptions, file: Path, yes: bool) -> None:
         view = known_members(options, operator)
         plan = _plan(operator, view)
         _print(options, plan)
-        _confirm(plan, yes)
+        if plan.moves and not yes:
+            need_consent("apply lets robots move and", "they may move", "Apply? Robots will move.")
         outcomes = _carry_out(options, operator, view, plan)
         if options.is_json:
             replies = {name: one.code for each in outcomes for name, one in each.replies.items()}
@@ -86,19 +86,6 @@ def _plan(operator: Operator, view: MembersView) -> Plan:
     if plan.goal is not None and not plan.targets:
         raise Failure("goal.targets: no robot that answers is targeted", NO_TARGET)
     return plan
-
-
-def _confirm(plan: Plan, is_sure: bool) -> None:
-    """Ask before motion. ClickException without consent: nothing was sent."""
-    if not plan.moves or is_sure:
-        return
-    if not sys.stdin.isatty():
-        raise click.UsageError(
-            "apply lets robots move and asks for confirmation, and there is no terminal; nothing"
-            " was sent; check that they may move, and add --yes"
-        )
-    if not click.confirm("Apply? Robots will move.", err=True):
-        raise click.ClickException("nothing was sent")
 
 
 def _carry_out(
@@ -123,11 +110,7 @@ def _carry_out(
             outcomes.append(outcome)
         view = look()
     if plan.goal is not None:
-        goal = next_goal(operator, view, **plan.goal)
-        if goal.pattern is None:
-            outcomes.append(operator.request(GoalRequest, epochs, goal=goal))
-        else:
-            outcomes.append(operator.request(RunRequest, epochs, **run_fields(goal)))
+        outcomes.append(send_goal(operator, epochs, next_goal(operator, view, **plan.goal)))
         view = look()
     if plan.resume:
         outcomes.append(resume_on(operator, view, plan.resume, timeout=None))

@@ -14,6 +14,7 @@ import click
 from swarmd.cli import completion
 from swarmd.core.errors import unknown
 from swarmd.core.keys import is_id
+from swarmd.network.exit_codes import NO_TARGET, USAGE
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 R = TypeVar("R")
@@ -22,11 +23,10 @@ _GLOB = re.compile(r"[a-z0-9_*?\[\]!-]{1,63}")
 _DURATION = re.compile(r"(\d+(?:\.\d+)?)(ms|s|m|h)?")
 _UNITS = {"ms": 0.001, "s": 1.0, "m": 60.0, "h": 3600.0, None: 1.0}
 _MAX_DURATION = 1e7  # s
-_USAGE, _NO_TARGET = 2, 4  # as in swarmd.network.operator.outcome, which `--help` does not import
 
 
 class Failure(click.ClickException):
-    """An error with its exit code (see `swarmd.network.operator.outcome`)."""
+    """An error with its exit code (see `swarmd.network.exit_codes`)."""
 
     def __init__(self, text: str, exit_code: int) -> None:
         super().__init__(text)
@@ -81,7 +81,7 @@ class Targets:
         Also Failure if there are labels, which names alone do not show.
         """
         if self.labels:
-            raise Failure("this verb takes names, not labels; see `swarmctl members`", _USAGE)
+            raise Failure("this verb takes names, not labels; see `swarmctl members`", USAGE)
         for glob in (*self.names, *self.exclude):
             if not any(fnmatchcase(name, glob) for name in known):
                 check_known(glob, known)
@@ -182,4 +182,4 @@ def check_known(name: str, known: Collection[str]) -> None:
     """Failure, with the nearest name, unless the robot is known."""
     if name not in known:
         text = f"{unknown('robot', name, known)}; see `swarmctl members`"
-        raise Failure(text, _NO_TARGET)
+        raise Failure(text, NO_TARGET)

@@ -11,7 +11,7 @@ import click
 from swarmd.cli.arguments import Duration, Targets, takes_targets
 from swarmd.cli.labels import robots_of
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.questions import ask_robots, end, in_reach
 from swarmd.cli.send import known_members
 from swarmd.core.verbs import AUDIT, AUDIT_PAGE, AuditEntry, AuditQuery, AuditReply
@@ -123,11 +123,5 @@ def _record(line: _Line) -> dict[str, Any]:
         "time": None if moment is None else moment.isoformat(timespec="milliseconds"),
         "operator": entry.operator,
         "from": entry.source,
-        "verb": entry.verb,
-        "targets": entry.targets,
-        "what": entry.what,
-        "result": entry.result,
-        "text": entry.text,
-        "left_out": entry.left_out,
-        "seq": entry.seq,
+        **fields(entry, "verb", "targets", "what", "result", "text", "left_out", "seq"),
     }

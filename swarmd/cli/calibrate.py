@@ -16,8 +16,8 @@ import click
 from swarmd.calibration.figures import DONE, PATTERN, Figure
 from swarmd.cli import completion
 from swarmd.cli.arguments import Failure, check_known
-from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import print_json, print_table, rewrite, warn
+from swarmd.cli.options import FILE, CommonOptions, common_options
+from swarmd.cli.output import need_consent, print_json, print_table, rewrite, warn
 from swarmd.cli.send import known_members
 from swarmd.core.messages import Presence, Reason, State, Status
 from swarmd.core.verbs import ResetRequest, RunRequest
@@ -54,7 +54,7 @@ _NO_HOLD = (None, Reason.PROTECTION, Reason.NO_REQUESTED_COMMAND)
 @click.option(
     "-w",
     "--write",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="Write the platform file that follows, which must end in .yaml.",
 )
@@ -131,17 +131,11 @@ def _confirm(robot: str, platform: str, floor: float, yes: bool) -> None:
     square = f"{floor:g} x {floor:g} m"
     if yes:
         return
-    if not sys.stdin.isatty():
-        raise click.UsageError(
-            "calibrate asks for confirmation, and there is no terminal; nothing was sent; check"
-            f" that a floor of {square} around {robot} is free, and add --yes"
-        )
     warn(
         f"{robot} ({platform}) will drive to and fro, and turn on the spot, for one to two minutes."
     )
     question = f"Is the floor free, {square} with {robot} in the middle, and does it stay free?"
-    if not click.confirm(question, err=True):
-        raise click.ClickException("nothing was sent")
+    need_consent("calibrate", f"a floor of {square} around {robot} is free", question)
 
 
 def _measure(

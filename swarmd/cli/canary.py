@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import threading
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
 import click
 
 from swarmd.cli.arguments import Failure
+from swarmd.cli.questions import next_status, statuses_of
 from swarmd.core.clock import boottime
-from swarmd.core.codec import Decoder
 from swarmd.core.keys import is_id
 from swarmd.core.messages import STATUS_SILENCE, Reason, State, Status
 from swarmd.network.exit_codes import NO_TARGET
@@ -24,8 +23,6 @@ MAX_DUTY_RISE = 0.3
 """By how much the share of ticks in which protection acts may rise over the run before."""
 MIN_DECISIONS = 60
 """Ticks after which that share is judged: 3 s."""
-
-_status = Decoder(Status)
 
 
 def read_canary(text: str | None) -> int | str | None:
@@ -85,46 +82,18 @@ def watch_canary(
 
     It ends at the first fault. A robot that sends no status is one.
     """
-    watch = _CanaryWatch(frozenset(names), before or {}, boottime())
-    operator.watch("status", watch.on_status)
-    try:
-        return watch.wait(seconds)
-    finally:
-        operator.unwatch("status")
-
-
-class _CanaryWatch:
-    """The statuses of canaries, as they come on other threads."""
-
-    def __init__(
-        self, names: frozenset[str], before: Mapping[str, Status | None], now: float
-    ) -> None:
-        self._names, self._before = names, before
-        self._first: dict[str, Status] = {}
-        self._heard = dict.fromkeys(names, now)
-        self._faults: dict[str, str] = {}
-        self._news = threading.Condition()
-
-    def on_status(self, robot: str, payload: bytes) -> None:
-        """Take a status."""
-        if robot not in self._names:
-            return
-        status = _status(payload)
-        with self._news:
-            self._heard[robot] = boottime()
-            first = self._first.setdefault(robot, status)
-            if fault := fault_of(self._before.get(robot), first, status):
-                self._faults[robot] = fault
-                self._news.notify_all()
-
-    def wait(self, seconds: float) -> dict[str, str]:
-        """Wait for the end of the time, or for a fault."""
-        until = boottime() + seconds
-        with self._news:
-            while not self._faults and (left := until - boottime()) > 0:
-                self._news.wait(min(left, 0.5))
-                for robot, at in self._heard.items():
-                    silence = boottime() - at
-                    if silence > STATUS_SILENCE and robot not in self._faults:
-                        self._faults[robot] = f"sent no status for {silence:.0f} s"
-            return dict(self._faults)
+    heard, until = dict.fromkeys(names, boottime()), boottime() + seconds
+    first: dict[str, Status] = {}
+    faults: dict[str, str] = {}
+    with statuses_of(operator) as news:
+        while not faults and (left := until - boottime()) > 0:
+            status = next_status(news, min(left, 0.5))
+            if status is not None and (robot := status.robot) in heard:
+                heard[robot] = boottime()
+                earlier = (before or {}).get(robot)
+                if fault := fault_of(earlier, first.setdefault(robot, status), status):
+                    faults[robot] = fault
+            for robot, at in heard.items():
+                if (silence := boottime() - at) > STATUS_SILENCE and robot not in faults:
+                    faults[robot] = f"sent no status for {silence:.0f} s"
+    return faults

@@ -12,6 +12,7 @@ from swarmd.cli.options import CommonOptions, VerbGroup, common_options, local_o
 from swarmd.cli.output import print_json, print_table
 from swarmd.settings.contexts import (
     Context,
+    add_context,
     context_in_use,
     contexts_path,
     load_contexts,
@@ -95,9 +96,7 @@ def add(options: CommonOptions, name: str, is_used: bool) -> None:
     if not given:
         raise click.UsageError(f"context add needs options, such as --swarm {name}")
     one = Context(**{key: _kept(value) for key, value in given.items()})
-    path = contexts_path()
-    contexts = load_contexts(path).with_context(name, one)
-    save_contexts(path, contexts.with_use(name) if is_used else contexts)
+    add_context(name, one, use=is_used)
     click.echo(f"{name}: {_line(one)}")
 
 

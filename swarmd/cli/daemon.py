@@ -7,14 +7,13 @@ import logging
 import os
 import resource
 import sys
-from importlib import import_module
 from pathlib import Path
-from typing import NoReturn, cast
+from typing import NoReturn
 
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.options import VerbGroup
+from swarmd.cli.options import FILE, PROFILES, LazyGroup
 from swarmd.cli.swarmctl import run_cli
 from swarmd.core.errors import ConfigError, DriverError, IdHeldError, NetworkError, SwarmError
 from swarmd.core.processes import die_with_parent as tie_to
@@ -24,7 +23,7 @@ from swarmd.texts.assignments import Value, read_assignments
 # Open files: a daemon needs about 40 for itself, and one for each link of an operator.
 MIN_DESCRIPTORS, WANTED_DESCRIPTORS = 128, 4096
 
-# Subcommand -> its function, and its line for --help, which must not import the subcommands.
+# Subcommands, which a daemon must not import: its start takes 0.2 s of CPU.
 VERBS = {
     "install": ("swarmd.cli.install:install", "Take a bundle: this machine becomes its robot."),
     "service": ("swarmd.cli.service:service", "Run the daemon as a service of systemd."),
@@ -40,28 +39,9 @@ Exit codes:
   5  the driver cannot be used on this robot"""
 
 
-class Verbs(VerbGroup):
-    """The subcommands, which a daemon must not import: its start takes 0.2 s of CPU."""
-
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """All subcommands."""
-        return list(VERBS)
-
-    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
-        """The subcommand of that name, imported; None if it is unknown."""
-        if cmd_name not in VERBS:
-            return None
-        module, _, attribute = VERBS[cmd_name][0].partition(":")
-        return cast(click.Command, getattr(import_module(module), attribute))
-
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write a line for each subcommand, without importing it."""
-        with formatter.section("Verbs"):
-            formatter.write_dl([(name, text) for name, (_, text) in VERBS.items()])
-
-
 @click.group(
-    cls=Verbs,
+    cls=LazyGroup,
+    verbs=VERBS,
     invoke_without_command=True,
     subcommand_metavar="[VERB ...]",
     epilog=_EPILOG,
@@ -69,7 +49,7 @@ class Verbs(VerbGroup):
 )
 @click.option(
     "--config",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="The daemon's YAML file; the options below override it.",
 )
@@ -91,7 +71,7 @@ class Verbs(VerbGroup):
 )
 @click.option(
     "--profile",
-    type=click.Choice(["dev", "field", "routed"]),
+    type=PROFILES,
     help="dev: this machine; field: a network; routed: by Zenoh routers.",
 )
 @click.option("--interface", metavar="NAME", help="The network interface for profile field.")

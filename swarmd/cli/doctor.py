@@ -17,11 +17,12 @@ from swarmd.cli.output import print_json, print_table
 from swarmd.cli.questions import ASK_TIME, MAX_ANSWER, in_reach
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import CodecError, ConfigError, NetworkError
+from swarmd.core.finding import Finding, Level, warning
 from swarmd.core.machine import measure_machine
 from swarmd.core.verbs import DOCTOR
 from swarmd.network.carriers.machine_network import measure_network
 from swarmd.texts import doctor as findings_of
-from swarmd.texts.doctor import Finding, Level, worst
+from swarmd.texts.doctor import worst
 
 if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
@@ -52,7 +53,7 @@ def doctor(options: CommonOptions, targets: Targets, problems: bool) -> None:
             lines += _of_this_network(operator)
             lines += _of_robots(options, operator, targets)
     except (ConfigError, NetworkError) as error:
-        lines.append(_Line(HERE, Finding(Level.FAULT, "network", str(error))))
+        lines.append(_Line(HERE, Finding("network", False, str(error))))
     level = worst(line.finding for line in lines)
     if options.is_json:
         print_json("Doctor", {"worst": level.value, "findings": [_record(line) for line in lines]})
@@ -78,7 +79,7 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
         others = ", ".join(operator.swarms())
         text = f"no robot of swarm {swarm!r} is heard" + (f"; swarms: {others}" if others else "")
         remedy = "start swarmd; see --swarm, --profile and --interface"
-        yield _Line("swarm", Finding(Level.WARNING, "robots", text, remedy))
+        yield _Line("swarm", warning("robots", text, remedy))
         return
     names = robots_of(view, targets)
     time.sleep(LISTEN_TIME)
@@ -91,13 +92,13 @@ def _of_robots(options: CommonOptions, operator: Operator, targets: Targets) -> 
         returned = time.time()
         if answer is None:
             remedy = "see swarmctl members; look at its power, its network and its daemon"
-            yield _Line(robot, Finding(Level.FAULT, "answer", "it does not answer", remedy))
+            yield _Line(robot, Finding("answer", False, "it does not answer", remedy))
             continue
         try:
             reply = decode(answer)
         except CodecError as error:
             remedy = "install the same version everywhere"
-            yield _Line(robot, Finding(Level.FAULT, "answer", f"unreadable: {error}", remedy))
+            yield _Line(robot, Finding("answer", False, f"unreadable: {error}", remedy))
             continue
         for finding in findings_of.of_robot(
             reply,

@@ -9,12 +9,12 @@ import click
 from msgspec import to_builtins
 
 from swarmd.cli.arguments import Failure, Targets, takes_targets
-from swarmd.cli.labels import robots_of, unlabelled
+from swarmd.cli.labels import robots_of
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import print_json, print_table, warn
-from swarmd.cli.run_start import run_fields
-from swarmd.cli.send import known_members, report, stop_names, targets_of, time_left
-from swarmd.core.verbs import GoalRequest, ResumeRequest, RunRequest
+from swarmd.cli.output import fields, print_json, print_table, warn
+from swarmd.cli.run_start import send_goal
+from swarmd.cli.send import asking, known_members, report, stop_names, time_left
+from swarmd.core.verbs import ResumeRequest
 from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL, TIMEOUT
 from swarmd.network.operator.outcome import Outcome, joined
 from swarmd.network.spread.next_goal import next_goal
@@ -66,11 +66,9 @@ def resume(options: CommonOptions, targets: Targets) -> None:
     A robot refuses if its goal has changed since swarmctl looked, and if the goal is of a run with
     `--lease` whose operator is not heard.
     """
-    with options.operator() as operator:
-        view = known_members(options, operator, is_request_next=True)
-        names = targets_of(view, targets)
-        outcome = resume_on(operator, view, names, timeout=time_left(options, view))
-        report(options, joined([outcome], unlabelled=unlabelled(view, targets)))
+    with asking(options, targets, needs_status=True) as asked:
+        wait = time_left(options, asked.view)
+        asked.report(resume_on(asked.operator, asked.view, asked.names, timeout=wait))
 
 
 @click.command()
@@ -98,12 +96,8 @@ def undo(options: CommonOptions) -> None:
         if stand:
             outcomes.append(stop_names(operator, stand))
         if run:
-            epochs, wait = view.epochs(run), time_left(options, view)
-            if goal.pattern is None:
-                outcomes.append(operator.request(GoalRequest, epochs, timeout=wait, goal=goal))
-            else:
-                fields = run_fields(goal)
-                outcomes.append(operator.request(RunRequest, epochs, timeout=wait, **fields))
+            wait = time_left(options, view)
+            outcomes.append(send_goal(operator, view.epochs(run), goal, timeout=wait))
         report(options, joined(outcomes))
 
 
@@ -167,10 +161,7 @@ def _as_json(view: MembersView, found: list[Difference], code: int) -> dict[str,
             one.robot: {
                 "goal": None if one.goal is None else digests.get(one.goal.id),
                 "desired": None if one.goal is None else one.desired,
-                "actual": one.actual,
-                "is_as_desired": one.is_as_desired,
-                "reason": one.reason,
-                "note": one.note,
+                **fields(one, "actual", "is_as_desired", "reason", "note"),
             }
             for one in found
         },

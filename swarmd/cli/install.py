@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from swarmd.cli.options import FILE, root_option
 from swarmd.core.errors import ConfigError
 from swarmd.texts.keys import end_of_certificate
 
@@ -20,13 +21,8 @@ DAEMON_FILE = "swarmd.yaml"
 
 
 @click.command()
-@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
-@click.option(
-    "--root",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="DIR",
-    help="The root of another file system, such as that of an SD card.",
-)
+@click.argument("file", type=FILE)
+@root_option
 @click.option("--interface", metavar="NAME", help="This robot's interface, if it has another.")
 @click.option("--force", is_flag=True, help="Replace an identity of another robot or authority.")
 def install(file: Path, root: Path | None, interface: str | None, force: bool) -> None:

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
+from msgspec.structs import asdict
 
 from swarmd.cli import keys_rollout
 from swarmd.cli.authority_folder import (
@@ -26,7 +27,7 @@ from swarmd.cli.authority_folder import (
     open_authority,
 )
 from swarmd.cli.install import report_identity
-from swarmd.cli.options import CommonOptions, VerbGroup, local_options
+from swarmd.cli.options import FILE, FOLDER, PROFILES, CommonOptions, VerbGroup, local_options
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.errors import ConfigError
@@ -62,11 +63,11 @@ def keys() -> None:
 @click.option("--viewers", metavar="NAMES", help="Names that may look and command nothing.")
 @click.option(
     "--config",
-    type=click.Path(dir_okay=False, path_type=Path),
+    type=FILE,
     metavar="FILE",
     help="swarm.yaml with further settings of the swarm, such as labels.",
 )
-@click.option("--profile", type=click.Choice(["dev", "field", "routed"]), help="Of the network.")
+@click.option("--profile", type=PROFILES, help="Of the network.")
 @click.option("--interface", metavar="NAME", help="The network interface of robots.")
 @click.option("--seed", "seeds", multiple=True, metavar="ENDPOINT", help="A robot to dial.")
 @click.option("--router", "routers", multiple=True, metavar="ENDPOINT", help="Of profile routed.")
@@ -219,7 +220,7 @@ def list_(options: CommonOptions) -> None:
 
 
 @keys.command()
-@click.argument("file", type=click.Path(dir_okay=False, path_type=Path))
+@click.argument("file", type=FILE)
 @click.option("--interface", metavar="NAME", help="This machine's interface, if it has another.")
 @click.option("--force", is_flag=True, help="Replace an identity of another name or authority.")
 def install(file: Path, interface: str | None, force: bool) -> None:
@@ -247,15 +248,7 @@ def bundle_of(authority: Authority, name: str, *, days: float | None = None) -> 
 
     path = authority.folder / SWARM_YAML
     settings = checked_settings(str(path), authority.roster.swarm, read(path))
-    issued = authority.issue(name, days=days)
-    made = Bundle(
-        info=issued.info,
-        certificate=issued.certificate,
-        key=issued.key,
-        authority=issued.authority,
-        roster=issued.roster,
-        settings=settings,
-    )
+    made = Bundle(**asdict(authority.issue(name, days=days)), settings=settings)
     pack_bundle(made)  # ConfigError if it is too large
     return made
 
@@ -325,7 +318,7 @@ def _login_id() -> str:
 @click.option("--swarm", metavar="NAME", required=True, help="The swarm of the identity.")
 @click.option(
     "--identity",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     metavar="FOLDER",
     help="The router's identity [that of this user or machine for the swarm].",
 )

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from swarmd.network.operator.members_view import MembersView
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
-    from swarmd.security.authority import Authority, Issued
-    from swarmd.security.identity import Identity
+    from swarmd.security.authority import Authority
+    from swarmd.security.identity import Identity, Issued
 
 MAX_CERTIFICATES = 32
 """New certificates in one request."""

@@ -9,9 +9,9 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.arguments import Failure, Targets, takes_targets
-from swarmd.cli.labels import labels_of, unlabelled
+from swarmd.cli.labels import labels_of
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.send import known_members, report, targets_of, time_left
+from swarmd.cli.send import asking
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import LabelRequest
 from swarmd.network.exit_codes import TIMEOUT
@@ -67,20 +67,14 @@ def label(
         raise click.UsageError("label needs +LABEL or -LABEL, or --reset alone")
     if words:
         read_changes(words)
-    with options.operator() as operator:
-        view = known_members(options, operator, is_request_next=True)
-        names = targets_of(view, targets)
-        known = labels_of(view)
-        unseen = [name for name in names if name not in known]
+    with asking(options, targets, needs_status=True) as asked:
+        known = labels_of(asked.view)
+        unseen = [name for name in asked.names if name not in known]
         if unseen and not reset:
             text = f"the labels of {', '.join(unseen)} are not known; nothing was sent"
             raise Failure(text, TIMEOUT)
         wanted: dict[Any, list[str]] = defaultdict(list)
-        for name in names:
+        for name in asked.names:
             wanted[None if reset else changed(known[name], added, removed)].append(name)
-        wait = time_left(options, view)
-        outcomes = [
-            operator.request(LabelRequest, view.epochs(some), timeout=wait, labels=labels)
-            for labels, some in wanted.items()
-        ]
-        report(options, joined(outcomes, unlabelled=unlabelled(view, targets)))
+        requests = wanted.items()
+        asked.report(joined(asked.request(LabelRequest, some, labels=to) for to, some in requests))

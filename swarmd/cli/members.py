@@ -76,8 +76,7 @@ def forget(options: CommonOptions, name: str) -> None:
         if view.members[name].presence is Presence.ALIVE:
             text = f"{name} is alive; only robots that failed or left can be forgotten"
             raise Failure(text, REFUSED)
-        epochs = view.epochs(view.alive)
-        wait = time_left(options, view)
+        epochs, wait = view.epochs(view.alive), time_left(options, view)
         report(options, operator.request(ForgetRequest, epochs, timeout=wait, name=name))
 
 

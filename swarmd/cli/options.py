@@ -5,8 +5,9 @@ from __future__ import annotations
 import functools
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Concatenate, ParamSpec, TypeVar, cast
 
@@ -17,6 +18,8 @@ from swarmd.cli.arguments import Duration
 from swarmd.core.errors import unknown
 
 if TYPE_CHECKING:
+    from click.shell_completion import CompletionItem
+
     from swarmd.network.operator.operator import Operator
     from swarmd.network.settings import NetworkSettings
     from swarmd.security.identity import Identity
@@ -25,6 +28,12 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 DEFAULT_SWARM = "default"
+FILE = click.Path(dir_okay=False, path_type=Path)
+FOLDER = click.Path(file_okay=False, path_type=Path)
+EXISTING = click.Path(exists=True, path_type=Path)
+EXISTING_FILE = click.Path(exists=True, dir_okay=False, path_type=Path)
+PROFILES = click.Choice(["dev", "field", "routed"])
+FORMS = click.Choice(["table", "json"])
 
 _NETWORK_OPTIONS = (
     click.option(
@@ -35,13 +44,13 @@ _NETWORK_OPTIONS = (
     ),
     click.option(
         "--config",
-        type=click.Path(dir_okay=False, path_type=Path),
+        type=FILE,
         metavar="FILE",
         help="swarm.yaml with swarm, profile, interface and seeds [$SWARM_CONFIG].",
     ),
     click.option(
         "--profile",
-        type=click.Choice(["dev", "field", "routed"]),
+        type=PROFILES,
         help="dev: robots on this machine; field: robots on --interface; routed: by Zenoh routers.",
     ),
     click.option("--interface", metavar="NAME", help="The network interface, such as wlan0."),
@@ -54,19 +63,29 @@ _NETWORK_OPTIONS = (
     ),
     click.option(
         "--identity",
-        type=click.Path(file_okay=False, path_type=Path),
+        type=FOLDER,
         metavar="FOLDER",
         help="Your identity [that of this user or machine for the swarm].",
     ),
     click.option("--insecure", is_flag=True, help="For a swarm without keys."),
 )
+output_option = click.option("-o", "--output", type=FORMS, help="Form of the answer [table].")
 _LOCAL_OPTIONS = (
-    click.option(
-        "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."
-    ),
+    output_option,
     click.option(
         "--timeout", type=Duration(), help="How long the verb may wait for answers, such as 3s."
     ),
+)
+
+
+recordings_argument = click.argument(
+    "files", nargs=-1, required=True, metavar="FILE...", type=EXISTING
+)
+root_option = click.option(
+    "--root",
+    type=FOLDER,
+    metavar="DIR",
+    help="The root of another file system, such as that of an SD card.",
 )
 
 
@@ -89,6 +108,47 @@ class VerbGroup(click.Group):
         ]
         with formatter.section("Verbs"):
             formatter.write_dl(rows)
+
+
+class LazyGroup(VerbGroup):
+    """A group whose verbs are imported when they are used.
+
+    `verbs`: name -> `module:function`, and the line for --help, which must not import the verbs.
+    """
+
+    def __init__(self, *args: Any, verbs: Mapping[str, tuple[str, str]], **more: Any) -> None:
+        super().__init__(*args, **more)
+        self.verbs = verbs
+
+    def summaries(self) -> list[tuple[str, str]]:
+        """Each verb with its line for --help."""
+        return [(name, text) for name, (_, text) in self.verbs.items()]
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """All verbs."""
+        return [name for name, _ in self.summaries()]
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The verb of that name, imported; None if it is unknown."""
+        if cmd_name not in self.verbs:
+            return None
+        module, _, attribute = self.verbs[cmd_name][0].partition(":")
+        return cast(click.Command, getattr(import_module(module), attribute))
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """Write a line for each verb."""
+        with formatter.section("Verbs"):
+            formatter.write_dl(self.summaries())
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Offer verbs and options."""
+        from click.shell_completion import CompletionItem
+
+        rows = self.summaries()
+        found = [
+            CompletionItem(name, help=text) for name, text in rows if name.startswith(incomplete)
+        ]
+        return [*found, *click.Command.shell_complete(self, ctx, incomplete)]
 
 
 @dataclass(frozen=True, slots=True)

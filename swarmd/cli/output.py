@@ -44,6 +44,11 @@ def print_line(kind: str, content: Mapping[str, Any]) -> None:
     click.echo(_json_text(document))
 
 
+def fields(one: object, *names: str) -> dict[str, Any]:
+    """These attributes of a value, for JSON."""
+    return {name: getattr(one, name) for name in names}
+
+
 def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     """Print aligned columns; states in colour on a terminal, unless NO_COLOR is set."""
     is_coloured = has_colour(sys.stdout is not None and sys.stdout.isatty())
@@ -111,6 +116,17 @@ def need_terminal(verb: str, instead: str) -> None:
         raise click.UsageError(f"{verb} needs a terminal; {instead}")
     if os.environ.get("TERM", "dumb") == "dumb":
         raise click.UsageError(f"{verb} needs a terminal whose cursor moves (TERM); {instead}")
+
+
+def need_consent(what: str, to_check: str, question: str) -> None:
+    """Ask before robots are changed: UsageError without a terminal, ClickException after a no."""
+    if not sys.stdin.isatty():
+        raise click.UsageError(
+            f"{what} asks for confirmation, and there is no terminal; nothing was sent; check that"
+            f" {to_check}, and add --yes"
+        )
+    if not click.confirm(question, err=True):
+        raise click.ClickException("nothing was sent")
 
 
 @contextlib.contextmanager

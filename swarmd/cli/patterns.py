@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.options import CommonOptions, VerbGroup, local_options
+from swarmd.cli.options import FOLDER, CommonOptions, VerbGroup, local_options
 from swarmd.cli.output import print_json, print_section, print_table, warn
 from swarmd.cli.plugin_check import Record, check_mission, describe_patterns
 from swarmd.core.errors import PluginError
@@ -17,7 +17,7 @@ from swarmd.texts.values import NOTHING, number, printable
 
 _plugin_dir = click.option(
     "--plugin-dir",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     envvar="SWARM_PLUGIN_DIR",
     help="Folder of one-file patterns, in addition to the installed ones [$SWARM_PLUGIN_DIR].",
 )

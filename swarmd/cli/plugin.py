@@ -9,10 +9,16 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.arguments import Targets, takes_targets
-from swarmd.cli.options import CommonOptions, VerbGroup, common_options, local_options
+from swarmd.cli.options import (
+    EXISTING_FILE,
+    FOLDER,
+    CommonOptions,
+    VerbGroup,
+    common_options,
+    local_options,
+)
 from swarmd.cli.output import print_json
-from swarmd.cli.plugin_list import list_pushed
-from swarmd.cli.plugin_push import push, remove
+from swarmd.cli.plugin_push import list_pushed, push, remove
 from swarmd.cli.send import send_to
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import ReloadRequest
@@ -35,7 +41,7 @@ def plugin() -> None:
 @click.option(
     "--dir",
     "folder",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     default=Path(),
     help="The folder to write to [the current one].",
 )
@@ -68,7 +74,7 @@ def new(options: CommonOptions, name: str, folder: Path, kind: str) -> None:
 
 
 @plugin.command("check")
-@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("file", type=EXISTING_FILE)
 @local_options
 def check(options: CommonOptions, file: Path) -> None:
     """Check the pattern in FILE against the contract: a line for each point, each fault once.

@@ -1,11 +1,12 @@
-"""`swarmctl plugin push` and `remove`: behaviours over the air."""
+"""`swarmctl plugin push`, `remove` and `list`: the patterns that robots have by the network."""
 
 from __future__ import annotations
 
 import ast
 import hashlib
 import time
-from collections.abc import Collection, Iterable
+from collections import Counter
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn
 
@@ -14,18 +15,18 @@ from msgspec.structs import replace as with_fields
 
 from swarmd.cli.arguments import Duration, Failure, Targets, takes_targets
 from swarmd.cli.canary import canaries_of, read_canary
-from swarmd.cli.labels import unlabelled
-from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import warn
-from swarmd.cli.plugin_list import behaviours_of
+from swarmd.cli.options import EXISTING_FILE, CommonOptions, common_options
+from swarmd.cli.output import fields, print_json, print_table, warn
+from swarmd.cli.questions import ask_robots, in_reach
 from swarmd.cli.run_start import goal_targets
-from swarmd.cli.send import known_members, report, targets_of
+from swarmd.cli.send import Asked, asking, gap, known_members, targets_of
 from swarmd.core.behaviour import MAX_CODE, Manifest, Signed, encode_manifest, read_entry
 from swarmd.core.errors import CodecError, ConfigError, PluginError
 from swarmd.core.keys import check_id, is_id
 from swarmd.core.messages import Code
-from swarmd.core.verbs import BehaviourReport, BehavioursReply, PushRequest
-from swarmd.network.exit_codes import PARTIAL, TIMEOUT
+from swarmd.core.verbs import PLUGINS, BehaviourReport, BehavioursReply, PushRequest
+from swarmd.network.exit_codes import PARTIAL, TIMEOUT, code_of_answers
+from swarmd.texts.values import NOTHING
 
 if TYPE_CHECKING:
     from swarmd.network.operator.members_view import MembersView
@@ -51,7 +52,7 @@ class Source(NamedTuple):
 
 
 @click.command("push")
-@click.argument("file", type=click.Path(exists=True, dir_okay=False, path_type=Path))
+@click.argument("file", type=EXISTING_FILE)
 @takes_targets(is_required=True)
 @click.option("--version", default="", help="Shown beside the hash [that of the wheel].")
 @click.option(
@@ -87,30 +88,26 @@ def push(
     """
     read_canary(canary)
     source = read_source(file)
-    with options.operator() as operator:
-        if operator.identity is None and operator.settings.profile != "dev":
-            raise ConfigError(
-                "without keys robots take code in profile dev only; see `swarmctl keys --help`"
-            )
-        by_label = bool(targets.labels)
-        view = known_members(options, operator, is_request_next=True, needs_status=by_label)
-        names = targets_of(view, targets)
+    settings, _, identity = options.network()
+    if identity is None and settings.profile != "dev":
+        raise ConfigError(
+            "without keys robots take code in profile dev only; see `swarmctl keys --help`"
+        )
+    with asking(options, targets, needs_status=False) as asked:
+        names, to = asked.names, goal_targets(targets, asked.names)
         first = () if canary is None else canaries_of(canary, names)
-        pusher = _Pusher(options, operator, view, source, version, replace, rerun)
+        pusher = _Pusher(asked, source, version, replace, rerun)
         generation = pusher.next_generation()
-        unclear = unlabelled(view, targets)
         if not first:
-            outcome = pusher.push(goal_targets(targets, names), names, generation)
-            report(options, with_fields(outcome, unlabelled=unclear))
+            asked.report(pusher.push(to, names, generation))
         rest = tuple(name for name in names if name not in first)
         warn(f"canary: {', '.join(first)}")
         outcome = pusher.push(first, first, generation)
         if len(outcome.applied) < len(first):
-            _end_early(options, outcome, rest)
-        end = _await_canary(options, operator, source, first, rest, canary_time)
+            _end_early(outcome, rest)
+        end = _await_canary(asked, source, first, rest, canary_time)
         warn(f"canary: {end}; now {', '.join(rest)}")
-        outcome = pusher.push(goal_targets(targets, names), names, generation + 1)
-        report(options, with_fields(outcome, unlabelled=unclear))
+        asked.report(pusher.push(to, names, generation + 1))
 
 
 @click.command("remove")
@@ -121,14 +118,94 @@ def remove(options: CommonOptions, name: str, targets: Targets) -> None:
     """Remove the pushed pattern NAME from TARGETS; a run of it goes on until it ends."""
     if not is_id(name):
         raise click.UsageError(f"{name!r} is no pattern name; see `swarmctl plugin list`")
-    with options.operator() as operator:
-        by_label = bool(targets.labels)
-        view = known_members(options, operator, is_request_next=True, needs_status=by_label)
-        names = targets_of(view, targets)
-        pusher = _Pusher(options, operator, view, None, "", replace=False, rerun=False, name=name)
+    with asking(options, targets, needs_status=False) as asked:
+        pusher = _Pusher(asked, None, name=name)
         generation = pusher.next_generation()
-        outcome = pusher.push(goal_targets(targets, names), names, generation)
-        report(options, with_fields(outcome, unlabelled=unlabelled(view, targets)))
+        asked.report(pusher.push(goal_targets(targets, asked.names), asked.names, generation))
+
+
+@click.command("list")
+@takes_targets(is_required=False)
+@common_options
+def list_pushed(options: CommonOptions, targets: Targets) -> None:
+    """List the pushed patterns of TARGETS, or all robots: version, hash and standing.
+
+    `!` marks what differs from most of the other robots.
+    """
+    with options.operator() as operator:
+        view = known_members(options, operator, needs_status=bool(targets.labels))
+        names = targets_of(view, targets)
+        found = behaviours_of(options, operator, view, names)
+        missing = [name for name in names if name not in found]
+        code = code_of_answers(names, found)
+        marked = _differing(found)
+        if options.is_json:
+            _print_list_json(found, missing, marked, code)
+        else:
+            rows = [
+                (robot, *_row(one), "!" if (robot, one.name) in marked else "")
+                for robot, reply in found.items()
+                for one in reply.behaviours
+            ]
+            header = ("NAME", "PATTERN", "VERSION", "HASH", "STANDING", "FROM", "TEXT", "")
+            print_table(header, rows)
+        for name in missing:
+            warn(f"no answer: {gap(view, name)}")
+        click.get_current_context().exit(code)
+
+
+def behaviours_of(
+    options: CommonOptions, operator: Operator, view: MembersView, names: Collection[str]
+) -> dict[str, BehavioursReply]:
+    """What robots in reach have, by robot; those that do not answer are left out."""
+    return ask_robots(options, operator, in_reach(view, names), PLUGINS)
+
+
+def _row(one: BehaviourReport) -> tuple[str, ...]:
+    standing = one.standing
+    if standing == "provisional" and one.ran:
+        standing += f" ({one.ran:.0f} s)"
+    origin = f"{one.issuer}, {one.source}" if one.source else one.issuer
+    cells = (one.name, one.version, one.digest, standing, origin, one.text)
+    return tuple(cell or NOTHING for cell in cells)
+
+
+def _differing(found: Mapping[str, BehavioursReply]) -> set[tuple[str, str]]:
+    """Robots and names whose hash differs from that of most robots that have the name."""
+    hashes: dict[str, Counter[str]] = {}
+    for reply in found.values():
+        for one in reply.behaviours:
+            hashes.setdefault(one.name, Counter())[one.digest] += 1
+    return {
+        (robot, one.name)
+        for robot, reply in found.items()
+        for one in reply.behaviours
+        if one.digest != hashes[one.name].most_common(1)[0][0]
+    }
+
+
+def _print_list_json(
+    found: Mapping[str, BehavioursReply],
+    missing: Collection[str],
+    marked: Collection[tuple[str, str]],
+    code: int,
+) -> None:
+    robots = {
+        robot: [
+            {
+                **fields(one, "name", "version"),
+                "hash": one.digest,
+                **fields(one, "pushed", "standing"),
+                "ran": round(one.ran, 1),
+                **fields(one, "issuer", "generation", "source", "text"),
+                "differs": (robot, one.name) in marked,
+            }
+            for one in reply.behaviours
+        ]
+        for robot, reply in found.items()
+    }
+    answer = {"robots": robots, "missing": list(missing), "exit_code": code}
+    print_json("Behaviours", answer)
 
 
 def read_source(file: Path) -> Source:
@@ -180,17 +257,15 @@ class _Pusher:
 
     def __init__(
         self,
-        options: CommonOptions,
-        operator: Operator,
-        view: MembersView,
+        asked: Asked,
         source: Source | None,
-        version: str,
-        replace: bool,
-        rerun: bool,
+        version: str = "",
+        replace: bool = False,
+        rerun: bool = False,
         *,
         name: str = "",
     ) -> None:
-        self._options, self._operator, self._view = options, operator, view
+        self._asked, self._operator = asked, asked.operator
         self._source, self._version = source, version
         self._replace, self._rerun, self._name = replace, rerun, name
 
@@ -199,10 +274,11 @@ class _Pusher:
 
         Failure if no robot answers; ConfigError after the last generation.
         """
-        found = behaviours_of(self._options, self._operator, self._view, self._view.members)
+        options, view = self._asked.options, self._asked.view
+        found = behaviours_of(options, self._operator, view, view.members)
         if not found:
-            asked = ", ".join(sorted(self._view.members)) or "any robot"
-            raise Failure(f"no answer about behaviours from {asked}; nothing was sent", TIMEOUT)
+            names = ", ".join(sorted(view.members)) or "any robot"
+            raise Failure(f"no answer about behaviours from {names}; nothing was sent", TIMEOUT)
         generation = 1 + greatest_of(found.values(), self._operator.identity)
         if generation > MAX_GENERATION:
             raise ConfigError(
@@ -216,8 +292,8 @@ class _Pusher:
         """Push to robots in pieces; a robot that refuses a piece gets no more."""
         content, signature = self._manifest(tuple(targets), generation)
         code = b"" if self._source is None else self._source.code
-        epochs, outcome = self._view.epochs(names), None
-        timeout = self._options.timeout
+        epochs, outcome = self._asked.view.epochs(names), None
+        timeout = self._asked.options.timeout
         for offset in range(0, max(len(code), 1), PIECE):
             sent = self._operator.request(
                 PushRequest,
@@ -242,22 +318,18 @@ class _Pusher:
         identity = operator.identity
         issuer = operator.name[:63] if identity is None else identity.name
         swarm = operator.settings.swarm
-        if source is None:
-            manifest = Manifest(
-                swarm=swarm,
-                name=self._name,
-                generation=generation,
-                issuer=issuer,
-                targets=targets,
-                kind="removed",
-            )
-        else:
-            manifest = Manifest(
-                swarm=swarm,
+        manifest = Manifest(
+            swarm=swarm,
+            name=self._name,
+            generation=generation,
+            issuer=issuer,
+            targets=targets,
+            kind="removed",
+        )
+        if source is not None:
+            manifest = with_fields(
+                manifest,
                 name=source.name,
-                generation=generation,
-                issuer=issuer,
-                targets=targets,
                 kind=source.kind,
                 version=(self._version or source.version)[:32],
                 digest=hashlib.sha256(source.code).digest(),
@@ -293,18 +365,14 @@ def _joined(before: Outcome, after: Outcome) -> Outcome:
 
 
 def _await_canary(
-    options: CommonOptions,
-    operator: Operator,
-    source: Source,
-    first: Collection[str],
-    rest: Collection[str],
-    limit: float,
+    asked: Asked, source: Source, first: Collection[str], rest: Collection[str], limit: float
 ) -> str:
     """Return when no canary runs the new code, or when all that run it hold it, or after `limit`.
 
     Returns what is known by then. Failure, and the rest is untouched, if one has returned from it
     or does not answer.
     """
+    options, operator = asked.options, asked.operator
     digest = hashlib.sha256(source.code).hexdigest()[:12]
     until = time.monotonic() + limit
     while True:
@@ -333,7 +401,7 @@ def _await_canary(
         time.sleep(LOOK_PERIOD)
 
 
-def _end_early(options: CommonOptions, outcome: Outcome, rest: Collection[str]) -> NoReturn:
+def _end_early(outcome: Outcome, rest: Collection[str]) -> NoReturn:
     for name, reply in outcome.replies.items():
         if reply.code is not Code.APPLIED:
             warn(f"{name}: {reply.code}: {reply.text}")

@@ -14,9 +14,10 @@ import click
 from swarmd.cli.plugin_check import Record, describe_patterns
 from swarmd.core.errors import SwarmError, unknown
 from swarmd.core.files import write_fault
+from swarmd.core.finding import Finding
 from swarmd.core.kernels import describe_kernels
 from swarmd.daemon.driver import make_driver
-from swarmd.driver_api.driver import Driver, Finding, check_protected
+from swarmd.driver_api.driver import Driver, check_protected
 from swarmd.driver_api.watchdog_client import WatchedDriver
 from swarmd.kit.touch import describe_zone
 from swarmd.plugins import pattern_names

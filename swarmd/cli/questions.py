@@ -1,8 +1,10 @@
-"""Questions to several robots that change nothing: the answers, and the robots without one."""
+"""What several robots tell: answers to questions that change nothing, and statuses as they come."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
+import queue
+from collections.abc import Collection, Iterable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
 
 import click
@@ -11,7 +13,8 @@ from msgspec import Struct
 from swarmd.cli.output import warn
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
-from swarmd.network.exit_codes import PARTIAL, TIMEOUT
+from swarmd.core.messages import Status
+from swarmd.network.exit_codes import code_of_answers
 
 if TYPE_CHECKING:
     from swarmd.cli.options import CommonOptions
@@ -29,6 +32,7 @@ class _Answer(Protocol):
 
 
 T = TypeVar("T", bound=_Answer)
+_status = Decoder(Status)
 
 
 def ask_robots(
@@ -56,6 +60,31 @@ def ask_robots(
     return answers
 
 
+@contextmanager
+def statuses_of(operator: Operator) -> Iterator[queue.SimpleQueue[Status]]:
+    """The statuses that robots of the swarm send in the block; see `next_status`."""
+    news: queue.SimpleQueue[Status] = queue.SimpleQueue()
+
+    def on_status(robot: str, payload: bytes) -> None:
+        status = _status(payload)
+        if status.robot == robot:
+            news.put(status)
+
+    operator.watch("status", on_status)
+    try:
+        yield news
+    finally:
+        operator.unwatch("status")
+
+
+def next_status(news: queue.SimpleQueue[Status], seconds: float) -> Status | None:
+    """The next status; None if none comes within so many seconds."""
+    try:
+        return news.get(timeout=seconds)
+    except queue.Empty:
+        return None
+
+
 def in_reach(view: MembersView, robots: Iterable[str]) -> tuple[str, ...]:
     """The robots of a look that can be asked: others are not waited for."""
     return tuple(robot for robot in robots if view.is_in_reach(robot))
@@ -66,4 +95,4 @@ def end(robots: Collection[str], answered: Collection[str]) -> None:
     missing = sorted(set(robots) - set(answered))
     if missing:
         warn(f"no answer: {', '.join(missing)}")
-        click.get_current_context().exit(PARTIAL if answered else TIMEOUT)
+        click.get_current_context().exit(code_of_answers(robots, answered))

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 import click
 
 from swarmd.cli.arguments import Targets, takes_targets
-from swarmd.cli.options import CommonOptions, VerbGroup, common_options
-from swarmd.cli.output import print_json, print_table, rewrite, warn
+from swarmd.cli.options import FOLDER, CommonOptions, VerbGroup, common_options
+from swarmd.cli.output import fields, print_json, print_table, rewrite, warn
 from swarmd.cli.questions import ASK_TIME
 from swarmd.cli.record_merge import merge
 from swarmd.cli.send import known_members, send_to, targets_of
@@ -65,10 +65,7 @@ def list_(options: CommonOptions, targets: Targets) -> None:
                     {
                         "file": one.name,
                         "bytes": one.size,
-                        "is_open": one.is_open,
-                        "dropped": one.dropped,
-                        "begin": one.begin,
-                        "end": one.end,
+                        **fields(one, "is_open", "dropped", "begin", "end"),
                         "now": reply.now,
                     }
                     for one in reply.files
@@ -96,7 +93,7 @@ def list_(options: CommonOptions, targets: Targets) -> None:
 @click.option(
     "-d",
     "--folder",
-    type=click.Path(file_okay=False, path_type=Path),
+    type=FOLDER,
     default=Path("recordings"),
     help="Where to copy to; a folder for each robot is made in it [recordings].",
 )

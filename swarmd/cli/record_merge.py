@@ -6,19 +6,13 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.options import CommonOptions
+from swarmd.cli.options import CommonOptions, recordings_argument
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.plugins import need
 
 
 @click.command()
-@click.argument(
-    "files",
-    nargs=-1,
-    required=True,
-    metavar="FILE...",
-    type=click.Path(exists=True, path_type=Path),
-)
+@recordings_argument
 @click.option(
     "-o",
     "--output",

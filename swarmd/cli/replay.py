@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.options import CommonOptions, local_options
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.options import FOLDER, CommonOptions, local_options, recordings_argument
+from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.record_merge import parts_of
 from swarmd.core.errors import ConfigError
 from swarmd.network.exit_codes import FAILED
@@ -24,24 +24,14 @@ _LEAST_SHARE = 0.999
 
 
 @click.command()
-@click.argument(
-    "files",
-    nargs=-1,
-    required=True,
-    metavar="FILE...",
-    type=click.Path(exists=True, path_type=Path),
-)
+@recordings_argument
 @click.option(
     "--platform",
     shell_complete=completion.platforms,
     metavar="NAME|FILE",
     help="Another platform for the replay: what would its settings have commanded?",
 )
-@click.option(
-    "--plugin-dir",
-    type=click.Path(file_okay=False, path_type=Path),
-    help="The folder of patterns of your own.",
-)
+@click.option("--plugin-dir", type=FOLDER, help="The folder of patterns of your own.")
 @local_options
 def replay(
     options: CommonOptions, files: tuple[Path, ...], platform: str | None, plugin_dir: Path | None
@@ -102,12 +92,7 @@ def _print_json(robot: str, parity: Parity, is_equal: bool) -> None:
     from swarmd.replay.replay import TOLERANCE
 
     content = {
-        name: {
-            "count": one.count,
-            "equal": one.equal,
-            "largest": one.largest,
-            "first": one.first,
-        }
+        name: fields(one, "count", "equal", "largest", "first")
         for name, one in (("safe", parity.safe), ("requested", parity.requested))
     }
     more = {"robot": robot, "seconds": parity.seconds, "notes": list(parity.notes)}

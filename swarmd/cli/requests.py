@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable
 
 import click
 
 from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import warn
-from swarmd.cli.send import (
-    known_members,
-    report,
-    send_stop,
-    targets_of,
-    time_left,
-)
+from swarmd.cli.output import need_consent, warn
+from swarmd.cli.send import asking, send_stop
 from swarmd.core.verbs import ResetRequest
 from swarmd.network.operator.members_view import MembersView
 
@@ -71,32 +64,21 @@ def reset(
     Clears only the emergency stops that swarmctl sees now; a later one stays. --findings ends only
     the findings that swarmctl sees now.
     """
-    with options.operator() as operator:
-        view = known_members(options, operator, is_request_next=True)
-        names = targets_of(view, targets)
-        if len(names) > 1 and not yes and not sys.stdin.isatty():
-            raise click.UsageError(
-                f"reset of {len(names)} robots asks for confirmation, and there is no terminal;"
-                " nothing was sent; check that all of them may move again, and add --yes"
-            )
-        latches = view.latches(names)
+    with asking(options, targets, needs_status=True) as asked:
+        names, latches = asked.names, asked.view.latches(asked.names)
         for latch_id, latch in latches.items():
             text = f" ({latch.reason})" if latch.reason else ""
             of = "all robots" if latch.scope == "swarm" else "named robots"
             warn(f"clears emergency stop {latch_id} of {latch.issuer} for {of}{text}")
-        found = _findings(view, names)
+        found = _findings(asked.view, names)
         for robot, text in found:
             warn(f"{robot}: {'ends' if findings else 'keeps (--findings ends it)'}: {text}")
-        question = f"Reset {', '.join(names)}?"
-        if len(names) > 1 and not yes and not click.confirm(question, err=True):
-            raise click.ClickException("nothing was sent")
+        if len(names) > 1 and not yes:
+            question, to_check = f"Reset {', '.join(names)}?", "all of them may move again"
+            need_consent(f"reset of {len(names)} robots", to_check, question)
         ids = tuple(sorted(latches))
-        epochs, wait = view.epochs(names), time_left(options, view)
         ended = tuple(dict.fromkeys(text for _, text in found)) if findings else ()
-        outcome = operator.request(
-            ResetRequest, epochs, timeout=wait, ids=ids, findings=ended, reason=reason
-        )
-        report(options, outcome)
+        asked.report(asked.request(ResetRequest, ids=ids, findings=ended, reason=reason))
 
 
 def _findings(view: MembersView, names: Iterable[str]) -> list[tuple[str, str]]:

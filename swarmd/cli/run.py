@@ -2,25 +2,20 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import click
-from msgspec.structs import replace
 
 from swarmd.cli import completion
 from swarmd.cli.arguments import Duration, Targets, takes_targets
 from swarmd.cli.canary import CANARY_TIME, canaries_of, read_canary
-from swarmd.cli.labels import unlabelled
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.run_start import RunPlan, goal_targets, run_with_canary, start
-from swarmd.cli.send import known_members, report, targets_of
+from swarmd.cli.run_start import goal_targets, run_with_canary, start, start_at
+from swarmd.cli.send import asking
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import MAX_AHEAD
 from swarmd.network.spread.next_goal import next_goal
 from swarmd.texts.assignments import read_assignments
-
-if TYPE_CHECKING:
-    pass
 
 _MIN_LEASE = 1.0
 
@@ -101,44 +96,58 @@ def run(
     """
     if not is_id(pattern):
         raise click.UsageError(f"{pattern!r} is no pattern name; see `swarmctl patterns`")
-    plan = RunPlan(
-        pattern, read_assignments(params), duration, until, on_join or "offer", valid, lease
-    )
-    _check(plan, at=at, canary=canary, canary_time=canary_time)
+    fields: dict[str, Any] = {
+        "pattern": pattern,
+        "params": read_assignments(params),
+        "seconds": duration,
+        "conditions": until,
+        "on_join": on_join or "offer",
+        "valid": valid,
+        "lease": lease,
+    }
+    _check(**fields, at=at, canary=canary, canary_time=canary_time)
     read_canary(canary)
-    with options.operator() as operator:
-        needs_status = bool(targets.labels) or canary is not None
-        view = known_members(options, operator, is_request_next=True, needs_status=needs_status)
-        names, unclear = targets_of(view, targets), unlabelled(view, targets)
-        goal = next_goal(operator, view, targets=goal_targets(targets, names), **plan.fields)
+    with asking(options, targets, needs_status=canary is not None) as asked:
+        chosen = goal_targets(targets, asked.names)
+        goal = next_goal(asked.operator, asked.view, targets=chosen, **fields)
         if canary is not None:
-            first = canaries_of(canary, names)
-            seconds = CANARY_TIME if canary_time is None else canary_time
-            run_with_canary(options, operator, view, goal, names, first, seconds, unclear)
+            first = canaries_of(canary, asked.names)
+            run_with_canary(asked, goal, first, canary_time or CANARY_TIME)
         elif lease is not None:
             from swarmd.cli.run_lease import run_while_here
 
-            run_while_here(options, operator, view, goal, names, unclear)
+            run_while_here(asked, goal, lease)
+        elif at is not None:
+            start_at(asked, goal, at)
         else:
-            outcome, notes = start(options, operator, view, goal, names, at=at)
-            report(options, replace(outcome, unlabelled=unclear), notes)
+            asked.report(start(asked, goal))
 
 
-def _check(plan: RunPlan, *, at: float | None, canary: str | None, canary_time: Any) -> None:
+def _check(
+    *,
+    conditions: tuple[str, ...],
+    on_join: str,
+    valid: float | None,
+    lease: float | None,
+    at: float | None,
+    canary: str | None,
+    canary_time: float | None,
+    **_: Any,
+) -> None:
     """UsageError for conditions and options that cannot be, before a robot is asked."""
-    if plan.until:
+    if conditions:
         from swarmd.kit.conditions import parse_conditions
 
-        parse_conditions(plan.until)
-    if plan.on_join == "run" and plan.valid is None:
+        parse_conditions(conditions)
+    if on_join == "run" and valid is None:
         raise click.UsageError(
             "--on-join run needs --valid: how long robots that join may start by themselves"
         )
-    if plan.valid is not None and plan.on_join != "run":
+    if valid is not None and on_join != "run":
         raise click.UsageError("--valid is how long robots that join run it: add --on-join run")
-    if plan.lease is not None and plan.lease < _MIN_LEASE:
+    if lease is not None and lease < _MIN_LEASE:
         raise click.UsageError(f"--lease: expected at least {_MIN_LEASE:.0f}s")
     if canary is None and canary_time is not None:
         raise click.UsageError("--canary-time: expected --canary, too")
-    if sum(one is not None for one in (at, canary, plan.lease)) > 1:
+    if sum(one is not None for one in (at, canary, lease)) > 1:
         raise click.UsageError("--at, --canary and --lease do not go together; take one of them")

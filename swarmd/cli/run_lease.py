@@ -8,23 +8,19 @@ from functools import partial
 from typing import TYPE_CHECKING, NoReturn
 
 import click
-from msgspec.structs import replace
 
 from swarmd.cli.output import signals_end, warn
+from swarmd.cli.questions import next_status, statuses_of
 from swarmd.cli.run_start import start
-from swarmd.cli.send import report, show, stop_names
+from swarmd.cli.send import Asked, report, stop_names
 from swarmd.core.clock import boottime
-from swarmd.core.codec import Decoder
 from swarmd.core.goal import GoalState
-from swarmd.core.messages import Status
 from swarmd.network.datagram import RunLease
 from swarmd.texts.values import seconds
 
 if TYPE_CHECKING:
-    from swarmd.cli.options import CommonOptions
     from swarmd.core.goal import Goal
-    from swarmd.core.messages import Epoch
-    from swarmd.network.operator.members_view import MembersView
+    from swarmd.core.messages import Epoch, Status
     from swarmd.network.operator.operator import Operator
     from swarmd.network.operator.outcome import Outcome
 
@@ -32,37 +28,29 @@ PARTS = 4
 """How often the lease is renewed while it lasts: three copies may get lost."""
 SILENCE = 5.0  # s beyond the lease for which a robot that is not heard is waited for
 
-_status = Decoder(Status)
 
+def run_while_here(asked: Asked, goal: Goal, lease: float) -> NoReturn:
+    """Run a goal on all targets until all runs have ended, or a signal; then stop them.
 
-def run_while_here(
-    options: CommonOptions,
-    operator: Operator,
-    view: MembersView,
-    goal: Goal,
-    names: Collection[str],
-    unlabelled: tuple[str, ...] = (),
-) -> NoReturn:
-    """Run a goal with a lease on robots until all runs have ended, or a signal; then stop them."""
-    assert goal.lease is not None
-    keeper = _Keeper(operator, goal, names)
+    The goal's `lease`, in s, is renewed until then.
+    """
+    options, operator = asked.options, asked.operator
+    keeper = _Keeper(operator, goal.id, lease, asked.names)
     ended: Outcome | None = None
     with signals_end():
         try:
             keeper.start()
-            outcome, _ = start(options, operator, view, goal, names)
-            outcome = replace(outcome, unlabelled=unlabelled)
-            show(options, outcome)
+            outcome = asked.show(start(asked, goal))
             if not outcome.applied:
                 report_again(outcome)
             warn(
-                f"the robots run while this command runs, and {seconds(goal.lease)} longer;"
+                f"the robots run while this command runs, and {seconds(lease)} longer;"
                 " Ctrl-C stops them"
             )
             running = {name: outcome.replies[name].epoch for name in outcome.applied}
-            follow_runs(operator, goal, goal.lease + SILENCE, running)
+            follow_runs(operator, goal, lease + SILENCE, running)
         except (KeyboardInterrupt, SystemExit):
-            ended = stop_names(operator, names)
+            ended = stop_names(operator, asked.names)
         finally:
             keeper.close()
     if ended is not None:
@@ -83,53 +71,46 @@ def follow_runs(
     With the epoch of each since the run: an earlier status of the same daemon counts for nothing.
     A robot that tells no status for `patience` s is not waited for.
     """
-    news = threading.Condition()
     heard = dict.fromkeys(running, boottime())
+    with statuses_of(operator) as news:
+        while running:
+            status, now = next_status(news, 0.5), boottime()
+            if status is not None and (robot := status.robot) in running:
+                heard[robot] = now
+                if not _is_on(status, goal) and not _is_older(status, running[robot]):
+                    del running[robot]
+                    detail = f" {status.detail}" if status.detail else ""
+                    warn(f"{robot}: {status.state} ({status.reason}){detail}")
+            for name in [one for one in running if now - heard[one] > patience]:
+                del running[name]
+                warn(f"{name} was not heard for {seconds(patience)}: it is not waited for")
 
-    def on_status(robot: str, payload: bytes) -> None:
-        status = _status(payload)
-        own = status.goal.own if status.goal is not None else None
-        is_on = (
-            own is not None
-            and status.goal is not None
-            and own.goal.id == goal.id
-            and status.goal.state in (GoalState.RUNNING, GoalState.LOADING)
-        )
-        with news:
-            heard[robot] = boottime()
-            since = running.get(robot)
-            is_old = (
-                since is not None
-                and status.epoch.instance == since.instance
-                and status.epoch.revision < since.revision
-            )
-            if robot in running and not is_on and not is_old:
-                del running[robot]
-                detail = f" {status.detail}" if status.detail else ""
-                warn(f"{robot}: {status.state} ({status.reason}){detail}")
-                news.notify_all()
 
-    operator.watch("status", on_status)
-    try:
-        with news:
-            while running:
-                news.wait(0.5)
-                now = boottime()
-                for name in [one for one in running if now - heard[one] > patience]:
-                    del running[name]
-                    warn(f"{name} was not heard for {seconds(patience)}: it is not waited for")
-    finally:
-        operator.unwatch("status")
+def _is_on(status: Status, goal: Goal) -> bool:
+    """True while a robot runs the goal, or loads its pattern."""
+    goals = status.goal
+    if goals is None or goals.own is None or goals.own.goal.id != goal.id:
+        return False
+    return goals.state in (GoalState.RUNNING, GoalState.LOADING)
+
+
+def _is_older(status: Status, since: Epoch | None) -> bool:
+    """True for a status of the same daemon from before its epoch `since`."""
+    epoch = status.epoch
+    return (
+        since is not None and epoch.instance == since.instance and epoch.revision < since.revision
+    )
 
 
 class _Keeper(threading.Thread):
     """Renews the lease of a goal."""
 
-    def __init__(self, operator: Operator, goal: Goal, names: Collection[str]) -> None:
+    def __init__(
+        self, operator: Operator, goal_id: str, lease: float, names: Collection[str]
+    ) -> None:
         super().__init__(name="swarmd-lease", daemon=True)
-        assert goal.lease is not None
-        self._operator, self._goal, self._names = operator, goal, names
-        self._period = goal.lease / PARTS
+        self._operator, self._goal_id, self._names = operator, goal_id, names
+        self._period = lease / PARTS
         self._ending = threading.Event()
 
     def run(self) -> None:
@@ -141,7 +122,7 @@ class _Keeper(threading.Thread):
             self._ending.wait(self._period)
 
     def _lease(self, count: int) -> RunLease:
-        return RunLease(id=self._goal.id, operator=self._operator.name[:128], count=count)
+        return RunLease(id=self._goal_id, operator=self._operator.name[:128], count=count)
 
     def close(self) -> None:
         """Renew no longer."""

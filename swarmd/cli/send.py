@@ -6,7 +6,9 @@ The outcome is a line for each robot, a count, and the exit code.
 from __future__ import annotations
 
 import sys
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Literal, NoReturn
 
 import click
@@ -15,10 +17,10 @@ from msgspec.structs import replace
 from swarmd.cli.arguments import Failure, Targets
 from swarmd.cli.known_robots import remember
 from swarmd.cli.labels import STOP_LOOK, named, robots_of, stopped, unlabelled
-from swarmd.cli.output import print_json, print_table, warn
+from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Refusal
-from swarmd.network.exit_codes import NO_TARGET, PARTIAL, TIMEOUT, UNREACHABLE, USAGE
+from swarmd.network.exit_codes import NO_TARGET, UNREACHABLE, USAGE, code_of_answers
 from swarmd.network.operator.outcome import Outcome
 from swarmd.texts.values import NOTHING, seconds
 
@@ -75,6 +77,56 @@ def time_left(options: CommonOptions, view: MembersView) -> float | None:
     return max(options.timeout - view.seconds, LEAST_REQUEST_TIME)
 
 
+@dataclass(frozen=True, slots=True)
+class Asked:
+    """The robots `names` that requests of a verb are for, in the swarm as `view` shows it.
+
+    `unlabelled`: robots that may be targets by a label, since theirs are not known.
+    """
+
+    options: CommonOptions
+    operator: Operator
+    view: MembersView
+    names: tuple[str, ...]
+    unlabelled: tuple[str, ...]
+
+    def request(
+        self, kind: type[AnyRequest], names: Collection[str] | None = None, **fields: Any
+    ) -> Outcome:
+        """The outcome of a request to all targets or `names`, in what `--timeout` has left."""
+        epochs = self.view.epochs(self.names if names is None else names)
+        return self.operator.request(
+            kind, epochs, timeout=time_left(self.options, self.view), **fields
+        )
+
+    def show(self, outcome: Outcome) -> Outcome:
+        """Print the outcome, and return it as it counts: with robots whose labels are not known."""
+        outcome = replace(outcome, unlabelled=self.unlabelled)
+        show(self.options, outcome)
+        return outcome
+
+    def report(self, outcome: Outcome, notes: Mapping[str, Any] | None = None) -> NoReturn:
+        """Print the outcome and end with its exit code. `notes`: more, for JSON."""
+        report(self.options, replace(outcome, unlabelled=self.unlabelled), notes)
+
+
+@contextmanager
+def asking(options: CommonOptions, targets: Targets, *, needs_status: bool) -> Iterator[Asked]:
+    """A session in the swarm after a look, and the targets of requests; Failure if there are none.
+
+    Half of `--timeout` is left for requests. Targets by label need statuses in any case.
+    """
+    with options.operator() as operator:
+        view = known_members(
+            options,
+            operator,
+            is_request_next=True,
+            needs_status=needs_status or bool(targets.labels),
+        )
+        names = targets_of(view, targets)
+        yield Asked(options, operator, view, names, unlabelled(view, targets))
+
+
 def unreachable(operator: Operator, sent: str = "") -> Failure:
     """The error of a swarm in which no robot was reached; `sent`: what was sent nevertheless."""
     text = f"no daemon of swarm {operator.settings.swarm!r} can be reached{sent}"
@@ -108,10 +160,7 @@ def gap(view: MembersView, name: str) -> str:
 
 def exit_code_of(view: MembersView, names: Collection[str]) -> int:
     """The exit code of a look at the robots in `names`: 0, 3 if some answered, 5 if none."""
-    missing = set(names) - view.answered
-    if not missing:
-        return 0
-    return PARTIAL if missing < set(names) else TIMEOUT
+    return code_of_answers(names, view.answered)
 
 
 def targets_of(view: MembersView, targets: Targets) -> tuple[str, ...]:
@@ -130,19 +179,11 @@ def named_now(options: CommonOptions, operator: Operator, targets: Targets) -> T
 
 
 def send_to(
-    options: CommonOptions,
-    kind: type[AnyRequest],
-    targets: Targets,
-    **fields: Any,
+    options: CommonOptions, kind: type[AnyRequest], targets: Targets, **fields: Any
 ) -> NoReturn:
     """Send a request to the targets and report."""
-    with options.operator() as operator:
-        by_label = bool(targets.labels)
-        view = known_members(options, operator, is_request_next=True, needs_status=by_label)
-        names = targets_of(view, targets)
-        epochs, wait = view.epochs(names), time_left(options, view)
-        outcome = operator.request(kind, epochs, timeout=wait, **fields)
-        report(options, replace(outcome, unlabelled=unlabelled(view, targets)))
+    with asking(options, targets, needs_status=False) as asked:
+        asked.report(asked.request(kind, **fields))
 
 
 def send_stop(
@@ -287,17 +328,12 @@ def _no_target(*reasons: str) -> Failure:
 def _as_json(outcome: Outcome) -> dict[str, Any]:
     return {
         "verb": click.get_current_context().command_path.partition(" ")[2],
-        "targeted": outcome.targeted,
-        "applied": list(outcome.applied),
-        "refused": list(outcome.refused),
-        "failed": list(outcome.failed),
-        "missing": list(outcome.missing),
-        "line": outcome.line,
-        "exit_code": outcome.exit_code,
+        **fields(outcome, "targeted", "applied", "refused", "failed", "missing"),
+        **fields(outcome, "line", "exit_code"),
         "seconds": round(outcome.seconds, 4),
         "replies": {
-            name: {"code": reply.code, "refusal": reply.refusal, "text": reply.text}
+            name: fields(reply, "code", "refusal", "text")
             for name, reply in outcome.replies.items()
         },
-        "warnings": list(outcome.warnings),
+        "warnings": outcome.warnings,
     }

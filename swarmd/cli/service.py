@@ -3,20 +3,35 @@
 from __future__ import annotations
 
 import shutil
+import subprocess
 import sys
 import sysconfig
+import time
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.options import VerbGroup
-from swarmd.core.errors import ConfigError
-
-if TYPE_CHECKING:
-    from swarmd.cli.service_files import Steps
+from swarmd.cli.options import VerbGroup, output_option
+from swarmd.cli.output import print_json, print_section
+from swarmd.cli.service_files import Steps, check_may_write, give_to_service
+from swarmd.core.clock import FIRST_WALL
+from swarmd.core.errors import ConfigError, SwarmError
+from swarmd.daemon.systemd import (
+    CONFIG_FILE,
+    CONFIG_FOLDER,
+    SERVICE,
+    STATE_FOLDER,
+    SYSUSERS,
+    SYSUSERS_FILE,
+    UNIT_FILE,
+    USER,
+    unit_text,
+)
+from swarmd.texts.keys import UNSET_CLOCK, day
 
 NOT_ACTIVE = 3  # as systemctl status
+_TIMEOUT = 5.0  # s for systemctl and journalctl
+_DAY = 86400.0
 _ARCHIVE_PROGRAM = Path("/opt/swarmd/bin/swarmd")
 
 _root = click.option(
@@ -50,17 +65,6 @@ def install(root: Path, dry_run: bool, program: Path | None, no_start: bool) -> 
     Each step is printed. It needs no network. Without a running systemd the service starts with
     the machine. A daemon that runs already keeps running as it is.
     """
-    from swarmd.cli.service_files import Steps, check_may_write, give_to_service
-    from swarmd.daemon.systemd import (
-        CONFIG_FILE,
-        SERVICE,
-        SYSUSERS,
-        SYSUSERS_FILE,
-        UNIT_FILE,
-        USER,
-        unit_text,
-    )
-
     steps = Steps(root, dry_run)
     check_may_write(steps)
     text = unit_text(_program(steps, program))
@@ -96,16 +100,6 @@ def install(root: Path, dry_run: bool, program: Path | None, no_start: bool) -> 
 @click.option("--purge", is_flag=True, help="Remove settings, identities, latches and recordings.")
 def uninstall(root: Path, dry_run: bool, purge: bool) -> None:
     """Stop the service and remove its unit; settings, latches and recordings stay."""
-    from swarmd.cli.service_files import Steps, check_may_write
-    from swarmd.daemon.systemd import (
-        CONFIG_FOLDER,
-        SERVICE,
-        STATE_FOLDER,
-        SYSUSERS_FILE,
-        UNIT_FILE,
-        USER,
-    )
-
     steps = Steps(root, dry_run)
     check_may_write(steps)
     if steps.within(UNIT_FILE).exists():
@@ -132,16 +126,11 @@ def uninstall(root: Path, dry_run: bool, purge: bool) -> None:
 @click.option(
     "-n", "--lines", type=click.IntRange(0, 1000), default=5, help="Lines of the log [5]."
 )
-@click.option(
-    "-o", "--output", type=click.Choice(["table", "json"]), help="Form of the answer [table]."
-)
+@output_option
 def status(root: Path, lines: int, output: str | None) -> None:
     """Show unit, settings, identity and the last lines of the log; 3 if it is not active."""
-    from swarmd.cli.output import print_json, print_section
-    from swarmd.cli.service_status import is_active, last_lines, rows
-
     steps = _steps(root)
-    found, log, active = rows(steps), last_lines(steps, lines), is_active(steps)
+    found, log, active = status_rows(steps), last_lines(steps, lines), is_active(steps)
     if output == "json":
         print_json("ServiceStatus", {**dict(found), "is_active": active, "log": log})
     else:
@@ -152,9 +141,101 @@ def status(root: Path, lines: int, output: str | None) -> None:
         click.get_current_context().exit(NOT_ACTIVE)
 
 
-def _steps(root: Path) -> Steps:
-    from swarmd.cli.service_files import Steps
+def status_rows(steps: Steps) -> list[tuple[str, str]]:
+    """Name and value of each line."""
+    unit = steps.within(UNIT_FILE)
+    if not unit.exists():
+        absent = f"absent: {unit}; run swarmd service install"
+        return [("unit", absent), *_settings_rows(steps)]
+    return [
+        ("unit", str(unit)),
+        ("enabled", _asked(steps, "is-enabled", SERVICE) or "not known: no systemctl here"),
+        ("active", _active_text(steps)),
+        *_settings_rows(steps),
+    ]
 
+
+def is_active(steps: Steps) -> bool:
+    """True if systemd runs here and reports the service as active."""
+    return steps.manages_services() and _asked(steps, "is-active", SERVICE) == "active"
+
+
+def last_lines(steps: Steps, count: int) -> list[str]:
+    """The last lines of the service in the journal; the newest last."""
+    if not count or not steps.manages_services() or shutil.which("journalctl") is None:
+        return []
+    words = ("-u", SERVICE, "-n", str(count), "--no-pager", "--output=short-iso")
+    return _output("journalctl", *words).splitlines()
+
+
+def _active_text(steps: Steps) -> str:
+    if not steps.manages_services():
+        return "not known: systemd does not run here"
+    names = "ActiveState,SubState,StatusText,StateChangeTimestamp,NRestarts,Result"
+    lines = _asked(steps, "show", SERVICE, "-p", names).splitlines()
+    found = dict(line.partition("=")[::2] for line in lines)
+    text = f"{found.get('ActiveState')} ({found.get('SubState')})"
+    if since := found.get("StateChangeTimestamp"):
+        text += f", since {since}"
+    if found.get("NRestarts", "0") != "0":
+        text += f", restarted {found['NRestarts']} times"
+    if found.get("Result", "success") != "success":
+        text += f", ended with {found['Result']}"
+    if status := found.get("StatusText"):
+        text += f"; {status}"
+    return text
+
+
+def _settings_rows(steps: Steps) -> list[tuple[str, str]]:
+    """The daemon's file and the identity, or the one line on what is wrong with them."""
+    from swarmd.settings.settings import load_daemon_settings
+
+    config = steps.within(CONFIG_FILE)
+    if not config.exists():
+        return [("settings", f"absent: {config}; run swarmd install BUNDLE, or write it")]
+    # The service's places, and not those of this user; identities are in etc/swarmd/identities.
+    environ = {
+        "STATE_DIRECTORY": str(STATE_FOLDER),
+        "XDG_CONFIG_HOME": str(steps.within(Path("/etc"))),
+    }
+    try:
+        settings = load_daemon_settings(config, {}, environ)
+    except SwarmError as error:
+        return [("settings", str(error))]
+    network = settings.network
+    where = f"{config}: {settings.id} of swarm {network.swarm}, profile {network.profile}"
+    identity = settings.identity
+    if identity is None:
+        return [("settings", where), ("identity", "absent: the swarm is insecure")]
+    days = (identity.info.expires - time.time()) / _DAY
+    ends = f"ends in {days:.0f} days" if days >= 0 else "has ended by this machine's clock"
+    if time.time() < FIRST_WALL:
+        ends = f"until {day(identity.info.expires)} ({UNSET_CLOCK})"
+    generation = identity.roster.generation
+    text = f"{identity.folder}: certificate {ends}, roster of generation {generation}"
+    return [("settings", where), ("identity", text)]
+
+
+def _asked(steps: Steps, *words: str) -> str:
+    """What systemctl answers; empty without systemctl."""
+    if shutil.which("systemctl") is None:
+        return ""
+    root = () if steps.manages_services() else ("--root", str(steps.root))
+    return _output("systemctl", *root, *words)
+
+
+def _output(*command: str) -> str:
+    """The output of a program, also if it ends with an error."""
+    try:
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=_TIMEOUT, check=False
+        )
+    except subprocess.TimeoutExpired:
+        return f"{command[0]} has not answered for {_TIMEOUT:g} s"
+    return (done.stdout or done.stderr).strip()
+
+
+def _steps(root: Path) -> Steps:
     if not root.is_dir():
         raise ConfigError(f"--root {root}: no such folder; mount the card, or make it first")
     return Steps(root)

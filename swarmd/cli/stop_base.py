@@ -10,6 +10,7 @@ from pathlib import Path
 import click
 
 from swarmd.cli.arguments import Duration
+from swarmd.cli.options import FILE
 from swarmd.core.errors import DriverError
 from swarmd.driver_api.driver import ZeroSender, ZeroSenderProvider, ZeroSenderSpec
 from swarmd.driver_api.watchdog import ZERO_PERIOD, made_zero_sender
@@ -21,12 +22,7 @@ _NO_DRIVER = 5  # as in swarmd.cli.daemon
 
 
 @click.command("stop-base")
-@click.option(
-    "--config",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="The daemon's YAML file.",
-)
+@click.option("--config", type=FILE, metavar="FILE", help="The daemon's YAML file.")
 @click.option(
     "--within", type=Duration(), default=3.0, help="How long it tries to reach the base [3s]."
 )

@@ -9,19 +9,15 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Callable
-from importlib import import_module
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import Any, NoReturn
 
 import click
 
-from swarmd.cli.options import CommonOptions, VerbGroup, common_options
+from swarmd.cli.options import CommonOptions, LazyGroup, common_options
 from swarmd.cli.output import warn
 from swarmd.core import verbs
 from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError
 from swarmd.network.exit_codes import EXIT_CODES_HELP
-
-if TYPE_CHECKING:
-    from click.shell_completion import CompletionItem
 
 _ELSEWHERE = {"stop": "requests", "estop": "requests", "reset": "requests", "resume": "goal"}
 """The files of `cli/` that contain several verbs of robots."""
@@ -69,20 +65,21 @@ VERBS = {
 }
 
 
-class Verbs(VerbGroup):
+class Verbs(LazyGroup):
     """The verbs: first those of the core, then those of plugins."""
 
-    def list_commands(self, ctx: click.Context) -> list[str]:
-        """All verbs; reads the metadata of installed packages."""
+    def summaries(self) -> list[tuple[str, str]]:
+        """Each verb with its line for --help; reads the metadata of installed packages."""
         from swarmd import plugins
 
-        return [*VERBS, *(name for name in plugins.command_names() if name not in VERBS)]
+        points = plugins.command_names().items()
+        found = [(name, plugins.command_summary(one)) for name, one in points if name not in VERBS]
+        return [*super().summaries(), *found]
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         """The verb of that name, imported; None if it is unknown."""
-        if cmd_name in VERBS:
-            module, _, attribute = VERBS[cmd_name][0].partition(":")
-            return cast(click.Command, getattr(import_module(module), attribute))
+        if (command := super().get_command(ctx, cmd_name)) is not None:
+            return command
         from swarmd import plugins
 
         if cmd_name not in plugins.command_names():
@@ -104,34 +101,12 @@ class Verbs(VerbGroup):
 
             raise click.ClickException(plugins.how_to_install(missing, verb)) from error
 
-    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """Write a line for each verb, without importing the verbs."""
-        with formatter.section("Verbs"):
-            formatter.write_dl(_summaries())
-
-    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
-        """Offer verbs and options, without importing the verbs."""
-        from click.shell_completion import CompletionItem
-
-        found = [
-            CompletionItem(name, help=text)
-            for name, text in _summaries()
-            if name.startswith(incomplete)
-        ]
-        return [*found, *click.Command.shell_complete(self, ctx, incomplete)]
-
-
-def _summaries() -> list[tuple[str, str]]:
-    """Each verb with its line for --help."""
-    from swarmd import plugins
-
-    rows = [(name, text) for name, (_, text) in VERBS.items()]
-    points = plugins.command_names().items()
-    return rows + [(n, plugins.command_summary(point)) for n, point in points if n not in VERBS]
-
 
 @click.group(
-    cls=Verbs, epilog=EXIT_CODES_HELP, context_settings={"help_option_names": ["-h", "--help"]}
+    cls=Verbs,
+    verbs=VERBS,
+    epilog=EXIT_CODES_HELP,
+    context_settings={"help_option_names": ["-h", "--help"]},
 )
 @click.version_option(package_name="swarmd", prog_name="swarmctl", message="%(prog)s %(version)s")
 @common_options

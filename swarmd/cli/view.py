@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import EXISTING, CommonOptions, common_options
 from swarmd.cli.output import need_terminal, warn
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.plugins import need, pattern_names
@@ -22,9 +22,7 @@ if TYPE_CHECKING:
 
 
 @click.command()
-@click.argument(
-    "files", nargs=-1, metavar="[FILE]...", type=click.Path(exists=True, path_type=Path)
-)
+@click.argument("files", nargs=-1, metavar="[FILE]...", type=EXISTING)
 @click.option("--web", is_flag=True, help="Serve a web page.")
 @web_options
 @common_options

@@ -17,7 +17,7 @@ from msgspec import Meta, Struct
 from swarmd.core import record
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
-from swarmd.core.record import Issued, Target
+from swarmd.core.record import Record, Target
 
 MAX_CODE = 1024 * 1024
 """Bytes of one behaviour."""
@@ -29,7 +29,7 @@ MAX_TABLE = 256
 Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 
 
-class Manifest(Issued, frozen=True, kw_only=True):
+class Manifest(Record, frozen=True, kw_only=True):
     """One push, or the removal, of a behaviour.
 
     `version` is for people. `digest`: the SHA-256 of the code, `size`

@@ -16,7 +16,7 @@ from swarmd.core import record
 from swarmd.core.bounds import Line, Name, ParamValues, Seconds, Word
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
-from swarmd.core.record import Issued
+from swarmd.core.record import Record
 
 MAX_GOAL = 1000  # bytes with the signature, so that a datagram carries it
 MAX_UNSIGNED = 2**31
@@ -27,7 +27,7 @@ MAX_LABELS = 32
 Validity = Annotated[float, Meta(gt=0.0, le=1e7)]
 
 
-class Goal(Issued, frozen=True, kw_only=True):
+class Goal(Record, frozen=True, kw_only=True):
     """What robots are to do.
 
     `id`: of the request that set it. `pattern` None: the robots stand. `seconds` and `conditions`

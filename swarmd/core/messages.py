@@ -31,7 +31,7 @@ STATUS_SILENCE = 3.0
 
 
 class State(StrEnum):
-    """The state of a robot; `robot/state_machine.py` has the transitions."""
+    """The state of a robot; `robot/state.py` has the transitions."""
 
     IDLE = "idle"
     RUNNING = "running"

@@ -32,8 +32,8 @@ class RecordKind(IntEnum):
     BEHAVIOUR = 2
 
 
-class Issued(Struct, frozen=True, kw_only=True):
-    """The head of a record. `issuer`: the operator. `targets` empty: all robots."""
+class Record(Struct, frozen=True, kw_only=True):
+    """What spreads by its generation. `issuer`: the operator. `targets` empty: all robots."""
 
     generation: Annotated[int, Meta(ge=1, le=2**32 - 1)]
     issuer: Name

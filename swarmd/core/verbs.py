@@ -543,9 +543,21 @@ def _run_line(request: RunRequest) -> str:
     )
 
 
+def _goal_line(request: GoalRequest) -> str:
+    return f"{request.goal.generation}: {request.goal.pattern or 'stand'}"
+
+
 def _label_line(request: LabelRequest) -> str:
     labels = request.labels
     return "as configured" if labels is None else shortened(", ".join(labels) or "none")
+
+
+def _param_line(request: ParamRequest) -> str:
+    return _assignments(request.params)
+
+
+def _record_line(request: RecordRequest) -> str:
+    return request.action
 
 
 def _reset_line(request: ResetRequest) -> str:
@@ -588,130 +600,91 @@ Answer = TypeVar("Answer")
 class Verb(Generic[Asked, Answer]):
     """A row of the table. `name`: the chunk of the key after `control/`.
 
-    `asked`: the payload; `Nothing`: the payload is empty. `needs_epoch`: the request may start
-    motion, or change what moves, so that the robot refuses any epoch but its present one.
-    `is_datagram`: a `Stop` datagram carries the request, no key of Zenoh. `is_for_viewers`: viewers
-    may ask; operators may ask every verb, robots ask none. `audit`: the request in the audit log,
-    between verb and targets. `help`: the line of the verb of that name in `swarmctl --help`.
+    `asked`: the payload; `Nothing`: the payload is empty. `help`: the line of the verb of that name
+    in `swarmctl --help`. `audit`: the request in the audit log, between verb and targets.
+    `is_for_operators`: viewers may not ask the question.
     """
 
     name: str
     asked: type[Asked]
     answer: type[Answer]
     handler: Handler
-    needs_epoch: bool = False
-    is_datagram: bool = False
-    is_for_viewers: bool = False
-    audit: Callable[[Asked], str] = lambda request: ""
     help: str = ""
+    audit: Callable[[Asked], str] = lambda request: ""
+    is_for_operators: bool = False
 
     @property
     def is_request(self) -> bool:
         """True for a request, which is audited and repeated under one id; False for a question."""
         return issubclass(self.asked, _AnyRequest)
 
+    @property
+    def needs_epoch(self) -> bool:
+        """True for requests that may start motion, or change what moves.
 
-def _of_robot(
-    asked: type[Asked], audit: Callable[[Asked], str] = lambda request: "", help: str = ""
-) -> Verb[Asked, Reply]:
-    """The row of a request that a robot decides and that may start motion."""
-    return Verb(_tag(asked), asked, Reply, Handler.ROBOT, needs_epoch=True, audit=audit, help=help)
+        The robot refuses any epoch but its present one.
+        """
+        return self.handler is Handler.ROBOT and not self.is_datagram
+
+    @property
+    def is_datagram(self) -> bool:
+        """True if a `Stop` datagram carries the request, no key of Zenoh."""
+        return issubclass(self.asked, StopRequest | EstopRequest)
+
+    @property
+    def is_for_viewers(self) -> bool:
+        """True if viewers may ask; operators may ask every verb, robots ask none."""
+        return not self.is_request and not self.is_for_operators
 
 
-def _of_daemon(
-    asked: type[Asked], audit: Callable[[Asked], str] = lambda request: "", help: str = ""
-) -> Verb[Asked, Reply]:
-    """The row of a request that a service of the daemon carries out."""
-    return Verb(_tag(asked), asked, Reply, Handler.DAEMON, audit=audit, help=help)
-
-
-def _question(
-    name: str,
+def _request(
     asked: type[Asked],
-    answer: type[Answer],
+    handler: Handler,
     help: str = "",
-    *,
-    is_for_viewers: bool = True,
-    handler: Handler = Handler.DAEMON,
-) -> Verb[Asked, Answer]:
-    """The row of a question, which changes nothing."""
-    return Verb(name, asked, answer, handler, is_for_viewers=is_for_viewers, help=help)
+    audit: Callable[[Asked], str] = lambda request: "",
+) -> Verb[Asked, Reply]:
+    """The row of a request, which has the name of its tag on the wire."""
+    return Verb(str(asked.__struct_config__.tag), asked, Reply, handler, help, audit)
 
 
-def _tag(kind: type[Any]) -> str:
-    return str(kind.__struct_config__.tag)
+_ROBOT, _DAEMON = Handler.ROBOT, Handler.DAEMON
 
-
-MEMBERS = _question(
+MEMBERS = Verb(
     "members",
     MembersQuery,
     PeerView,
+    Handler.NETWORK,
     "List the robots of the swarm and their states.",
-    handler=Handler.NETWORK,
 )
-RECORDINGS = _question("recordings", Nothing, RecordingsReply)
-FETCH = _question("fetch", FetchQuery, FetchReply)
-PLUGINS = _question("plugins", Nothing, BehavioursReply)
-LOGS = _question("logs", LogsQuery, LogBatch, "Print the logs of robots and what patterns print.")
-AUDIT = _question(
-    "audit",
-    AuditQuery,
-    AuditReply,
-    "Print the requests that robots had, and their answers.",
-    is_for_viewers=False,
+RECORDINGS = Verb("recordings", Nothing, RecordingsReply, _DAEMON)
+FETCH = Verb("fetch", FetchQuery, FetchReply, _DAEMON)
+PLUGINS = Verb("plugins", Nothing, BehavioursReply, _DAEMON)
+LOGS = Verb(
+    "logs", LogsQuery, LogBatch, _DAEMON, "Print the logs of robots and what patterns print."
 )
-LINKS = _question("links", LinksQuery, LinksReply, "Show which robots hear which, and how well.")
-DOCTOR = _question(
-    "doctor", Nothing, DoctorReply, "Check this machine and robots; print what to do."
+_AUDIT_HELP = "Print the requests that robots had, and their answers."
+AUDIT = Verb("audit", AuditQuery, AuditReply, _DAEMON, _AUDIT_HELP, is_for_operators=True)
+LINKS = Verb(
+    "links", LinksQuery, LinksReply, _DAEMON, "Show which robots hear which, and how well."
+)
+DOCTOR = Verb(
+    "doctor", Nothing, DoctorReply, _DAEMON, "Check this machine and robots; print what to do."
 )
 _ROWS: tuple[Verb[Any, Any], ...] = (
     MEMBERS,
-    _of_robot(RunRequest, _run_line, "Start a pattern on robots."),
-    _of_robot(ResumeRequest, help="Let robots take up the goal that they were offered."),
-    _of_robot(
-        GoalRequest,
-        lambda request: f"{request.goal.generation}: {request.goal.pattern or 'stand'}",
-        "Show what robots are to do beside what they do.",
-    ),
-    _of_robot(LabelRequest, _label_line, "Give labels to robots, and take them away."),
-    Verb(
-        "stop",
-        StopRequest,
-        Reply,
-        Handler.ROBOT,
-        is_datagram=True,
-        help="Stop robots, or all robots.",
-    ),
-    Verb(
-        "estop",
-        EstopRequest,
-        Reply,
-        Handler.ROBOT,
-        is_datagram=True,
-        audit=_reason_line,
-        help="Emergency-stop robots, or all robots; latched.",
-    ),
-    _of_robot(ResetRequest, _reset_line, "Clear emergency stops and faults; moves nothing."),
-    _of_robot(
-        ParamRequest,
-        lambda request: _assignments(request.params),
-        "Get or set parameters of running patterns.",
-    ),
-    _of_robot(ReloadRequest, lambda request: request.pattern),
-    _of_daemon(PushRequest, _push_line),
-    _of_daemon(ForgetRequest, lambda request: request.name),
-    _of_daemon(
-        RecordRequest,
-        lambda request: request.action,
-        "Record robots, and fetch their recordings.",
-    ),
-    _of_daemon(RosterRequest),
-    RECORDINGS,
-    FETCH,
-    PLUGINS,
-    LOGS,
-    AUDIT,
-    LINKS,
-    DOCTOR,
+    _request(RunRequest, _ROBOT, "Start a pattern on robots.", _run_line),
+    _request(ResumeRequest, _ROBOT, "Let robots take up the goal that they were offered."),
+    _request(GoalRequest, _ROBOT, "Show what robots are to do beside what they do.", _goal_line),
+    _request(LabelRequest, _ROBOT, "Give labels to robots, and take them away.", _label_line),
+    _request(StopRequest, _ROBOT, "Stop robots, or all robots."),
+    _request(EstopRequest, _ROBOT, "Emergency-stop robots, or all robots; latched.", _reason_line),
+    _request(ResetRequest, _ROBOT, "Clear emergency stops and faults; moves nothing.", _reset_line),
+    _request(ParamRequest, _ROBOT, "Get or set parameters of running patterns.", _param_line),
+    _request(ReloadRequest, _ROBOT, "", lambda request: request.pattern),
+    _request(PushRequest, _DAEMON, "", _push_line),
+    _request(ForgetRequest, _DAEMON, "", lambda request: request.name),
+    _request(RecordRequest, _DAEMON, "Record robots, and fetch their recordings.", _record_line),
+    _request(RosterRequest, _DAEMON),
+    *(RECORDINGS, FETCH, PLUGINS, LOGS, AUDIT, LINKS, DOCTOR),
 )
 VERBS: Mapping[str, Verb[Any, Any]] = {row.name: row for row in _ROWS}

@@ -20,8 +20,7 @@ from swarmd.core.errors import NetworkError
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import InterfaceChange, InterfaceWatch
-from swarmd.network.carriers.link_gate import LinkFlood, LinkGate, open_files
-from swarmd.network.carriers.link_watch import watch_links
+from swarmd.network.carriers.link_gate import LinkFlood, LinkGate, open_files, watch_links
 from swarmd.network.carriers.routed import RoutedCarrier
 from swarmd.network.carriers.session import default_listen, open_in_thread, open_session
 from swarmd.network.carriers.udp import UdpCarrier

@@ -7,22 +7,10 @@ from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Reason
 from swarmd.core.values import Neighbor, Odometry, Platform, Scan, SharedPose, Twist, Value
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One line of `swarmd --check`: its subject, whether it is well, and the next step if not.
-
-    `is_measured` False: nothing could be measured, so it is not known to be well; no fault either.
-    """
-
-    subject: str
-    is_well: bool
-    text: str
-    is_measured: bool = True
 
 
 class Sink(Protocol):

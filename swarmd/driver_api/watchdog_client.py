@@ -20,8 +20,9 @@ from typing import Any
 
 from swarmd.core.clock import boottime
 from swarmd.core.errors import DriverError
+from swarmd.core.finding import Finding
 from swarmd.core.values import ZERO, Twist
-from swarmd.driver_api.driver import Driver, Finding, Sink, ZeroSenderSpec
+from swarmd.driver_api.driver import Driver, Sink, ZeroSenderSpec
 from swarmd.driver_api.watchdog import FAREWELL, FAULT, READY, TICK, TICK_TIMEOUT, ZEROS
 
 log = logging.getLogger(__name__)

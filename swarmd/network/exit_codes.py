@@ -5,6 +5,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from swarmd.core.messages import Refusal
 
 APPLIED, FAILED, USAGE, PARTIAL, NO_TARGET, TIMEOUT, UNREACHABLE, REFUSED = range(8)
@@ -19,6 +21,14 @@ Exit codes:
   6  no daemon could be reached
   7  all robots refused
   130  interrupted"""
+
+
+def code_of_answers(asked: Collection[str], answered: Collection[str]) -> int:
+    """The code of a look: APPLIED, PARTIAL if some did not answer, TIMEOUT if none did."""
+    if set(asked) <= set(answered):
+        return APPLIED
+    return TIMEOUT if set(asked).isdisjoint(answered) else PARTIAL
+
 
 # Refusals that the operator corrects by writing another command line.
 MISTAKES = frozenset(

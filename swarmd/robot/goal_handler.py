@@ -21,9 +21,8 @@ from swarmd.core.verbs import (
 from swarmd.kit.conditions import parse_conditions
 from swarmd.robot.actions import Effects
 from swarmd.robot.goals import Found
-from swarmd.robot.lifecycle import Lifecycle
 from swarmd.robot.pattern_run import Wish
-from swarmd.robot.state_machine import Trigger
+from swarmd.robot.state import Lifecycle
 
 
 class GoalHandler:
@@ -136,7 +135,7 @@ class GoalHandler:
         lifecycle.log(f"found {goal.text}", now)
         if is_active:
             lifecycle.raise_revision(goal.text)
-            lifecycle.end(Trigger.STOP, Reason.SUPERSEDED, f"by {goal.text}", effects)
+            lifecycle.stop(Reason.SUPERSEDED, f"by {goal.text}", effects)
             goals.superseded = goal.text
         goals.adopt(goal, age, now, may_join=may_join and is_free)
 

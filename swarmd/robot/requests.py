@@ -53,9 +53,8 @@ from swarmd.core.verbs import (
 from swarmd.protection.arbiter import Protection
 from swarmd.robot.actions import Effects
 from swarmd.robot.goal_handler import GoalHandler, fault_of
-from swarmd.robot.lifecycle import Lifecycle
 from swarmd.robot.pattern_run import Trial, Wish
-from swarmd.robot.state_machine import Trigger
+from swarmd.robot.state import Lifecycle
 
 TRIAL_TIMEOUT = 10.0
 MAX_STOPS = 64  # ids of stops that are remembered
@@ -127,7 +126,7 @@ class RequestHandler:
         if run.wish is not None and is_older(run.wish):
             if run.running is not None and not is_older(run.running.wish):  # the load is newer
                 lifecycle.raise_revision(f"{request.operator} (stop)")
-                lifecycle.end(Trigger.STOP, Reason.OPERATOR, detail, effects, keeps_load=True)
+                lifecycle.stop(Reason.OPERATOR, detail, effects, keeps_load=True)
             text = f"run again since, by {run.wish.by}"
             lifecycle.refuse(effects, request, Refusal.OVERTAKEN, text)
             return
@@ -141,7 +140,7 @@ class RequestHandler:
         if run.wish is not None or not is_known:
             self._stopped = now
             lifecycle.raise_revision(f"{request.operator} (stop)")
-            lifecycle.end(Trigger.STOP, Reason.OPERATOR, detail, effects)
+            lifecycle.stop(Reason.OPERATOR, detail, effects)
         self._goals.on_stop(request, effects)
         lifecycle.applied(effects, request, self._stop_text(now))
 
@@ -262,7 +261,7 @@ class RequestHandler:
             lifecycle.raise_revision(f"{request.operator} (reset)")
             self._end_findings(ended, request, effects)
             detail = request.reason or f"by {request.operator}"
-            lifecycle.end(Trigger.RESET, Reason.RESET, detail, effects)
+            lifecycle.reset(detail, effects)
             lifecycle.applied(effects, request, "idle")
             self._stood = self._stopped = self.reset_at = effects.now
 
@@ -347,7 +346,7 @@ class RequestHandler:
         left = None if running.finish_at is None else max(running.finish_at - effects.now, 1e-3)
         lifecycle.log(f"{request.pattern} reloaded, by {request.operator}", effects.now)
         detail = f"{request.pattern}, by {request.operator}"
-        lifecycle.end(Trigger.STOP, Reason.RELOADED, detail, effects)
+        lifecycle.stop(Reason.RELOADED, detail, effects)
         run.awaiting_since = None  # the host that owes a step is gone
         if request.is_rerun:
             lifecycle.start_run(

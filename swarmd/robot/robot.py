@@ -29,12 +29,11 @@ from swarmd.robot.actions import Actions, Effects
 from swarmd.robot.event_limit import EventLimit
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.latches import LatchRecord
-from swarmd.robot.lifecycle import MAX_HOLD_TIME, Lifecycle
 from swarmd.robot.pattern_run import ROUNDING
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.settings import RobotIdentity, RobotSettings
-from swarmd.robot.state_machine import Trigger
+from swarmd.robot.state import MAX_HOLD_TIME, Lifecycle
 from swarmd.robot.status import DutyCycle, make_status, status_reason
 
 STALL_TIMEOUT = 1.0
@@ -328,7 +327,7 @@ class Robot:
 
     def _on_leave(self, one: events.LeaveInput, now: float) -> Actions:
         effects = self._begin(now)
-        self._lifecycle.end(Trigger.STOP, Reason.LEAVING, "", effects)
+        self._lifecycle.stop(Reason.LEAVING, "", effects)
         return self._settle(effects)
 
     def _on_note(self, one: events.NoteInput, now: float) -> None:

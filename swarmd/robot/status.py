@@ -13,9 +13,9 @@ from swarmd.core.messages import DecisionSummary, Health, Param, Reason, Status
 from swarmd.core.values import Scalar
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import Decision
-from swarmd.robot.lifecycle import Lifecycle
 from swarmd.robot.pattern_run import Loading
 from swarmd.robot.sensors import Sensors
+from swarmd.robot.state import Lifecycle
 
 MAX_REPORTED = 16
 MAX_ROWS = 4

@@ -12,7 +12,6 @@ import fcntl
 import os
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
@@ -35,7 +34,7 @@ from swarmd.security.datagram_keys import (
     robot_keys,
     robot_secret,
 )
-from swarmd.security.identity import IdentityInfo, RosterFile, write_identity, write_private
+from swarmd.security.identity import IdentityInfo, Issued, RosterFile, write_private
 from swarmd.security.private_keys import load_key, pem_of, public_bytes
 from swarmd.security.roster import (
     Role,
@@ -83,28 +82,6 @@ class AuthorityState(Struct, frozen=True, kw_only=True):
     past: tuple[Generation, ...] = ()
     issued: dict[str, IssueRecord] = {}
     revoked: dict[str, int] = {}
-
-
-@dataclass(frozen=True, slots=True)
-class Issued:
-    """A certificate for a name, with its private key (both PEM)."""
-
-    info: IdentityInfo
-    certificate: bytes
-    key: bytes
-    authority: bytes
-    roster: RosterFile
-
-    def write(self, folder: Path) -> None:
-        """Write it as an identity."""
-        write_identity(
-            folder,
-            self.info,
-            certificate=self.certificate,
-            key=self.key,
-            authority=self.authority,
-            roster=self.roster,
-        )
 
 
 class Authority:

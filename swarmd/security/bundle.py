@@ -10,15 +10,14 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import msgspec
-from msgspec import Meta, Struct
+from msgspec import field
 
 from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.keys import is_id
-from swarmd.security.identity import IdentityInfo, RosterFile, write_identity, write_private
+from swarmd.security.identity import Issued, write_private
 from swarmd.security.roster import Roster, read_roster
 
 FORMAT = b"swarmd bundle 1\n"
@@ -26,29 +25,11 @@ MAX_BUNDLE = 1024 * 1024
 SUFFIX = ".bundle"
 _DIGEST_BYTES = 32
 
-Pem = Annotated[bytes, Meta(min_length=1, max_length=8192)]
 
-
-class Bundle(Struct, frozen=True, kw_only=True):
+class Bundle(Issued, frozen=True, kw_only=True):
     """An identity with the swarm's settings: keys of swarm.yaml, which its reader checks."""
 
-    info: IdentityInfo
-    certificate: Pem
-    key: Pem
-    authority: Pem
-    roster: RosterFile
-    settings: dict[str, object] = {}
-
-    def write_identity(self, folder: Path) -> None:
-        """Write it as the identity in `folder`."""
-        write_identity(
-            folder,
-            self.info,
-            certificate=self.certificate,
-            key=self.key,
-            authority=self.authority,
-            roster=self.roster,
-        )
+    settings: dict[str, object] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)

@@ -12,9 +12,10 @@ import stat
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Annotated
 
 import msgspec
-from msgspec import Struct
+from msgspec import Meta, Struct
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.files import write_whole
@@ -24,6 +25,7 @@ from swarmd.security.roster import Id, PublicKey, Role, Roster, read_roster, sto
 INFO, CERTIFICATE, KEY = "identity.json", "certificate.pem", "key.pem"
 AUTHORITY, ROSTER = "authority.pem", "roster"
 SYSTEM_FOLDER = Path("/etc/swarmd/identities")
+Pem = Annotated[bytes, Meta(min_length=1, max_length=8192)]
 
 
 class IdentityInfo(Struct, frozen=True, kw_only=True):
@@ -41,6 +43,25 @@ class RosterFile(Struct, frozen=True, array_like=True):
 
     roster: bytes
     datagram_keys: DatagramKeys
+
+
+class Issued(Struct, frozen=True, kw_only=True):
+    """An identity as its authority hands it out: a certificate for a name, and its private key."""
+
+    info: IdentityInfo
+    certificate: Pem
+    key: Pem
+    authority: Pem
+    roster: RosterFile
+
+    def write(self, folder: Path) -> None:
+        """Write the files of the identity, `identity.json` last: it marks a complete identity."""
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        write_private(folder / CERTIFICATE, self.certificate)
+        write_private(folder / KEY, self.key)
+        write_private(folder / AUTHORITY, self.authority)
+        write_roster(folder, self.roster)
+        write_private(folder / INFO, msgspec.json.encode(self.info))
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,24 +207,6 @@ def as_of(identity: Identity, file: RosterFile) -> Identity:
     return replace(
         identity, roster=roster, datagram_keys=file.datagram_keys, signed_roster=file.roster
     )
-
-
-def write_identity(
-    folder: Path,
-    info: IdentityInfo,
-    *,
-    certificate: bytes,
-    key: bytes,
-    authority: bytes,
-    roster: RosterFile,
-) -> None:
-    """Write the files of an identity, `identity.json` last: it marks a complete identity."""
-    folder.mkdir(parents=True, exist_ok=True, mode=0o700)
-    write_private(folder / CERTIFICATE, certificate)
-    write_private(folder / KEY, key)
-    write_private(folder / AUTHORITY, authority)
-    write_roster(folder, roster)
-    write_private(folder / INFO, msgspec.json.encode(info))
 
 
 def write_roster(folder: Path, roster: RosterFile) -> None:

@@ -67,7 +67,7 @@ def replaced_identity(folder: Path, opened: OpenedBundle) -> Iterator[Identity]:
         for leftover in (draft, backup):
             remove_whole(leftover)
         draft.mkdir(mode=0o700)
-        opened.bundle.write_identity(draft)
+        opened.bundle.write(draft)
         checked = load_identity(draft)
         facts = check_certificate(checked.certificate, checked.key, checked.authority)
         if (facts.name, facts.expires) != (checked.name, checked.info.expires):

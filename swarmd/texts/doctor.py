@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from enum import StrEnum
-from typing import NamedTuple
 
 from swarmd.core.clock import FIRST_WALL
+from swarmd.core.finding import Finding, Level, unknown, warning
 from swarmd.core.verbs import DiskFacts, DoctorReply, MachineFacts, NetworkFacts
 from swarmd.texts.keys import end_of_certificate, life
 from swarmd.texts.values import sandbox_text
@@ -22,45 +21,26 @@ _PORT = 7440
 THIS = "this process"
 
 
-class Level(StrEnum):
-    """How much a finding matters; `unknown`: it could not be found out."""
-
-    OK = "ok"
-    UNKNOWN = "unknown"
-    WARNING = "warning"
-    FAULT = "fault"
-
-
-class Finding(NamedTuple):
-    """`text` about `subject`, and what to do, empty if nothing."""
-
-    level: Level
-    subject: str
-    text: str
-    remedy: str = ""
-
-
 def of_machine(facts: MachineFacts) -> Iterator[Finding]:
     """Findings of clock, load, memory and disks."""
     if facts.wall < FIRST_WALL:
         remedy = "set the clock or connect a time source: certificates need it"
-        yield Finding(Level.WARNING, "clock", "the clock has not been set", remedy)
+        yield warning("clock", "the clock has not been set", remedy)
     elif facts.is_synced is False:
         remedy = "systemctl enable --now systemd-timesyncd, or chrony"
-        yield Finding(Level.WARNING, "clock", "not synchronised by NTP", remedy)
+        yield warning("clock", "not synchronised by NTP", remedy)
     else:
         text = "synchronised by NTP" if facts.is_synced else "whether NTP sets it is not known"
-        yield Finding(Level.OK if facts.is_synced else Level.UNKNOWN, "clock", text)
+        yield Finding("clock", True, text, is_measured=facts.is_synced is not None)
     is_busy = facts.load > MAX_LOAD * facts.cores
     text = f"load {facts.load:.1f} on {facts.cores} cores"
-    remedy = "find what takes the time: top, swarmctl top" if is_busy else ""
-    yield Finding(Level.WARNING if is_busy else Level.OK, "load", text, remedy)
+    yield warning("load", text, "find what takes the time: top, swarmctl top", is_due=is_busy)
     is_full = facts.free_memory < MIN_FREE_MEMORY
     text = f"{_size(facts.free_memory)} of {_size(facts.memory)} free"
-    remedy = "end other programs: a pattern may need 256 MB" if is_full else ""
-    yield Finding(Level.WARNING if is_full else Level.OK, "memory", text, remedy)
+    remedy = "end other programs: a pattern may need 256 MB"
+    yield warning("memory", text, remedy, is_due=is_full)
     yield from map(_disk, facts.disks)
-    yield Finding(Level.OK, "python", f"{facts.python} on {facts.host}")
+    yield Finding("python", True, f"{facts.python} on {facts.host}")
 
 
 def _disk(disk: DiskFacts) -> Finding:
@@ -68,12 +48,11 @@ def _disk(disk: DiskFacts) -> Finding:
         text = f"{disk.path} cannot be written ({disk.fault})"
         lost = "emergency stops" if disk.purpose == "state" else "recordings"
         remedy = f"free or remount the disk, or name another folder; {lost} would be lost"
-        level = Level.FAULT if disk.purpose == "state" else Level.WARNING
-        return Finding(level, disk.purpose, text, remedy)
+        is_minor = disk.purpose != "state"
+        return Finding(disk.purpose, False, text, remedy, is_minor=is_minor)
     is_low = disk.free < MIN_FREE.get(disk.purpose, 0)
     text = f"{_size(disk.free)} of {_size(disk.size)} free in {disk.path}"
-    remedy = "remove old recordings or other files" if is_low else ""
-    return Finding(Level.WARNING if is_low else Level.OK, disk.purpose, text, remedy)
+    return warning(disk.purpose, text, "remove old recordings or other files", is_due=is_low)
 
 
 def of_network(facts: NetworkFacts, *, is_robot: bool) -> Iterator[Finding]:
@@ -81,24 +60,24 @@ def of_network(facts: NetworkFacts, *, is_robot: bool) -> Iterator[Finding]:
     name = facts.interface
     addresses = ", ".join(facts.addresses)
     if not facts.exists:
-        yield Finding(Level.FAULT, "interface", f"{name} is absent", "give another --interface")
+        yield Finding("interface", False, f"{name} is absent", "give another --interface")
         return
     if not facts.is_up:
-        yield Finding(Level.FAULT, "interface", f"{name} is down", f"ip link set {name} up")
+        yield Finding("interface", False, f"{name} is down", f"ip link set {name} up")
     elif not facts.addresses:
         remedy = "wait for DHCP, or give it an address"
-        yield Finding(Level.FAULT, "interface", f"{name} has no address", remedy)
+        yield Finding("interface", False, f"{name} has no address", remedy)
     else:
         kind = " (WiFi)" if facts.is_wireless else ""
-        yield Finding(Level.OK, "interface", f"{name}{kind}: up, {addresses}")
+        yield Finding("interface", True, f"{name}{kind}: up, {addresses}")
     if facts.mtu is not None:
         is_small = facts.mtu < GOOD_MTU
-        remedy = f"ip link set {name} mtu 1500, if the network allows it" if is_small else ""
+        remedy = f"ip link set {name} mtu 1500, if the network allows it"
         text = f"{facts.mtu}" + ("; large datagrams travel in fragments" if is_small else "")
-        yield Finding(Level.WARNING if is_small else Level.OK, "mtu", text, remedy)
+        yield warning("mtu", text, remedy, is_due=is_small)
     if facts.has_multicast is False and name != "lo":
         remedy = f"ip link set {name} multicast on; without it seeds are needed"
-        yield Finding(Level.WARNING, "multicast", f"switched off on {name}", remedy)
+        yield warning("multicast", f"switched off on {name}", remedy)
     yield _ports(facts, is_robot=is_robot)
     yield _firewall(facts)
 
@@ -113,17 +92,17 @@ def _ports(facts: NetworkFacts, *, is_robot: bool) -> Finding:
     ]
     if is_robot and foreign and facts.interface != "lo":  # there daemons take any free port
         remedy = f"end what uses {_PORT}, or name the robot's real port in seeds"
-        return Finding(Level.WARNING, "ports", "; ".join(parts), remedy)
-    return Finding(Level.OK, "ports", "; ".join(parts))
+        return warning("ports", "; ".join(parts), remedy)
+    return Finding("ports", True, "; ".join(parts))
 
 
 def _firewall(facts: NetworkFacts) -> Finding:
     if facts.firewall == "drops":
         remedy = "allow udp 7440 and 7446, tcp 7440, and multicast to 224.0.0.226"
-        return Finding(Level.WARNING, "firewall", f"may drop: {facts.firewall_text}", remedy)
+        return warning("firewall", f"may drop: {facts.firewall_text}", remedy)
     if facts.firewall == "open":
-        return Finding(Level.OK, "firewall", "no rule of nft or iptables drops")
-    return Finding(Level.UNKNOWN, "firewall", f"not known: {facts.firewall_text}")
+        return Finding("firewall", True, "no rule of nft or iptables drops")
+    return unknown("firewall", f"not known: {facts.firewall_text}")
 
 
 def of_robot(
@@ -146,19 +125,19 @@ def of_robot(
     yield _skew(skew, error)
     if reply.version != version:
         text = f"{reply.version}, this swarmctl {version}"
-        yield Finding(Level.WARNING, "version", text, "install the same version everywhere")
+        yield warning("version", text, "install the same version everywhere")
     else:
-        yield Finding(Level.OK, "version", f"{reply.version}; kernels: {reply.kernels}")
+        yield Finding("version", True, f"{reply.version}; kernels: {reply.kernels}")
     yield _identity(reply, now)
     if roster is not None and reply.roster is not None and reply.roster != roster:
         text = f"it has roster {reply.roster}, this machine {roster}"
-        yield Finding(Level.WARNING, "roster", text, "swarmctl keys push")
+        yield warning("roster", text, "swarmctl keys push")
     yield _heard_here(ways, reply.profile)
     if reply.profile != "routed":
         yield _hears(reply, others)
     if reply.storage:
         remedy = "make the state folder writable, then repeat the estop; see docs/trouble.md"
-        yield Finding(Level.FAULT, "latches", reply.storage, remedy)
+        yield Finding("latches", False, reply.storage, remedy)
     yield _sandbox(reply)
     yield from of_machine(reply.machine)
     yield from of_network(reply.network, is_robot=True)
@@ -166,28 +145,28 @@ def of_robot(
 
 def _sandbox(reply: DoctorReply) -> Finding:
     if reply.sandbox is None:
-        return Finding(Level.UNKNOWN, "pattern host", "it has not started yet")
+        return unknown("pattern host", "it has not started yet")
     text = sandbox_text(reply.sandbox)
     if not reply.sandbox.missing:
-        return Finding(Level.OK, "pattern host", text)
+        return Finding("pattern host", True, text)
     remedy = "a kernel with Landlock and seccomp; see docs/security.md"
-    return Finding(Level.WARNING, "pattern host", text, remedy)
+    return warning("pattern host", text, remedy)
 
 
 def _skew(skew: float, error: float) -> Finding:
     text = f"{abs(skew):.3f} s {'ahead of' if skew > 0 else 'behind'} this machine (+- {error:.3f})"
     if abs(skew) - error > MAX_SKEW:
         remedy = "synchronise both clocks; commands do not depend on them, certificates do"
-        return Finding(Level.WARNING, "skew", text, remedy)
-    return Finding(Level.OK, "skew", text)
+        return warning("skew", text, remedy)
+    return Finding("skew", True, text)
 
 
 def _identity(reply: DoctorReply, now: float) -> Finding:
     if reply.identity_expires is None:
         if reply.profile == "dev":
-            return Finding(Level.OK, "identity", "none; profile dev needs none")
+            return Finding("identity", True, "none; profile dev needs none")
         remedy = "swarmctl keys init, then swarmd install BUNDLE; see docs/security.md"
-        return Finding(Level.WARNING, "identity", "insecure: anyone may drive it", remedy)
+        return warning("identity", "insecure: anyone may drive it", remedy)
     return identity(reply.identity_expires, now)
 
 
@@ -196,25 +175,24 @@ def identity(expires: float, now: float) -> Finding:
     left = expires - now
     if now < FIRST_WALL:
         remedy = "set the clock of this machine"
-        return Finding(Level.WARNING, "identity", end_of_certificate(expires, now), remedy)
+        return warning("identity", end_of_certificate(expires, now), remedy)
+    remedy = "swarmctl keys renew"
     if left <= 0.0:
-        text, level = f"its certificate ended {life(-left)} ago", Level.FAULT
-    else:
-        text = f"its certificate ends in {life(left)}"
-        level = Level.WARNING if left < EXPIRES_SOON else Level.OK
-    return Finding(level, "identity", text, "" if level is Level.OK else "swarmctl keys renew")
+        return Finding("identity", False, f"its certificate ended {life(-left)} ago", remedy)
+    text = f"its certificate ends in {life(left)}"
+    return warning("identity", text, remedy, is_due=left < EXPIRES_SOON)
 
 
 def _heard_here(ways: Sequence[str], profile: str) -> Finding:
     if profile == "routed":
-        return Finding(Level.OK, "heard here", "through routers")
+        return Finding("heard here", True, "through routers")
     if "multicast" in ways:
-        return Finding(Level.OK, "heard here", f"by {', '.join(ways)}")
+        return Finding("heard here", True, f"by {', '.join(ways)}")
     if not ways:
         remedy = "look at firewalls, and at client isolation of the access point"
-        return Finding(Level.WARNING, "heard here", "no beacon came while listening", remedy)
+        return warning("heard here", "no beacon came while listening", remedy)
     remedy = "multicast is filtered: name robots as seeds, or allow it on the access point"
-    return Finding(Level.WARNING, "heard here", f"by {', '.join(ways)} only", remedy)
+    return warning("heard here", f"by {', '.join(ways)} only", remedy)
 
 
 def _hears(reply: DoctorReply, others: int) -> Finding:
@@ -222,10 +200,10 @@ def _hears(reply: DoctorReply, others: int) -> Finding:
     ways = ", ".join(f"{n} by {way}" for way, n in sorted(reply.heard.items()) if way != "any")
     text = f"{heard} of {others} other robots" + (f": {ways}" if ways else "")
     if heard < others:
-        return Finding(Level.WARNING, "hears", text, "see swarmctl links")
+        return warning("hears", text, "see swarmctl links")
     if heard and not reply.heard.get("multicast", 0):
-        return Finding(Level.WARNING, "hears", text, "multicast is filtered: see swarmctl links")
-    return Finding(Level.OK, "hears", text)
+        return warning("hears", text, "multicast is filtered: see swarmctl links")
+    return Finding("hears", True, text)
 
 
 def worst(findings: Iterable[Finding]) -> Level:

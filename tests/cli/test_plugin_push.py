@@ -10,8 +10,7 @@ import pytest
 
 from swarmd.cli import plugin_push
 from swarmd.cli.arguments import Failure
-from swarmd.cli.plugin_list import _differing
-from swarmd.cli.plugin_push import greatest_of, read_source
+from swarmd.cli.plugin_push import _differing, greatest_of, read_source
 from swarmd.core.behaviour import MAX_CODE, Manifest, encode_manifest
 from swarmd.core.errors import SwarmError
 from swarmd.core.verbs import BehaviourReport, BehavioursReply
@@ -93,8 +92,8 @@ def test_generations_of_behaviours_count_by_their_signatures(tmp_path: Path) -> 
 
 def test_without_an_answer_no_generation_is_guessed(monkeypatch: pytest.MonkeyPatch) -> None:
     view: Any = SimpleNamespace(members={"r1": None, "r2": None})
-    anyone: Any = SimpleNamespace(identity=None)
-    pusher = plugin_push._Pusher(anyone, anyone, view, None, "", replace=False, rerun=False)
+    asked: Any = SimpleNamespace(options=None, operator=SimpleNamespace(identity=None), view=view)
+    pusher = plugin_push._Pusher(asked, None)
     answers = {"r2": BehavioursReply(robot="r2", generation=4)}
     monkeypatch.setattr(plugin_push, "behaviours_of", lambda *_: answers)
     assert pusher.next_generation() == 5

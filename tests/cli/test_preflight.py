@@ -17,9 +17,9 @@ from swarmd.cli.preflight import (
     print_findings,
     protection_text,
 )
+from swarmd.core.finding import Finding
 from swarmd.core.values import Value
 from swarmd.daemon.driver import make_driver
-from swarmd.driver_api.driver import Finding
 from swarmd.settings.platforms import load_platform
 from swarmd.settings.settings import DaemonSettings, load_daemon_settings
 

@@ -17,6 +17,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import DriverInput, Input, RequestInput
 from swarmd.core.files import write_whole
+from swarmd.core.finding import Finding
 from swarmd.core.goal import GoalRecord
 from swarmd.core.messages import Code, Epoch, Reply
 from swarmd.core.values import Twist
@@ -24,7 +25,7 @@ from swarmd.core.verbs import LabelRequest
 from swarmd.daemon import store
 from swarmd.daemon.daemon import Daemon
 from swarmd.daemon.store import LatchFile
-from swarmd.driver_api.driver import Finding, Sink
+from swarmd.driver_api.driver import Sink
 from swarmd.network.datagram import Stop, pack, tag_of
 from swarmd.robot.actions import Actions
 from swarmd.robot.robot import Robot

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 
 from swarmd.core.errors import ConfigError, DriverError
+from swarmd.core.finding import Finding
 from swarmd.core.values import ZERO, Twist, Value
 from swarmd.daemon.driver import make_driver
-from swarmd.driver_api.driver import Finding, Sink
+from swarmd.driver_api.driver import Sink
 from swarmd.driver_api.watchdog import (
     ZERO_PERIOD,
     WatchdogTimer,

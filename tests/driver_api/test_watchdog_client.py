@@ -14,10 +14,11 @@ from typing import Any
 import pytest
 
 from swarmd.core.errors import DriverError
+from swarmd.core.finding import Finding
 from swarmd.core.values import Twist
 from swarmd.driver_api import watchdog as watchdog
 from swarmd.driver_api import watchdog_client as guarded
-from swarmd.driver_api.driver import Finding, Sink, ZeroSenderSpec
+from swarmd.driver_api.driver import Sink, ZeroSenderSpec
 from swarmd.driver_api.watchdog import FAREWELL, FAULT, MAX_HINT, READY, TICK, ZEROS, Watchdog
 from swarmd.driver_api.watchdog_client import WatchdogProcess, WatchedDriver
 from swarmd.testing.driver_contract import TIMEOUT, CollectingSink

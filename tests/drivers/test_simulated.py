@@ -11,8 +11,9 @@ import pytest
 import zenoh
 
 from swarmd.core.errors import ConfigError
+from swarmd.core.finding import Finding
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, SharedPose, Twist, Value
-from swarmd.driver_api.driver import Finding, ZeroSenderSpec, message_carrier
+from swarmd.driver_api.driver import ZeroSenderSpec, message_carrier
 from swarmd.driver_api.hw_codec import (
     INPUTS,
     MessageWire,

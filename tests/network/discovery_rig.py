@@ -75,6 +75,11 @@ class Rig:
     def __init__(self, *roster: str, needs_status: bool = True) -> None:
         self.found = Discovery(0.0, roster, needs_status=needs_status)
 
+    def look_again(self, now: float) -> None:
+        """Another look of the same operator begins at `now`."""
+        needs_status = self.found._needs_status
+        self.found = Discovery(now, earlier=self.found.result(now), needs_status=needs_status)
+
     def hear(self, *robots: str, at: float = 0.01, **changes: Any) -> None:
         for robot in robots:
             self.found.on_beacon(beacon(robot, **changes), address(robot), at)

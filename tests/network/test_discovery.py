@@ -10,6 +10,7 @@ from swarmd.network.operator.beacon_table import MAX_ROBOTS, QUIET_TIME
 from swarmd.network.operator.discovery import (
     ANSWER_WAIT,
     FIRST_ROBOT_TIMEOUT,
+    GONE_TRIPS,
     GONE_WAIT,
     LOOK_CAP,
     MAX_COPIES,
@@ -274,3 +275,59 @@ def test_robots_of_an_earlier_look_stay_expected(rig: Rig) -> None:
     later.on_beacon(beacon("a"), address("a"), end)
     later.on_member_list(word("a"), end)
     assert later.known == {"a", "b"}
+
+
+# A look after another one
+
+
+@pytest.fixture(params=[True, False], ids=["with statuses", "without statuses"])
+def looked(request: pytest.FixtureRequest) -> Rig:
+    """A look that the robots a and b answered after 0.01 s; another one is to begin."""
+    rig = Rig(needs_status=request.param)
+    rig.found.on_solicit(1, 0.0)
+    for robot, other in (("a", "b"), ("b", "a")):
+        answers_with(rig, robot, other, echo=1, at=0.01)
+    assert rig.found.is_complete(0.02)
+    return rig
+
+
+def answers_with(rig: Rig, robot: str, other: str, echo: int, at: float, age: int = 0) -> None:
+    rig.hear(robot, at=at, echo=echo, sequence=echo)
+    rig.tell(robot, heard(other, age=age), at=at, echo=echo)
+    rig.answer(robot, other, at=at)
+
+
+@pytest.mark.parametrize("gap", [1.0, 60.0])
+def test_what_a_robot_answered_to_an_earlier_look_is_no_answer(looked: Rig, gap: float) -> None:
+    looked.look_again(gap)
+    looked.found.on_solicit(2, gap)
+    answers_with(looked, "a", "b", echo=2, at=gap + 0.01, age=round(1000 * gap))
+    result = looked.found.result(gap + 0.5)
+    assert result.missing == ("b",)
+    assert result.answered == {"a"}
+    assert not looked.found.is_complete(gap + 0.5)
+
+
+def test_a_robot_that_was_heard_before_the_look_alone_is_waited_for_as_one_that_is_gone(
+    looked: Rig,
+) -> None:
+    looked.look_again(60.0)
+    looked.found.on_solicit(2, 60.0)
+    assert looked.found.ends_at(60.0, ["b"]) == pytest.approx(60.0 + looked.found._nobody_wait)
+    looked.hear("a", at=60.01, echo=2, sequence=2)
+    ends = looked.found.ends_at(60.02, ["b"])
+    assert ends == pytest.approx(60.0 + GONE_WAIT + GONE_TRIPS * looked.found.round_trip)
+
+
+def test_round_trip_loss_and_links_are_those_of_the_look(looked: Rig) -> None:
+    assert looked.found.links(0.02) == {("a", "b")}
+    looked.look_again(60.0)
+    found = looked.found
+    assert found.round_trip == 0.0
+    assert found.links(60.0) == frozenset()
+    assert not found.has_all_lists(60.0)
+    found.on_solicit(2, 60.0)
+    looked.hear("a", at=60.3, echo=2, sequence=2)
+    assert found.round_trip == pytest.approx(0.3)
+    assert found.unlisted == ("a",)
+    assert found.result(60.3).loss == 0.0

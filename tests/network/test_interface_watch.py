@@ -5,28 +5,21 @@ from __future__ import annotations
 import asyncio
 import ctypes
 import os
-import struct
 import subprocess
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 
 from swarmd.core.errors import NetworkError
 from swarmd.network.carriers.interface_watch import (
-    AddressMessage,
     InterfaceChange,
     InterfaceEvent,
     InterfaceHistory,
     InterfaceState,
     InterfaceWatch,
-    LinkMessage,
     addresses_of,
-    concerns,
     index_of,
-    messages_in,
     read_state,
 )
 from tests.network.conftest import Until
@@ -108,62 +101,6 @@ def test_global_ipv6_addresses_come_and_go_without_a_word() -> None:
     assert told(UP, more, UP) == [None, None]
 
 
-# Messages of the kernel
-
-
-def attribute(kind: int, content: bytes) -> bytes:
-    padding = bytes(-len(content) % 4)
-    return struct.pack("=HH", 4 + len(content), kind) + content + padding
-
-
-def message(kind: int, body: bytes) -> bytes:
-    return struct.pack("=IHHII", 16 + len(body), kind, 0, 1, 0) + body
-
-
-def link(kind: int, index: int, flags: int, name: bytes) -> bytes:
-    head = struct.pack("=BxHiII", 0, 1, index, flags, 0)
-    return message(kind, head + attribute(3, name + b"\0"))
-
-
-def address(kind: int, index: int, raw: bytes, flags: int = 0) -> bytes:
-    head = struct.pack("=BBBBI", 2, 24, flags & 0xFF, 0, index)
-    return message(kind, head + attribute(1, raw) + attribute(8, struct.pack("=I", flags)))
-
-
-def test_messages_are_read_one_after_the_other() -> None:
-    v6 = bytes.fromhex("fe80" + "00" * 13 + "01")
-    payload = (
-        link(16, 7, 0x41, b"wlan0")
-        + link(16, 8, 0x01, b"eth0")
-        + link(17, 9, 0x41, b"usb0")
-        + message(99, b"what is this")
-        + address(20, 7, bytes([10, 0, 0, 5]))
-        + address(20, 7, v6, 0x40)
-        + address(21, 7, v6)
-    )
-    assert list(messages_in(payload)) == [
-        LinkMessage(7, "wlan0", True, True),
-        LinkMessage(8, "eth0", True, False),
-        LinkMessage(9, "usb0", False, False),
-        AddressMessage(7, "10.0.0.5", True),
-        AddressMessage(7, "fe80::1", False),  # still tentative
-        AddressMessage(7, "fe80::1", False),
-    ]
-
-
-def test_only_the_own_interface_is_of_concern() -> None:
-    assert concerns(link(16, 9, 1, b"wlan0"), "wlan0", 7)
-    assert concerns(address(21, 7, bytes(4)), "wlan0", 7)
-    assert not concerns(link(16, 9, 1, b"wlan1") + address(20, 9, bytes(4)), "wlan0", 7)
-
-
-@given(st.binary(max_size=200), st.integers(0, 400))
-def test_any_bytes_are_read_without_an_error(junk: bytes, at: int) -> None:
-    good = link(16, 7, 0x41, b"wlan0") + address(20, 7, bytes([10, 0, 0, 5]))
-    for payload in (junk, good[:at], good[: at % 60] + junk, message(20, junk), message(16, junk)):
-        assert len(list(messages_in(payload))) <= 20
-
-
 # The kernel itself
 
 
@@ -185,6 +122,29 @@ def elsewhere() -> Iterator[ThreadPoolExecutor]:
         if pool.submit(ctypes.CDLL(None).unshare, CLONE_NEWNET).result() != 0:
             pytest.skip("network namespaces are not permitted here")
         yield pool
+
+
+@pytest.mark.integration
+def test_addresses_are_listed_by_family_with_labels_and_without_those_that_are_tentative(
+    elsewhere: ThreadPoolExecutor,
+) -> None:
+    def listed() -> tuple[InterfaceState, InterfaceState]:
+        for words in (
+            "link add v0 type veth peer v1",
+            "link set v0 addrgenmode none",
+            "link set v0 up",  # without a carrier: IPv6 addresses stay tentative
+            "address add fe80::5/64 dev v0",
+            "address add fe80::6/64 dev v0 nodad",
+            "address add 10.9.0.5/24 dev v0",
+            "address add 10.9.0.7/24 dev v0 label v0:b",
+            "address add 10.9.0.9/24 dev v1",
+        ):
+            ip(words)
+        return read_state("v0"), read_state("v1")
+
+    v0, v1 = elsewhere.submit(listed).result()
+    assert (v0.is_up, v0.addresses) == (False, ("10.9.0.5", "10.9.0.7", "fe80::6"))
+    assert v1.addresses == ("10.9.0.9",)
 
 
 @pytest.mark.integration

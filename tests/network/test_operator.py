@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pytest
 from msgspec.structs import replace
 
 from swarmd.core.verbs import RunRequest
@@ -17,6 +18,19 @@ def test_a_swarm_without_daemons_is_an_empty_view(settings: NetworkSettings) -> 
         assert operator.request(RunRequest, {}, pattern="x").exit_code == NO_TARGET
         outcome = operator.send_stop("stop", timeout=0.2)
     assert (outcome.exit_code, outcome.reached) == (NO_TARGET, 0)
+
+
+@pytest.mark.parametrize("needs_status", [True, False])
+def test_a_robot_that_died_since_the_last_look_has_not_answered(
+    settings: NetworkSettings, robots: Robots, needs_status: bool
+) -> None:
+    swarm = robots("a", "b")
+    with Operator(settings) as operator:
+        first = operator.members(needs_status=needs_status, timeout=30.0)
+        assert (first.answered, first.missing) == ({"a", "b"}, ())
+        swarm.call(swarm["b"].vanish)
+        again = operator.members(needs_status=needs_status)
+        assert (again.answered, again.missing) == ({"a"}, ("b",))
 
 
 def test_other_swarms_can_be_seen(settings: NetworkSettings, robots: Robots) -> None:

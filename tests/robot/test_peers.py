@@ -21,7 +21,6 @@ from swarmd.core.values import (
 )
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, body_of
 from swarmd.robot.event_limit import BURST, PERIOD
-from swarmd.robot.lifecycle import MAX_HOLD_TIME
 from swarmd.robot.peers import (
     ANGLE_ERROR,
     DISTANCE_ERROR,
@@ -29,6 +28,7 @@ from swarmd.robot.peers import (
     TOLD_TIMEOUT,
     Peers,
 )
+from swarmd.robot.state import MAX_HOLD_TIME
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import under_barrier
 from tests.support.platforms import with_mode

@@ -15,9 +15,10 @@ from dataclasses import replace
 import numpy as np
 
 from swarmd.core.errors import CodecError
+from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard
 from swarmd.core.values import ZERO, Odometry, Pose, Scan, Twist
-from swarmd.driver_api.driver import Finding, Sink
+from swarmd.driver_api.driver import Sink
 from tests.support.wire import SPEC, Good
 
 # Beginnings

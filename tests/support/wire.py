@@ -11,9 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from swarmd.core.errors import CodecError, ConfigError, unknown
+from swarmd.core.finding import Finding
 from swarmd.core.hazard import Hazard, HazardKind
 from swarmd.core.values import ZERO, Array, Odometry, Pose, Scan, Twist, Value
-from swarmd.driver_api.driver import Driver, Finding, Sink
+from swarmd.driver_api.driver import Driver, Sink
 from swarmd.driver_api.hw_codec import decode_odometry, decode_scan, encode_odometry, encode_scan
 from tests.support.range_ring import with_ring
 

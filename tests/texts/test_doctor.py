@@ -7,9 +7,10 @@ from collections.abc import Iterable, Mapping
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core.finding import Finding, Level, unknown
 from swarmd.core.messages import Sandbox
 from swarmd.core.verbs import DiskFacts, DoctorReply, MachineFacts, NetworkFacts, PortFacts
-from swarmd.texts.doctor import Finding, Level, identity, of_machine, of_network, of_robot, worst
+from swarmd.texts.doctor import identity, of_machine, of_network, of_robot, worst
 
 NOW = 1.8e9
 DAY = 86400.0
@@ -155,7 +156,7 @@ def test_the_end_of_a_certificate_is_a_warning_and_then_a_fault() -> None:
     assert all(one.remedy for one in found[1:])
     assert worst(found) is Level.FAULT
     assert worst(found[:2]) is Level.WARNING
-    assert worst([Finding(Level.UNKNOWN, "x", "")]) is Level.OK
+    assert worst([unknown("x", "")]) is Level.OK
 
 
 def test_every_problem_says_what_to_do() -> None:

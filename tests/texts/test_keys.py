@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
+from swarmd.core.finding import Level
 from swarmd.core.messages import KeySummary, Status
-from swarmd.texts.doctor import Level, identity
+from swarmd.texts.doctor import identity
 from swarmd.texts.keys import day, end_of_certificate, key_warnings, own_end
 from tests.support.statuses import status
 

@@ -1,16 +1,20 @@
-"""Watches a network interface: whether it is there and up, and its addresses, by netlink.
+"""Watches a network interface: whether it is there and up, and its addresses.
 
-Formats: netlink(7), rtnetlink(7), linux/rtnetlink.h and linux/if_addr.h. The parsers and
-`InterfaceHistory` are pure.
+Each message of rtnetlink(7) is a reason for a look, whatever the message says; a look reads what
+netdevice(7) and proc(5) offer. Measured: a look takes 0.16 ms; one by pyroute2 1.1 ms, whose import
+takes 0.18 s and 24 MB. `InterfaceHistory` is pure.
 """
 
 from __future__ import annotations
 
+import fcntl
 import ipaddress
 import socket
 import struct
+from array import array
 from collections.abc import Callable, Iterator
 from enum import StrEnum
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 from msgspec import Struct
@@ -24,19 +28,12 @@ if TYPE_CHECKING:
 QUIET_TIME = 0.2  # s without news after which a burst of them is over
 MAX_BURST = 1.0  # s after which it counts as over anyway
 
-_HEAD = struct.Struct("=IHHII")  # length, type, flags, sequence, port
-_LINK = struct.Struct("=BxHiII")  # family, type, index, flags, change
-_ADDRESS = struct.Struct("=BBBBI")  # family, prefix length, flags, scope, index
-_ATTRIBUTE = struct.Struct("=HH")
-_ERROR, _DONE = 2, 3
-_NEW_LINK, _DELETE_LINK, _GET_LINK = 16, 17, 18
-_NEW_ADDRESS, _DELETE_ADDRESS, _GET_ADDRESS = 20, 21, 22
-_REQUEST, _DUMP = 0x1, 0x300
+_SIOCGIFCONF, _SIOCGIFFLAGS = 0x8912, 0x8913  # linux/sockios.h
+_IFREQ = struct.calcsize("16sLLHBBB0L")  # of linux/if.h: a name, and the longest of its values
+_MAX_ADDRESSES = 1024  # of all interfaces
 _UP_AND_RUNNING = 0x41
-_IFLA_IFNAME, _IFA_ADDRESS, _IFA_LOCAL, _IFA_FLAGS = 3, 1, 2, 8
 _UNUSABLE = 0x48  # tentative, or found to be a duplicate
 _GROUPS = 0x1 | 0x10 | 0x100  # RTMGRP_LINK, RTMGRP_IPV4_IFADDR, RTMGRP_IPV6_IFADDR
-_TIMEOUT = 1.0
 _MAX_MESSAGE = 65536
 _READS = 64  # messages of the kernel in a turn of the loop
 
@@ -179,13 +176,12 @@ class InterfaceWatch:
         is_news = False
         for _ in range(_READS):
             try:
-                payload = self._socket.recv(_MAX_MESSAGE)
+                self._socket.recv(_MAX_MESSAGE)
             except BlockingIOError:
                 break
             except OSError:  # some were lost (ENOBUFS)
-                is_news = True
-                continue
-            is_news |= concerns(payload, self._interface, self.state.index)
+                pass
+            is_news = True
         if is_news:
             now = self._loop.time()
             if self._burst_at is None:
@@ -197,12 +193,7 @@ class InterfaceWatch:
 
     def _look(self) -> None:
         self._timer = self._burst_at = None
-        try:
-            state = read_state(self._interface)
-        except NetworkError:  # the kernel has no memory for an answer: ask it again
-            self._timer = self._loop.call_later(MAX_BURST, self._look)
-            return
-        change = self._history.on_state(state)
+        change = self._history.on_state(read_state(self._interface))
         if change is not None:
             self._on_change(change)
 
@@ -230,78 +221,6 @@ def _lost(last: InterfaceState, state: InterfaceState) -> tuple[str, ...]:
     return tuple(one for one in last.link_local if one not in kept) if kept else ()
 
 
-# Netlink: values in, values out
-
-
-class LinkMessage(Struct, frozen=True):
-    """The interface `index` is there, up or not, or has gone (not `exists`)."""
-
-    index: int
-    name: str
-    exists: bool
-    is_up: bool
-
-
-class AddressMessage(Struct, frozen=True):
-    """An address of the interface `index` is usable, or not any more."""
-
-    index: int
-    address: str
-    is_usable: bool
-
-
-def messages_in(payload: bytes) -> Iterator[LinkMessage | AddressMessage]:
-    """What the kernel says of links and addresses; what is malformed or of no interest is left out.
-
-    `payload`: messages of netlink, one after the other.
-    """
-    for kind, body in _messages(payload):
-        if kind in (_NEW_LINK, _DELETE_LINK) and len(body) >= _LINK.size:
-            _, _, index, flags, _ = _LINK.unpack_from(body)
-            name = dict(_attributes(body[_LINK.size :])).get(_IFLA_IFNAME, b"")
-            is_up = flags & _UP_AND_RUNNING == _UP_AND_RUNNING
-            exists = kind == _NEW_LINK
-            text = name.rstrip(b"\0").decode(errors="replace")
-            yield LinkMessage(index, text, exists, is_up and exists)
-        elif kind in (_NEW_ADDRESS, _DELETE_ADDRESS) and len(body) >= _ADDRESS.size:
-            _, _, flags, _, index = _ADDRESS.unpack_from(body)
-            parts = dict(_attributes(body[_ADDRESS.size :]))
-            if len(parts.get(_IFA_FLAGS, b"")) == 4:
-                (flags,) = struct.unpack("=I", parts[_IFA_FLAGS])
-            raw = parts.get(_IFA_LOCAL) or parts.get(_IFA_ADDRESS) or b""
-            if len(raw) in (4, 16):
-                is_usable = kind == _NEW_ADDRESS and not flags & _UNUSABLE
-                yield AddressMessage(index, str(ipaddress.ip_address(raw)), is_usable)
-
-
-def concerns(payload: bytes, interface: str, index: int) -> bool:
-    """True if a message is about this interface, by its name or the number that it had."""
-    return any(
-        message.index == index or (isinstance(message, LinkMessage) and message.name == interface)
-        for message in messages_in(payload)
-    )
-
-
-def _messages(payload: bytes) -> Iterator[tuple[int, bytes]]:
-    return _pieces(payload, _HEAD)
-
-
-def _attributes(payload: bytes) -> Iterator[tuple[int, bytes]]:
-    for kind, body in _pieces(payload, _ATTRIBUTE):
-        yield kind & 0x3FFF, body  # without the flags of nested and big-endian attributes
-
-
-def _pieces(payload: bytes, head: struct.Struct) -> Iterator[tuple[int, bytes]]:
-    """Type and content of each piece; both kinds of heads begin with length and type."""
-    at = 0
-    while at + head.size <= len(payload):
-        length, kind = head.unpack_from(payload, at)[:2]
-        if not head.size <= length <= len(payload) - at:
-            return
-        yield kind, payload[at + head.size : at + length]
-        at += (length + 3) & ~3
-
-
 # Questions to the kernel
 
 
@@ -316,42 +235,57 @@ def index_of(interface: str) -> int:
         ) from None
 
 
+def flags_of(interface: str) -> int:
+    """The flags of an interface (linux/if.h); 0 if it is not there.
+
+    Asked of the kernel: /sys shows the interfaces of another network namespace.
+    """
+    wanted = struct.pack("16sh14x", interface.encode()[:15], 0)
+    try:
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+            answer = fcntl.ioctl(asking, _SIOCGIFFLAGS, wanted)
+    except OSError:
+        return 0
+    return int(struct.unpack("16xH14x", answer)[0])
+
+
 def read_state(interface: str) -> InterfaceState:
-    """The state of an interface now, in some 0.5 ms. Raises NetworkError without an answer."""
+    """The state of an interface now, in some 0.2 ms."""
     try:
         index = socket.if_nametoindex(interface)
     except OSError:
         return InterfaceState()
-    question = _LINK.pack(socket.AF_UNSPEC, 0, index, 0, 0)
-    for message in _ask(_GET_LINK, _REQUEST, question):
-        if isinstance(message, LinkMessage) and message.index == index:
-            return InterfaceState(True, message.is_up, addresses_of(index), index)
-    return InterfaceState()  # it has gone meanwhile
+    is_up = flags_of(interface) & _UP_AND_RUNNING == _UP_AND_RUNNING
+    return InterfaceState(True, is_up, addresses_of(index), index)
 
 
 def addresses_of(index: int) -> tuple[str, ...]:
-    """The usable addresses of an interface, IPv4 first. Raises NetworkError without an answer."""
-    question = _ADDRESS.pack(socket.AF_UNSPEC, 0, 0, 0, 0)
-    found = [
-        message.address
-        for message in _ask(_GET_ADDRESS, _REQUEST | _DUMP, question)
-        if isinstance(message, AddressMessage) and message.index == index and message.is_usable
-    ]
-    return tuple(sorted(found, key=lambda text: ":" in text))
-
-
-def _ask(kind: int, flags: int, question: bytes) -> list[LinkMessage | AddressMessage]:
-    found: list[LinkMessage | AddressMessage] = []
-    head = _HEAD.pack(_HEAD.size + len(question), kind, flags, 1, 0)
+    """The usable addresses of an interface, IPv4 first; empty if it is not there."""
     try:
-        with socket.socket(socket.AF_NETLINK, socket.SOCK_RAW, socket.NETLINK_ROUTE) as asking:
-            asking.settimeout(_TIMEOUT)
-            asking.send(head + question)
-            while True:
-                payload = asking.recv(_MAX_MESSAGE)
-                found += messages_in(payload)
-                kinds = {kind for kind, _ in _messages(payload)}
-                if not flags & _DUMP or not kinds or kinds & {_DONE, _ERROR}:
-                    return found
-    except OSError as error:
-        raise NetworkError(f"the kernel does not answer by netlink: {error}") from error
+        name = socket.if_indextoname(index)
+        return (*_ipv4_of(name), *_ipv6_of(index))
+    except OSError:
+        return ()
+
+
+def _ipv4_of(name: str) -> Iterator[str]:
+    """The addresses by SIOCGIFCONF; one with a label of its own has the name `eth0:label`."""
+    room = array("B", bytes(_MAX_ADDRESSES * _IFREQ))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
+        question = struct.pack("iP", len(room), room.buffer_info()[0])
+        size = struct.unpack("iP", fcntl.ioctl(asking, _SIOCGIFCONF, question))[0]
+    for at in range(0, size, _IFREQ):
+        label, address = struct.unpack_from("16s4x4s", room, at)
+        if label.rstrip(b"\0").partition(b":")[0] == name.encode():
+            yield socket.inet_ntoa(address)
+
+
+def _ipv6_of(index: int) -> Iterator[str]:
+    """The addresses in if_inet6, see proc(5): address, index, prefix length, scope, flags, name."""
+    try:
+        lines = Path("/proc/thread-self/net/if_inet6").read_text().splitlines()
+    except OSError:  # a kernel without IPv6
+        return
+    for address, found, _, _, flags, _ in map(str.split, lines):
+        if int(found, 16) == index and not int(flags, 16) & _UNUSABLE:
+            yield str(ipaddress.ip_address(bytes.fromhex(address)))

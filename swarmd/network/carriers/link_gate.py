@@ -14,12 +14,18 @@ import contextlib
 import ipaddress
 import os
 import socket
-import struct
-from array import array
-from collections.abc import Callable, Collection, Iterator
+from asyncio import AbstractEventLoop
+from collections.abc import Callable, Collection
+
+import zenoh
 
 from swarmd.core.bounds import keep_newest
-from swarmd.network.carriers.packet_filter import host_filter
+from swarmd.core.clock import boottime
+from swarmd.core.threads import hand_over
+from swarmd.core.token_bucket import TokenBucket
+from swarmd.network.carriers.packet_filter import attach_filter, host_filter
+from swarmd.network.carriers.session import own_sockets
+from swarmd.security.roster import Roster
 
 LOOK_PERIOD = 0.25  # s
 MAX_WAITING = 48  # connections without a link, beside what else a daemon opens in a run
@@ -27,8 +33,10 @@ CLOSED_TIME, MAX_CLOSED_TIME = 60.0, 600.0  # s; doubled if the flood is back wi
 RENEW_PERIOD = 30.0  # s between two new sessions, which end the links of operators, too
 KNOWN_TIME = 600.0  # s after which a host is forgotten
 MAX_HOSTS = 64  # places in the kernel's filter
+LINE_RATE, LINE_BURST = 0.1, 5.0
+"""Lines of `watch_links` per second, and at once."""
 _FDS = "/proc/self/fd"
-_SO_ATTACH_FILTER, _SO_DETACH_FILTER = 26, 27
+_SO_DETACH_FILTER = 27
 
 
 class LinkFlood:
@@ -87,7 +95,12 @@ class LinkGate:
     """The listening sockets of this process at some ports, which Zenoh has opened. Linux only."""
 
     def __init__(self, ports: Collection[int]) -> None:
-        self._sockets = list(_listening(ports))
+        self._sockets = [
+            socket.socket(fileno=one.detach())  # `dup` would let Zenoh's socket block
+            for one in own_sockets()
+            if one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+            and one.getsockname()[1] in ports
+        ]
         self.is_closed = False
 
     def admit(self, hosts: Collection[str] | None) -> None:
@@ -98,10 +111,7 @@ class LinkGate:
                 if hosts is None:
                     one.setsockopt(socket.SOL_SOCKET, _SO_DETACH_FILTER, 0)
                     continue
-                program = host_filter(map(ipaddress.ip_address, hosts))
-                code = array("B", program)
-                filter_ = struct.pack("@HP", len(program) // 8, code.buffer_info()[0])
-                one.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, filter_)
+                attach_filter(one, host_filter(map(ipaddress.ip_address, hosts)))
 
     def close(self) -> None:
         """Let go of the sockets."""
@@ -118,23 +128,26 @@ def open_files() -> int:
         return os.sysconf("SC_OPEN_MAX")
 
 
-def _listening(ports: Collection[int]) -> Iterator[socket.socket]:
-    """Duplicates of the listening TCP sockets of this process at these ports."""
-    try:
-        names = os.listdir(_FDS)
-    except OSError:  # not Linux, or no file can be opened
-        return
-    for name in names:
-        with contextlib.suppress(OSError):  # closed meanwhile
-            if not os.readlink(f"{_FDS}/{name}").startswith("socket:"):
-                continue
-            one = socket.socket(fileno=os.dup(int(name)))
-            if _is_listening(one) and one.getsockname()[1] in ports:
-                yield one
-            else:
-                one.close()
+def watch_links(
+    session: zenoh.Session,
+    roster: Roster,
+    loop: AbstractEventLoop,
+    on_event: Callable[[str], None],
+) -> None:
+    """Call `on_event` on the loop with a line for each link of a name that the roster lacks.
 
+    Its certificate is valid, and nothing passes. Zenoh denies silently, so that a name that was
+    revoked and goes on trying would not be noticed. The rate of lines is limited.
+    """
+    rate = TokenBucket(LINE_RATE, LINE_BURST)
 
-def _is_listening(one: socket.socket) -> bool:
-    is_tcp = one.family in (socket.AF_INET, socket.AF_INET6) and one.type == socket.SOCK_STREAM
-    return is_tcp and bool(one.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN))
+    def on_link(event: zenoh.LinkEvent) -> None:
+        name = event.link.auth_identifier
+        if event.kind != zenoh.SampleKind.PUT or name is None or roster.role_of(name) is not None:
+            return
+        if rate.take(1.0, boottime()):
+            address = str(event.link.dst).partition("/")[2]
+            text = f"{address} has a certificate of {name[:63]!r}, which is not on roster"
+            hand_over(loop, on_event, f"{text} {roster.generation}: nothing passes this link")
+
+    session.info.declare_link_events_listener(on_link, history=True)

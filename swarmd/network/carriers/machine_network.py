@@ -14,9 +14,8 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from swarmd.core.errors import NetworkError
 from swarmd.core.verbs import NetworkFacts, PortFacts
-from swarmd.network.carriers.interface_watch import InterfaceState, read_state
+from swarmd.network.carriers.interface_watch import read_state
 from swarmd.network.carriers.udp import GROUP_PORT
 
 CONTROL_PORT = 7440
@@ -33,10 +32,7 @@ _CONCERNS = re.compile(
 
 def measure_network(interface: str) -> NetworkFacts:
     """The facts of an interface and of the ports; takes some ms, as root up to 4 s."""
-    try:
-        state = read_state(interface)
-    except NetworkError:
-        state = InterfaceState()
+    state = read_state(interface)
     folder = Path("/sys/class/net") / interface
     firewall, text = _firewall()
     return NetworkFacts(

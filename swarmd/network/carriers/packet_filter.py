@@ -1,4 +1,4 @@
-"""Programs of the kernel's packet filter for the sockets of a swarm. Pure: values in, bytes out.
+"""Programs of the kernel's packet filter for the sockets of a swarm. Pure but for `attach_filter`.
 
 Classic BPF (linux/filter.h; Documentation/networking/filter.rst). A stage of a program is a row of
 blocks: the first one whose tests all hold decides, and what no block decides is dropped. A program
@@ -9,7 +9,9 @@ than 20 kB for its filters (net.core.optmem_max).
 from __future__ import annotations
 
 import ipaddress
+import socket
 import struct
+from array import array
 from collections.abc import Iterable, Sequence
 
 from swarmd.network.carriers.flood_limits import FloodRules
@@ -29,6 +31,7 @@ _EQUALS, _EXCEEDS, _JUMP, _RETURN = 0x15, 0x25, 0x05, 0x06
 _IP_HEAD, _RANDOM = 2**32 - 0x100000, 2**32 - 0x1000 + 56
 _SOURCE4, _SOURCE6, _SOURCE_PORT = _IP_HEAD + 12, _IP_HEAD + 8, 0
 _UDP_HEAD = 8
+_SO_ATTACH_FILTER = 26  # asm-generic/socket.h
 _KIND_AT, _TAG_AT = _UDP_HEAD + len(MAGIC), _UDP_HEAD + len(MAGIC) + 1
 _KEY_CELL, _KIND_CELL = 0, 1  # of the program's memory
 
@@ -76,6 +79,13 @@ def host_filter(hosts: Iterable[ipaddress.IPv4Address | ipaddress.IPv6Address]) 
         tests = [(_LOAD, first + 4 * index, _EQUALS, word) for index, word in enumerate(words)]
         blocks.append((_ACCEPT, tests))
     return b"".join(struct.pack("=HBBI", *one) for one in _stage(blocks))
+
+
+def attach_filter(sock: socket.socket, program: bytes) -> None:
+    """Give a socket a program in place of its last one. OSError if it is too long or forbidden."""
+    code = array("B", program)
+    filter_ = struct.pack("@HP", len(program) // 8, code.buffer_info()[0])
+    sock.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, filter_)
 
 
 def _head(tag: bytes) -> list[Test]:

@@ -12,7 +12,6 @@ swarmctl imports this module and must start fast, so asyncio is imported where i
 from __future__ import annotations
 
 import contextlib
-import fcntl
 import ipaddress
 import json
 import os
@@ -27,6 +26,7 @@ import zenoh
 
 from swarmd.core.errors import ConfigError, NetworkError, SwarmError
 from swarmd.network.access import asker_access, robot_access
+from swarmd.network.carriers.interface_watch import flags_of, index_of
 from swarmd.network.settings import FIELD_PORT, NetworkSettings, parse_endpoint
 
 MAX_WIRE = 1024 * 1024
@@ -42,7 +42,7 @@ _OPEN_TIMEOUT_MS = 9000
 _MAX_PENDING_LINKS = 512  # silent connections until their timeout; Zenoh's own 100 are soon used up
 _MAX_BATCHES = 16  # as many as Zenoh allows
 _FRAGMENT_TIMEOUT_US = 5_000
-_SIOCGIFFLAGS, _IFF_UP = 0x8913, 1  # linux/sockios.h, linux/if.h
+_IFF_UP = 1  # linux/if.h
 _FDS = "/proc/self/fd"
 # Off: close() returns at once, and unsent data is still delivered in the background. On with 0 s
 # would cut off the last words of a daemon that leaves.
@@ -331,26 +331,12 @@ def _listen(settings: NetworkSettings) -> list[str]:
 
 def check_interface(interface: str) -> None:
     """Raise NetworkError in one line if the interface is absent, or loopback is down."""
-    try:
-        socket.if_nametoindex(interface)
-    except OSError:
-        known = ", ".join(sorted(name for _, name in socket.if_nameindex()))
-        raise NetworkError(
-            f"no network interface {interface!r} on this machine; there are: {known}"
-        ) from None
-    if interface == "lo" and not _is_up(interface):
+    index_of(interface)
+    if interface == "lo" and not flags_of(interface) & _IFF_UP:
         raise NetworkError(
             "the network interface lo is down, so that nothing on this machine can meet;"
             " run: sudo ip link set lo up"
         )
-
-
-def _is_up(interface: str) -> bool:
-    """The flag IFF_UP, asked of the kernel: /sys shows another network namespace's interfaces."""
-    wanted = struct.pack("16sh14x", interface.encode(), 0)
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-        answer = fcntl.ioctl(asking, _SIOCGIFFLAGS, wanted)
-    return bool(struct.unpack("16xh14x", answer)[0] & _IFF_UP)
 
 
 def _explain(text: str, options: Mapping[str, object]) -> str:
@@ -414,39 +400,38 @@ def tune_link(src: str, dst: str, lease: float) -> int:
 
 
 def connected_sockets() -> Iterator[socket.socket]:
-    """This process's connected TCP sockets, each as a duplicate that is closed after its turn.
+    """This process's connected TCP sockets; see `own_sockets`."""
+    for one in own_sockets():
+        with contextlib.suppress(OSError):
+            if one.getpeername():
+                yield one
+
+
+def own_sockets() -> Iterator[socket.socket]:
+    """This process's TCP sockets, each as a duplicate that is closed after its turn. Linux only.
 
     The descriptors belong to other threads, which may close and reuse them at any moment. A
     duplicate keeps referring to the same socket.
     """
-    for name in os.listdir(_FDS):
-        try:
-            duplicate = _duplicate(int(name))
-        except OSError:
-            continue
-        if duplicate is None:
-            continue
-        with duplicate:
-            if _is_connected_tcp(duplicate):
-                yield duplicate
-
-
-def _duplicate(fd: int) -> socket.socket | None:
-    if not os.readlink(f"{_FDS}/{fd}").startswith("socket:"):
-        return None
-    copy = os.dup(fd)
     try:
-        return socket.socket(fileno=copy)
-    except OSError:
-        os.close(copy)
-        return None
-
-
-def _is_connected_tcp(sock: socket.socket) -> bool:
-    is_tcp = sock.family in (socket.AF_INET, socket.AF_INET6) and sock.type == socket.SOCK_STREAM
-    with contextlib.suppress(OSError):
-        return is_tcp and bool(sock.getpeername())
-    return False
+        names = os.listdir(_FDS)
+    except OSError:  # not Linux, or no file can be opened
+        return
+    for name in names:
+        try:
+            if not os.readlink(f"{_FDS}/{name}").startswith("socket:"):
+                continue
+            copy = os.dup(int(name))
+        except OSError:  # closed meanwhile
+            continue
+        try:
+            one = socket.socket(fileno=copy)
+        except OSError:  # reused meanwhile, for a file
+            os.close(copy)
+            continue
+        with one:
+            if one.type == socket.SOCK_STREAM and one.family in (socket.AF_INET, socket.AF_INET6):
+                yield one
 
 
 def _address(locator: str) -> Address | None:

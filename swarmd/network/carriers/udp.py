@@ -31,7 +31,6 @@ import socket
 import struct
 import threading
 import time
-from array import array
 from collections import Counter
 from collections.abc import Callable, Iterable
 from enum import Enum
@@ -42,7 +41,7 @@ from swarmd.core.clock import Clock, boottime
 from swarmd.core.errors import NetworkError
 from swarmd.network.carriers.flood_limits import MAX_WEIGHT, FloodLimits
 from swarmd.network.carriers.interface_watch import addresses_of, index_of
-from swarmd.network.carriers.packet_filter import swarm_filter
+from swarmd.network.carriers.packet_filter import attach_filter, swarm_filter
 from swarmd.network.carriers.recipients import MAX_ADDRESSES, Recipients
 from swarmd.network.datagram import (
     KIND_OFFSET,
@@ -78,7 +77,7 @@ _TAG = slice(5, 5 + TAG_BYTES)
 # linux/in.h, linux/in6.h and asm-generic/socket.h; Python names none of them.
 _IP_UNICAST_IF, _IP_MULTICAST_ALL = 50, 49
 _IPV6_UNICAST_IF, _IPV6_MULTICAST_ALL = 76, 29
-_SO_ATTACH_FILTER, _SO_RCVBUFFORCE, _SO_TIMESTAMPNS, _SO_MEMINFO = 26, 33, 35, 55
+_SO_RCVBUFFORCE, _SO_TIMESTAMPNS, _SO_MEMINFO = 33, 35, 55
 _MEMINFO = struct.Struct("@9I")  # linux/sock_diag.h; in bytes, the last one in datagrams
 _QUEUED, _QUEUE_LIMIT, _LOST = 0, 1, 8
 _TIMESPEC = struct.Struct("@ll")
@@ -245,8 +244,7 @@ class UdpCarrier:
         if now - self._refresh_at < REFRESH_PERIOD:
             return
         self._refresh_at = now
-        with contextlib.suppress(NetworkError):
-            self._addresses = frozenset(addresses_of(self._index))
+        self._addresses = frozenset(addresses_of(self._index))
         self._has_ipv4 = self._is_dev or any(":" not in one for one in self._addresses)
         if (addresses := self._seeds.addresses(now)) is not None:
             self.recipients.set_seeds(addresses)
@@ -540,10 +538,8 @@ class UdpCarrier:
         """Replace the kernel's filter; without one the limits and the reader do all the work."""
         for rules in (self._rules, self._rules.shortened()):
             program = swarm_filter(self._tag, rules, is_ipv6=sock.family == socket.AF_INET6)
-            code = array("B", program)
-            filter_ = struct.pack("@HP", len(program) // 8, code.buffer_info()[0])
             with contextlib.suppress(OSError):  # no memory for a long one, or no filters here
-                sock.setsockopt(socket.SOL_SOCKET, _SO_ATTACH_FILTER, filter_)
+                attach_filter(sock, program)
                 return
 
     def _enlarge(self, sock: socket.socket) -> None:

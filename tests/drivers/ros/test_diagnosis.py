@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from swarmd.core.finding import Finding
 from swarmd.core.values import Array, Scan, Value
-from swarmd.driver_api.driver import Finding
 from swarmd.drivers.ros import messages
 from swarmd.drivers.ros.diagnosis import Graph, Middleware, Report, has_enough
 from swarmd.drivers.ros.endpoints import Endpoint

@@ -5,8 +5,8 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Callable, Mapping
 
+from swarmd.core.finding import Finding
 from swarmd.core.values import ZERO, Twist, Value
-from swarmd.driver_api.driver import Finding
 from swarmd.drivers.ros.messages import dds_name
 from swarmd.testing.driver_contract import TIMEOUT, DriverHarness
 from tests.drivers.ros2.robots import BridgedRobot, Robot

@@ -1,11 +1,13 @@
 from __future__ import annotations
 
 from itertools import product
+from pathlib import Path
 
 import pytest
 
 from swarmd.core.messages import Reason, State
-from swarmd.robot.state_machine import TRANSITIONS, StateMachine, Trigger
+from swarmd.robot import state
+from swarmd.robot.state import TRANSITIONS, StateMachine, Trigger
 
 
 def test_table_covers_every_state_and_trigger() -> None:
@@ -58,3 +60,10 @@ def test_trigger_without_a_change_keeps_the_older_reason() -> None:
     machine.apply(Trigger.STOP, Reason.OPERATOR, "by bob", 2.0)
     assert (machine.state, machine.reason) == (State.ESTOPPED, Reason.ESTOP)
     assert machine.detail == "by alice"
+
+
+def test_only_this_file_fires_triggers() -> None:
+    """So a reader finds there all that changes the state of a robot."""
+    robot = Path(state.__file__).parent
+    named = [path.name for path in robot.glob("*.py") if "Trigger" in path.read_text()]
+    assert named == ["state.py"]

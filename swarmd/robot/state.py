@@ -1,7 +1,33 @@
-"""The lifecycle of one robot: state, pattern and latches, and the events that change them. Pure.
+"""The state of one robot and all that changes it: triggers, transitions, the lifecycle. Pure.
 
-Each method adds the effects of one event to `Effects`; state_machine.py lists which method fires
-which trigger.
+Each method of `Lifecycle` adds the effects of one event to `Effects`; requests and goals call these
+methods. Only `StateMachine.apply` changes the state. Every trigger is fired in this file:
+
+| trigger     | fired because                                          | reason               |
+|-------------|--------------------------------------------------------|----------------------|
+| RUN         | the pattern host reports Loaded                        | none: it runs        |
+| FINISH      | a step returns `done`; the seconds of the run are over | finished             |
+| STOP        | of a stop request; a reload of the running pattern     | operator, reloaded   |
+|             | the daemon leaves                                      | leaving              |
+|             | a greater goal; a load that peers run is refused       | superseded           |
+|             | the run lease ends                                     | lease_ended          |
+|             | a roster without this robot                            | roster_changed       |
+| HOLD_LASTED | a hold has lasted for MAX_HOLD_TIME                    | the hold             |
+| LOAD_FAILED | a load fails or times out; a restart is refused        | load_failed          |
+| STALL       | the daemon's loop was late by STALL_TIMEOUT, unless    | loop_stalled         |
+|             | the robot is idle and loads and tries nothing          |                      |
+| HAZARD      | a wheel drop, or the base is lifted, while the robot   | hazard               |
+|             | runs or loads                                          |                      |
+| NETWORK     | the network that the daemon speaks on has changed      | network_changed      |
+|             | the daemon takes a roster                              | roster_changed       |
+| ESTOP       | an estop request; the latch of a peer; a latch on disk | estop                |
+| FAULT       | too many failures of a pattern; a second robot has     | pattern_quarantined  |
+|             | the same id                                            | duplicate_id         |
+| RESET       | a reset request after which no latch is held           | reset                |
+
+Only the trigger RUN leads to `running`, and never from `estopped` or `faulted`. The requests `run`
+and `resume`, a reload with a new run, a goal with `on_join: run`, and the restart of a failed
+pattern fire it.
 """
 
 from __future__ import annotations
@@ -10,6 +36,8 @@ import math
 from collections import deque
 from collections.abc import Mapping
 from dataclasses import replace
+from enum import StrEnum
+from types import MappingProxyType
 
 from msgspec import structs
 
@@ -65,7 +93,76 @@ from swarmd.robot.pattern_run import (
     Wish,
 )
 from swarmd.robot.settings import RobotIdentity
-from swarmd.robot.state_machine import StateMachine, Trigger
+
+
+class Trigger(StrEnum):
+    """The causes of a state change."""
+
+    RUN = "run"
+    FINISH = "finish"
+    STOP = "stop"
+    HOLD_LASTED = "hold_lasted"
+    LOAD_FAILED = "load_failed"
+    STALL = "stall"
+    HAZARD = "hazard"
+    NETWORK = "network"
+    ESTOP = "estop"
+    FAULT = "fault"
+    RESET = "reset"
+
+
+_I, _R, _S, _E, _F = State.IDLE, State.RUNNING, State.STOPPED, State.ESTOPPED, State.FAULTED
+
+# Every state times every trigger.
+TRANSITIONS: Mapping[Trigger, Mapping[State, State]] = MappingProxyType(
+    {
+        Trigger.RUN: {_I: _R, _R: _R, _S: _R, _E: _E, _F: _F},
+        Trigger.FINISH: {_I: _I, _R: _I, _S: _S, _E: _E, _F: _F},
+        Trigger.STOP: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.HOLD_LASTED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.LOAD_FAILED: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.STALL: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.HAZARD: {_I: _S, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.NETWORK: {_I: _I, _R: _S, _S: _S, _E: _E, _F: _F},
+        Trigger.ESTOP: {_I: _E, _R: _E, _S: _E, _E: _E, _F: _E},
+        Trigger.FAULT: {_I: _F, _R: _F, _S: _F, _E: _E, _F: _F},
+        Trigger.RESET: {_I: _I, _R: _R, _S: _I, _E: _I, _F: _I},
+    }
+)
+
+
+class StateMachine:
+    """The state, its one reason, one line of detail, and the time of the last change of state."""
+
+    def __init__(self, now: float) -> None:
+        self.state = State.IDLE
+        self.reason: Reason | None = Reason.NEVER_ASKED
+        self.detail = ""
+        self.since = now
+
+    def apply(self, trigger: Trigger, reason: Reason | None, detail: str, now: float) -> None:
+        """Carry out a trigger. Without a change of state the older reason stays.
+
+        The triggers of `_RENEWS` replace the reason also without a change of state.
+        """
+        target = TRANSITIONS[trigger][self.state]
+        renews = target is self.state and trigger in _RENEWS.get(target, ())
+        if target is self.state and not renews:
+            return
+        if target is not self.state:
+            self.since = now
+        self.state, self.reason, self.detail = target, reason, detail
+
+
+_RENEWS: Mapping[State, tuple[Trigger, ...]] = MappingProxyType(
+    {
+        _R: (Trigger.RUN,),
+        _S: (Trigger.STOP, Trigger.STALL, Trigger.HAZARD),
+        _E: (Trigger.ESTOP,),
+        _F: (Trigger.FAULT,),
+    }
+)
+
 
 MAX_HOLD_TIME = 2.0  # s after which a hold ends the run
 MAX_TEXT = 300  # characters
@@ -198,7 +295,7 @@ class Lifecycle:
         text = f"{loading.pattern} was loaded {late:.1f} s after the time at which it was to start"
         if loading.request is not None:
             self.refuse(effects, loading.request, Refusal.TOO_LATE, text)
-        self.end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
+        self._end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
 
     def _begin_run(self, event: Loaded, effects: Effects) -> None:
         now = effects.now
@@ -239,7 +336,7 @@ class Lifecycle:
         text = event.text
         loading, self.pattern_run.loading = self.pattern_run.loading, None
         if loading is None or loading.request is None:
-            self.end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
+            self._end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
             is_unknown = event.refusal is Refusal.UNKNOWN_PATTERN
             if loading is not None and loading.goal is not None and is_unknown:
                 self.goals.await_code(loading.generation)
@@ -248,7 +345,7 @@ class Lifecycle:
         if self.goals.state is GoalState.LOADING:  # peers run it: what runs here is superseded
             self.goals.on_end(f"not loaded: {text}")
             if self.is_running and loading.goal is not None:
-                self.end(Trigger.STOP, Reason.SUPERSEDED, f"by {loading.goal.text}", effects)
+                self.stop(Reason.SUPERSEDED, f"by {loading.goal.text}", effects)
         if self._load is not None and self._load.is_fresh:  # it replaced the host that ran
             self.fault("its host was replaced", effects)
 
@@ -271,7 +368,7 @@ class Lifecycle:
             passed = self.outbox.take(outputs.messages, running.channels, effects.now)
             effects.messages = {running.full_name(name): value for name, value in passed.items()}
         if outputs.done is not None:
-            self.end(Trigger.FINISH, Reason.FINISHED, outputs.done, effects)
+            self._end(Trigger.FINISH, Reason.FINISHED, outputs.done, effects)
         else:
             effects.is_routine = True
 
@@ -316,12 +413,12 @@ class Lifecycle:
         elif self._is_provisional(running.generation, text, effects):
             run.fault(effects.now)
             detail = f"{running.pattern} failed while it was provisional: {text}"
-            self.end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
+            self._end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
         elif not run.fault(effects.now):
             self.hold_since = None  # the restart may take as long as any other hold
         else:
             detail = f"{running.pattern} failed {FAULTS_BEFORE_QUARANTINE} times, last: {text}"
-            self.end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
+            self._end(Trigger.FAULT, Reason.QUARANTINED, detail, effects)
 
     def _is_provisional(self, generation: int, text: str, effects: Effects) -> bool:
         """True, with the failure in `effects`, if the pattern of a generation is provisional."""
@@ -341,9 +438,9 @@ class Lifecycle:
         detail = f"{loading.pattern}: {text}"
         if loading.request is not None:
             self._reply(effects, loading.request, Code.FAILED, Refusal.PATTERN_FAILED, detail)
-        self.end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, detail, effects)
+        self._end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, detail, effects)
 
-    def end(
+    def _end(
         self,
         trigger: Trigger,
         reason: Reason,
@@ -385,6 +482,16 @@ class Lifecycle:
             self.log(text, effects.now)
         if was_running:
             effects.ended = text[:MAX_TEXT]
+
+    def stop(
+        self, reason: Reason, detail: str, effects: Effects, *, keeps_load: bool = False
+    ) -> None:
+        """End the run; the robot is stopped. `keeps_load`: a requested run goes on loading."""
+        self._end(Trigger.STOP, reason, detail, effects, keeps_load=keeps_load)
+
+    def reset(self, detail: str, effects: Effects) -> None:
+        """Become idle; the caller has cleared the latches."""
+        self._end(Trigger.RESET, Reason.RESET, detail, effects)
 
     def end_trial(self, refusal: Refusal, text: str, effects: Effects) -> None:
         """End the trial under way, if any, without success; the running pattern goes on."""
@@ -451,7 +558,7 @@ class Lifecycle:
             self.raise_revision(f"{latch.issuer} (estop)")
         elif self.state_machine.state is State.ESTOPPED:
             return  # a copy of a stop that holds the robot: a trial that began since goes on
-        self.end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
+        self._end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
 
     def adopt_latches(self, latches: Mapping[str, Latch], effects: Effects) -> None:
         """Adopt the swarm-wide latches of a peer, except those that were reset here."""
@@ -460,7 +567,7 @@ class Lifecycle:
             return
         effects.is_latched = True
         self.raise_revision(f"{latches[new[0]].issuer} (estop)")
-        self.end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
+        self._end(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), effects)
 
     def stall(self, late: float, effects: Effects) -> None:
         """The daemon's loop was late: earlier epochs become stale and the run ends.
@@ -474,7 +581,7 @@ class Lifecycle:
         if self.state_machine.state is State.IDLE and not is_busy:
             self.log(detail, effects.now)
             return
-        self.end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
+        self._end(Trigger.STALL, Reason.LOOP_STALLED, detail, effects)
 
     def on_hazard(self, text: str, effects: Effects) -> None:
         """A hazard with which no run may go on or begin: a person holds the robot.
@@ -486,14 +593,14 @@ class Lifecycle:
         if run.running is None and run.loading is None:
             return
         self.raise_revision(f"a hazard: {text}")
-        self.end(Trigger.HAZARD, Reason.HAZARD, text, effects)
+        self._end(Trigger.HAZARD, Reason.HAZARD, text, effects)
         self.goals.bar(effects.now)
 
     def on_network_changed(self, text: str, effects: Effects) -> None:
         """The daemon speaks on another network: earlier epochs become stale and the run ends."""
         self.raise_revision("a change of the network")
         self.log(f"network: {text}", effects.now)
-        self.end(Trigger.NETWORK, Reason.NETWORK_CHANGED, text, effects)
+        self._end(Trigger.NETWORK, Reason.NETWORK_CHANGED, text, effects)
 
     def on_roster(self, text: str, effects: Effects, *, is_revoked: bool) -> None:
         """The daemon takes a roster: the run ends. A revoked robot refuses runs from then on."""
@@ -501,7 +608,7 @@ class Lifecycle:
         self.raise_revision("a change of the roster")
         self.log(f"roster: {text}", effects.now)
         trigger = Trigger.STOP if is_revoked else Trigger.NETWORK
-        self.end(trigger, Reason.ROSTER_CHANGED, text, effects)
+        self._end(trigger, Reason.ROSTER_CHANGED, text, effects)
 
     def forget_goals(self, digests: tuple[str, ...], effects: Effects) -> None:
         """Drop goals, whose issuers are not operators any more; a run of one has ended."""
@@ -513,7 +620,7 @@ class Lifecycle:
         if holder is not None and holder != self.duplicate:
             self.raise_revision("a second robot of this name")
             detail = f"this id is also held by {holder}"
-            self.end(Trigger.FAULT, Reason.DUPLICATE_ID, detail, effects)
+            self._end(Trigger.FAULT, Reason.DUPLICATE_ID, detail, effects)
         self.duplicate = holder
 
     # Time
@@ -549,13 +656,13 @@ class Lifecycle:
         if not self.is_running or running is None:
             return None
         if running.finish_at is not None and now >= running.finish_at:
-            self.end(Trigger.FINISH, Reason.FINISHED, "its seconds are over", effects)
+            self._end(Trigger.FINISH, Reason.FINISHED, "its seconds are over", effects)
             return None
         lease_ends, own = self.goals.lease_ends, self.goals.own
         if lease_ends is not None and own is not None and now >= lease_ends:
             text = f"{own.goal.issuer} was not heard for {own.goal.lease:g} s"
             self.raise_revision(f"the end of the run lease of {own.goal.issuer}")
-            self.end(Trigger.STOP, Reason.LEASE_ENDED, text, effects)
+            self.stop(Reason.LEASE_ENDED, text, effects)
             return None
         return self._present_hold(hold, effects, hold_text)
 
@@ -584,7 +691,7 @@ class Lifecycle:
             text = hold_text or f"for {MAX_HOLD_TIME:.0f} s"
             if hold is Reason.PATTERN_RESTARTING:
                 text += f", last: {self._last_fault}"
-            self.end(Trigger.HOLD_LASTED, hold, text, effects)
+            self._end(Trigger.HOLD_LASTED, hold, text, effects)
             return None
         return hold
 

@@ -1,0 +1,48 @@
+"""Findings: what `swarmd --check`, the check of a driver and `swarmctl doctor` report."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
+
+
+class Level(StrEnum):
+    """How much a finding matters; `unknown`: it could not be found out."""
+
+    OK = "ok"
+    UNKNOWN = "unknown"
+    WARNING = "warning"
+    FAULT = "fault"
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """`text` about `subject`; `remedy`: the next step if it is not well, unless the text has it.
+
+    `is_measured` False: nothing could be measured, so it is not known to be well; no fault either.
+    `is_minor`: not well, and a warning only.
+    """
+
+    subject: str
+    is_well: bool
+    text: str
+    remedy: str = ""
+    is_measured: bool = True
+    is_minor: bool = False
+
+    @property
+    def level(self) -> Level:
+        """How much it matters."""
+        if not self.is_well:
+            return Level.WARNING if self.is_minor else Level.FAULT
+        return Level.OK if self.is_measured else Level.UNKNOWN
+
+
+def warning(subject: str, text: str, remedy: str, *, is_due: bool = True) -> Finding:
+    """A warning; well, and without a remedy, unless it `is_due`."""
+    return Finding(subject, not is_due, text, remedy if is_due else "", is_minor=is_due)
+
+
+def unknown(subject: str, text: str) -> Finding:
+    """A finding about which nothing could be measured."""
+    return Finding(subject, True, text, is_measured=False)
