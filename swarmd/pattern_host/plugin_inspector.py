@@ -64,7 +64,7 @@ TEST_TIMEOUT = 10.0
 """Seconds of processor time that a contract test may take on one platform."""
 
 
-class Answer:
+class InspectionOutput:
     """The stream to the tool; what plugin code prints goes to standard error instead."""
 
     def __init__(self) -> None:
@@ -96,7 +96,7 @@ def main() -> None:
     verbs.add_parser("mission").add_argument("file", type=Path)
     args = parser.parse_args()
     die_with_parent(args.parent)
-    answer = Answer()
+    answer = InspectionOutput()
     try:
         platform = load_platform(args.platform)
         file = getattr(args, "file", None)
@@ -125,7 +125,7 @@ def readable_beside(file: Path) -> Path:
 
 
 def _describe_patterns(
-    names: Sequence[str], plugin_dir: Path | None, platform: Platform, answer: Answer
+    names: Sequence[str], plugin_dir: Path | None, platform: Platform, answer: InspectionOutput
 ) -> None:
     found = pattern_names(plugin_dir)
     loader = PatternLoader(places_of(found))
@@ -210,7 +210,7 @@ def _kind(kind: type[Pattern[Any]]) -> str:
 # check
 
 
-def _check_plugin(path: Path, done: frozenset[str], answer: Answer) -> None:
+def _check_plugin(path: Path, done: frozenset[str], answer: InspectionOutput) -> None:
     """Send the points of the pattern contract without those in `done`."""
     limit_growth(MAX_GROWTH)
     _report_side_effects(path, answer)
@@ -320,7 +320,7 @@ def _lines_of_step(kind: type[Pattern[Any]], path: Path) -> list[int | None]:
     return []
 
 
-def _report_side_effects(path: Path, answer: Answer) -> None:
+def _report_side_effects(path: Path, answer: InspectionOutput) -> None:
     """Send `{"side_effect": text}` when code of the file causes one, each text once."""
     from swarmd.testing.no_side_effects import AUDIT_EVENTS
 
@@ -357,7 +357,7 @@ def _line_in(path: str, frame: FrameType | None) -> int | None:
 
 
 def _inspect_mission(
-    path: Path, platform: Platform, plugin_dir: Path | None, answer: Answer
+    path: Path, platform: Platform, plugin_dir: Path | None, answer: InspectionOutput
 ) -> None:
     answer.send(begin=str(path))
     try:

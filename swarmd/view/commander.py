@@ -17,9 +17,9 @@ from swarmd.network.operator.outcome import Outcome, joined
 from swarmd.network.spread.next_goal import next_goal
 from swarmd.texts.assignments import read_assignments
 from swarmd.texts.labels import changed, read_changes
-from swarmd.view.source import Answer
+from swarmd.view.source import CommandProgress
 
-Tell = Callable[[Answer], None]
+Tell = Callable[[CommandProgress], None]
 
 MAX_REQUESTS = 8
 """Requests under way at a time: a request that waits for others would start motion late."""
@@ -61,7 +61,7 @@ class LiveCommander:
         """Carry a command out; its answers are told as they come, the last one final."""
         loop = asyncio.get_running_loop()
 
-        def tell_later(answer: Answer) -> None:
+        def tell_later(answer: CommandProgress) -> None:
             loop.call_soon_threadsafe(tell, answer)
 
         ending = threading.Event()
@@ -78,11 +78,11 @@ class LiveCommander:
                 answer = await self._in_turn(work)
             tell(answer)
         except Exception as error:  # the page must not show that it is under way
-            tell(Answer(f"{verb}: {str(error) or type(error).__name__}", is_final=True))
+            tell(CommandProgress(f"{verb}: {str(error) or type(error).__name__}", is_final=True))
             if not isinstance(error, SwarmError | ValueError | TypeError):
                 raise
 
-    async def _in_turn(self, work: Callable[[], Answer]) -> Answer:
+    async def _in_turn(self, work: Callable[[], CommandProgress]) -> CommandProgress:
         """Carry a request out now; SwarmError if too many are under way."""
         if self._requests >= MAX_REQUESTS:
             raise SwarmError(
@@ -96,7 +96,7 @@ class LiveCommander:
 
     def _carry_out(
         self, verb: str, fields: dict[str, Any], tell: Tell, ending: threading.Event
-    ) -> Callable[[], Answer]:
+    ) -> Callable[[], CommandProgress]:
         """The work of a command, for a thread. Raises ValueError or TypeError for a wrong one."""
         targets = fields.get("targets")
         names = None if targets is None else tuple(map(str, targets))
@@ -117,9 +117,9 @@ class LiveCommander:
         names: tuple[str, ...] | None,
         tell: Tell,
         ending: threading.Event,
-    ) -> Answer:
+    ) -> CommandProgress:
         def on_progress(missing: tuple[str, ...]) -> None:
-            tell(Answer(f"{verb}: {len(missing)} not acknowledged", missing=list(missing)))
+            tell(CommandProgress(f"{verb}: {len(missing)} not acknowledged", missing=list(missing)))
 
         with self._make() as operator:
             operator.expect(self._known())
@@ -134,7 +134,9 @@ class LiveCommander:
             )
         return _answer(verb, outcome)
 
-    def _request(self, verb: str, names: tuple[str, ...], fields: Mapping[str, Any]) -> Answer:
+    def _request(
+        self, verb: str, names: tuple[str, ...], fields: Mapping[str, Any]
+    ) -> CommandProgress:
         params = read_assignments(str(fields.get("params") or "").split(), "parameters:")
         pattern = str(fields.get("pattern"))
         if verb == "run" and not is_id(pattern):
@@ -176,9 +178,9 @@ def _label(operator: Operator, view: MembersView, names: tuple[str, ...], words:
     return joined([*outcomes, Outcome({}, missing=unseen)])
 
 
-def _answer(verb: str, outcome: Outcome) -> Answer:
+def _answer(verb: str, outcome: Outcome) -> CommandProgress:
     replies = [(name, one.code.value, one.text) for name, one in sorted(outcome.replies.items())]
-    return Answer(
+    return CommandProgress(
         f"{verb}: {outcome.line}",
         replies,
         list(outcome.missing),

@@ -31,7 +31,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.view.access import HEADERS, Access, check_address, page_url, unusable
 from swarmd.view.client import Client, Rows
 from swarmd.view.playback import Playback
-from swarmd.view.source import Answer, Source, json_of, pack_frame
+from swarmd.view.source import CommandProgress, Source, json_of, pack_frame
 
 log = logging.getLogger(__name__)
 
@@ -223,7 +223,7 @@ class ViewServer:
     async def _act(self, client: Client, message: Mapping[str, Any]) -> None:
         id, verb = str(message.get("id"))[:64], str(message.get("verb"))[:32]
 
-        def tell(answer: Answer) -> None:
+        def tell(answer: CommandProgress) -> None:
             client.tell({"kind": "answer", "id": id, **answer.plain()})
             if verb == "estop":
                 self._show_estop(id, answer)
@@ -239,7 +239,7 @@ class ViewServer:
             self._commander.end_estop()
         else:
             if verb == "estop":
-                self._show_estop(id, Answer("estop: sent"), is_new=True)
+                self._show_estop(id, CommandProgress("estop: sent"), is_new=True)
             await self._commander.act(verb, message, tell)
 
     def _is_late(self, seen: Any) -> bool:
@@ -247,7 +247,7 @@ class ViewServer:
         now = asyncio.get_running_loop().time()
         return not any(seen == number and now - at < MAX_LATENESS for number, at in self._sent_at)
 
-    def _show_estop(self, id: str, answer: Answer, *, is_new: bool = False) -> None:
+    def _show_estop(self, id: str, answer: CommandProgress, *, is_new: bool = False) -> None:
         """Show the emergency stop on all pages; of two, the later one."""
         current = self._estop
         if not is_new and (current is None or current["id"] != id):
@@ -329,7 +329,7 @@ class ViewServer:
 
 
 def _refusal(id: str, text: str) -> dict[str, Any]:
-    return {"kind": "answer", "id": id, **Answer(text, is_final=True).plain()}
+    return {"kind": "answer", "id": id, **CommandProgress(text, is_final=True).plain()}
 
 
 def limited(waiting: dict[ServerConnection, None]) -> type[ServerConnection]:

@@ -64,7 +64,7 @@ class ShownArena:
 
 
 @dataclass(slots=True)
-class Answer:
+class CommandProgress:
     """What came of a command so far: each robot's reply, and which robots have not answered."""
 
     line: str

@@ -15,7 +15,7 @@ from swarmd.view.controls import KEYS, Command, Controls, Mode, names_of
 from swarmd.view.live import LiveSource
 from swarmd.view.scene import Area, Place, Scene, area_around
 from swarmd.view.screen import KeyDecoder, Screen
-from swarmd.view.source import Answer
+from swarmd.view.source import CommandProgress
 from swarmd.view.terminal import lines_of
 
 PERIOD = 0.5
@@ -48,7 +48,7 @@ class TerminalView:
         self._keys = KeyDecoder()
         self._flush: asyncio.TimerHandle | None = None
         self._changed = asyncio.Event()
-        self._answers: dict[int, tuple[str, Answer]] = {}
+        self._answers: dict[int, tuple[str, CommandProgress]] = {}
         self._tasks: set[asyncio.Task[None]] = set()
         self._commands = 0
         self._code: int | None = None
@@ -131,19 +131,19 @@ class TerminalView:
         task.add_done_callback(self._tasks.discard)
 
     async def _act(self, number: int, command: Command) -> None:
-        def tell(answer: Answer) -> None:
+        def tell(answer: CommandProgress) -> None:
             self._answers[number] = command.verb, answer
             self._changed.set()
 
         to = "all robots" if command.targets is None else names_of(command.targets)
-        tell(Answer(f"{command.verb}: sent to {to}, waits for answers"))
+        tell(CommandProgress(f"{command.verb}: sent to {to}, waits for answers"))
         targets = None if command.targets is None else list(command.targets)
         await self._commander.act(command.verb, {**command.fields, "targets": targets}, tell)
         finals = [key for key, (_, one) in self._answers.items() if one.is_final]
         for old in finals[:-MAX_ANSWERS]:
             del self._answers[old]
 
-    def _waiting_estops(self) -> list[Answer]:
+    def _waiting_estops(self) -> list[CommandProgress]:
         return [one for verb, one in self._answers.values() if verb == "estop" and not one.is_final]
 
     def _end(self, code: int) -> None:
@@ -255,7 +255,7 @@ class TerminalView:
             yield from ((text, "") for text in KEYS)
 
 
-def answer_lines(answer: Answer) -> list[str]:
+def answer_lines(answer: CommandProgress) -> list[str]:
     """The count, then each text with the robots that gave it; texts of success are left out."""
     waiting = [] if answer.is_final or not answer.missing else [f"({names_of(answer.missing, 12)})"]
     lines = [" ".join([answer.line, *waiting])]

@@ -15,7 +15,7 @@ from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome
 from swarmd.view.commander import MAX_REQUESTS, LiveCommander
-from swarmd.view.source import Answer
+from swarmd.view.source import CommandProgress
 from tests.support.operator_threads import is_closing
 from tests.support.processes import wait_until
 from tests.support.statuses import make_member
@@ -54,8 +54,8 @@ def commander(operator: object) -> LiveCommander:
     return LiveCommander(cast("Callable[[], Operator]", operator))
 
 
-async def answer(one: LiveCommander, verb: str, **fields: Any) -> Answer:
-    told: list[Answer] = []
+async def answer(one: LiveCommander, verb: str, **fields: Any) -> CommandProgress:
+    told: list[CommandProgress] = []
     await one.act(verb, {"targets": ["r1"], "pattern": "drive", **fields}, told.append)
     assert told[-1].is_final
     return told[-1]
@@ -82,7 +82,7 @@ async def test_a_command_that_fails_is_told_whatever_the_reason() -> None:
     def broken() -> Operator:
         raise RuntimeError("no threads left")
 
-    told: list[Answer] = []
+    told: list[CommandProgress] = []
     with pytest.raises(RuntimeError):
         await commander(broken).act("estop", {"targets": None}, told.append)
     assert [(one.line, one.is_good, one.is_final) for one in told] == [

@@ -22,7 +22,7 @@ from swarmd.core.values import Array
 from swarmd.view.access import Access
 from swarmd.view.client import MAX_UNACKED
 from swarmd.view.server import ViewServer
-from swarmd.view.source import Answer, ShownRobot
+from swarmd.view.source import CommandProgress, ShownRobot
 
 FRAMES = 150
 CAP = 60.0
@@ -75,9 +75,9 @@ class SilentRobots:
     async def act(self, verb: str, fields: Mapping[str, Any], tell: Any) -> None:
         self.verbs.append(verb)
         if verb == "estop":
-            tell(Answer("estop: 1 not acknowledged", missing=["r2"]))
+            tell(CommandProgress("estop: 1 not acknowledged", missing=["r2"]))
             await self.ended.wait()
-        tell(Answer(f"{verb}: done", is_final=True))
+        tell(CommandProgress(f"{verb}: done", is_final=True))
 
     def end_estop(self) -> None:
         self.ended.set()

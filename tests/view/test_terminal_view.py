@@ -20,7 +20,7 @@ from click.testing import CliRunner
 
 from swarmd.cli.swarmctl import cli
 from swarmd.core.messages import State
-from swarmd.view.source import Answer
+from swarmd.view.source import CommandProgress
 from swarmd.view.terminal_view import answer_lines
 from tests.support.processes import CAP, wait_until
 from tests.swarm.conftest import SWARMCTL
@@ -149,8 +149,8 @@ def test_without_a_terminal_it_is_one_line() -> None:
 
 def test_answers_of_one_text_are_one_line() -> None:
     replies = [("a", "applied", "x"), ("b", "refused", "busy"), ("c", "refused", "busy")]
-    lines = answer_lines(Answer("run: 3 targeted, 1 applied", replies, is_final=True))
+    lines = answer_lines(CommandProgress("run: 3 targeted, 1 applied", replies, is_final=True))
     assert lines == ["run: 3 targeted, 1 applied", "  b, c refused: busy"]
-    assert answer_lines(Answer("estop: 1 not acknowledged", missing=["d"])) == [
+    assert answer_lines(CommandProgress("estop: 1 not acknowledged", missing=["d"])) == [
         "estop: 1 not acknowledged (d)"
     ]

@@ -21,13 +21,13 @@ from swarmd.network.operator.member_reports import (
     LIST,
     VIEW,
     MemberReports,
-    Report,
+    PeerReport,
     most_certain,
     reports_of_view,
 )
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.network.operator.seen_member import INDIRECT_TIME, present_member, silent_member
-from swarmd.network.operator.status_table import Answer, StatusTable
+from swarmd.network.operator.status_table import StatusAnswer, StatusTable
 
 MAX_COPIES = 128  # of one datagram to single addresses: false words name many
 MAX_INDIRECT_DIALS = 64  # robots at a time that are dialled by the word of others alone
@@ -89,7 +89,7 @@ class Discovery:
             if member.presence is not Presence.LEFT:
                 self._mentioned[robot] = now
                 self._named[robot] = now if member.by else float("inf")
-                found = Report(member.instance, Presence.FAILED, now - member.age)
+                found = PeerReport(member.instance, Presence.FAILED, now - member.age)
                 self._reports.store(robot, "", EARLIER, [found])
 
     # Events
@@ -144,14 +144,14 @@ class Discovery:
 
     def on_view(self, view: PeerView, now: float) -> None:
         """A robot answered with its status and its members."""
-        self._take_answer(view.robot, Answer(view.status, view.members, now), now)
+        self._take_answer(view.robot, StatusAnswer(view.status, view.members, now), now)
         if len(self._roster) < MAX_ROBOTS:
             self._roster.update(name for name in view.roster if is_id(name))
         self._store_reports(view.robot, VIEW, reports_of_view(view, now), now)
 
     def on_header(self, header: StatusHeader, now: float) -> None:
         """A robot of another version answered with its status."""
-        self._take_answer(header.robot, Answer(header, (), now), now)
+        self._take_answer(header.robot, StatusAnswer(header, (), now), now)
 
     # What is known
 
@@ -404,7 +404,7 @@ class Discovery:
                 self._reports.forget(robot)
 
     def _store_reports(
-        self, reporter: str, way: str, reports: Mapping[str, list[Report]], now: float
+        self, reporter: str, way: str, reports: Mapping[str, list[PeerReport]], now: float
     ) -> None:
         """Replace the earlier reports of a robot that came by one way."""
         self._reports.drop(reporter, way)
@@ -419,7 +419,7 @@ class Discovery:
                 self._on_news(robot, now)
                 self.found_at = now
 
-    def _take_answer(self, robot: str, answer: Answer, now: float) -> None:
+    def _take_answer(self, robot: str, answer: StatusAnswer, now: float) -> None:
         if not self._has_room(robot):
             return
         is_new = self._statuses.add(robot, answer)
@@ -427,10 +427,10 @@ class Discovery:
         if is_new:
             self._on_news(robot, now)
 
-    def _all_reports(self, robot: str) -> list[Report]:
+    def _all_reports(self, robot: str) -> list[PeerReport]:
         """The reports of other robots about a robot, and its own last beacon before it left."""
         left = [
-            Report(instance, Presence.LEFT, at)
+            PeerReport(instance, Presence.LEFT, at)
             for (name, instance), (at, _) in self._beacons.gone.items()
             if name == robot
         ]

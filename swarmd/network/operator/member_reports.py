@@ -18,7 +18,7 @@ Of one reporter the list is the better: it says when a living robot was heard.
 """
 
 
-class Report(Struct, frozen=True):
+class PeerReport(Struct, frozen=True):
     """What one robot says of another; `at`: when that was so."""
 
     instance: str
@@ -48,7 +48,7 @@ def reported_address(host: str, port: int, *, is_local: bool) -> Address | None:
     return host, port
 
 
-def most_certain(reports: Iterable[Report]) -> Report | None:
+def most_certain(reports: Iterable[PeerReport]) -> PeerReport | None:
     """The most certain of reports on one robot: alive, then the newest, `left` before failed."""
     some = list(reports)
     alive = [one for one in some if one.presence is Presence.ALIVE]
@@ -61,13 +61,13 @@ def most_certain(reports: Iterable[Report]) -> Report | None:
     return max(same, key=lambda one: (one.presence is Presence.LEFT, one.at))
 
 
-def reports_of_view(view: PeerView, now: float) -> dict[str, list[Report]]:
+def reports_of_view(view: PeerView, now: float) -> dict[str, list[PeerReport]]:
     """What a view reports, by robot."""
-    reports: dict[str, list[Report]] = {}
+    reports: dict[str, list[PeerReport]] = {}
     for one in view.members:
         at = now if one.presence is Presence.ALIVE else now - one.age
         reports.setdefault(one.robot, []).append(
-            Report(one.instance, one.presence, at, by=view.robot)
+            PeerReport(one.instance, one.presence, at, by=view.robot)
         )
     return reports
 
@@ -83,13 +83,13 @@ class MemberReports:
         # By robot, then by echo and part: a list in parts counts once it is whole.
         self._lists: dict[str, dict[tuple[int, int], tuple[MemberList, float]]] = {}
         # By the robot reported, then by reporter and way.
-        self._reports: dict[str, dict[tuple[str, str], list[Report]]] = {}
+        self._reports: dict[str, dict[tuple[str, str], list[PeerReport]]] = {}
         # The ids of which one robot says that several instances are alive, by that robot.
         self._doubles: dict[str, dict[str, frozenset[str]]] = {}
 
     # Events
 
-    def add_list(self, word: MemberList, now: float) -> dict[str, list[Report]]:
+    def add_list(self, word: MemberList, now: float) -> dict[str, list[PeerReport]]:
         """Keep a part of a robot's member list; what all parts that are there report, by robot."""
         parts = self._lists.setdefault(word.robot, {})
         parts[word.echo, word.part] = (word, now)
@@ -99,11 +99,11 @@ class MemberReports:
             if key[0] == oldest:
                 break
             del parts[key]
-        reports: dict[str, list[Report]] = {}
+        reports: dict[str, list[PeerReport]] = {}
         for part, at in parts.values():
             for one in part.members:
                 if one.presence < len(PRESENCES):
-                    found = Report(
+                    found = PeerReport(
                         one.instance.hex(),
                         PRESENCES[one.presence],
                         at - one.age / 1000.0,
@@ -120,7 +120,7 @@ class MemberReports:
         for doubles in self._doubles.values():
             doubles.pop(reporter, None)
 
-    def store(self, robot: str, reporter: str, way: str, reports: list[Report]) -> None:
+    def store(self, robot: str, reporter: str, way: str, reports: list[PeerReport]) -> None:
         """Keep what a robot reports of one other robot."""
         self._reports.setdefault(robot, {})[reporter, way] = reports[:MAX_INSTANCES]
         alive = {one.instance for one in reports if one.presence is Presence.ALIVE}
@@ -134,7 +134,7 @@ class MemberReports:
 
     # What is known
 
-    def of(self, robot: str) -> list[Report]:
+    def of(self, robot: str) -> list[PeerReport]:
         """The reports on a robot: of each reporter those of its list, else those of its view."""
         reporters = self._reports.get(robot, {})
         return [

@@ -6,15 +6,15 @@ from swarmd.core import codec
 from swarmd.core.messages import Epoch, Presence, Status, StatusHeader
 from swarmd.network.datagram import STATES
 from swarmd.network.operator.beacon_table import HeardInstance
-from swarmd.network.operator.member_reports import Report
+from swarmd.network.operator.member_reports import PeerReport
 from swarmd.network.operator.members_view import Contact, SeenMember
-from swarmd.network.operator.status_table import Answer
+from swarmd.network.operator.status_table import StatusAnswer
 
 INDIRECT_TIME = 10.0  # s after others heard a robot, in which it counts
 
 
 def present_member(
-    robot: str, heard: HeardInstance | None, answer: Answer | None, now: float
+    robot: str, heard: HeardInstance | None, answer: StatusAnswer | None, now: float
 ) -> SeenMember:
     """A robot that is heard, or that answered."""
     status = answer.status if answer is not None else None
@@ -43,8 +43,8 @@ def present_member(
 def silent_member(
     robot: str,
     heard: HeardInstance | None,
-    answer: Answer | None,
-    report: Report | None,
+    answer: StatusAnswer | None,
+    report: PeerReport | None,
     now: float,
 ) -> SeenMember | None:
     """A robot that is not heard now; `report`: the most certain one on it. None: it is not known.
@@ -52,7 +52,7 @@ def silent_member(
     It is alive if others heard it lately; it failed if its last beacon is newer than the report.
     """
     if heard is not None and (report is None or report.at <= heard.last):
-        report = Report(heard.beacon.instance.hex(), Presence.FAILED, heard.last)
+        report = PeerReport(heard.beacon.instance.hex(), Presence.FAILED, heard.last)
     if report is None:
         return None
     is_alive = report.presence is Presence.ALIVE and now - report.at <= INDIRECT_TIME

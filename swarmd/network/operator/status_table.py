@@ -10,7 +10,7 @@ from swarmd.core.messages import Member, Presence, Status, StatusHeader
 from swarmd.network.operator.beacon_table import MAX_INSTANCES
 
 
-class Answer(Struct, frozen=True):
+class StatusAnswer(Struct, frozen=True):
     """A robot's status, or what is read of another version's, and its members; `at` in s."""
 
     status: Status | StatusHeader
@@ -22,9 +22,9 @@ class StatusTable:
     """The newest answer of each instance."""
 
     def __init__(self) -> None:
-        self._answers: dict[str, dict[str, Answer]] = {}
+        self._answers: dict[str, dict[str, StatusAnswer]] = {}
 
-    def add(self, robot: str, answer: Answer) -> bool:
+    def add(self, robot: str, answer: StatusAnswer) -> bool:
         """Keep an answer; True if that instance had not answered."""
         known = self._answers.setdefault(robot, {})
         instance = answer.status.instance
@@ -43,11 +43,11 @@ class StatusTable:
         """The robots of which an instance answered, also if it left."""
         return self._answers.keys()
 
-    def instances(self, robot: str) -> Mapping[str, Answer]:
+    def instances(self, robot: str) -> Mapping[str, StatusAnswer]:
         """The answers of the instances of a robot that did not leave."""
         return self._answers.get(robot, {})
 
-    def newest(self, robot: str, living: Collection[str]) -> Answer | None:
+    def newest(self, robot: str, living: Collection[str]) -> StatusAnswer | None:
         """The newest answer of a robot; of an instance in `living`, if there are any."""
         answers = self.instances(robot).values()
         some = [one for one in answers if not living or one.status.instance in living]
