@@ -1,6 +1,6 @@
 """The world process, stamping each scan as it is published and each command as it arrives.
 
-`python -m benchmarks.stamped_world FILE.npz ...` with the options of `swarmd.sim.live.server`.
+`python -m benchmarks.stamped_world FILE.npz ...` with the arguments of `swarmd.sim.live.server`.
 Stamps are in ns on CLOCK_MONOTONIC, taken just before the scan's put and first in the callback
 that receives commands: the bases apply a command with the next 100 Hz step.
 """

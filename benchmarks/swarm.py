@@ -38,8 +38,8 @@ class Swarm:
 
     A context manager. The world stamps scans and commands at its Zenoh session; the stamps are in
     `folder` after `close`. `is_stamped` daemons also stamp each stage in between. `others` are
-    further robots, by name, with their platforms, that have no daemon; `world` further options of
-    the world.
+    further robots, by name, with their platforms, that have no daemon; `world` further fields of
+    its `WorldOptions`.
     """
 
     def __init__(
@@ -49,7 +49,7 @@ class Swarm:
         *,
         is_stamped: bool = False,
         others: Mapping[str, str] = MappingProxyType({}),
-        world: Sequence[str] = (),
+        world: Mapping[str, object] = MappingProxyType({}),
     ) -> None:
         self.name = f"bench-{secrets.token_hex(3)}"
         self.robots = tuple(f"tb3-{number:02d}" for number in range(1, count + 1))
@@ -134,12 +134,10 @@ class Swarm:
 
     def _spawn_world(self) -> Process:
         there = {**dict.fromkeys(self.robots, self._platform), **self._others}
-        robots = ",".join(f"{robot}:{platform}" for robot, platform in there.items())
-        command = ["benchmarks.stamped_world", str(self.folder / "world.npz"), "--swarm", self.name]
         side = 6 if len(self.robots) <= 9 else 9
-        command += ["--robots", robots, "--arena", f"{side}x{side}", "--layout", "grid:1.0"]
-        command += ["--endpoint", "tcp/127.0.0.1:0", "--die-with-parent", str(os.getpid())]
-        command += self._options
+        options = {"swarm": self.name, "robots": there, "arena": f"{side}x{side}", **self._options}
+        command = ["benchmarks.stamped_world", str(self.folder / "world.npz"), json.dumps(options)]
+        command += ["--die-with-parent", str(os.getpid())]
         return self._spawn("world", command, stdout=subprocess.PIPE)
 
     def _daemon_command(self, robot: str) -> list[str]:

@@ -268,20 +268,15 @@ class TraceBuilder:
 
 
 DECISION_ARRAYS = ("state", "reason", "active", "recovering", "gap", "scan_age", "bound")
-NO_DECISION = ("", "", False, False, np.nan, np.nan, (np.nan, np.nan, np.nan))
+NO_DECISION: tuple[Any, ...] = ("", "", False, False, np.nan, np.nan, (np.nan, np.nan, np.nan))
 """What a robot reports that reports nothing, in the order of DECISION_ARRAYS."""
 
 
 def blank_decisions(shape: tuple[int, ...]) -> dict[str, NDArray[Any]]:
     """The arrays that `enter_decision` fills, as of robots that reported nothing."""
     return {
-        "state": np.full(shape, "", dtype=WORD),
-        "reason": np.full(shape, "", dtype=WORD),
-        "active": np.zeros(shape, dtype=bool),
-        "recovering": np.zeros(shape, dtype=bool),
-        "gap": np.full(shape, np.nan),
-        "scan_age": np.full(shape, np.nan),
-        "bound": np.full((*shape, 3), np.nan),
+        name: np.full(shape + np.shape(blank), blank, dtype=WORD if blank == "" else None)
+        for name, blank in zip(DECISION_ARRAYS, NO_DECISION, strict=True)
     }
 
 

@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from difflib import SequenceMatcher
 from typing import Protocol
+
+from msgspec.structs import replace
 
 from swarmd.core.finding import Finding
 from swarmd.core.messages import Reason

@@ -19,10 +19,18 @@ import click
 from swarmd.cli.options import VerbGroup
 from swarmd.cli.output import print_json, print_table, signals_end, warn
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.exp_plot import plot
-from swarmd.sim.cli.exp_results import check, export, report, view
+from swarmd.sim.cli.exp_results import check, export, plot, report, view
 from swarmd.sim.cli.exp_video import video
-from swarmd.sim.cli.options import chosen_metrics, need, new_folder, output_option, scenarios
+from swarmd.sim.cli.options import (
+    chosen_metrics,
+    folder_argument,
+    need,
+    new_folder,
+    out_option,
+    output_option,
+    scenarios,
+    set_option,
+)
 from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
 
 if TYPE_CHECKING:
@@ -53,12 +61,6 @@ _timeout = click.option(
     metavar="SECONDS",
     help="A run without progress for this time fails, and the others continue [60].",
 )
-_folder = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
-
-
-def _out(text: str) -> Callable[[Function], Function]:
-    kind: click.Path[Path] = click.Path(file_okay=False, path_type=Path)
-    return click.option("--out", type=kind, metavar="DIR", help=text)
 
 
 @click.group(cls=VerbGroup)
@@ -75,13 +77,7 @@ def exp() -> None:
     metavar="SEEDS",
     help="Number of seeds from 0 on, or the seeds: 500-519, or 3,5,9.",
 )
-@click.option(
-    "--set",
-    "sets",
-    multiple=True,
-    metavar="KEY=VALUE",
-    help="Override a value of the scenario, such as duration=30; may be repeated.",
-)
+@set_option
 @click.option(
     "--sweep",
     "sweeps",
@@ -97,7 +93,9 @@ def exp() -> None:
     " [1].",
 )
 @_timeout
-@_out("Folder of the results; an interrupted experiment in it resumes [experiments/SCENARIO-N].")
+@out_option(
+    "Folder of the results; an interrupted experiment in it resumes [experiments/SCENARIO-N]."
+)
 @click.option(
     "--shard", metavar="K/N", help="Run only the K-th of N parts; `exp merge` joins their folders."
 )
@@ -130,13 +128,8 @@ def run(
     """
     need("mujoco")
     from swarmd.sim.cli.progress import progress, time_span
-    from swarmd.sim.experiments.arguments import (
-        parse_seeds,
-        parse_sets,
-        parse_shard,
-        parse_sweeps,
-    )
     from swarmd.sim.experiments.manifest import manifest_of
+    from swarmd.sim.experiments.plan import parse_seeds, parse_sets, parse_shard, parse_sweeps
     from swarmd.sim.experiments.pool import STEP_TIMEOUT, run_jobs
     from swarmd.sim.experiments.results import load_results
     from swarmd.sim.experiments.simulate import Runner, plan_of, run_experiment
@@ -201,8 +194,8 @@ def run(
 
 
 @exp.command()
-@_folder
-@_out("Folder of the new results; without it they are compared and discarded.")
+@folder_argument
+@out_option("Folder of the new results; without it they are compared and discarded.")
 @_processes
 @_timeout
 @output_option
@@ -245,13 +238,7 @@ def rerun(
 @click.argument(
     "folders", metavar="DIR..", nargs=-1, required=True, type=click.Path(path_type=Path)
 )
-@click.option(
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    required=True,
-    metavar="DIR",
-    help="Folder of all runs; it may hold parts that were merged before.",
-)
+@out_option("Folder of all runs; it may hold parts that were merged before.", required=True)
 @_metrics
 @output_option
 @click.pass_context
@@ -297,7 +284,7 @@ def compare(a: str, b: str, metrics: str | None, is_json: bool) -> None:
 
 
 @exp.command()
-@_folder
+@folder_argument
 @_metrics
 @output_option
 def show(folder: Path, metrics: str | None, is_json: bool) -> None:
@@ -369,7 +356,7 @@ def measure(files: tuple[Path, ...], metrics: str | None, is_json: bool) -> None
 
     A live trace has no requested commands: metrics that need them stay empty.
     """
-    from swarmd.sim.experiments.report import number
+    from swarmd.sim.experiments.statistics import number
     from swarmd.sim.metrics import catalog
 
     chosen = chosen_metrics(metrics) or tuple(catalog.METRICS.values())
@@ -435,17 +422,12 @@ def _warn_of_metrics(results: Results, names: Sequence[str]) -> None:
 
 
 def _print_differences(a: Side, b: Side, differences: Sequence[Difference]) -> None:
-    from swarmd.sim.experiments.report import interval, number
+    from swarmd.sim.experiments.compare import DIFFERENCE_HEADER, difference_row
 
     is_paired = any(one.is_paired for one in differences)
     click.echo(f"A: {a.label}\nB: {b.label}")
     click.echo(f"{'paired by seed' if is_paired else 'independent samples'}, 95 % bootstrap\n")
-    rows = [
-        (d.metric, d.unit or "-", number(d.mean_a), number(d.mean_b), number(d.difference),
-         interval(d.interval), str(d.n_a) if d.n_a == d.n_b else f"{d.n_a}, {d.n_b}", d.conclusion)
-        for d in differences
-    ]  # fmt: skip
-    print_table(("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "RUNS", "RESULT"), rows)
+    print_table(DIFFERENCE_HEADER, [difference_row(one) for one in differences])
     differing = sum(one.differs for one in differences)
     click.echo(f"\n{differing} of {len(differences)} metrics differ", nl=False)
     by_chance = 0.05 * sum(one.interval is not None for one in differences)

@@ -1,7 +1,9 @@
-"""`swarmctl exp check`, `export`, `report`, `view`: the results of an experiment, for readers."""
+"""`swarmctl exp check`, `export`, `report`, `plot`, `view`: the results of an experiment."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
@@ -10,7 +12,7 @@ import click
 from swarmd.cli.output import print_json, print_table, warn
 from swarmd.cli.web import WebOptions, check_web, serve, web_options
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.cli.options import chosen_metrics, need, output_option
+from swarmd.sim.cli.options import chosen_metrics, folder_argument, need, out_option, output_option
 from swarmd.texts.values import megabytes
 
 if TYPE_CHECKING:
@@ -25,7 +27,7 @@ MISSED = 1  # exit code
 
 
 @click.command("export")
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@folder_argument
 @click.option(
     "--to",
     "form",
@@ -33,13 +35,7 @@ MISSED = 1  # exit code
     required=True,
     help="Tables of results and traces as csv or parquet; or a file of each run as mcap.",
 )
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(file_okay=False, path_type=Path),
-    metavar="DIR",
-    help="Folder of the files [DIR/export].",
-)
+@out_option("Folder of the files [DIR/export].", "-o")
 @click.option("--no-traces", is_flag=True, help="Only the results of each run.")
 def export(folder: Path, form: str, out: Path | None, no_traces: bool) -> None:
     """Write the experiment in DIR as tables for pandas and R, or as MCAP for Foxglove.
@@ -79,7 +75,7 @@ def check(
     """
     from swarmd.sim.experiments import requirements as checking
     from swarmd.sim.experiments.compare import sides_of
-    from swarmd.sim.experiments.report import NOTHING, interval, number
+    from swarmd.sim.experiments.statistics import NOTHING, interval, number
 
     wanted = [checking.parse_requirement(text) for text in requirements]
     sides = sides_of(experiment)
@@ -109,13 +105,7 @@ def check(
 
 @click.command()
 @click.argument("place", metavar="DIR|FILE.mcap", type=click.Path(path_type=Path))
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    metavar="FILE",
-    help="The report [DIR/report.html, or FILE.html].",
-)
+@out_option("The report [DIR/report.html, or FILE.html].", "-o", is_file=True)
 @click.option("--metrics", metavar="A,B,..", help="Show these metrics first, and draw them.")
 @click.option("--seed", type=click.IntRange(min=0), help="The run to play [a typical one].")
 @click.option("--variant", metavar="NAME", help="Of a sweep, the variant of the run to play.")
@@ -159,7 +149,7 @@ def report(
 
 
 @click.command()
-@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@folder_argument
 @click.option("--seed", type=int, metavar="N", help="The run that is shown first [the first].")
 @click.option("--variant", metavar="NAME", help="Of a sweep, the variant that is shown first.")
 @web_options
@@ -171,6 +161,93 @@ def view(folder: Path, seed: int | None, variant: str | None, page: WebOptions) 
     """
     need("mujoco", "websockets", extra="sim,web")
     check_web(page)
-    from swarmd.sim.view.experiment import source_of
+    from swarmd.sim.view.trace_source import source_of
 
     serve(source_of(folder, seed, variant), None, page)
+
+
+_INCHES = {"in": 1.0, "cm": 1.0 / 2.54, "mm": 0.1 / 2.54, "pt": 1.0 / 72.27}
+_NARROWEST, _WIDEST = 2.0, 20.0
+
+
+@click.command("plot")
+@folder_argument
+@out_option("Folder of the pictures [DIR/plots; with --seeds DIR/plots/seeds-SEEDS].", "-o")
+@click.option(
+    "--metrics", metavar="A,B,..", help="Draw these metrics; also report:KEY and FILE.py:NAME."
+)
+@click.option(
+    "--seeds", metavar="SEEDS", help="Draw only the runs of these seeds: 7, 500-519, or 3,5,9."
+)
+@click.option("--facet", metavar="KEY", help="A panel for each value of this swept key.")
+@click.option(
+    "--target",
+    "targets",
+    multiple=True,
+    metavar="METRIC=VALUE",
+    help="Draw a line at this value of a metric; may be repeated.",
+)
+@click.option(
+    "--format",
+    "form",
+    type=click.Choice(["png", "svg", "pdf"]),
+    default="png",
+    show_default=True,
+    help="Form of the files.",
+)
+@click.option(
+    "--width",
+    metavar="LENGTH",
+    help="For a paper: pictures of this width, such as 3.5in, 89mm or 252pt, with texts of 6 to 8"
+    " points and without titles.",
+)
+def plot(
+    folder: Path,
+    out: Path | None,
+    metrics: str | None,
+    seeds: str | None,
+    facet: str | None,
+    targets: tuple[str, ...],
+    form: str,
+    width: str | None,
+) -> None:
+    """Draw the experiment in DIR: trajectories, metrics by run and over time, differences."""
+    need("matplotlib")
+    from swarmd.sim.experiments.plan import parse_seeds
+    from swarmd.sim.experiments.results import load_results
+    from swarmd.sim.plots.figures import Look, draw_experiment
+
+    if seeds and out is None:  # the pictures of all runs stay
+        out = folder / "plots" / f"seeds-{seeds}"
+    one_or_more = f"{seeds}-{seeds}" if seeds and seeds.isdecimal() else seeds
+    chosen = None if one_or_more is None else parse_seeds(one_or_more)
+    inches = None if width is None else parse_width(width)
+    about = load_results(folder).asked
+    names = chosen_metrics(metrics, about)
+    bounds = {about(name).name: value for name, value in parse_targets(targets).items()}
+    look = Look(suffix=f".{form}", width=inches, facet=facet, targets=bounds)
+    for path in draw_experiment(folder, out, metrics=names, seeds=chosen, look=look):
+        click.echo(str(path))
+
+
+def parse_width(text: str) -> float:
+    """Inches of a width such as `3.5in`, `89mm` or `252pt`; ConfigError for another text."""
+    found = re.fullmatch(r"\s*([0-9]+(?:\.[0-9]+)?)\s*(in|cm|mm|pt)\s*", text)
+    inches = float(found[1]) * _INCHES[found[2]] if found else 0.0
+    if not _NARROWEST <= inches <= _WIDEST:
+        raise ConfigError(f"--width {text!r}: expected 2in to 20in, such as 3.5in, 89mm or 252pt")
+    return inches
+
+
+def parse_targets(words: Sequence[str]) -> Mapping[str, float]:
+    """The values of `--target METRIC=VALUE`; ConfigError for another text."""
+    found = {}
+    for word in words:
+        name, _, value = word.rpartition("=")
+        try:
+            found[name] = float(value)
+        except ValueError:
+            name = ""
+        if not name:
+            raise ConfigError(f"--target {word!r}: expected such as gather_time=60")
+    return found

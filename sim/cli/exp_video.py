@@ -10,7 +10,7 @@ import click
 
 from swarmd.cli.output import warn
 from swarmd.core.errors import ConfigError
-from swarmd.sim.cli.options import need
+from swarmd.sim.cli.options import need, out_option
 from swarmd.texts.values import megabytes
 
 if TYPE_CHECKING:
@@ -25,13 +25,8 @@ _SMALLEST, _LARGEST = 160, 4096
 @click.argument("place", metavar="DIR", type=click.Path(exists=True, path_type=Path))
 @click.option("--seed", type=click.IntRange(min=0), help="The seed of the run [the first run].")
 @click.option("--variant", metavar="NAME", help="The variant of a sweep [the first].")
-@click.option(
-    "-o",
-    "--out",
-    type=click.Path(dir_okay=False, path_type=Path),
-    default="run.mp4",
-    show_default=True,
-    help="The film: .mp4, .gif or .webp.",
+@out_option(
+    "The film: .mp4, .gif or .webp.", "-o", is_file=True, default="run.mp4", show_default=True
 )
 @click.option(
     "--camera",
@@ -84,7 +79,7 @@ def video(
     """
     need_film()
     from swarmd.sim.film.film import FilmSettings, title_of
-    from swarmd.sim.view.experiment import runs_of
+    from swarmd.sim.view.trace_source import runs_of
 
     settings = FilmSettings(
         camera="perspective" if camera == "perspective" else "top",

@@ -92,6 +92,25 @@ _OPTIONS = (
 )
 
 
+folder_argument = click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+set_option = click.option(
+    "--set",
+    "sets",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Override a value of SCENARIO, such as duration=30; may be repeated.",
+)
+
+
+def out_option(
+    text: str, *names: str, is_file: bool = False, **others: Any
+) -> Callable[[Function], Function]:
+    """The option --out, a folder or a file; `names` are further names of the option."""
+    kind: click.Path[Path] = click.Path(file_okay=is_file, dir_okay=not is_file, path_type=Path)
+    metavar = "FILE" if is_file else "DIR"
+    return click.option(*names, "--out", type=kind, metavar=metavar, help=text, **others)
+
+
 def scenarios(ctx: click.Context, param: click.Parameter, incomplete: str) -> list[CompletionItem]:
     """What Tab offers for a scenario: those that are shipped, else files."""
     from swarmd.sim.scenarios.scenariofile import scenario_names
@@ -115,14 +134,8 @@ def fleet_options(function: Function) -> Function:
     """Give a verb the argument SCENARIO and the options of a fleet."""
     for option in reversed(_OPTIONS):
         function = option(function)
-    sets = click.option(
-        "--set",
-        "sets",
-        multiple=True,
-        metavar="KEY=VALUE",
-        help="Override a value of SCENARIO, such as duration=30; may be repeated.",
-    )
-    return click.argument("scenario", required=False, shell_complete=scenarios)(sets(function))
+    named = click.argument("scenario", required=False, shell_complete=scenarios)
+    return named(set_option(function))
 
 
 def fleet_for(
@@ -178,8 +191,6 @@ def _platform_and_ids(platform: str, count: int) -> tuple[Platform, tuple[str, .
     from swarmd.settings.platforms import load_platform
     from swarmd.sim.live.fleet import robot_ids
 
-    if any(mark in platform for mark in ",:"):
-        raise ConfigError(f"--platform {platform!r}: a comma or colon; rename the file or folder")
     kind = load_platform(platform)
     ids = robot_ids(kind.name, count)
     if not all(map(is_id, ids)):
@@ -238,7 +249,7 @@ def scenario_fleet(
 
     Raises ConfigError for options that a scenario replaces, too.
     """
-    from swarmd.sim.experiments.arguments import parse_sets
+    from swarmd.sim.experiments.plan import parse_sets
     from swarmd.sim.live.fleet import FleetSpec
     from swarmd.sim.live.live_scenario import LiveScenario, check_live
     from swarmd.sim.scenarios.scenariofile import load_scenario

@@ -35,13 +35,7 @@ from swarmd.sim.experiments.manifest import (
     plugin_folders,
     software_conflict,
 )
-from swarmd.sim.experiments.pool import (
-    Job,
-    JobResult,
-    Shares,
-    one_line,
-    run_jobs,
-)
+from swarmd.sim.experiments.pool import Job, JobResult, Shares, one_line, run_jobs
 from swarmd.sim.experiments.provenance import digests_of_folders, made_with
 from swarmd.sim.metrics.catalog import metric_of
 

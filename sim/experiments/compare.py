@@ -11,7 +11,14 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.sim.experiments.results import Results, load_results
-from swarmd.sim.experiments.statistics import LEVEL, Interval, difference_interval, mean_interval
+from swarmd.sim.experiments.statistics import (
+    LEVEL,
+    Interval,
+    difference_interval,
+    interval,
+    mean_interval,
+    number,
+)
 from swarmd.sim.metrics.metric import Metric
 
 
@@ -112,6 +119,16 @@ def compare(a: Side, b: Side, names: Sequence[str | Metric] | None = None) -> li
     """
     both = [name for name in a.results.metrics if name in b.results.metrics]
     return [_difference(a, b, a.results.about(name)) for name in (both if names is None else names)]
+
+
+DIFFERENCE_HEADER = ("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "RUNS", "RESULT")
+
+
+def difference_row(one: Difference) -> tuple[str, ...]:
+    """The cells of a table below DIFFERENCE_HEADER."""
+    runs = str(one.n_a) if one.n_a == one.n_b else f"{one.n_a}, {one.n_b}"
+    numbers = number(one.mean_a), number(one.mean_b), number(one.difference)
+    return (one.metric, one.unit or "-", *numbers, interval(one.interval), runs, one.conclusion)
 
 
 def document(a: Side, b: Side, differences: Sequence[Difference]) -> dict[str, Any]:

@@ -14,12 +14,7 @@ import swarmd
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.files import whole_file
 from swarmd.sim.experiments.plan import Plan, Shard, Variant, check_seeds
-from swarmd.sim.experiments.provenance import (
-    GitState,
-    digests_of_folders,
-    git_state,
-    made_with,
-)
+from swarmd.sim.experiments.provenance import GitState, digests_of_folders, git_state, made_with
 from swarmd.sim.metrics.metric import Better, Metric
 
 NAME = "manifest.json"
@@ -93,16 +88,8 @@ def manifest_of(
     ConfigError if two of them have one name.
     """
     own = list(metrics)
-    measured = [
-        OwnMetric(
-            name=one.name,
-            origin=one.origin or one.name,
-            unit=one.unit,
-            better=one.better,
-            is_time_to_event=one.is_time_to_event,
-        )
-        for one in own
-    ]
+    measured = [msgspec.convert(one, OwnMetric, from_attributes=True) for one in own]
+    measured = [msgspec.structs.replace(one, origin=one.origin or one.name) for one in measured]
     names = [one.name for one in measured]
     if (twice := next((name for name in names if names.count(name) > 1), None)) is not None:
         raise ConfigError(f"two metrics are named {twice}; rename a file or a function")

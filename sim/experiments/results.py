@@ -8,21 +8,23 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.values import Array
 from swarmd.sim.experiments.manifest import Manifest, read_manifest
 from swarmd.sim.experiments.plan import Plan, Run
-from swarmd.sim.experiments.report import HEADER, aligned, summary_rows
-from swarmd.sim.experiments.statistics import LEVEL, METHOD, Summary, summarize
-from swarmd.sim.experiments.store import (
-    Row,
-    read_errors,
-    read_failures,
-    read_table,
-    trace_path,
+from swarmd.sim.experiments.statistics import (
+    HEADER,
+    LEVEL,
+    METHOD,
+    Summary,
+    aligned,
+    summarize,
+    summary_rows,
 )
+from swarmd.sim.experiments.store import Row, read_errors, read_failures, read_table, trace_path
 from swarmd.sim.metrics.catalog import METRICS, Metric, check_has_value, measure, metric_of
 from swarmd.sim.metrics.own import MetricError
 from swarmd.sim.trace import Trace, load_trace, pandas
@@ -308,15 +310,11 @@ def known_metrics(manifest: Manifest) -> dict[str, Metric]:
     """
     return {
         one.name: Metric(
-            name=one.name,
-            unit=one.unit,
+            **msgspec.structs.asdict(one),
             meaning="",
             source=one.origin,
             value=partial(_value_of, one.origin),
             series=partial(_series_of, one.origin),
-            better=one.better,
-            is_time_to_event=one.is_time_to_event,
-            origin=one.origin,
             digest=manifest.plugins.get(one.origin, ""),
         )
         for one in manifest.metrics

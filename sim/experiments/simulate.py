@@ -23,9 +23,8 @@ from pathlib import Path
 from typing import Any, TypeAlias, cast
 
 from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.sim.experiments.arguments import parse_shard
 from swarmd.sim.experiments.manifest import Manifest, manifest_of, plain
-from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan
+from swarmd.sim.experiments.plan import Plan, Run, check_seeds, make_plan, parse_shard
 from swarmd.sim.experiments.pool import STEP_TIMEOUT, Job, JobResult, Shares, run_job, run_jobs
 from swarmd.sim.experiments.results import Results, known_metrics
 from swarmd.sim.experiments.store import Store, open_store

@@ -30,12 +30,7 @@ import msgspec
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.sim.experiments import manifest as manifests
-from swarmd.sim.experiments.manifest import (
-    Manifest,
-    read_manifest,
-    write_json,
-    write_whole,
-)
+from swarmd.sim.experiments.manifest import Manifest, read_manifest, write_json, write_whole
 from swarmd.sim.experiments.plan import Plan, Run, shown
 
 TABLE = "runs.csv"

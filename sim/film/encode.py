@@ -8,7 +8,7 @@ import tempfile
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import MappingProxyType, TracebackType
+from types import MappingProxyType
 from typing import IO
 
 import numpy as np
@@ -78,14 +78,9 @@ class Encoder:
         except BrokenPipeError:
             raise SwarmError(self._problem()) from None
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trail: TracebackType | None,
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *error: object) -> None:
         try:
-            if error is not None:
+            if kind is not None:
                 self._process.kill()
             else:
                 self._finish()

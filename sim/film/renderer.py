@@ -7,7 +7,6 @@ import os
 import sys
 from contextlib import suppress
 from importlib import import_module
-from types import TracebackType
 from typing import Any, Literal
 
 import mujoco
@@ -54,12 +53,7 @@ class Renderer:
     def __enter__(self) -> Renderer:
         return self
 
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        trail: TracebackType | None,
-    ) -> None:
+    def __exit__(self, *error: object) -> None:
         self._context.free()
         self._gl.free()
 

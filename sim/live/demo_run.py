@@ -21,6 +21,7 @@ from swarmd.network.operator.operator import Operator, StopVerb
 from swarmd.network.operator.outcome import Outcome
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
+from swarmd.sim.live.recording import StatusLog
 from swarmd.sim.live.starting import (
     Started,
     await_robots,
@@ -32,7 +33,6 @@ from swarmd.sim.live.starting import (
 )
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.live.summary import DoneEvent, Summary, mean_duty, numbers_of, problems_of
-from swarmd.sim.live.trace_from_statuses import StatusLog
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from swarmd.sim.trace import load_trace
 from swarmd.view.scene import Area, Scene
@@ -47,11 +47,7 @@ class LiveTimeline:
     """Events in order of time, carried out when due or as soon as the earlier ones are done."""
 
     def __init__(
-        self,
-        events: Sequence[ScheduledEvent],
-        fleet: Fleet,
-        operator: Operator,
-        world: WorldView,
+        self, events: Sequence[ScheduledEvent], fleet: Fleet, operator: Operator, world: WorldView
     ) -> None:
         self._events = list(events)
         self._fleet, self._operator, self._world = fleet, operator, world

@@ -19,16 +19,18 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 import yaml
+from msgspec import structs
 
 from swarmd.core.errors import NetworkError, SwarmError
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Platform
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.live_scenario import SCENARIO_FILE, LiveScenario
+from swarmd.sim.live.state import WorldOptions
 from swarmd.sim.world.radio import RadioSettings
 
 WORLD = "world"
@@ -54,8 +56,8 @@ class FleetSpec:
     arena: str
     layout: str
     seed: int = 0
-    realism: str = "realistic"
-    lidar_visibility: str = "body"
+    realism: Literal["ideal", "realistic"] = "realistic"
+    lidar_visibility: Literal["body", "real"] = "body"
     radio_range: float | None = None
     plugin_dir: Path | None = None
     trace: Path | None = None
@@ -173,7 +175,9 @@ class Fleet:
         spec.folder.mkdir(parents=True, exist_ok=True)
         if spec.scenario is not None:
             spec.scenario.write(spec.folder)
-        world = _spawn(WORLD, world_command(spec), spec.folder, stdout=subprocess.PIPE)
+        options = msgspec.json.encode(world_options(spec)).decode()
+        command = ["swarmd.sim.live.server", options]
+        world = _spawn(WORLD, command, spec.folder, stdout=subprocess.PIPE)
         self._children.append(world)
         self.ready = ready = _await_ready(world)
         self.endpoint = ready.endpoint
@@ -191,23 +195,17 @@ def robot_ids(platform: str, count: int) -> tuple[str, ...]:
     return tuple(f"{stem}-{i:02d}" for i in range(1, count + 1))
 
 
-def world_command(spec: FleetSpec) -> list[str]:
-    """Arguments of the world process."""
-    command = ["swarmd.sim.live.server", "--swarm", spec.swarm, "--seed", str(spec.seed)]
-    command += ["--endpoint", spec.endpoint]
-    if spec.scenario is not None:
-        command += ["--scenario", str(spec.folder / SCENARIO_FILE)]
-        command += ["--trace-rate", str(spec.scenario.scenario.trace_rate)]
-    else:
-        robots = ",".join(f"{robot}:{platform}" for robot, platform in spec.robots.items())
-        command += ["--robots", robots, "--arena", spec.arena, "--layout", spec.layout]
-        command += ["--realism", spec.realism, "--lidar-visibility", spec.lidar_visibility]
-        command += [] if spec.radio_range is None else ["--radio-range", str(spec.radio_range)]
-    if spec.emulator is not None:
-        command += ["--emulator", spec.emulator, "--emulator-endpoint", "tcp/127.0.0.1:0"]
-    command += ["--shared-frame"] if spec.shared_frame else []
-    command += ["--trace", str(spec.trace)] if spec.trace else []
-    return command + (["--seconds", str(spec.seconds)] if spec.seconds else [])
+def world_options(spec: FleetSpec) -> WorldOptions:
+    """The options of the world process."""
+    trace = None if spec.trace is None else str(spec.trace)
+    same = ("swarm", "seed", "endpoint", "emulator", "shared_frame", "seconds")
+    plain = ("arena", "layout", "realism", "lidar_visibility", "radio_range")
+    names = same if spec.scenario is not None else (*same, *plain)
+    options = WorldOptions(trace=trace, **{name: getattr(spec, name) for name in names})
+    if spec.scenario is None:
+        return structs.replace(options, robots=dict(spec.robots))
+    path, rate = str(spec.folder / SCENARIO_FILE), spec.scenario.scenario.trace_rate
+    return structs.replace(options, scenario=path, trace_rate=rate)
 
 
 def daemon_config(spec: FleetSpec, robot: str, ready: Ready) -> dict[str, object]:

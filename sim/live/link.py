@@ -1,5 +1,7 @@
 """The Zenoh session of a live world: the robots' `hw/*` keys, its state and its requests.
 
+`EmulatorTransport` replaces the `hw/*` keys for robots that emulate a ROS driver.
+
 The only module of the simulation that imports Zenoh. Multicast and gossip are off: drivers and
 viewers connect to the world and to no other peer.
 """
@@ -11,13 +13,16 @@ import threading
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
 import zenoh
 
 from swarmd.core import keys
 from swarmd.core.codec import MAX_CONTROL, encode
 from swarmd.core.errors import CodecError, NetworkError, SwarmError
-from swarmd.core.values import Neighbor, Odometry, Scan, SharedPose, Twist
+from swarmd.core.values import Platform, Twist
+from swarmd.driver_api.emulator import Emulator, EmulatorFactory
 from swarmd.driver_api.hw_codec import (
     INPUTS,
     MAX_MESSAGES,
@@ -32,7 +37,6 @@ from swarmd.driver_api.hw_codec import (
     encode_scan,
 )
 from swarmd.network.carriers.session import open_listening, open_with, tune_sockets
-from swarmd.sim.live.body_transport import Command
 from swarmd.sim.live.state import (
     Action,
     Triple,
@@ -61,6 +65,16 @@ _OPTIONS: dict[str, object] = {
     "transport/link/tx/queue/congestion_control/drop/max_wait_before_drop_fragments": 0,
     "transport/shared_memory/enabled": False,
 }
+
+_ENCODERS: Mapping[str, Callable[[Any], bytes]] = MappingProxyType(
+    {
+        "scan": encode_scan,
+        "odometry": encode_odometry,
+        "neighbors": encode_neighbors,
+        "pose": encode_pose,
+        "readings": encode_readings,
+    }
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,25 +126,9 @@ class WorldLink:
         """Publish sensor data of a robot; dropped if the link is busy."""
         self._publishers[robot, name].put(payload)
 
-    def scan(self, robot: str, scan: Scan) -> None:
-        """Publish a scan."""
-        self.publish(robot, "scan", encode_scan(scan))
-
-    def odometry(self, robot: str, odometry: Odometry) -> None:
-        """Publish a measured pose and twist."""
-        self.publish(robot, "odometry", encode_odometry(odometry))
-
-    def neighbors(self, robot: str, neighbors: tuple[Neighbor, ...]) -> None:
-        """Publish the robots in radio contact."""
-        self.publish(robot, "neighbors", encode_neighbors(neighbors))
-
-    def pose(self, robot: str, pose: SharedPose) -> None:
-        """Publish a pose in the frame that the robots share."""
-        self.publish(robot, "pose", encode_pose(pose))
-
-    def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        """Publish scalar readings."""
-        self.publish(robot, "readings", encode_readings(values))
+    def send(self, robot: str, name: str, value: Any) -> None:
+        """Publish what the sensor `name` of INPUTS of a robot has measured."""
+        self.publish(robot, name, _ENCODERS[name](value))
 
     def messages(self, robot: str, messages: Sequence[MessageWire]) -> None:
         """Publish the messages of patterns that the radio of `robot` receives now, in their order.
@@ -299,3 +297,56 @@ def client_options(endpoint: str) -> dict[str, object]:
             "period_increase_factor": 1.0,
         },
     }
+
+
+DRIVER = "simulated"
+"""The driver of daemons whose robots are not emulated."""
+
+
+@dataclass(frozen=True, slots=True)
+class Command:
+    """The newest command of a robot and its time of arrival.
+
+    `scan_seq`: the scan behind the decision; -1: no scan, None: unknown.
+    """
+
+    twist: Twist
+    arrival: float
+    scan_seq: int | None = None
+
+
+class EmulatorTransport:
+    """The emulator of a driver's robots, in place of the `hw/*` keys of the world's link.
+
+    `side` is the hub to which the daemons connect.
+    """
+
+    def __init__(
+        self,
+        factory: EmulatorFactory,
+        robots: Mapping[str, Platform],
+        endpoint: str,
+        *,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        """Open the hub; raises what the factory raises."""
+        self._clock = clock
+        self._lock = threading.Lock()
+        self._commands: dict[str, Command] = {}
+        self.side: Emulator = factory(robots=robots, endpoint=endpoint, on_command=self._on_command)
+
+    def send(self, robot: str, name: str, value: Any) -> None:
+        """Publish a measurement; emulated robots publish no neighbors and no shared poses."""
+        if name in ("scan", "odometry", "readings"):
+            getattr(self.side, name)(robot, value)
+
+    def take_commands(self) -> Mapping[str, Command]:
+        """The newest command of each robot since the last call."""
+        with self._lock:
+            commands, self._commands = self._commands, {}
+        return commands
+
+    def _on_command(self, robot: str, twist: Twist) -> None:
+        command = Command(twist, self._clock())
+        with self._lock:
+            self._commands[robot] = command

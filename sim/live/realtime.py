@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from swarmd.core.errors import CodecError, ConfigError, SwarmError, unknown
 from swarmd.core.values import Array, Pose, SharedPose
 from swarmd.driver_api.hw_codec import MessageWire
-from swarmd.sim.live.body_transport import EmulatorTransport
-from swarmd.sim.live.link import PendingRequest, WorldLink
+from swarmd.sim.live.link import EmulatorTransport, PendingRequest, WorldLink
 from swarmd.sim.live.pacing import Staggered, StepPacer
 from swarmd.sim.live.recording import LiveRecorder
 from swarmd.sim.live.state import Triple, WorldReply, WorldRequest, WorldState, decode_request
@@ -133,20 +132,20 @@ class RealTimeWorld:
             world.begin_scans(due)
         for row, scan in world.arrived_scans():
             self._sent_seq[row] = scan.seq
-            transport.scan(world.ids[row], scan)
+            transport.send(world.ids[row], "scan", scan)
         due = self._odometry_due.due(world.time)
         if len(due):
             for row, odometry in zip(due, world.odometry(due), strict=True):
-                transport.odometry(world.ids[row], odometry)
+                transport.send(world.ids[row], "odometry", odometry)
         if self._radio is not None:
             self._publish_radio(self._radio)
         for row in self._readings_due.due(world.time):
-            transport.readings(world.ids[row], world.readings(int(row)))
+            transport.send(world.ids[row], "readings", world.readings(int(row)))
         for row in self._poses_due.due(world.time):
             pose = Pose(*world.poses()[row].tolist())
             # Stamped in real time: simulated time may lag behind.
             shared = SharedPose(self._clock(), pose, POSE_ERROR, POSE_YAW_ERROR, "world")
-            transport.pose(world.ids[row], shared)
+            transport.send(world.ids[row], "pose", shared)
         if len(self._state_due.due(world.time)):
             self._link.publish_state(self._state())
 
@@ -169,7 +168,7 @@ class RealTimeWorld:
             for row in due.tolist():
                 neighbors = radio.neighbors(row, poses, boxes)
                 present = tuple(one for one in neighbors if there[self._rows[one.id]])
-                self._transport.neighbors(ids[row], present)
+                self._transport.send(ids[row], "neighbors", present)
         arrived: dict[int, list[MessageWire]] = {}
         for hearer, sender, channel, payload in radio.arrived(world.time):
             wire = MessageWire(ids[sender], channel, cast(bytes, payload))

@@ -1,4 +1,7 @@
-"""Messages between a live world and its viewers; the state is ground truth, never for robots."""
+"""Options of a live world, and messages between the world and its viewers.
+
+The state is ground truth, never for robots.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,34 @@ from swarmd.core.codec import MAX_SENSOR_PAYLOAD, Decoder
 
 Action = Literal["start", "finish", "poses", "place", "remove", "take_out"]
 Triple = tuple[Metres, Metres, Metres]
+
+
+class WorldOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
+    """The command line of a world's process, as JSON.
+
+    `scenario`: the file of an effective scenario; without one `robots` (platform by id) start in
+    `arena` by `layout`, texts as of `parse_arena` and `parse_layout`. `endpoint` is for drivers and
+    viewers; with an `emulator` its drivers connect to `emulator_endpoint`. Port 0 is any. `trace`
+    is the path of the recording, `trace_rate` in Hz; it ends after `seconds` of simulation, which
+    count from the start or from a request `start`. `radio_range` in m; None: without limit.
+    """
+
+    swarm: str
+    scenario: str | None = None
+    robots: dict[str, str] = {}
+    arena: str = "6x6"
+    layout: str = "grid:1.0"
+    seed: int = 0
+    realism: Literal["ideal", "realistic"] = "ideal"
+    lidar_visibility: Literal["body", "real"] = "body"
+    radio_range: float | None = None
+    endpoint: str = "tcp/127.0.0.1:0"
+    emulator: str | None = None
+    emulator_endpoint: str = "tcp/127.0.0.1:0"
+    shared_frame: bool = False
+    trace: str | None = None
+    trace_rate: float = 50.0
+    seconds: float | None = None
 
 
 class WorldState(Struct, frozen=True, kw_only=True):

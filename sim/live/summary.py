@@ -10,7 +10,7 @@ from typing import Any
 from swarmd.core.messages import State, Status
 from swarmd.core.values import Platform, Scalar
 from swarmd.sim.metrics.aggregation import cluster_counts, distance_to_centroid, largest_cluster
-from swarmd.sim.metrics.contacts import contacts_between_robots, contacts_with_arena
+from swarmd.sim.metrics.contacts import count_of
 from swarmd.sim.metrics.gap import minimum_gap
 from swarmd.sim.metrics.kinematics import mean_speed
 from swarmd.sim.trace import Trace
@@ -124,10 +124,7 @@ def _spread(what: str, values: Mapping[str, Mapping[str, Scalar]]) -> list[tuple
 
 
 def numbers_of(
-    trace: Trace,
-    platforms: Mapping[str, Platform],
-    duty: float | None,
-    real_time_factor: float,
+    trace: Trace, platforms: Mapping[str, Platform], duty: float | None, real_time_factor: float
 ) -> Numbers:
     """The numbers of a trace; `platforms` by name, `duty` as the robots reported it."""
     kinds = (platforms[name] for name in set(trace.platforms))
@@ -144,8 +141,8 @@ def numbers_of(
         clusters_before=int(counts[0]),
         clusters_after=int(counts[-1]),
         largest_cluster=int(largest_cluster(trace, link)[-1]),
-        contacts=contacts_between_robots(trace),
-        arena_contacts=contacts_with_arena(trace),
+        contacts=count_of(trace, "robot"),
+        arena_contacts=count_of(trace, "arena"),
         minimum_gap=gap if math.isfinite(gap) else None,
         mean_speed_late=mean_speed(trace, (1.0 - LATE_SHARE) * trace.duration) or 0.0,
         protection_duty=duty,
@@ -161,10 +158,7 @@ def mean_duty(statuses: Mapping[str, Status]) -> float | None:
 
 
 def problems_of(
-    robots: Iterable[str],
-    before: Mapping[str, Status],
-    after: Mapping[str, Status],
-    contacts: int,
+    robots: Iterable[str], before: Mapping[str, Status], after: Mapping[str, Status], contacts: int
 ) -> tuple[str, ...]:
     """A line for each robot that did not run to the end, and one for contacts.
 

@@ -46,7 +46,7 @@ from swarmd.sim.lockstep.recorder import LockstepRecorder
 from swarmd.sim.lockstep.schedules import Alarms, Schedules
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.lockstep.timeline import Timeline
-from swarmd.sim.scenarios.compatibility import has_findings
+from swarmd.sim.scenarios.preflight import has_findings
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of
 from swarmd.sim.trace import Trace

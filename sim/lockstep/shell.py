@@ -7,14 +7,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from swarmd.core.events import (
-    TICK_INPUT,
-    DriverInput,
-    HostInput,
-    Input,
-    RequestInput,
-    ScanInput,
-)
+from swarmd.core.events import TICK_INPUT, DriverInput, HostInput, Input, RequestInput, ScanInput
 from swarmd.core.host_messages import HostCommand
 from swarmd.core.messages import Reply
 from swarmd.core.values import Scan, Twist

@@ -65,24 +65,9 @@ def contact_list(trace: Trace, gap: float = EPISODE_GAP) -> list[Contact]:
     return sorted(found, key=lambda one: one.start)
 
 
-def count(trace: Trace, kind: Kind) -> int:
+def count_of(trace: Trace, kind: Kind) -> int:
     """The number of contacts of robots with one kind of other."""
     return sum(contact.kind == kind for contact in contact_list(trace))
-
-
-def contacts_between_robots(trace: Trace) -> int:
-    """The number of contacts of two robots."""
-    return count(trace, "robot")
-
-
-def contacts_with_arena(trace: Trace) -> int:
-    """The number of contacts of a robot with a wall, fixed box or pole."""
-    return count(trace, "arena")
-
-
-def contacts_with_boxes(trace: Trace) -> int | None:
-    """The number of contacts of a robot with a movable box; None without such boxes."""
-    return count(trace, "box") if trace.movable_boxes else None
 
 
 def hardest_contact(trace: Trace) -> float | None:
@@ -114,11 +99,11 @@ _OURS = "ours"
 
 METRICS = (
     Metric("robot_contacts", "", "contacts of two robots, each counted once", _OURS,
-           contacts_between_robots, better="less"),
+           lambda trace: count_of(trace, "robot"), better="less"),
     Metric("arena_contacts", "", "contacts of a robot with a wall, fixed box or pole", _OURS,
-           contacts_with_arena, better="less"),
+           lambda trace: count_of(trace, "arena"), better="less"),
     Metric("box_contacts", "", "contacts of a robot with a movable box", _OURS,
-           contacts_with_boxes),
+           lambda trace: count_of(trace, "box") if trace.movable_boxes else None),
     Metric("hardest_contact", "m/s", "fastest approach in any contact of two robots", _OURS,
            hardest_contact, better="less"),
 )  # fmt: skip

@@ -11,14 +11,7 @@ import numpy as np
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Array
 from swarmd.sim.experiments.statistics import wilson
-from swarmd.sim.plots.theme import (
-    GUIDE_COLOUR,
-    NOTE,
-    fit,
-    new_figure,
-    tidy,
-    variant_style,
-)
+from swarmd.sim.plots.theme import GUIDE_COLOUR, NOTE, fit, new_figure, tidy, variant_style
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

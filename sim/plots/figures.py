@@ -21,7 +21,6 @@ from swarmd.sim.experiments.results import YES_OR_NO, Results, load_results
 from swarmd.sim.metrics.catalog import METRICS, Metric, series
 from swarmd.sim.plots.bands import Series, series_figure
 from swarmd.sim.plots.intervals import DifferencePanel, Panel, differences_figure, intervals_figure
-from swarmd.sim.plots.overview import overview_figure
 from swarmd.sim.plots.select import (
     OVER_TIME,
     RUN_BY_RUN,
@@ -38,7 +37,7 @@ from swarmd.sim.plots.select import (
 from swarmd.sim.plots.start_and_end import start_and_end_figure
 from swarmd.sim.plots.survival import Times, survival_figure
 from swarmd.sim.plots.theme import save
-from swarmd.sim.plots.trajectories import trajectories_figure
+from swarmd.sim.plots.trajectories import overview_figure, trajectories_figure
 from swarmd.sim.scenarios.environment import fields_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.scalar_fields import Field
@@ -342,11 +341,7 @@ class _Gallery:
         if metric.name in METRICS and metric.name not in self._results.metrics:
             return np.full(len(self._of(variant)), np.nan)  # of another version
         by_seed = dict(
-            zip(
-                self._results.seeds(variant),
-                self._results.metric(metric, variant),
-                strict=True,
-            )
+            zip(self._results.seeds(variant), self._results.metric(metric, variant), strict=True)
         )
         return np.array([by_seed[run.seed] for run in self._of(variant)])
 

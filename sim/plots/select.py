@@ -39,10 +39,7 @@ RUN_BY_RUN = (
 )
 """The metrics whose values are drawn run by run by default."""
 
-_PRIMARY = (
-    *("consensus_share", "consensus_time", "mean_distance_to_centroid_late"),
-    *RUN_BY_RUN,
-)
+_PRIMARY = (*("consensus_share", "consensus_time", "mean_distance_to_centroid_late"), *RUN_BY_RUN)
 MAX_EVENTS = 12
 _TOO_CLOSE = 0.025  # of the duration: labels of closer events would overlap
 _SUFFIXES = ("_at_end", "_end", "_late", "_30s", "_start", "_peak")

@@ -13,13 +13,13 @@ from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.aggregation import cluster_link, clusters
 from swarmd.sim.metrics.consensus import OPINION
 from swarmd.sim.metrics.window import first, last, presence
-from swarmd.sim.plots.fields import paint_fields
 from swarmd.sim.plots.scene import (
     check_drawable,
     cut_note,
     extent_of,
     paint_arena,
     paint_bodies,
+    paint_fields,
     paint_links,
     paint_movable_boxes,
     prepare,

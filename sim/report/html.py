@@ -28,7 +28,7 @@ from swarmd.sim.report.tables import (
     metrics_table,
     shown_metrics,
 )
-from swarmd.sim.view.experiment import source_of
+from swarmd.sim.view.trace_source import source_of
 from swarmd.view.source import Source
 
 _PLAYER = """

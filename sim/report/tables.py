@@ -8,10 +8,16 @@ from html import escape
 import numpy as np
 
 from swarmd.core.errors import SwarmError
-from swarmd.sim.experiments.compare import Difference, Side, compare
+from swarmd.sim.experiments.compare import (
+    DIFFERENCE_HEADER,
+    Difference,
+    Side,
+    compare,
+    difference_row,
+)
 from swarmd.sim.experiments.manifest import Manifest
-from swarmd.sim.experiments.report import HEADER, interval, number, summary_rows
 from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.statistics import HEADER, summary_rows
 from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.metrics.metric import Metric
@@ -124,11 +130,5 @@ def _breakable(name: str) -> str:
 
 
 def _differences(found: Sequence[Difference]) -> str:
-    head = ("METRIC", "UNIT", "MEAN A", "MEAN B", "B - A", "95 %", "RUNS", "RESULT")
-    rows = []
-    for one in found:
-        runs = str(one.n_a) if one.n_a == one.n_b else f"{one.n_a}, {one.n_b}"
-        numbers = number(one.mean_a), number(one.mean_b), number(one.difference)
-        cells = (*numbers, interval(one.interval), runs, one.conclusion)
-        rows.append((_breakable(one.metric), escape(one.unit or "-"), *map(escape, cells)))
-    return table(head, rows, "differences")
+    rows = [(_breakable(one.metric), *map(escape, difference_row(one)[1:])) for one in found]
+    return table(DIFFERENCE_HEADER, rows, "differences")

@@ -18,11 +18,14 @@ from swarmd.core.errors import ConfigError, unknown
 from swarmd.kit.touch import granted_zones
 from swarmd.settings.layered import Layered
 from swarmd.settings.yamlfile import Data, read_extended, shown
-from swarmd.sim.scenarios.compatibility import check_compatibility
 from swarmd.sim.scenarios.environment import arena_of, blamed, fields_of
 from swarmd.sim.scenarios.groups import Groups, groups_of, platform_name
 from swarmd.sim.scenarios.overrides import SOURCE, nested
-from swarmd.sim.scenarios.preflight import check_patterns, configured_parameters
+from swarmd.sim.scenarios.preflight import (
+    check_compatibility,
+    check_patterns,
+    configured_parameters,
+)
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.schedule import schedule_of
 from swarmd.sim.scenarios.schema import ScenarioFile

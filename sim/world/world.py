@@ -19,6 +19,7 @@ from swarmd.driver_api.hw_codec import check_measures
 from swarmd.sim.world import bodies
 from swarmd.sim.world.arena import Arena
 from swarmd.sim.world.contacts import Contact, ContactPoints, ContactReader
+from swarmd.sim.world.delay_queue import ScanTransport
 from swarmd.sim.world.geometry import Indices, radius, transform
 from swarmd.sim.world.lidar import RangeSensors, Visibility
 from swarmd.sim.world.movable_boxes import MovableBoxes
@@ -27,7 +28,6 @@ from swarmd.sim.world.odometer import Odometers
 from swarmd.sim.world.realism import IDEAL, Realism
 from swarmd.sim.world.rolling import RollingScans
 from swarmd.sim.world.scalar_fields import Field, sample
-from swarmd.sim.world.scan_transport import ScanTransport
 
 
 class World:

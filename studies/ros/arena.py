@@ -31,8 +31,7 @@ from swarmd.drivers.ros import cdr
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.to_ros import LaserScanEncoder, odometry_message
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.body_transport import EmulatorTransport
-from swarmd.sim.live.link import WorldLink
+from swarmd.sim.live.link import EmulatorTransport, WorldLink
 from swarmd.sim.live.realtime import RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
 from swarmd.sim.world.arena import parse_arena

@@ -128,8 +128,8 @@ def run_course(
         rammer = Rammer(speed, radius(body.footprint))
         obstacles = ObstaclePlacer(body, ROBOTS, seed)
         trace = folder / "trace.npz"
-        options = ["--seed", str(seed), "--realism", "realistic", "--trace", str(trace)]
-        options += ["--lidar-visibility", visibility, *_space(body, ROBOTS + 1)]
+        options = {"seed": seed, "realism": "realistic", "trace": str(trace)}
+        options |= {"lidar_visibility": visibility, **_space(body, ROBOTS + 1)}
         fast = _variant(folder / f"{RAMMER}.yaml", platform, limits={"linear": speed})
         with (
             Swarm(ROBOTS, protected, others={RAMMER: fast}, world=options) as swarm,
@@ -194,12 +194,12 @@ def _variant(path: Path, platform: str, **sections: Mapping[str, str | float]) -
     return str(path)
 
 
-def _space(platform: Platform, count: int) -> list[str]:
+def _space(platform: Platform, count: int) -> dict[str, str]:
     """The world's options: an arena with enough room for `count` robots, and for things."""
     grid = 2.0 * room(platform) + radius(platform.footprint)
     side = math.ceil(grid * math.sqrt(count) + 1.0)
     movable_boxes = tuple(OBSTACLES.values())
-    return ["--arena", Arena(side, side, movable_boxes).text, "--layout", f"grid:{grid:.2f}"]
+    return {"arena": Arena(side, side, movable_boxes).text, "layout": f"grid:{grid:.2f}"}
 
 
 def _of(robots: Sequence[str], stamps: Stamps) -> Stamps:

@@ -158,17 +158,10 @@ def health(view: MembersView) -> Iterator[str]:
     if view.duplicates:
         yield f"two daemons have one id: {', '.join(sorted(view.duplicates))}; stop one of each"
     statuses = [m.status for m in alive if m.status is not None]
-    lost: dict[str, list[str]] = {}
-    for status in statuses:
-        if not status.health.driver_up:
-            lost.setdefault(status.health.driver or status.driver, []).append(status.robot)
-    for text, names in lost.items():
+    down = ((s.robot, s.health.driver or s.driver) for s in statuses if not s.health.driver_up)
+    for text, names in _by_text(down).items():
         yield f"driver lost: {', '.join(names)} ({text})"
-    unstored: dict[str, list[str]] = {}
-    for status in statuses:
-        if status.health.storage:
-            unstored.setdefault(status.health.storage, []).append(status.robot)
-    for text, names in unstored.items():
+    for text, names in _by_text((s.robot, s.health.storage) for s in statuses).items():
         yield f"an emergency stop would not outlive a restart: {', '.join(names)} ({text})"
     yield from incompatible(statuses)
     yield from offered(statuses)
@@ -176,6 +169,15 @@ def health(view: MembersView) -> Iterator[str]:
     if open_to_all := [s.robot for s in statuses if s.profile != "dev" and not s.is_secured]:
         unsafe = ", ".join(open_to_all)
         yield f"WARNING: insecure: anyone on this network can drive {unsafe}"
+
+
+def _by_text(pairs: Iterable[tuple[str, str]]) -> dict[str, list[str]]:
+    """The robots of each text; those without a text are left out."""
+    found: dict[str, list[str]] = {}
+    for robot, text in pairs:
+        if text:
+            found.setdefault(text, []).append(robot)
+    return found
 
 
 def offered(statuses: Iterable[Status]) -> Iterator[str]:

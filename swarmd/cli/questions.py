@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import queue
 from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Protocol, TypeVar
@@ -17,6 +16,8 @@ from swarmd.core.messages import Status
 from swarmd.network.exit_codes import code_of_answers
 
 if TYPE_CHECKING:
+    from queue import SimpleQueue
+
     from swarmd.cli.options import CommonOptions
     from swarmd.core.verbs import Verb
     from swarmd.network.operator.members_view import MembersView
@@ -61,9 +62,11 @@ def ask_robots(
 
 
 @contextmanager
-def statuses_of(operator: Operator) -> Iterator[queue.SimpleQueue[Status]]:
+def statuses_of(operator: Operator) -> Iterator[SimpleQueue[Status]]:
     """The statuses that robots of the swarm send in the block; see `next_status`."""
-    news: queue.SimpleQueue[Status] = queue.SimpleQueue()
+    from queue import SimpleQueue
+
+    news: SimpleQueue[Status] = SimpleQueue()
 
     def on_status(robot: str, payload: bytes) -> None:
         status = _status(payload)
@@ -77,11 +80,13 @@ def statuses_of(operator: Operator) -> Iterator[queue.SimpleQueue[Status]]:
         operator.unwatch("status")
 
 
-def next_status(news: queue.SimpleQueue[Status], seconds: float) -> Status | None:
+def next_status(news: SimpleQueue[Status], seconds: float) -> Status | None:
     """The next status; None if none comes within so many seconds."""
+    from queue import Empty
+
     try:
         return news.get(timeout=seconds)
-    except queue.Empty:
+    except Empty:
         return None
 
 

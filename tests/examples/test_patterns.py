@@ -72,6 +72,16 @@ def test_five_shy_robots_never_get_stuck() -> None:
     assert steps.reshape(6, -1, 5).sum(axis=1).min() > 0.2  # m within ten seconds
 
 
+def test_beeclust_robots_wait_where_it_is_warm() -> None:
+    """Robots whose waits do not depend on the temperature spend 0.64 of them in the warm half."""
+    path = str(EXAMPLES / "beeclust.yaml")
+    trace = simulate_run(load_scenario(path, {"duration": 30}), 3)
+    is_waiting = trace.words["state"] == "wait"
+    assert is_waiting.sum() > 1000
+    assert (trace.pose[is_waiting][:, 0] > 0.0).mean() > 0.9  # 0.99
+
+
+@pytest.mark.evidence
 def test_beeclust_gathers_in_the_warm_spot() -> None:
     """In one run of twelve robots chance may lead more of them to the cold half."""
     shares = []

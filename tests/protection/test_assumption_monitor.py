@@ -92,7 +92,6 @@ def test_event_tells_the_evidence() -> None:
 @pytest.mark.parametrize(
     ("noise", "hours"),
     [
-        (1.0, 1.5),
         (2.0, 1.5),
         pytest.param(1.0, 50.0, marks=pytest.mark.evidence),
         pytest.param(2.0, 50.0, marks=pytest.mark.evidence),

@@ -77,20 +77,17 @@ MAIN = "from swarmd.cli.entry import swarmctl; swarmctl()"
 Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
-@pytest.fixture
-def duo(tmp_path: Path) -> Path:
+def write_duo(folder: Path) -> Path:
     """The file of a scenario of two robots and two seconds, with a pattern beside it."""
-    folder = tmp_path / "duo"
-    (folder / "plugins").mkdir(parents=True)
-    (folder / "plugins" / "moody.py").write_text(MOODY)
-    path = folder / "duo.yaml"
+    (folder / "duo" / "plugins").mkdir(parents=True)
+    (folder / "duo" / "plugins" / "moody.py").write_text(MOODY)
+    path = folder / "duo" / "duo.yaml"
     path.write_text(DUO)
     return path
 
 
-@pytest.fixture
-def swarmctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Swarmctl:
-    """Runs swarmctl in the test's folder; words and further environment are given.
+def swarmctl_in(folder: Path) -> Swarmctl:
+    """Runs swarmctl in a folder; words and further environment are given.
 
     A verb that simulates nothing runs in this process: a start of Python with what it imports takes
     0.5 to 2 s of CPU.
@@ -100,19 +97,32 @@ def swarmctl(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Swarmctl:
         arguments = list(map(str, words))
         if READING.intersection(arguments) and not environ:
             out, errors = io.StringIO(), io.StringIO()
-            with monkeypatch.context() as here, redirect_stdout(out), redirect_stderr(errors):
-                here.chdir(tmp_path)
-                here.setenv("HOME", str(tmp_path))
-                code = run_cli(cli, arguments, "swarmctl", exit_code_of)
+            with pytest.MonkeyPatch.context() as here:
+                here.chdir(folder)
+                here.setenv("HOME", str(folder))
+                with redirect_stdout(out), redirect_stderr(errors):
+                    code = run_cli(cli, arguments, "swarmctl", exit_code_of)
             return subprocess.CompletedProcess(arguments, code, out.getvalue(), errors.getvalue())
         return subprocess.run(
             [sys.executable, "-c", MAIN, *arguments],
             capture_output=True,
             text=True,
-            cwd=tmp_path,
-            env={**os.environ, "HOME": str(tmp_path), **environ},
-            timeout=120,
+            cwd=folder,
+            env={**os.environ, "HOME": str(folder), **environ},
+            timeout=170,
             check=False,
         )
 
     return run
+
+
+@pytest.fixture
+def duo(tmp_path: Path) -> Path:
+    """The scenario of `write_duo`."""
+    return write_duo(tmp_path)
+
+
+@pytest.fixture
+def swarmctl(tmp_path: Path) -> Swarmctl:
+    """Runs swarmctl in the test's folder."""
+    return swarmctl_in(tmp_path)

@@ -23,7 +23,7 @@ from swarmd.settings.platforms import load_platform
 from swarmd.sim.cli.exp import exp
 from swarmd.sim.cli.options import new_folder
 from swarmd.sim.trace import TraceBuilder
-from tests.sim.conftest import MAIN
+from tests.sim.conftest import MAIN, swarmctl_in, write_duo
 from tests.support.processes import children, wait_until
 
 Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
@@ -73,21 +73,35 @@ def test_help_loads_nothing_heavy(args: list[str]) -> None:
     assert not set(done.stderr.split()) & HEAVY
 
 
-@pytest.mark.integration
-def test_a_sweep_leaves_rows_traces_a_summary_and_a_manifest(
-    tmp_path: Path, duo: Path, swarmctl: Swarmctl
-) -> None:
-    sweep = "groups.all.parameters.speed=0.2,0.1"
-    done = swarmctl("exp", "run", duo, "--seeds", "3,1", "--sweep", sweep, "-j", 2)
+SWEEP = ("--seeds", "3,1,7,8,2", "--sweep", "groups.all.parameters.speed=0.2,0.1", "-j", 2)
+
+
+@pytest.fixture(scope="module")
+def swept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
+    """The folder of a sweep of ten runs, which no test changes, and what was said of it."""
+    folder = tmp_path_factory.mktemp("swept")
+    done = swarmctl_in(folder)("exp", "run", write_duo(folder), *SWEEP, PYTHONHASHSEED="1")
     assert done.returncode == 0, done.stderr
-    folder = tmp_path / "experiments" / "duo-1"
-    assert "results: experiments/duo-1/" in done.stderr
-    names = ["speed=0.2_s0003", "speed=0.2_s0001", "speed=0.1_s0003", "speed=0.1_s0001"]
+    return folder / "experiments" / "duo-1", done.stderr
+
+
+@pytest.fixture
+def x(tmp_path: Path, swept: tuple[Path, str]) -> Path:
+    """A copy of the sweep in the test's folder."""
+    return shutil.copytree(swept[0], tmp_path / "x")
+
+
+@pytest.mark.integration
+def test_a_sweep_leaves_rows_traces_a_summary_and_a_manifest(swept: tuple[Path, str]) -> None:
+    folder, told = swept
+    assert "results: experiments/duo-1/" in told
+    names = [f"speed={speed}_s000{seed}" for speed in ("0.2", "0.1") for seed in (3, 1, 7, 8, 2)]
     assert [row["run"] for row in rows(folder)] == names
-    assert [row["groups.all.parameters.speed"] for row in rows(folder)] == ["0.2"] * 2 + ["0.1"] * 2
+    speeds = [row["groups.all.parameters.speed"] for row in rows(folder)]
+    assert speeds == ["0.2"] * 5 + ["0.1"] * 5
     assert sorted(traces(folder)) == sorted(f"{name}.npz" for name in names)
     summary = json.loads((folder / "summary.json").read_text())
-    assert [variant["metrics"]["path_length"]["n"] for variant in summary["variants"]] == [2, 2]
+    assert [variant["metrics"]["path_length"]["n"] for variant in summary["variants"]] == [5, 5]
     manifest = json.loads((folder / "manifest.json").read_text())
     assert manifest["command"][:3] == ["swarmctl", "exp", "run"]
     assert not (folder / "failures.json").exists()
@@ -130,19 +144,17 @@ def test_a_hanging_run_fails_and_the_others_go_on(
 
 
 @pytest.mark.integration
-def test_a_rerun_lists_identical_runs_also_with_another_hash_seed(
-    tmp_path: Path, duo: Path, swarmctl: Swarmctl
+def test_a_rerun_with_another_hash_seed_finds_the_run_that_differs(
+    tmp_path: Path, x: Path, swept: tuple[Path, str], swarmctl: Swarmctl
 ) -> None:
-    swarmctl("exp", "run", duo, "--seeds", "7-8", "--out", "a", PYTHONHASHSEED="1")
-    done = swarmctl("exp", "rerun", "a", "--out", "b", "-j", 2, PYTHONHASHSEED="2")
-    assert done.returncode == 0, done.stderr
-    assert "2 of 2 runs are identical" in done.stderr
-    assert traces(tmp_path / "a") == traces(tmp_path / "b")
-    shutil.copy(tmp_path / "a/traces/s0008.npz", tmp_path / "a/traces/s0007.npz")
-    done = swarmctl("exp", "rerun", "a", "-o", "json")
-    assert done.returncode == 3
+    shutil.copy(x / "traces/speed=0.2_s0008.npz", x / "traces/speed=0.2_s0007.npz")
+    words = ("exp", "rerun", x, "--out", "b", "-j", 2, "-o", "json")
+    done = swarmctl(*words, PYTHONHASHSEED="2")
+    assert done.returncode == 3, done.stderr
+    assert traces(tmp_path / "b") == traces(swept[0])
     found = {run["run"]: run["identical"] for run in json.loads(done.stdout)["runs"]}
-    assert found == {"s0007": False, "s0008": True}
+    assert len(found) == 10
+    assert [run for run, is_identical in found.items() if not is_identical] == ["speed=0.2_s0007"]
 
 
 @pytest.mark.evidence
@@ -157,9 +169,11 @@ def test_patterns_that_fail_are_counted(tmp_path: Path, duo: Path, swarmctl: Swa
 
 
 @pytest.mark.integration
-def test_a_killed_sweep_goes_on_where_it_was(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
+def test_a_killed_sweep_goes_on_where_it_was(
+    tmp_path: Path, duo: Path, swept: tuple[Path, str], swarmctl: Swarmctl
+) -> None:
     folder = tmp_path / "x"
-    words = ("exp", "run", duo, "--seeds", 6, "-j", 2, "--out", folder)
+    words = ("exp", "run", duo, *SWEEP, "--out", folder)
     process = started(*words, cwd=tmp_path)
     wait_until(lambda: finished(folder) >= 2, "two runs are done")
     workers = children(process.pid)
@@ -167,16 +181,14 @@ def test_a_killed_sweep_goes_on_where_it_was(tmp_path: Path, duo: Path, swarmctl
     process.communicate()
     wait_until(lambda: not any(Path(f"/proc/{pid}/exe").exists() for pid in workers), "all gone")
     kept = finished(folder)
-    assert 2 <= kept < 6
+    assert 2 <= kept < 10
     shown = swarmctl("exp", "show", folder, "-o", "json")
     assert json.loads(shown.stdout)["finished"] == kept
     done = swarmctl(*words)
     assert done.returncode == 0, done.stderr
-    assert done.stderr.startswith(f"{kept} of 6 runs\n")
-    fresh = swarmctl("exp", "run", duo, "--seeds", 6, "-j", 2, "--out", "fresh")
-    assert fresh.returncode == 0, fresh.stderr
-    assert rows(folder) == rows(tmp_path / "fresh")
-    assert traces(folder) == traces(tmp_path / "fresh")
+    assert done.stderr.startswith(f"{kept} of 10 runs\n")
+    assert rows(folder) == rows(swept[0])
+    assert traces(folder) == traces(swept[0])
 
 
 @pytest.mark.integration
@@ -332,14 +344,14 @@ def test_the_summary_tells_the_speed_and_which_code_ran(
     manifest = json.loads((tmp_path / "x" / "manifest.json").read_text())
     manifest["made_with"]["kernels"] = "of another kind"
     (tmp_path / "x" / "manifest.json").write_text(json.dumps(manifest))
-    again = swarmctl("exp", "rerun", "x", "-o", "json")
+    again = swarmctl("exp", "rerun", "x")
+    assert again.returncode == 0, again.stderr
+    assert "2 of 2 runs are identical" in again.stderr
     assert "warning: kernels was of another kind, now " in again.stderr
 
 
 @pytest.mark.integration
-def test_compare_finds_what_a_sweep_has_changed(duo: Path, swarmctl: Swarmctl) -> None:
-    sweep = "groups.all.parameters.speed=0.1,0.2"
-    swarmctl("exp", "run", duo, "--seeds", 5, "--sweep", sweep, "--out", "x", "--no-traces")
+def test_compare_finds_what_a_sweep_has_changed(x: Path, swarmctl: Swarmctl) -> None:
     words = ("exp", "compare", "x:speed=0.1", "x:speed=0.2")
     done = swarmctl(*words)
     assert done.returncode == 0, done.stderr
@@ -357,13 +369,12 @@ def test_compare_finds_what_a_sweep_has_changed(duo: Path, swarmctl: Swarmctl) -
 
 
 @pytest.mark.integration
-def test_plot_draws_the_runs_asked_for(tmp_path: Path, duo: Path, swarmctl: Swarmctl) -> None:
-    swarmctl("exp", "run", duo, "--seeds", "4-5", "--out", "x")
-    done = swarmctl("exp", "plot", "x", "--seeds", "5", "--metrics", "minimum_gap")
+def test_plot_draws_the_runs_asked_for(tmp_path: Path, x: Path, swarmctl: Swarmctl) -> None:
+    done = swarmctl("exp", "plot", "x", "--seeds", "7", "--metrics", "minimum_gap")
     assert done.returncode == 0, done.stderr
     made = [tmp_path / line for line in done.stdout.splitlines()]
     assert made
-    assert all(path.parent == tmp_path / "x" / "plots" / "seeds-5" for path in made)
+    assert all(path.parent == x / "plots" / "seeds-7" for path in made)
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in made)
     other = swarmctl("exp", "plot", "x", "--seeds", "6", "--out", "y")
     assert (other.returncode, other.stderr.count("\n")) == (2, 1)

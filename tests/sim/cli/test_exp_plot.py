@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.cli.exp_plot import parse_targets, parse_width
+from swarmd.sim.cli.exp_results import parse_targets, parse_width
 
 
 @pytest.mark.parametrize(

@@ -8,8 +8,7 @@ from collections.abc import Callable
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.experiments.arguments import parse_seeds, parse_sets, parse_shard, parse_sweeps
-from swarmd.sim.experiments.plan import Shard
+from swarmd.sim.experiments.plan import Shard, parse_seeds, parse_sets, parse_shard, parse_sweeps
 
 
 @pytest.mark.parametrize(

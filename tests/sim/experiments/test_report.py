@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from swarmd.sim.experiments.report import HEADER, summary_rows
-from swarmd.sim.experiments.statistics import summarize
+from swarmd.sim.experiments.statistics import HEADER, summarize, summary_rows
 from swarmd.sim.metrics.catalog import METRICS
 
 

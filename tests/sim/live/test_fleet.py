@@ -16,7 +16,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.messages import State
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_command
+from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_options
 from swarmd.sim.live.starting import await_robots, statuses_of
 from tests.support.processes import children, unique_swarm, wait_until
 
@@ -74,11 +74,10 @@ def test_robots_are_named_by_their_platform(platform: str, ids: tuple[str, ...])
 
 
 def test_the_world_gets_the_path_of_the_trace(tmp_path: Path) -> None:
-    command = world_command(make_spec(tmp_path, trace=tmp_path / "t.npz", seconds=3.0, seed=4))
-    assert command[command.index("--trace") + 1] == str(tmp_path / "t.npz")
-    assert command[command.index("--seconds") + 1] == "3.0"
-    assert command[command.index("--seed") + 1] == "4"
-    assert command[command.index("--robots") + 1] == "tb3-01:burger,tb3-02:waffle_pi"
+    options = world_options(make_spec(tmp_path, trace=tmp_path / "t.npz", seconds=3.0, seed=4))
+    assert (options.trace, options.seconds, options.seed) == (str(tmp_path / "t.npz"), 3.0, 4)
+    assert options.robots == ROBOTS
+    assert (options.realism, options.layout) == ("realistic", "grid:1.5")
 
 
 def test_latches_of_a_fleet_stay_in_its_folder(tmp_path: Path) -> None:

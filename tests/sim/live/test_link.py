@@ -13,8 +13,7 @@ from swarmd.core.codec import MAX_SENSOR_PAYLOAD, encode
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.values import Twist
 from swarmd.driver_api.hw_codec import encode_command
-from swarmd.sim.live.body_transport import Command
-from swarmd.sim.live.link import WorldLink, WorldView, client_options
+from swarmd.sim.live.link import Command, WorldLink, WorldView, client_options
 from swarmd.sim.live.state import WorldState
 from tests.support.processes import wait_until
 

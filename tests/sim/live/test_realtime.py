@@ -29,8 +29,7 @@ from swarmd.driver_api.hw_codec import (
     encode_message,
 )
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.body_transport import EmulatorTransport
-from swarmd.sim.live.link import WorldLink, WorldView, client_options
+from swarmd.sim.live.link import EmulatorTransport, WorldLink, WorldView, client_options
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
 from swarmd.sim.live.state import WorldState
@@ -301,9 +300,14 @@ def test_robots_whose_daemons_come_are_neighbors_of_each_other_from_then_on(
     live = make(radio=radio, command_timeouts=FOR_EVER)
     live.pass_time(0.5)
     told: dict[str, list[str]] = {}
-    monkeypatch.setattr(
-        live.link, "neighbors", lambda robot, near: told.update({robot: [one.id for one in near]})
-    )
+    send = live.link.send
+
+    def note(robot: str, name: str, value: Any) -> None:
+        if name == "neighbors":
+            told[robot] = [one.id for one in value]
+        send(robot, name, value)
+
+    monkeypatch.setattr(live.link, "send", note)
     live.command("a", encode_command(Twist(), 1, 1))
     live.command("b", encode_command(Twist(), 1, 1))
     live.pass_time(0.01)
@@ -334,7 +338,7 @@ def test_a_message_reaches_the_others_after_the_delay_of_the_radio(make: Make) -
     live.peer.put("swarm/s/b/hw/sent", encode_message("a", "vote/opinion", b"of another"))
     wait_until(lambda: live.link.dropped == 1, "both have arrived")
     live.pass_time(0.25)
-    live.link.readings("a", {})  # follows what was sent before
+    live.link.send("a", "readings", {})  # follows what was sent before
     wait_until(lambda: bool(came), "the mark")
     live.pass_time(0.1)
     wait_until(lambda: len(came) > 1, "the message")

@@ -12,6 +12,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -25,14 +26,19 @@ from swarmd.sim.trace import load_trace
 from swarmd.testing.driver_contract import CollectingSink
 
 CAP = 30.0
-COMMAND = (sys.executable, "-m", "swarmd.sim.live.server", "--swarm", "s")
-TWO = ("--robots", "a:waffle_pi,b:burger", "--layout", "list:0:0:0,0:2:0")
+SERVER = (sys.executable, "-m", "swarmd.sim.live.server")
+ROBOTS = {"a": "waffle_pi", "b": "burger"}
+
+
+def options(**changes: Any) -> str:
+    """The options of a world of two robots."""
+    return json.dumps({"swarm": "s", "robots": ROBOTS, "layout": "list:0:0:0,0:2:0", **changes})
 
 
 @contextmanager
-def world(*options: str) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
+def world(**changes: Any) -> Iterator[tuple[subprocess.Popen[bytes], str]]:
     """A running world and its endpoint."""
-    command = [*COMMAND, *TWO, "--endpoint", "tcp/127.0.0.1:0", *options]
+    command = [*SERVER, options(**changes)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
         try:
             assert process.stdout is not None
@@ -82,7 +88,7 @@ def test_a_robot_follows_its_driver_and_stops_when_commands_end(
         assert not any(done.state.commanded)
         check(heard)
 
-    with world("--trace", str(trace)) as (_, endpoint):
+    with world(trace=str(trace)) as (_, endpoint):
         asyncio.run(story(endpoint))
     run = load_trace(trace)
     assert run.meta["layout"] == "list:0:0:0,0:2:0"
@@ -155,8 +161,7 @@ def test_a_frozen_driver_stops_its_own_base_and_no_other() -> None:
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_signal_ends_it_and_writes_the_trace(tmp_path: Path, number: signal.Signals) -> None:
     trace = tmp_path / "run.npz"
-    options = ("--trace", str(trace), "--radio-range", "1.5", "--realism", "realistic")
-    with world(*options) as (process, endpoint):
+    with world(trace=str(trace), radio_range=1.5, realism="realistic") as (process, endpoint):
         with WorldView("s", endpoint) as view:
             reply = view.ask("poses")
         process.send_signal(number)
@@ -176,7 +181,7 @@ def test_it_does_not_outlive_its_parent(tmp_path: Path) -> None:
     # The parent in between starts the world, tells its id, and is then killed.
     parent_code = (
         "import os, subprocess, sys;"
-        f"p = subprocess.Popen([*{[*COMMAND, *TWO, '--endpoint', 'tcp/127.0.0.1:0']!r},"
+        f"p = subprocess.Popen([*{[*SERVER, options()]!r},"
         "'--die-with-parent', str(os.getpid())], stdout=subprocess.PIPE);"
         "p.stdout.readline(); print(p.pid, flush=True); p.wait()"
     )
@@ -203,23 +208,23 @@ async def _ended(pidfd: int) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "complaint"),
+    ("changes", "complaint"),
     [
-        (("--robots", "a:wafle_pi"), "'waffle_pi'"),
-        (("--robots", "A:burger"), "'A'"),
-        (("--robots", "a:burger,a:burger"), "'a'"),
-        (("--robots", "a"), "robots"),
-        (("--robots", ""), "robots"),
-        ((*TWO, "--arena", "big"), "6x6"),
-        ((*TWO[:2], "--layout", "row:0.1"), "robot 1"),
-        ((*TWO, "--endpoint", "here"), "endpoint"),
-        ((*TWO, "--radio-range", "-1"), "--radio-range"),
+        ({"robots": {"a": "wafle_pi"}}, "'waffle_pi'"),
+        ({"robots": {"A": "burger"}}, "'A'"),
+        ({"robots": "a:burger"}, "robots"),
+        ({"robots": {}}, "robots"),
+        ({"arena": "big"}, "6x6"),
+        ({"layout": "row:0.1"}, "robot 1"),
+        ({"endpoint": "here"}, "endpoint"),
+        ({"radio_range": -1.0}, "radio_range"),
+        ({"colour": "red"}, "colour"),
     ],
 )
 def test_an_invalid_option_is_one_line_and_exit_code_2(
-    options: tuple[str, ...], complaint: str, capsys: pytest.CaptureFixture[str]
+    changes: dict[str, Any], complaint: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["--swarm", "s", *options]) == 2
+    assert main([options(**changes)]) == 2
     said = capsys.readouterr()
     assert complaint in said.err
     assert said.err.count("\n") == 1

@@ -10,7 +10,7 @@ from swarmd.core.messages import Reason, State, Status
 from swarmd.core.verbs import RunRequest
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.sim.live.fleet import Fleet, FleetSpec, world_command
+from swarmd.sim.live.fleet import Fleet, FleetSpec, world_options
 from swarmd.sim.live.starting import await_robots, statuses_of
 from tests.support.processes import unique_swarm, wait_until
 
@@ -30,7 +30,7 @@ def make_spec(folder: Path) -> FleetSpec:
 
 
 def test_the_world_is_told_to_give_poses(tmp_path: Path) -> None:
-    assert "--shared-frame" in world_command(make_spec(tmp_path))
+    assert world_options(make_spec(tmp_path)).shared_frame
 
 
 @pytest.mark.integration

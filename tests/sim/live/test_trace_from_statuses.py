@@ -8,7 +8,7 @@ import pytest
 
 from swarmd.core.messages import LimitingObstacle, Reason, State, Status
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.trace_from_statuses import StatusLog
+from swarmd.sim.live.recording import StatusLog
 from swarmd.sim.trace import Trace, TraceBuilder
 from tests.support.robot_harness import RobotHarness
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from swarmd.sim.metrics import contacts
+from swarmd.sim.metrics.catalog import METRICS
 from swarmd.sim.trace import ARENA, Trace
 
 Run = Callable[..., Trace]
@@ -21,22 +22,22 @@ def test_contacts_with_robots_and_arena_are_counted_separately(run: Run) -> None
     trace = run(STILL, steps)
     pairs = [(one.a, one.b) for one in contacts.contact_list(trace)]
     assert sorted(pairs) == [("r0", "r1")] * 2 + [("r2", contacts.WALLS)] * 2
-    assert contacts.contacts_between_robots(trace) == 2
-    assert contacts.contacts_with_arena(trace) == 2
-    assert contacts.contacts_with_boxes(trace) is None
+    assert contacts.count_of(trace, "robot") == 2
+    assert contacts.count_of(trace, "arena") == 2
+    assert METRICS["box_contacts"].value(trace) is None
 
 
 def test_a_new_contact_begins_only_after_a_pause(run: Run) -> None:
     trace = run(STILL, [(0.0, 0, 1), (0.5, 0, 1), (1.1, 0, 1)])
-    assert contacts.contacts_between_robots(trace) == 2
+    assert contacts.count_of(trace, "robot") == 2
     assert len(contacts.contact_list(trace, gap=0.4)) == 3
     assert len(contacts.contact_list(trace, gap=1.0)) == 1
 
 
 def test_a_robot_called_arena_is_not_taken_for_the_walls(run: Run) -> None:
     trace = run(STILL, [(0.0, 0, 1)], ids=("arena", "b", "c"))
-    assert contacts.contacts_between_robots(trace) == 1
-    assert contacts.contacts_with_arena(trace) == 0
+    assert contacts.count_of(trace, "robot") == 1
+    assert contacts.count_of(trace, "arena") == 0
 
 
 def test_movable_boxes_are_counted_apart_from_the_arena(run: Run) -> None:
@@ -47,8 +48,8 @@ def test_movable_boxes_are_counted_apart_from_the_arena(run: Run) -> None:
         ("r1", "chest", "box"),
         ("r2", contacts.WALLS, "arena"),
     ]
-    assert contacts.contacts_with_boxes(trace) == 2
-    assert contacts.contacts_with_arena(trace) == 1
+    assert METRICS["box_contacts"].value(trace) == 2
+    assert contacts.count_of(trace, "arena") == 1
 
 
 def test_the_list_has_the_moving_robots_and_the_closing_speed(run: Run) -> None:
@@ -77,4 +78,4 @@ def test_hardest_contact_is_of_robots(run: Run) -> None:
 
 def test_absent_robots_can_have_contacts(run: Run) -> None:
     trace = replace(run(STILL, [(0.0, 0, 1)]), present=np.array([[True, False, True]]))
-    assert contacts.contacts_between_robots(trace) == 1
+    assert contacts.count_of(trace, "robot") == 1

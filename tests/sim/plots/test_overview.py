@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from swarmd.core.errors import SwarmError
-from swarmd.sim.plots.overview import MAX_RUNS, overview_figure
+from swarmd.sim.plots.trajectories import MAX_RUNS, overview_figure
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -17,7 +17,7 @@ from swarmd.sim.cli.exp import exp
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.report.html import data_element
 from swarmd.sim.report.player import player_of, script
-from swarmd.sim.view.experiment import source_of
+from swarmd.sim.view.trace_source import source_of
 from tests.support.chromium import Browser, Page
 
 METRICS = ("mean_distance_to_centroid_late", "minimum_gap")

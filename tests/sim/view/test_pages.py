@@ -15,7 +15,7 @@ from typing import IO
 import pytest
 
 from swarmd.core.errors import ConfigError
-from swarmd.sim.view.experiment import source_of
+from swarmd.sim.view.trace_source import source_of
 from tests.sim.conftest import DUO, MOODY
 from tests.support.chromium import Page
 from tests.support.processes import run_command

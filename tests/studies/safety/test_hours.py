@@ -23,17 +23,16 @@ SEED = 7
 @pytest.mark.parametrize(
     "scene",
     [
-        Scene("goals", "burger", "real", duration=20.0),
-        Scene("twists", "burger", "body", duration=20.0),
-        Scene("swap", "waffle_pi", "body", duration=20.0),
-        Scene("rush", "waffle_pi", "real", duration=20.0),
-        Scene("twists", "jackal", "body", duration=20.0),
-        Scene("rush", "jackal", "real", duration=20.0),
+        Scene("goals", "burger", "real", duration=10.0),
+        Scene("twists", "burger", "body", duration=10.0),
+        Scene("swap", "waffle_pi", "body", duration=10.0),
+        Scene("rush", "waffle_pi", "real", duration=10.0),
+        Scene("twists", "jackal", "body", duration=10.0),
+        Scene("rush", "jackal", "real", duration=10.0),
         Scene("goals", "mixed", "body", duration=20.0),
-        Scene("random_walk", "burger", "real", duration=20.0),
-        Scene("misuse", "burger", "body", duration=20.0),
-        Scene("doors", "burger", "body", duration=20.0),
-        Scene("poles", "waffle_pi", "body", duration=20.0),
+        Scene("misuse", "burger", "body", duration=10.0),
+        Scene("doors", "burger", "body", duration=10.0),
+        Scene("poles", "waffle_pi", "body", duration=10.0),
     ],
     ids=lambda scene: scene.name,
 )
@@ -55,7 +54,7 @@ def test_an_attacked_robot_does_not_drive_into_another(scene: Scene) -> None:
 
 def test_without_protection_the_same_swarms_collide() -> None:
     # Otherwise the tests above would pass without any effect of protection.
-    trace = simulate_run(scenario(Scene("goals", "burger", mode="off", duration=30.0)), SEED)
+    trace = simulate_run(scenario(Scene("goals", "burger", mode="off", duration=20.0)), SEED)
     assert len(collisions(trace)) > 10
 
 
