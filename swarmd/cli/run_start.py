@@ -13,7 +13,7 @@ from swarmd.cli.canary import watch_canary
 from swarmd.cli.output import warn
 from swarmd.cli.send import Asked, stop_names, stop_on_interrupt, time_left
 from swarmd.core.clock import TICK, boottime
-from swarmd.core.goal import LABEL
+from swarmd.core.record import LABEL
 from swarmd.core.verbs import GoalRequest, RunRequest
 from swarmd.network.exit_codes import FAILED, PARTIAL
 from swarmd.network.operator.clock_query import read_clocks, start_times

@@ -1,15 +1,12 @@
 """The behaviours that operators push to a swarm: manifests, their order, and the table of them.
 
-A manifest names code by its SHA-256 and the robots that are to have it. Robots order manifests by
-(generation, issuer), then by their bytes, and never by a signature. Every robot keeps the table of
-all manifests, also of those for other robots, and merges the tables of its peers into it: two
+A manifest names code by its SHA-256 and the robots that are to have it. Every robot keeps the table
+of all manifests, also of those for other robots, and merges the tables of its peers into it: two
 robots that know the same manifests have the same table, in any order of arrival. Pure.
 """
 
 from __future__ import annotations
 
-import fnmatch
-import hashlib
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Literal
@@ -17,9 +14,10 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta, Struct
 
-from swarmd.core.bounds import Name
+from swarmd.core import record
+from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
-from swarmd.core.goal import DIGEST_BYTES, LABEL, Target
+from swarmd.core.record import Record, Target
 
 MAX_CODE = 1024 * 1024
 """Bytes of one behaviour."""
@@ -31,18 +29,16 @@ MAX_TABLE = 256
 Id = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 
 
-class Manifest(Struct, frozen=True, kw_only=True):
+class Manifest(Record, frozen=True, kw_only=True):
     """One push, or the removal, of a behaviour.
 
-    `targets` empty: all robots. `version` is for people. `digest`: the SHA-256 of the code, `size`
+    `version` is for people. `digest`: the SHA-256 of the code, `size`
     its bytes. `value`: `module:Class` of a wheel. `replaces`: it may take the place of a pattern
     of that name which the robot has by other means.
     """
 
     swarm: Id
     name: Id
-    generation: Annotated[int, Meta(ge=1, le=2**32 - 1)]
-    issuer: Name
     targets: Annotated[tuple[Target, ...], Meta(max_length=MAX_TARGETS)] = ()
     kind: Literal["file", "wheel", "removed"]
     version: Annotated[str, Meta(max_length=32)] = ""
@@ -50,15 +46,6 @@ class Manifest(Struct, frozen=True, kw_only=True):
     size: Annotated[int, Meta(ge=0, le=MAX_CODE)] = 0
     value: Annotated[str, Meta(max_length=256)] = ""
     replaces: bool = False
-
-    def is_for(self, robot: str, labels: Collection[str]) -> bool:
-        """True if it targets a robot with these labels."""
-        return not self.targets or any(
-            one.removeprefix(LABEL) in labels
-            if one.startswith(LABEL)
-            else fnmatch.fnmatchcase(robot, one)
-            for one in self.targets
-        )
 
     @property
     def label(self) -> str:
@@ -84,7 +71,7 @@ class Entry:
     @property
     def order(self) -> tuple[int, str, bytes]:
         """By which manifests are ordered; the greater one holds."""
-        return self.manifest.generation, self.manifest.issuer, self.content
+        return *self.manifest.order, self.content
 
     @property
     def is_removal(self) -> bool:
@@ -120,10 +107,7 @@ def encode_manifest(manifest: Manifest) -> bytes:
 
 def read_entry(signed: Signed) -> Entry:
     """The entry of a signed manifest; its signature is not checked. CodecError if malformed."""
-    try:
-        manifest = _manifest.decode(signed.content)
-    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise CodecError(f"a manifest that cannot be read: {error}") from error
+    manifest = decode(_manifest, signed.content, "a manifest")
     if manifest.kind != "removed" and len(manifest.digest) != 32:
         raise CodecError(f"the manifest of {manifest.name} lacks the SHA-256 of its code")
     if _encoder.encode(manifest) != signed.content:
@@ -138,11 +122,7 @@ def encode_table(table: Iterable[Entry]) -> bytes:
 
 def decode_table(content: bytes) -> Table:
     """The entries in these bytes; signatures are not checked. CodecError if malformed."""
-    try:
-        found = _table.decode(content)
-    except (msgspec.MsgspecError, RecursionError) as error:
-        raise CodecError(f"a table of behaviours that cannot be read: {error}") from error
-    return read_table(found)
+    return read_table(decode(_table, content, "a table of behaviours"))
 
 
 def read_table(manifests: Manifests) -> Table:
@@ -181,5 +161,4 @@ def digest_of(table: Table) -> bytes:
     if not table:
         return b""
     content = _encoder.encode([entry.content for entry in table])
-    hashed = hashlib.blake2b(content, digest_size=DIGEST_BYTES - 4).digest()
-    return greatest_generation(table).to_bytes(4, "big") + hashed
+    return record.digest_of(greatest_generation(table), content)

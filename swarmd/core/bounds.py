@@ -1,11 +1,11 @@
-"""The types of fields that come from the network or from files, with their bounds.
+"""The types of fields that come from the network or from files, and tables, with their bounds.
 
 Every float is bounded, since bounds also refuse NaN and infinity.
 """
 
 from __future__ import annotations
 
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 from msgspec import Meta
 
@@ -36,3 +36,14 @@ BoundedScalar = (
     | Annotated[str, Meta(max_length=256)]
 )
 ParamValues = dict[Word, BoundedScalar | None]
+
+K = TypeVar("K")
+V = TypeVar("V")
+
+
+def keep_newest(table: dict[K, V], key: K, value: V, limit: int) -> None:
+    """Set an entry as the newest one, and drop the oldest ones beyond the limit."""
+    table.pop(key, None)
+    table[key] = value
+    while len(table) > limit:
+        del table[next(iter(table))]

@@ -35,6 +35,14 @@ def version_of(payload: bytes) -> int | None:
     return payload[0] if payload else None
 
 
+def decode(decoder: msgspec.msgpack.Decoder[T], content: bytes | memoryview, what: str) -> T:
+    """The value of bytes without a version. CodecError, which names `what`, if malformed."""
+    try:
+        return decoder.decode(content)
+    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
+        raise CodecError(f"{what} that cannot be read: {error}") from error
+
+
 class Decoder(Generic[T]):
     """Decodes one type of struct; make it once, since making it is slow.
 
@@ -51,10 +59,7 @@ class Decoder(Generic[T]):
     def __call__(self, payload: bytes) -> T:
         """Decode a struct. Raises CodecError if it is too large, of another version or type."""
         body = _body(payload, self._limit, any_version=self._any_version)
-        try:
-            return self._decoder.decode(body)
-        except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-            raise CodecError(str(error)) from error
+        return decode(self._decoder, body, "a payload")
 
 
 def encode_value(value: Any) -> bytes:

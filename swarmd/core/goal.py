@@ -1,55 +1,44 @@
 """The goal of a swarm: which robots are to run which pattern. One record, without a coordinator.
 
-Robots and operators order goals by (generation, issuer), then by their signed bytes: the greater
-goal holds everywhere, in any order of arrival. A goal is signed by its operator where keys are in
-force. The signature, and the encoding in which a goal came, are no part of its order and digest:
-one content is one goal.
+A goal is signed by its operator where keys are in force. The signature, and the encoding in which a
+goal came, are no part of its order and digest: one content is one goal.
 """
 
 from __future__ import annotations
 
-import fnmatch
-import hashlib
-from collections.abc import Collection
 from enum import StrEnum
 from typing import Annotated, Literal, NamedTuple
 
 import msgspec
 from msgspec import Meta, Struct
 
+from swarmd.core import record
 from swarmd.core.bounds import Line, Name, ParamValues, Seconds, Word
+from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
+from swarmd.core.record import Record
 
 MAX_GOAL = 1000  # bytes with the signature, so that a datagram carries it
 MAX_UNSIGNED = 2**31
 """The greatest generation of a goal without a signature, where keys are in force: a robot that was
 taken over stops the swarm by such goals, and an operator can set a greater one."""
-DIGEST_BYTES = 6
-Digest = Annotated[bytes, Meta(max_length=DIGEST_BYTES)]
-LABEL = "label:"
 MAX_LABELS = 32
 
-Target = Annotated[str, Meta(min_length=1, max_length=70)]
-"""A robot's name, a shell-style pattern of names, or `label:` and a label."""
 Validity = Annotated[float, Meta(gt=0.0, le=1e7)]
 
 
-class Goal(Struct, frozen=True, kw_only=True):
+class Goal(Record, frozen=True, kw_only=True):
     """What robots are to do.
 
-    `issuer`: the operator. `id`: of the request that set it. `targets` empty: all robots.
-    `pattern` None: the robots stand. `seconds` and `conditions` end a run, as those of
-    `RunRequest`. `on_join`: what a robot does that finds this goal later: `offer` shows it, `run`
-    runs it while the goal is younger than `valid` seconds. `lease`: seconds without its operator
-    after which the run ends. `signature`: of the bytes of the goal without it.
+    `id`: of the request that set it. `pattern` None: the robots stand. `seconds` and `conditions`
+    end a run, as those of `RunRequest`. `on_join`: what a robot does that finds this goal later:
+    `offer` shows it, `run` runs it while the goal is younger than `valid` seconds. `lease`: seconds
+    without its operator after which the run ends. `signature`: of the bytes of the goal without it.
     """
 
-    generation: Annotated[int, Meta(ge=1, le=2**32 - 1)]
-    issuer: Name
     id: Name
-    targets: tuple[Target, ...] = ()
     pattern: Name | None = None
-    params: ParamValues = {}
+    params: ParamValues = {}  # noqa: RUF012 - msgspec copies it
     seconds: Annotated[float, Meta(gt=0.0, le=1e7)] | None = None
     conditions: tuple[Word, ...] = ()
     on_join: Literal["offer", "run"] = "offer"
@@ -61,20 +50,6 @@ class Goal(Struct, frozen=True, kw_only=True):
     def text(self) -> str:
         """Such as `goal 7 of bob: flocking`."""
         return f"goal {self.generation} of {self.issuer}: {self.pattern or 'stand'}"
-
-    @property
-    def order(self) -> tuple[int, str]:
-        """By which goals are ordered; the greater one holds."""
-        return self.generation, self.issuer
-
-    def is_for(self, robot: str, labels: Collection[str]) -> bool:
-        """True if it targets a robot with these labels."""
-        return not self.targets or any(
-            one.removeprefix(LABEL) in labels
-            if one.startswith(LABEL)
-            else fnmatch.fnmatchcase(robot, one)
-            for one in self.targets
-        )
 
 
 class GoalState(StrEnum):
@@ -159,20 +134,14 @@ def decode_goal(content: bytes) -> Goal:
     """The goal in these bytes. CodecError if it is malformed, or too long once it is encoded."""
     if len(content) > MAX_GOAL:
         raise CodecError(f"a goal of {len(content)} bytes; at most {MAX_GOAL}")
-    try:
-        goal = _decoder.decode(content)
-    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise CodecError(str(error)) from error
+    goal = decode(_decoder, content, "a goal")
     encode_goal(goal)
     return goal
 
 
 def digest_of(goal: Goal | None) -> bytes:
-    """What a beacon shows: the generation (4 bytes) and a hash (2 bytes); empty without a goal."""
-    if goal is None:
-        return b""
-    content = hashlib.blake2b(signed_part(goal), digest_size=DIGEST_BYTES - 4).digest()
-    return goal.generation.to_bytes(4, "big") + content
+    """What a beacon shows; empty without a goal."""
+    return b"" if goal is None else record.digest_of(goal.generation, signed_part(goal))
 
 
 class HeldGoal(NamedTuple):
@@ -200,8 +169,3 @@ class HeldGoal(NamedTuple):
     def age(self, now: float) -> float | None:
         """Seconds since it was set, if they are known."""
         return None if self.issued is None else max(now - self.issued, 0.0)
-
-
-def generation_of(digest: bytes) -> int:
-    """The generation in a digest; 0 without a goal."""
-    return int.from_bytes(digest[:4], "big") if len(digest) == DIGEST_BYTES else 0

@@ -16,29 +16,27 @@ from __future__ import annotations
 import asyncio
 import logging
 from collections import deque
-from collections.abc import Callable, Collection, Coroutine, Mapping
+from collections.abc import Callable, Collection, Coroutine
 from functools import partial
 
 from msgspec.structs import replace
 
 from swarmd.core.behaviour import Entry, Signed, decode_table, encode_table, merged, read_entry
+from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError, PluginError
-from swarmd.core.events import CodeInput, HostInput, Input, NoteInput
-from swarmd.core.goal import generation_of
 from swarmd.core.host_messages import HostEvent, LoadRefused, TrialDone
 from swarmd.core.messages import Code, Epoch, Refusal, Reply
-from swarmd.core.verbs import BehavioursReply, Nothing, PushRequest, ReloadRequest, Request
+from swarmd.core.record import may_replace
+from swarmd.core.verbs import BehavioursReply, Nothing, PushRequest, ReloadRequest
 from swarmd.daemon.code_versions import Candidate, CodeVersions
 from swarmd.daemon.requests import Answer
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import FAILED, DropCounter
 from swarmd.network.datagram import Address
+from swarmd.network.spread.asks import Asks
 from swarmd.network.spread.pull import Blob, Puller, serve_shared
-from swarmd.pattern_host.runner import ProcessRunner
-from swarmd.plugins import Origin
 from swarmd.robot.pushed_code import Version
-from swarmd.robot.robot import Robot
 
 log = logging.getLogger(__name__)
 
@@ -96,9 +94,8 @@ class CodeIntake:
         if fault := self._refusal_of(entry):
             return self._refused(request.id, *fault)
         manifest = entry.manifest
-        code = self._uploads.setdefault(manifest.digest, bytearray())
-        while len(self._uploads) > MAX_UPLOADS:
-            del self._uploads[next(iter(self._uploads))]
+        code = self._uploads.get(manifest.digest, bytearray())
+        keep_newest(self._uploads, manifest.digest, code, MAX_UPLOADS)
         if request.offset > len(code) or len(code) > manifest.size:
             self._uploads.pop(manifest.digest, None)
             text = "a piece of the behaviour is missing; push it again"
@@ -317,7 +314,6 @@ TABLE_PERIOD, CODE_PERIOD = 30.0, 5.0
 FALSE_PERIOD = 300.0
 """s for which nothing is pulled from a robot that handed over a false signature: each takes 4 ms
 of a core to refuse, and robots keep only entries that they verified."""
-MAX_ASKED = 256
 
 
 class CodePull:
@@ -340,16 +336,20 @@ class CodePull:
         self._store = store
         self._on_taken = on_taken
         self._puller = puller
-        self._asked: dict[tuple[str, bytes], float] = {}
+        self._asks = Asks(CODE_PERIOD)
         self._complete_at: tuple[int, tuple[str, ...]] = (-1, ())  # nothing was missing then
         self._checking: asyncio.Task[None] | None = None
-        self._false: dict[str, float] = {}  # until when nothing is pulled from a robot
 
     def serve(self, bus: ZenohBus) -> None:
         """Hand tables and code to other robots."""
         state = self._state
         serve_shared(bus, TABLE, lambda name, asker: encode_table(state.table))
         serve_shared(bus, CODE, lambda name, asker: state.shared_code(name))
+
+    @property
+    def digest(self) -> bytes:
+        """Of the table, for beacons."""
+        return self._state.digest
 
     def on_plugins(self, _: Nothing) -> BehavioursReply:
         """The pushed behaviours of this robot."""
@@ -362,12 +362,10 @@ class CodePull:
 
     def on_beacon(self, robot: str, digest: bytes, address: Address, now: float) -> None:
         """The beacon of another robot shows this digest of its table."""
-        if not digest or self._checking is not None or self._store.is_busy:
+        is_busy = self._checking is not None or self._store.is_busy
+        if not digest or is_busy or not self._asks.may(robot, now):
             return
-        if now < self._false.get(robot, -1e9):
-            return
-        own = self._state.digest
-        is_new = digest != own and generation_of(digest) >= generation_of(own)
+        is_new = may_replace(digest, self._state.digest)
         if not is_new or not self._pull_table(robot, digest, address, now):
             self._pull_code(robot, address, now)
 
@@ -375,17 +373,17 @@ class CodePull:
         def on_done(blob: Blob, why: str) -> None:
             if blob is None:
                 log.info("the behaviours of %s are not known: %s", robot, why)
-                self._asked[robot, digest] = now + CODE_PERIOD - TABLE_PERIOD
+                self._asks.wait((robot, digest), now + CODE_PERIOD)
             else:
                 self._checking = asyncio.get_running_loop().create_task(
                     self._check(robot, address, blob)
                 )
 
-        if not self._may_ask(robot, digest, now, TABLE_PERIOD):
+        if not self._asks.may((robot, digest), now):
             return False
         is_begun = self._puller.pull(robot, address, TABLE, on_done=on_done)
         if is_begun:
-            self._asked[robot, digest] = now
+            self._asks.wait((robot, digest), now + TABLE_PERIOD)
         return is_begun
 
     def _pull_code(self, robot: str, address: Address, now: float) -> None:
@@ -398,7 +396,7 @@ class CodePull:
             self._complete_at = present
         for entry in missing:
             wanted = entry.manifest.digest
-            if not self._may_ask(robot, wanted, now, CODE_PERIOD):
+            if not self._asks.may((robot, wanted), now):
                 continue
             if self._puller.pull(
                 robot,
@@ -409,13 +407,8 @@ class CodePull:
                 digest=wanted,
                 on_done=partial(self._on_code, robot, entry),
             ):
-                self._asked[robot, wanted] = now
+                self._asks.wait((robot, wanted), now + CODE_PERIOD)
             return
-
-    def _may_ask(self, robot: str, what: bytes, now: float, period: float) -> bool:
-        while len(self._asked) > MAX_ASKED:
-            del self._asked[next(iter(self._asked))]
-        return now >= self._asked.get((robot, what), -1e9) + period
 
     async def _check(self, robot: str, address: Address, blob: bytes) -> None:
         known, operators = set(self._state.table), self._state.operators()
@@ -439,7 +432,7 @@ class CodePull:
             finally:
                 self._checking = None
             if is_false:
-                self._false[robot] = boottime() + FALSE_PERIOD
+                self._asks.wait(robot, boottime() + FALSE_PERIOD)
             if len(good) < count:
                 log.warning(
                     "%s has behaviours that no operator of the roster signed; they are left out",
@@ -455,66 +448,3 @@ class CodePull:
         elif not self._store.is_busy:
             self._on_taken(robot, entry)
             self._store.take(entry, blob, robot)
-
-
-class CodeControl:
-    """The `RobotControl` of a daemon.
-
-    `on_request` takes a request to the robot, `step` another input, `reply` the answer to a push,
-    and `warn` a line for the events and a warning for the log.
-    """
-
-    def __init__(
-        self,
-        robot: Robot,
-        runner: ProcessRunner,
-        *,
-        on_request: Callable[[Request], None],
-        step: Callable[[Input], None],
-        reply: Callable[[Reply], None],
-        warn: Callable[[str], None],
-    ) -> None:
-        self._robot = robot
-        self._runner = runner
-        self._on_request, self._step = on_request, step
-        self._reply, self._warn = reply, warn
-
-    def try_code(self, request: ReloadRequest) -> None:
-        """Hand a reload of pushed code to the robot."""
-        self._on_request(request)
-
-    def end_trial(self, event: TrialDone) -> None:
-        """Hand the end of a trial of pushed code to the robot."""
-        self._step(HostInput(event))
-
-    def code_changed(self) -> None:
-        """Let the next run have a fresh pattern host."""
-        self._step(CodeInput())
-
-    def reply(self, reply: Reply) -> None:
-        """Answer a push."""
-        self._reply(reply)
-
-    def event(self, text: str) -> None:
-        """A line for the events and the log."""
-        log.info("%s", text)
-        self._step(NoteInput(text))
-
-    def fault(self, text: str) -> None:
-        """A line for the events and a warning for the log."""
-        self._warn(text)
-
-    def epoch(self) -> Epoch:
-        """The robot's present epoch."""
-        return self._robot.epoch
-
-    def labels(self) -> tuple[str, ...]:
-        """The robot's present labels."""
-        return self._robot.labels
-
-    def own_patterns(self) -> Mapping[str, Origin]:
-        """The patterns that the robot has beside pushed ones."""
-        try:
-            return self._runner.own_patterns()
-        except PluginError:  # the folder is gone; a run is refused with the reason
-            return {}

@@ -7,9 +7,9 @@ them to the disk. `CodeRuns` decides which version a load takes, and counts its 
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Callable, Collection, Mapping
+import logging
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Protocol
 
 from msgspec import Struct
 from msgspec.structs import replace
@@ -26,49 +26,87 @@ from swarmd.core.behaviour import (
     read_table,
     wanted_by,
 )
-from swarmd.core.errors import ChangedCodeError, CodecError
+from swarmd.core.bounds import keep_newest
+from swarmd.core.errors import ChangedCodeError, CodecError, PluginError
+from swarmd.core.events import CodeInput, HostInput, Input, NoteInput
 from swarmd.core.host_messages import HostEvent, Load, Loaded, TrialDone
 from swarmd.core.messages import Epoch, Reply
-from swarmd.core.verbs import BehaviourReport, BehavioursReply, ReloadRequest
+from swarmd.core.verbs import BehaviourReport, BehavioursReply, ReloadRequest, Request
 from swarmd.daemon.store import CodeFiles, CodeRecord, RecordWriter
+from swarmd.pattern_host.runner import ProcessRunner
 from swarmd.plugins import Origin
 from swarmd.robot.actions import FailedCode
 from swarmd.robot.pushed_code import PushedCode, Version
+from swarmd.robot.robot import Robot
 from swarmd.security.content_signature import Purpose, is_signed_by
+
+log = logging.getLogger(__name__)
 
 Operators = Mapping[str, bytes]
 """The public keys of operators by name."""
 
 
-class RobotControl(Protocol):
-    """What the store asks of the daemon; all on its loop."""
+class CodeControl:
+    """What pushed code asks of robot and daemon; all on the daemon's loop.
+
+    `on_request` takes a request to the robot, `step` another input, `reply` the answer to a push,
+    and `warn` a line for the events and a warning for the log.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        runner: ProcessRunner,
+        *,
+        on_request: Callable[[Request], None],
+        step: Callable[[Input], None],
+        reply: Callable[[Reply], None],
+        warn: Callable[[str], None],
+    ) -> None:
+        self._robot = robot
+        self._runner = runner
+        self._on_request, self._step = on_request, step
+        self._reply, self._warn = reply, warn
 
     def try_code(self, request: ReloadRequest) -> None:
         """Hand a reload to the robot; its reply comes to `CodeIntake.on_reply`."""
+        self._on_request(request)
 
     def end_trial(self, event: TrialDone) -> None:
         """Hand the end of a trial to the robot, which `CodeIntake.on_event` held back."""
+        self._step(HostInput(event))
 
     def code_changed(self) -> None:
         """Let the next run have a fresh pattern host."""
+        self._step(CodeInput())
 
     def reply(self, reply: Reply) -> None:
         """Answer a push."""
+        self._reply(reply)
 
     def event(self, text: str) -> None:
-        """A line for the robot's events and its log."""
+        """A line for the events and the log."""
+        log.info("%s", text)
+        self._step(NoteInput(text))
 
     def fault(self, text: str) -> None:
-        """The same as a warning."""
+        """A line for the events and a warning for the log."""
+        self._warn(text)
 
     def epoch(self) -> Epoch:
         """The robot's present epoch."""
+        return self._robot.epoch
 
-    def labels(self) -> Collection[str]:
+    def labels(self) -> tuple[str, ...]:
         """The robot's present labels."""
+        return self._robot.labels
 
     def own_patterns(self) -> Mapping[str, Origin]:
-        """The patterns that the robot has by other means."""
+        """The patterns that the robot has beside pushed ones."""
+        try:
+            return self._runner.own_patterns()
+        except PluginError:  # the folder is gone; a run is refused with the reason
+            return {}
 
 
 CHANGED = "its file was changed or damaged on the disk"
@@ -106,7 +144,7 @@ class CodeVersions:
         self._writer = RecordWriter(files, lambda text: self.control.fault(text))
         self.robot, self.swarm = robot, swarm
         self.operators = operators
-        self.control: RobotControl  # from `open` on
+        self.control: CodeControl  # from `open` on
         self.table: Table = ()
         self.versions: dict[str, PushedCode] = {}
         self.digest = b""
@@ -117,7 +155,7 @@ class CodeVersions:
 
     # On the disk
 
-    async def open(self, control: RobotControl) -> None:
+    async def open(self, control: CodeControl) -> None:
         """Read what is on the disk, and check it; call it once, before the robot may run."""
         self.control = control
         record = await asyncio.to_thread(self.files.read)
@@ -266,10 +304,8 @@ class CodeVersions:
             return False
         if operators is None:
             return True
-        key, signed = operators.get(manifest.issuer), entry.signed
-        return key is not None and is_signed_by(
-            key, Purpose.MANIFEST, signed.content, signed.signature
-        )
+        key, signature = operators.get(manifest.issuer), entry.signed.signature
+        return key is not None and is_signed_by(key, Purpose.MANIFEST, entry.content, signature)
 
     # What is here
 
@@ -432,9 +468,7 @@ class CodeRuns:
         state.pinned[name] = version
         if name != load.pattern:
             return
-        self._loads[load.generation] = LoadedCode(name, version.digest)
-        while len(self._loads) > MAX_LOADS:
-            del self._loads[next(iter(self._loads))]
+        keep_newest(self._loads, load.generation, LoadedCode(name, version.digest), MAX_LOADS)
         if self.is_provisional(load.generation) and not state.versions[name].is_running:
             state.versions[name] = state.versions[name].begin()
             state.save()

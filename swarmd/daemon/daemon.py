@@ -44,11 +44,12 @@ from swarmd.core.events import (
 )
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Reply, Status
+from swarmd.core.record import RecordKind
 from swarmd.core.values import Neighbor
 from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
-from swarmd.daemon.code_transfer import CodeControl, CodeIntake, CodePull
-from swarmd.daemon.code_versions import CodeRuns, CodeVersions
+from swarmd.daemon.code_transfer import CodeIntake, CodePull
+from swarmd.daemon.code_versions import CodeControl, CodeRuns, CodeVersions
 from swarmd.daemon.driver import DriverOutput, make_driver
 from swarmd.daemon.driver_sink import DriverSink
 from swarmd.daemon.goal_service import GoalService
@@ -68,7 +69,7 @@ from swarmd.driver_api.hw_codec import encode_scan
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import InterfaceChange
-from swarmd.network.datagram import Address, Stop
+from swarmd.network.datagram import Address, Beacon, Stop
 from swarmd.network.peer import Summary
 from swarmd.network.spread.pull import Puller, serve_shared
 from swarmd.pattern_host.runner import ProcessRunner
@@ -129,21 +130,13 @@ class Daemon:
         behaviours = CodeFiles(folder / "behaviours")
         with suppress(OSError):  # a sandbox permits only what exists when it begins
             behaviours.folder.mkdir(parents=True, exist_ok=True)
-        self._behaviour_state = CodeVersions(
-            behaviours,
-            settings.id,
-            settings.network.swarm,
-            self._operators,
-        )
+        swarm = settings.network.swarm
+        self._behaviour_state = CodeVersions(behaviours, settings.id, swarm, self._operators)
         self._behaviours = CodeIntake(self._behaviour_state, self._drops)
         self._code_runs = CodeRuns(self._behaviour_state)
-        self._behaviour_sync = CodePull(
-            self._behaviour_state,
-            self._behaviours,
-            self._puller,
-            self._on_pulled_code,
-            self._drops,
-        )
+        state, intake = self._behaviour_state, self._behaviours
+        code_pull = CodePull(state, intake, self._puller, self._on_pulled_code, self._drops)
+        self._pulled = {RecordKind.BEHAVIOUR: code_pull}
         identity = settings.identity
         self._runner = ProcessRunner(
             self._loop,
@@ -184,7 +177,7 @@ class Daemon:
             settings.id,
             self._on_request,
             self._audit,
-            *(self._recording, self._rosters, self._behaviours, self._behaviour_sync, self._tools),
+            *(self._recording, self._rosters, self._behaviours, code_pull, self._tools),
             drops=self._drops,
             is_secured=settings.identity is not None,
         )
@@ -287,7 +280,8 @@ class Daemon:
     def serve(self, bus: ZenohBus) -> None:
         """Answer operators on a bus that was opened, the first one or a later one."""
         self._requests.serve(bus)
-        self._behaviour_sync.serve(bus)
+        for pulled in self._pulled.values():
+            pulled.serve(bus)
         bus.serve_view(
             self._status,
             lambda: tuple(self._network.members.values()),
@@ -312,7 +306,8 @@ class Daemon:
             self._neighborhood.close()
             self._rosters.close()
             self._puller.close()
-            self._behaviour_sync.close()
+            for pulled in self._pulled.values():
+                pulled.close()
             self._behaviours.close()
             self._recording.close()
             self._runner.close()
@@ -419,13 +414,12 @@ class Daemon:
     def summary(self) -> Summary:
         """The robot's part of a beacon."""
         robot = self._robot
-        revision, behaviours = robot.epoch.revision, self._behaviour_state.digest
         return Summary(
             robot.state,
-            revision,
+            robot.epoch.revision,
             robot.latches,
             robot.goal,
-            behaviours=behaviours,
+            pulled={kind: pulled.digest for kind, pulled in self._pulled.items()},
             wished=robot.wished,
             reset_at=robot.reset_at,
             cleared=robot.cleared,
@@ -443,9 +437,10 @@ class Daemon:
             return identity.roster.operators
         return None if self._settings.network.profile == "dev" else {}
 
-    def on_table(self, robot: str, digest: bytes, address: Address) -> None:
-        """A beacon shows the digest of the pushed behaviours of a peer."""
-        self._behaviour_sync.on_beacon(robot, digest, address, boottime())
+    def on_beacon(self, beacon: Beacon, address: Address) -> None:
+        """Pull what a peer has and this robot lacks, by the digests in its beacon."""
+        for kind, pulled in self._pulled.items():
+            pulled.on_beacon(beacon.robot, beacon.digest(kind), address, boottime())
 
     def _on_pulled_code(self, robot: str, entry: Entry) -> None:
         manifest = entry.manifest

@@ -20,6 +20,7 @@ from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import KIND_OFFSET, Ack, Address, Beacon, Kind, Stop, unpack
 from swarmd.network.members.admission import Admission
 from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust, generation_of
+from swarmd.network.spread.asks import Asks
 from swarmd.network.stops.stop_freshness import REPLAYED
 from swarmd.security.identity import Identity
 
@@ -30,7 +31,6 @@ REPLAY_PERIOD = 10.0  # s between two lines about replayed stops
 REFUSAL_RATE = 20.0  # answers a second to replayed stops
 HINT_PERIOD = 5.0  # s between two hints that a newer roster exists, to keep links few
 HINT_AGAIN = 15.0  # s between two hints of one host: others must have their turn
-MAX_HINTED = 256
 _STRANGE = (Flaw.UNSIGNED, Flaw.FORGED, Flaw.ROLE)
 
 
@@ -69,8 +69,8 @@ class DatagramGuard:
         self._writing = threading.Lock()
         self._refusals = TokenBucket(REFUSAL_RATE, REFUSAL_RATE)
         self._strange: Counter[str] = Counter()
-        self._hinted: dict[str, float] = {}  # when a host gave a hint last
-        self._noticed_at = self._replay_at = self._hint_at = -1e9
+        self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)  # hosts that gave a hint
+        self._noticed_at = self._replay_at = -1e9
         self.admission = Admission(
             identity.name,
             identity.roster.robots,
@@ -86,7 +86,7 @@ class DatagramGuard:
         is_newer = identity.roster.generation > old.roster.generation
         self._trust = Trust.of(identity, previous if is_newer else None)
         self._identity = identity
-        self._hinted.clear()
+        self._asks = Asks(HINT_AGAIN, window=HINT_PERIOD)
 
     def sign(self, payload: bytes, asker: Author | None = None) -> bytes:
         """A datagram with its signature. Raises CodecError if it gets too long."""
@@ -148,21 +148,13 @@ class DatagramGuard:
             )
 
     def _hint(self, payload: bytes, source: Address, now: float) -> None:
-        if (
-            now - self._hint_at < HINT_PERIOD
-            or now - self._hinted.get(source[0], -1e9) < HINT_AGAIN
-        ):
+        if not self._asks.take(source[0], now, "all"):
             return
         try:
             body = unpack(self._tag, payload)
         except CodecError:
             return
         if isinstance(body, Beacon) and body.robot != self._identity.name:
-            self._hint_at = now
-            self._hinted.pop(source[0], None)
-            self._hinted[source[0]] = now
-            if len(self._hinted) > MAX_HINTED:
-                del self._hinted[next(iter(self._hinted))]
             self._on_newer_roster(body.robot, source, generation_of(payload))
 
 

@@ -94,8 +94,8 @@ class NetworkOwner(Protocol):
     def on_newer_roster(self, robot: str, address: Address, generation: int) -> None:
         """A beacon, which is not proven, shows a roster of a greater generation."""
 
-    def on_table(self, robot: str, digest: bytes, address: Address) -> None:
-        """A beacon shows the digest of the pushed behaviours of a peer."""
+    def on_beacon(self, beacon: Beacon, address: Address) -> None:
+        """The beacon of a peer, whose digests of pulled records may be new."""
 
     def check_goal(self, goal: Goal, now: float) -> bool | None:
         """Whether a goal of a peer counts; None: not known yet."""
@@ -457,8 +457,8 @@ class Network:
             self._owner.on_input(PlaceInput(place))
         for sample in effects.clocks:
             self._owner.on_clock(sample)
-        for robot, digest, address in effects.tables:
-            self._owner.on_table(robot, digest, self._connection.local(address))
+        if effects.beacon is not None and source is not None:
+            self._owner.on_beacon(effects.beacon, self._connection.local(source))
         if effects.duplicate:
             self._is_duplicate = True
             self._owner.on_input(DuplicateInput(f"instance {effects.duplicate}"))

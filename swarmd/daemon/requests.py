@@ -17,7 +17,7 @@ from typing import Any, Protocol
 import msgspec
 
 from swarmd.core import codec
-from swarmd.core.bounds import MAX_SECONDS
+from swarmd.core.bounds import MAX_SECONDS, keep_newest
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
@@ -224,9 +224,7 @@ class RequestServer:
     def _keep(self, reply: Reply) -> bool:
         """Keep a reply for repeats; True if the id had one."""
         is_repeat = reply.id in self._replies
-        self._replies[reply.id] = reply
-        if len(self._replies) > MAX_REPLIES:
-            del self._replies[next(iter(self._replies))]
+        keep_newest(self._replies, reply.id, reply, MAX_REPLIES)
         return is_repeat
 
     def _refuse(self, query: Query, code: Code, text: str) -> None:

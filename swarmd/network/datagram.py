@@ -22,15 +22,17 @@ import math
 import struct
 from collections.abc import Callable, Collection
 from enum import IntEnum, IntFlag
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, get_args
 
 import msgspec
 from msgspec import Meta, Struct
 
 from swarmd.core.bounds import Line, Name
+from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import MAX_GOAL
 from swarmd.core.messages import Body, Latch, Presence, State
+from swarmd.core.record import Digest, RecordKind
 
 MAGIC = b"SWMD"
 TAG_BYTES = 8
@@ -40,6 +42,7 @@ Address = tuple[str, int]
 # Fits one frame of WiFi and Ethernet with the heads of IPv6 and UDP.
 MAX_DATAGRAM = 1400
 MAX_TRAILER = 77  # bytes of it for the longest signature
+MAX_KINDS = 8  # of records whose digests a beacon shows
 MAX_HOPS = 4  # a stop or a report travels at most this far from robot to robot
 _HEAD = struct.Struct(f">4sB{TAG_BYTES}sH")
 _MAX_MS = 2**40
@@ -47,8 +50,6 @@ _ROUNDING = 1e-6  # mm that rounding adds to a whole number of them
 
 RobotId = Annotated[str, Meta(pattern=r"^[a-z0-9][a-z0-9_-]{0,62}\Z")]
 Bytes6 = Annotated[bytes, Meta(min_length=6, max_length=6)]
-DIGEST_BYTES = 6
-Digest = Annotated[bytes, Meta(max_length=DIGEST_BYTES)]
 Milliseconds = Annotated[int, Meta(ge=0, le=_MAX_MS)]
 Nanoseconds = Annotated[int, Meta(ge=0, le=2**62)]
 Millimetres = Annotated[int, Meta(ge=0, le=100_000)]
@@ -144,13 +145,12 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
     """Shows that a robot is there: sent once a second, at each change, and when solicited.
 
     `sequence` rises with each beacon of an instance. `state` is an index in STATES; a later
-    version may send an unknown one. `revision` counts the changes of the robot. `latches`,
-    `goal` and `behaviours` are digests, empty without any. `echo`: the number of the `Solicit` that
-    it answers. `wire` is the version of the requests that the daemon reads, `version` that of its
-    package, which only answers have. `body`: None from an older version. `number` counts the
-    beacons to all, so that losses show; 0: this one was sent to one receiver. `said`: how many
-    messages of patterns it has sent, and `clock`: ms on its clock, that of `Place`; only answers
-    have them.
+    version may send an unknown one. `revision` counts the changes of the robot. `digests`: by
+    `RecordKind`. `echo`: the number of the `Solicit` that it answers. `wire` is the version of the
+    requests that the daemon reads, `version` that of its package, which only answers have. `body`:
+    None from an older version. `number` counts the beacons to all, so that losses show; 0: this one
+    was sent to one receiver. `said`: how many messages of patterns it has sent, and `clock`: ms on
+    its clock, that of `Place`; only answers have them.
     """
 
     robot: RobotId
@@ -160,15 +160,17 @@ class Beacon(_Datagram, frozen=True, kw_only=True):
     state: Annotated[int, Meta(ge=0, le=255)]
     revision: Number
     flags: Annotated[int, Meta(ge=0, le=255)] = 0
-    latches: Digest = b""
-    goal: Digest = b""
+    digests: Annotated[tuple[Digest, ...], Meta(max_length=MAX_KINDS)] = ()
     echo: Number = 0
     version: Annotated[str, Meta(max_length=32)] = ""
     body: BodyReport | None = None
     number: Number = 0
     said: Number = 0
     clock: Milliseconds = 0
-    behaviours: Digest = b""
+
+    def digest(self, kind: RecordKind) -> bytes:
+        """The digest of the records of a kind; empty without one."""
+        return self.digests[kind] if kind < len(self.digests) else b""
 
 
 class Solicit(_Datagram, frozen=True, kw_only=True):
@@ -361,21 +363,8 @@ Datagram = (
     | GoalReport
     | RunLease
 )
-_TYPES: dict[int, type[_Datagram]] = {
-    Kind.BEACON: Beacon,
-    Kind.SOLICIT: Solicit,
-    Kind.MEMBER_LIST: MemberList,
-    Kind.STOP: Stop,
-    Kind.ACK: Ack,
-    Kind.LATCHES: Latches,
-    Kind.MESSAGE: Message,
-    Kind.SWARM: Swarm,
-    Kind.PLACE: Place,
-    Kind.CLOCK_QUERY: ClockQuery,
-    Kind.CLOCK_REPLY: ClockReply,
-    Kind.GOAL: GoalReport,
-    Kind.RUN_LEASE: RunLease,
-}
+"""In the order of `Kind`."""
+_TYPES: dict[Kind, type[_Datagram]] = dict(zip(Kind, get_args(Datagram), strict=True))
 _KINDS = {kind: number for number, kind in _TYPES.items()}
 _encoder = msgspec.msgpack.Encoder()
 _DECODERS = {number: msgspec.msgpack.Decoder[Any](kind) for number, kind in _TYPES.items()}
@@ -412,10 +401,8 @@ def unpack(tag: bytes, payload: bytes) -> Datagram | None:
         return None
     if _HEAD.size + length > len(payload):
         raise CodecError("a datagram that is cut short")
-    try:
-        body: Datagram = decoder.decode(memoryview(payload)[_HEAD.size : _HEAD.size + length])
-    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise CodecError(str(error)) from error
+    content = memoryview(payload)[_HEAD.size : _HEAD.size + length]
+    body: Datagram = decode(decoder, content, "a datagram")
     return body
 
 

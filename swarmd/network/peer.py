@@ -14,9 +14,11 @@ from functools import partial
 
 from msgspec.structs import replace
 
+from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import ClockSample
 from swarmd.core.goal import Goal, HeldGoal, encode_goal
 from swarmd.core.messages import Body, Latch, State
+from swarmd.core.record import RecordKind
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.core.values import PeerPlace, SharedPose
 from swarmd.network.datagram import (
@@ -76,7 +78,7 @@ CheckGoal = Callable[[Goal, float], bool | None]
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """What a robot's beacon shows of it; `behaviours`: the digest of its table.
+    """What a robot's beacon shows of it; `pulled`: the digests of the kinds that robots pull.
 
     `wished`: when the present run was asked for, in s: earlier stops of this robot are not handed
     on. `reset_at`: nor stops of all that were issued before this reset. `cleared`: nor emergency
@@ -87,10 +89,17 @@ class Summary:
     revision: int
     latches: Mapping[str, Latch]
     goal: HeldGoal | None = None
-    behaviours: bytes = b""
+    pulled: Mapping[RecordKind, bytes] = field(default_factory=dict)
     wished: float = -math.inf
     reset_at: float = -math.inf
     cleared: Collection[str] = ()
+
+    @property
+    def digests(self) -> tuple[bytes, ...]:
+        """Those of all records, by kind."""
+        goal = b"" if self.goal is None else self.goal.digest
+        shown = {RecordKind.LATCH: digest_of(self.latches), RecordKind.GOAL: goal, **self.pulled}
+        return tuple(shown.get(kind, b"") for kind in RecordKind)
 
 
 @dataclass(slots=True)
@@ -100,7 +109,7 @@ class Effects:
     `sends`: datagrams, each to an address or (None) to all. `stops`: to be carried out, with their
     sources; the ack goes to the source if `wants_ack`. `latches`: of peers. `changed`: robots whose
     presence changed. `messages`: of patterns. `indirect_addresses`: of robots that others hear.
-    `tables`: robots with digests of their behaviours, and addresses.
+    `beacon`: of a robot that owns its id, whose digests of pulled kinds may be new.
     `places`: of peers in a shared frame. `clocks`: times that peers answered. `duplicate`: another
     instance that has begun to own the id. `lost`: messages that are missing, or less than 0 for
     those that came late. In a secured swarm, `flaw`: why the datagram does not count, `replayed`:
@@ -116,7 +125,7 @@ class Effects:
     places: list[PeerPlace] = field(default_factory=list)
     clocks: list[ClockSample] = field(default_factory=list)
     indirect_addresses: list[Address] = field(default_factory=list)
-    tables: list[tuple[str, bytes, Address]] = field(default_factory=list)
+    beacon: Beacon | None = None
     duplicate: str = ""
     lost: int = 0
     flaw: Flaw | None = None
@@ -407,15 +416,14 @@ class Peer:
             self._news_at = now
         own = digest_of(summary.latches)
         is_owner = not beacon.flags & (Flag.JOINING | Flag.LEFT)
-        if is_owner and beacon.behaviours:
-            effects.tables.append((beacon.robot, beacon.behaviours, source))
+        effects.beacon = beacon if is_owner else None
         is_stranger = not self.membership.is_established(beacon.robot)
         if is_owner and self._sync.wants(
-            beacon.instance, beacon.latches, own, now, is_stranger=is_stranger
+            beacon.instance, beacon.digest(RecordKind.LATCH), own, now, is_stranger=is_stranger
         ):
             effects.sends.append((self._solicit(now, latches=True), source))
         if is_owner and self._claim is None and self.is_in_sync(now):  # latches come first
-            goal = beacon.goal, source, summary.goal
+            goal = beacon.digest(RecordKind.GOAL), source, summary.goal
             echo = self._goal_sync.wants(beacon.instance, *goal, now)
             if echo is not None:
                 effects.sends.append((Solicit(echo=echo, wants_goal=True), source))
@@ -582,8 +590,7 @@ class Peer:
                 effects.sends.extend((latches, None) for latches in parts)
 
     def _send_beacon_if_due(self, now: float, summary: Summary, effects: Effects) -> None:
-        goal = b"" if summary.goal is None else summary.goal.digest
-        shown = (summary.state, summary.revision, goal, summary.behaviours, self._claim is None)
+        shown = (summary.state, summary.revision, summary.digests, self._claim is None)
         if shown != self._shown:
             self._shown = shown
             self._beacon_at = min(self._beacon_at, self._last_beacon + FAST_BEACON_PERIOD)
@@ -617,23 +624,18 @@ class Peer:
             state=STATES.index(summary.state),
             revision=summary.revision,
             flags=flags,
-            latches=digest_of(summary.latches),
-            goal=b"" if summary.goal is None else summary.goal.digest,
+            digests=summary.digests,
             echo=echo,
             version=version,
             body=self._body,
             number=number,
-            behaviours=summary.behaviours,
         )
 
     def _may_answer(self, source: Address, count: int, now: float) -> bool:
         """True if a host may have so many datagrams now, which are then taken from its budget."""
         # All robots of one machine have one host, and a robot behind routers has no port.
         host = f"{source[0]}:{source[1]}" if source[0].startswith("127.") else source[0]
-        budget = self._answers_by_host.pop(host, None)
-        if budget is None:
-            budget = TokenBucket(ANSWER_RATE_OF_HOST, ANSWER_RATE_OF_HOST)
-        self._answers_by_host[host] = budget
-        while len(self._answers_by_host) > MAX_HOSTS:
-            del self._answers_by_host[next(iter(self._answers_by_host))]
+        budget = self._answers_by_host.get(host)
+        budget = budget or TokenBucket(ANSWER_RATE_OF_HOST, ANSWER_RATE_OF_HOST)
+        keep_newest(self._answers_by_host, host, budget, MAX_HOSTS)
         return budget.take(count, now) and self._answers.take(count, now)

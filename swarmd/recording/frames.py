@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from msgspec import Struct
 
-from swarmd.core.errors import CodecError
+from swarmd.core.codec import decode
 from swarmd.core.events import Input, encode_input
 from swarmd.core.values import Array, Scan, Value
 from swarmd.protection.decision import Decision
@@ -151,10 +151,7 @@ def encode_report(report: RecorderReport) -> bytes:
 
 def decode_report(frame: bytes) -> RecorderReport:
     """The report of the recorder process; CodecError if it is malformed."""
-    try:
-        return _reports.decode(frame)
-    except msgspec.MsgspecError as error:
-        raise CodecError(str(error)) from error
+    return decode(_reports, frame, "a report of the recorder")
 
 
 def has_geometry_of(scan: Scan, other: Scan) -> bool:

@@ -14,6 +14,7 @@ from pathlib import Path
 import msgspec
 from msgspec import field
 
+from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.keys import is_id
 from swarmd.security.identity import Issued, write_private
@@ -64,10 +65,7 @@ def unpack_bundle(data: bytes) -> OpenedBundle:
     body = data[len(FORMAT) + _DIGEST_BYTES :]
     if hashlib.sha256(body).digest() != digest:
         raise CodecError("damaged or cut short; copy it again")
-    try:
-        bundle = _bundle.decode(body)
-    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise CodecError(f"a bundle that cannot be read: {error}") from error
+    bundle = decode(_bundle, body, "a bundle")
     info = bundle.info
     roster = read_roster(bundle.roster.roster, info.authority)
     if roster.swarm != info.swarm or roster.role_of(info.name) is not info.role:

@@ -13,6 +13,7 @@ from typing import Annotated
 import msgspec
 from msgspec import Meta, Struct
 
+from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError
 from swarmd.security.content_signature import SIGNATURE_BYTES, Purpose, is_signed_by
 
@@ -112,11 +113,8 @@ def read_roster(data: bytes, authority: bytes) -> Roster:
 
 
 def _decoded(data: bytes) -> tuple[SignedRoster, Roster]:
-    try:
-        signed = _signed.decode(data)
-        return signed, _roster.decode(signed.content)
-    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise CodecError(f"a roster that cannot be read: {error}") from error
+    signed = decode(_signed, data, "a roster")
+    return signed, decode(_roster, signed.content, "a roster")
 
 
 def digest_of(secret: bytes) -> bytes:

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import msgspec
 from msgspec import Struct
 
+from swarmd.core.codec import decode
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.security.certificate_check import check_certificate
 from swarmd.security.datagram_keys import (
@@ -120,10 +121,7 @@ def read_shared(data: bytes) -> SharedRoster:
     """What a peer shared. CodecError if it cannot be read."""
     if len(data) > 2 * MAX_ROSTER:
         raise CodecError(f"a shared roster of {len(data)} bytes")
-    try:
-        return _shared.decode(data)
-    except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise CodecError(f"a shared roster that cannot be read: {error}") from error
+    return decode(_shared, data, "a shared roster")
 
 
 def share_roster(identity: Identity, asker: str) -> bytes | None:

@@ -14,8 +14,9 @@ from msgspec import Meta, Struct
 
 from swarmd.core.bounds import BoundedScalar, Name, ParamValues, Word
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.goal import LABEL, Target, Validity
+from swarmd.core.goal import Validity
 from swarmd.core.keys import check_id, is_id
+from swarmd.core.record import LABEL, Target
 from swarmd.kit.conditions import parse_conditions
 from swarmd.kit.touch_config import TouchGrants
 from swarmd.network.members.neighbor_settings import NeighborSettings

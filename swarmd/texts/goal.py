@@ -8,8 +8,9 @@ from typing import Any
 
 from msgspec.structs import asdict
 
-from swarmd.core.goal import LABEL, Goal, GoalState, KnownGoal
+from swarmd.core.goal import Goal, GoalState, KnownGoal
 from swarmd.core.messages import Presence, State, Status
+from swarmd.core.record import LABEL
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
 from swarmd.texts.values import NOTHING, number
 from swarmd.texts.why import absence

@@ -13,9 +13,9 @@ from swarmd.core.goal import (
     decode_goal,
     digest_of,
     encode_goal,
-    generation_of,
     signed_part,
 )
+from swarmd.core.record import generation_of
 
 
 def test_a_goal_is_read_as_it_was_written() -> None:

@@ -44,7 +44,7 @@ CODE = b"from swarmd.api import Pattern\n"
 EPOCH = Epoch("0123456789ab", 1)
 
 
-class Control:
+class Control(code_versions.CodeControl):
     """The daemon's side: every trial ends at once, with `trial_fault`."""
 
     def __init__(self) -> None:

@@ -10,9 +10,10 @@ from pathlib import Path
 import pytest
 from msgspec import Struct
 
+from swarmd.core.behaviour import Signed
 from swarmd.core.messages import Latch
 from swarmd.daemon import store
-from swarmd.daemon.store import LatchFile, RecordWriter, StateFile
+from swarmd.daemon.store import CodeFiles, CodeRecord, LatchFile, RecordWriter, StateFile
 from swarmd.robot.latches import Latches, LatchRecord
 
 
@@ -212,3 +213,9 @@ async def test_a_write_that_raises_something_else_ends_the_daemon() -> None:
         while not crashes:
             await asyncio.sleep(0.005)
     assert isinstance(crashes[0], ValueError)
+
+
+def test_a_table_with_a_damaged_manifest_is_no_record(tmp_path: Path) -> None:
+    files = CodeFiles(tmp_path)
+    files.write(CodeRecord((Signed(b"damaged"),)))
+    assert CodeFiles(tmp_path).read() == CodeRecord()

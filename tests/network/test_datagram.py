@@ -37,8 +37,7 @@ BEACON = Beacon(
     wire=1,
     state=1,
     revision=12,
-    latches=b"123456",
-    goal=b"123456",
+    digests=(b"123456", b"123456"),
     body=BodyReport.of(BODY),
 )
 
@@ -64,7 +63,7 @@ def test_fields_of_later_versions_and_a_signature_are_ignored() -> None:
 
 def test_fields_that_an_earlier_version_does_not_send_have_defaults() -> None:
     older = body(Kind.BEACON, "tb3-01", b"abcdef", 70_000, 1, 1, 12)
-    assert unpack(TAG, older) == msgspec.structs.replace(BEACON, latches=b"", goal=b"", body=None)
+    assert unpack(TAG, older) == msgspec.structs.replace(BEACON, digests=(), body=None)
 
 
 def test_a_body_is_told_in_millimetres_and_never_slower_or_smaller_than_it_is() -> None:

@@ -26,7 +26,7 @@ from swarmd.daemon.network import Network
 from swarmd.network.carriers.bus import Query, ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.carriers.interface_watch import InterfaceChange
-from swarmd.network.datagram import Address, Stop
+from swarmd.network.datagram import Address, Beacon, Stop
 from swarmd.network.peer import Summary
 from swarmd.network.settings import NetworkSettings
 from tests.support.keys import SwarmKeys
@@ -121,7 +121,7 @@ class FakeDaemon:
     def on_newer_roster(self, robot: str, address: Address, generation: int) -> None:
         """It keeps its roster."""
 
-    def on_table(self, robot: str, digest: bytes, address: Address) -> None:
+    def on_beacon(self, beacon: Beacon, address: Address) -> None:
         """It takes no pushed behaviours."""
 
     def status(self) -> Status:

@@ -27,6 +27,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.goal import Goal
 from swarmd.core.keys import CONTROL, SHARED, build
 from swarmd.core.messages import Epoch, Presence, State
+from swarmd.core.record import RecordKind
 from swarmd.core.values import Neighbor, Odometry, Pose, Twist
 from swarmd.core.verbs import VERBS, AnyRequest, FetchQuery, MembersQuery
 from swarmd.daemon.daemon import Daemon
@@ -498,7 +499,7 @@ def test_nothing_that_is_pulled_raises(handlers: Handlers) -> None:
     daemon = handlers.daemon
 
     async def take_table(blob: bytes) -> None:
-        await daemon._behaviour_sync._check("r2", ("127.0.0.1", 9), blob)
+        await daemon._pulled[RecordKind.BEHAVIOUR]._check("r2", ("127.0.0.1", 9), blob)
 
     @settings(max_examples=examples(200))
     @given(hostile_message(SharedRoster).map(packed), st.lists(hostile_message(Signed)).map(packed))

@@ -124,7 +124,7 @@ class GoalThief(Thief):
             instance=b"thief3",
             sequence=self._sequence,
             state=0,
-            goal=digest,
+            digests=(b"", digest),
             echo=echo,
         )
 

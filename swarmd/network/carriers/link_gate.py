@@ -19,6 +19,7 @@ from collections.abc import Callable, Collection
 
 import zenoh
 
+from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import boottime
 from swarmd.core.threads import hand_over
 from swarmd.core.token_bucket import TokenBucket
@@ -60,10 +61,7 @@ class LinkFlood:
     def hear(self, host: str, now: float) -> bool:
         """A host sent a datagram that counts; True if it was unknown."""
         is_new = host not in self._heard
-        self._heard.pop(host, None)
-        self._heard[host] = now  # the newest is the last
-        if len(self._heard) > 2 * MAX_HOSTS:
-            del self._heard[next(iter(self._heard))]
+        keep_newest(self._heard, host, now, 2 * MAX_HOSTS)
         return is_new
 
     def known(self, now: float) -> tuple[str, ...]:

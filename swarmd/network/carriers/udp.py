@@ -36,6 +36,7 @@ from collections.abc import Callable, Iterable
 from enum import Enum
 from typing import TYPE_CHECKING, NamedTuple
 
+from swarmd.core.bounds import keep_newest
 from swarmd.core.clock import Clock, boottime
 from swarmd.core.errors import NetworkError
 from swarmd.network.carriers.flood_limits import MAX_WEIGHT, FloodLimits
@@ -333,10 +334,7 @@ class UdpCarrier:
         if self._is_twin(payload, source, way, now):
             return None
         if is_of_robot and self._is_secured:
-            self._unconfirmed.pop(source, None)
-            self._unconfirmed[source] = way
-            if len(self._unconfirmed) > MAX_ADDRESSES:
-                del self._unconfirmed[next(iter(self._unconfirmed))]
+            keep_newest(self._unconfirmed, source, way, MAX_ADDRESSES)
         elif is_of_robot:
             self._note_robot(source, way, now)
         return source

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 from msgspec import Struct
 
+from swarmd.core.record import RecordKind
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.datagram import Beacon, Flag, Solicit
 from swarmd.network.signature import Flaw
@@ -101,7 +102,7 @@ class Liveness:
             return None
         period = QUESTION_PERIOD if last is None else min(2.0 * last.period, LAST_QUESTION_PERIOD)
         self._asked.pop(key, None)
-        self._asked[key] = _Asked(now, period, bool(beacon.latches))
+        self._asked[key] = _Asked(now, period, bool(beacon.digest(RecordKind.LATCH)))
         if len(self._asked) > MAX_INSTANCES:
             del self._asked[next(iter(self._asked))]
         return Solicit(echo=self.new_echo(now), robot=beacon.robot)

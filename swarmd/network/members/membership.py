@@ -20,6 +20,7 @@ from dataclasses import dataclass, field
 from msgspec.structs import replace
 
 from swarmd.core.messages import Body, Member, Presence
+from swarmd.core.record import RecordKind
 from swarmd.network.datagram import (
     MAX_HOPS,
     PRESENCES,
@@ -257,13 +258,13 @@ class Membership:
         for record in self._records.values():
             if record.shown is not None and record.shown[1] is Presence.ALIVE:
                 instance = record.shown[0]
-                yield instance, record.instances[instance].beacon.goal
+                yield instance, record.instances[instance].beacon.digest(RecordKind.GOAL)
 
     def latches_of(self, robot: str, instance: bytes) -> bytes | None:
         """The digest of latches in the newest beacon of an instance that is alive."""
         if not self.is_present(robot, instance):
             return None
-        return self._records[robot].instances[instance].beacon.latches
+        return self._records[robot].instances[instance].beacon.digest(RecordKind.LATCH)
 
     def is_established(self, robot: str) -> bool:
         """True if the robot was heard here for longer than a stranger."""

@@ -11,9 +11,9 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
-from swarmd.core.goal import generation_of
 from swarmd.core.keys import is_id
 from swarmd.core.messages import PeerView, Presence, StatusHeader
+from swarmd.core.record import RecordKind, generation_of
 from swarmd.network.datagram import Address, Beacon, MemberList
 from swarmd.network.operator.beacon_table import MAX_ROBOTS, QUIET_TIME, BeaconChange, BeaconTable
 from swarmd.network.operator.member_reports import (
@@ -350,7 +350,7 @@ class Discovery:
         """Those of the goals that robots show in beacons and in statuses."""
         for robot in self.heard:
             instances = self._beacons.instances(robot).values()
-            yield from (generation_of(one.beacon.goal) for one in instances)
+            yield from (generation_of(one.beacon.digest(RecordKind.GOAL)) for one in instances)
         for _, status, _ in self._statuses.statuses():
             if status.goal is not None and status.goal.held is not None:
                 yield status.goal.held.goal.generation

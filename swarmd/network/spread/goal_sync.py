@@ -11,21 +11,22 @@ from __future__ import annotations
 import hashlib
 import random
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
+from swarmd.core.bounds import keep_newest
 from swarmd.core.errors import CodecError
 from swarmd.core.goal import (
-    DIGEST_BYTES,
     MAX_UNSIGNED,
     Goal,
     HeldGoal,
     decode_goal,
     digest_of,
-    generation_of,
     signed_part,
 )
+from swarmd.core.record import may_replace
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.datagram import Address, GoalReport
+from swarmd.network.spread.asks import MAX_KNOWN, Asks
 from swarmd.security.content_signature import Purpose, has_form, is_signed_by
 
 ASK_PERIOD = 0.25  # s between questions to one robot
@@ -34,7 +35,6 @@ AGE_PERIOD = 2.0  # s between questions for the age of the own goal
 ASK_RATE, ASK_BURST = 20.0, 20.0  # questions per second, whatever beacons show
 ANSWER_TIMEOUT = 2.0  # s
 MAX_REPEATS = 3
-MAX_KNOWN = 1024
 MAX_CHECKED = 64
 CHECK_RATE, CHECK_BURST = 4.0, 8.0
 """Signatures that are verified per second: each takes about 4 ms of a core."""
@@ -65,9 +65,7 @@ class GoalSync:
 
     def __init__(self, seed: int) -> None:
         self._random = random.Random(seed)
-        self._known: dict[bytes, bytes] = {}  # instance -> the digest that it has answered for
-        self._asked: dict[bytes, float] = {}
-        self._asked_for: dict[bytes, list[float]] = {}  # digest -> times of the last questions
+        self._asks = Asks(ASK_PERIOD, ASKED_AT_ONCE)
         self._questions: dict[int, _Question] = {}
         self._budget = TokenBucket(ASK_RATE, ASK_BURST)
         self._age_asked = -1e9
@@ -76,15 +74,12 @@ class GoalSync:
         self, instance: bytes, digest: bytes, source: Address, own: HeldGoal | None, now: float
     ) -> int | None:
         """The number of a question to a beacon's sender with this digest; None: no question."""
-        if len(digest) != DIGEST_BYTES:
-            return None
         if own is not None and digest == own.digest:
             is_due = _lacks_age(own) and now - self._age_asked >= AGE_PERIOD
             self._age_asked = now if is_due else self._age_asked
         else:
-            is_lesser = own is not None and generation_of(digest) < own.goal.generation
-            is_known = is_lesser or self._known.get(instance) == digest
-            is_due = not is_known and self._is_due(instance, digest, now)
+            is_lacking = self.lacks(instance, digest, b"" if own is None else own.digest)
+            is_due = is_lacking and self._asks.take(instance, now, digest)
         return self._ask(_Question(instance, digest, source, now), now) if is_due else None
 
     def repeats(self, own: HeldGoal | None, now: float) -> list[tuple[int, Address]]:
@@ -110,48 +105,29 @@ class GoalSync:
         trip = now - question.at
         if trip > ANSWER_TIMEOUT:
             return None
-        self._known.pop(report.instance, None)
-        self._known[report.instance] = question.digest
-        _bound(self._known)
+        self._asks.answered(report.instance, question.digest)
         try:
             goal = decode_goal(report.goal)
         except CodecError:
             return None
         if digest_of(goal) != question.digest:  # it holds another one by now: its beacon shows it
-            del self._known[report.instance]
+            self._asks.forget(report.instance)
         return FoundGoal(goal, None if report.age is None else report.age / 1000.0 + trip)
 
     def lacks(self, instance: bytes, digest: bytes, own: bytes) -> bool:
         """True if a robot shows a goal that may be greater than the own one, and is not known."""
-        if len(digest) != DIGEST_BYTES or digest == own or self._known.get(instance) == digest:
-            return False
-        return generation_of(digest) >= generation_of(own)
+        return may_replace(digest, own) and not self._asks.knows(instance, digest)
 
     def retry(self, instance: bytes) -> None:
         """The answer of a robot could not be used: ask it again."""
-        self._known.pop(instance, None)
+        self._asks.forget(instance)
 
     def _ask(self, question: _Question, now: float) -> int | None:
         if not self._budget.take(1.0, now):
             return None
         echo = self._random.getrandbits(52) + 1
-        self._questions[echo] = question
-        _bound(self._questions)
+        keep_newest(self._questions, echo, question, MAX_KNOWN)
         return echo
-
-    def _is_due(self, instance: bytes, digest: bytes, now: float) -> bool:
-        if now - self._asked.get(instance, -1e9) < ASK_PERIOD:
-            return False
-        recent = [at for at in self._asked_for.pop(digest, ()) if now - at < ASK_PERIOD]
-        is_due = len(recent) < ASKED_AT_ONCE
-        if is_due:
-            recent.append(now)
-            self._asked.pop(instance, None)
-            self._asked[instance] = now
-            _bound(self._asked)
-        self._asked_for[digest] = recent
-        _bound(self._asked_for)
-        return is_due
 
 
 def needs_no_signature(goal: Goal) -> bool:
@@ -161,11 +137,8 @@ def needs_no_signature(goal: Goal) -> bool:
 
 def is_signed_goal(goal: Goal, key_of: Callable[[str], bytes | None]) -> bool:
     """True if a goal is signed by its issuer, or needs no signature; takes some 4 ms."""
-    if needs_no_signature(goal):
-        return True
-    public_key = key_of(goal.issuer)
-    return public_key is not None and is_signed_by(
-        public_key, Purpose.GOAL, signed_part(goal), goal.signature
+    return needs_no_signature(goal) or is_signed_by(
+        key_of(goal.issuer), Purpose.GOAL, signed_part(goal), goal.signature
     )
 
 
@@ -193,16 +166,9 @@ class GoalCheck:
         if name not in self._checked:
             if not self._budget.take(1.0, now):
                 return None
-            self._checked[name] = is_signed_goal(goal, self._key_of)
-            while len(self._checked) > MAX_CHECKED:
-                del self._checked[next(iter(self._checked))]
+            keep_newest(self._checked, name, is_signed_goal(goal, self._key_of), MAX_CHECKED)
         return self._checked[name]
 
 
 def _lacks_age(own: HeldGoal) -> bool:
     return own.issued is None and own.goal.pattern is not None
-
-
-def _bound(table: dict[Any, Any]) -> None:
-    while len(table) > MAX_KNOWN:
-        del table[next(iter(table))]

@@ -18,7 +18,7 @@ from typing import Annotated
 import zenoh
 from msgspec import Meta, Struct
 
-from swarmd.core.bounds import Count, Line, Word
+from swarmd.core.bounds import Count, Line, Word, keep_newest
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError, NetworkError
@@ -123,16 +123,9 @@ class Puller:
             with self._drops.refusing(f"shared/{what}"):
                 try:
                     blob = await pull(
-                        self.settings,
-                        peer,
-                        address,
-                        what,
-                        self._asker,
-                        name=name,
-                        limit=limit,
-                        digest=digest,
-                        identity=self._identity,
-                    )
+                        self.settings, peer, address, what, self._asker,
+                        name=name, limit=limit, digest=digest, identity=self._identity
+                    )  # fmt: skip
                 except (NetworkError, TimeoutError) as error:
                     why = str(error) or f"{peer} did not hand it over within {PULL_TIMEOUT:.0f} s"
             self._task = None
@@ -256,10 +249,8 @@ def serve_shared(bus: ZenohBus, what: str, provider: Provider) -> None:
 
     def on_query(query: Query) -> None:
         asker = query.asker
-        rate = rates.pop(asker, None) or TokenBucket(SERVE_RATE, SERVE_BURST)
-        rates[asker] = rate  # the last of the dict: the oldest is dropped first
-        if len(rates) > MAX_ASKERS:
-            del rates[next(iter(rates))]
+        rate = rates.get(asker) or TokenBucket(SERVE_RATE, SERVE_BURST)
+        keep_newest(rates, asker, rate, MAX_ASKERS)
         is_full = len(tasks) >= MAX_SERVING or asker in tasks.values()
         if is_full or not rate.take(1.0, boottime()):
             query.drop()

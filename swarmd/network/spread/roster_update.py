@@ -17,11 +17,17 @@ from swarmd.network.settings import NetworkSettings
 from swarmd.network.spread.pull import pull
 from swarmd.security.datagram_keys import KEY_BYTES
 from swarmd.security.identity import Identity
-from swarmd.security.roster_change import read_shared, take_answers, take_roster
+from swarmd.security.roster_change import (
+    SharedRoster,
+    read_shared,
+    take_answers,
+    take_roster,
+)
 
 PULL_TIMEOUT = 5.0  # s
 MAX_PULLS = 8  # at a time
 KEYS_TIMEOUT = 10.0  # s for the keys of all robots
+_FAULTS = (NetworkError, TimeoutError, CodecError, ConfigError, OSError)
 
 
 def pulled_roster(
@@ -32,18 +38,10 @@ def pulled_roster(
     The identity's folder gets it, too. None if the roster cannot be had. Raises NetworkError in one
     line if this name is no longer on it.
     """
-    pulling = pull(
-        settings,
-        robot,
-        address,
-        "roster",
-        identity.name,
-        identity=identity,
-        timeout=PULL_TIMEOUT,
-    )
     try:
-        taken = take_roster(identity, read_shared(asyncio.run(pulling)), giver=robot)
-    except (NetworkError, TimeoutError, CodecError, ConfigError, OSError) as error:
+        shared = asyncio.run(_pull_shared(settings, identity, robot, address))
+        taken = take_roster(identity, shared, giver=robot)
+    except _FAULTS as error:
         return None, (
             f"{robot} shows generation {generation} of the roster, {identity.name} has"
             f" {identity.roster.generation}, and the newer one cannot be had"
@@ -51,10 +49,7 @@ def pulled_roster(
         )
     if taken.is_revoked:
         raise NetworkError(f"{identity.name} is no longer on the roster of {settings.swarm}")
-    return (
-        taken.identity,
-        f"took {taken.text} from {robot}",
-    )
+    return taken.identity, f"took {taken.text} from {robot}"
 
 
 def pulled_keys(
@@ -71,6 +66,14 @@ def pulled_keys(
     return take_answers(identity, found) if found else None
 
 
+async def _pull_shared(
+    settings: NetworkSettings, identity: Identity, robot: str, address: Address
+) -> SharedRoster:
+    name, time = identity.name, PULL_TIMEOUT
+    blob = await pull(settings, robot, address, "roster", name, identity=identity, timeout=time)
+    return read_shared(blob)
+
+
 async def _pull_keys(
     settings: NetworkSettings, identity: Identity, robots: Iterable[tuple[str, Address]]
 ) -> dict[str, bytes]:
@@ -82,18 +85,8 @@ async def _pull_keys(
             if robot in found:
                 return
             try:
-                shared = read_shared(
-                    await pull(
-                        settings,
-                        robot,
-                        address,
-                        "roster",
-                        identity.name,
-                        identity=identity,
-                        timeout=PULL_TIMEOUT,
-                    )
-                )
-            except (NetworkError, TimeoutError, CodecError, ConfigError, OSError):
+                shared = await _pull_shared(settings, identity, robot, address)
+            except _FAULTS:
                 return
         key = None if shared.keys is None else shared.keys.answers.get(robot)
         if key is not None and len(key) == KEY_BYTES:

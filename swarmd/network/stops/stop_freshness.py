@@ -39,6 +39,7 @@ from collections.abc import Mapping
 from msgspec import Struct
 from msgspec.structs import replace
 
+from swarmd.core.bounds import keep_newest
 from swarmd.network.datagram import Stop
 
 REPLAYED = "replayed"
@@ -80,9 +81,7 @@ class StopFreshness:
             floor = max(greatest - SLACK, self._floors.get(stop.origin, -1))
             if stop.counter <= floor:
                 return None
-        self._first[stop.id] = now
-        if len(self._first) > MAX_IDS:
-            del self._first[next(iter(self._first))]
+        keep_newest(self._first, stop.id, now, MAX_IDS)
         self._note(stop)
         return TakenStop(stop, False)
 

@@ -1,0 +1,61 @@
+"""When a robot may ask another one for what its beacon shows, so that no beacon costs much. Pure.
+
+Latches, goals, behaviours and rosters are asked for by this one rule, each with its own times.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Hashable
+
+from swarmd.core.bounds import keep_newest
+
+MAX_KNOWN = 1024
+
+
+class Asks:
+    """Asks each peer once in `period` s, and `at_once` peers of one group in `window` s.
+
+    A peer that has answered for a digest is known until its beacon shows another one. `window` None
+    is the period. Each table keeps the newest MAX_KNOWN keys.
+    """
+
+    def __init__(self, period: float, at_once: int = 1, window: float | None = None) -> None:
+        self._period, self._at_once = period, at_once
+        self._window = period if window is None else window
+        self._known: dict[Hashable, bytes] = {}
+        self._asked_until: dict[Hashable, float] = {}
+        self._asked_at: dict[Hashable, list[float]] = {}  # of a group
+
+    def knows(self, peer: Hashable, digest: bytes) -> bool:
+        """True if the peer has answered for this digest."""
+        return self._known.get(peer) == digest
+
+    def answered(self, peer: Hashable, digest: bytes) -> None:
+        """The peer has answered for this digest."""
+        keep_newest(self._known, peer, digest, MAX_KNOWN)
+
+    def forget(self, peer: Hashable) -> None:
+        """The answer of the peer does not count: ask again."""
+        self._known.pop(peer, None)
+
+    def may(self, peer: Hashable, now: float) -> bool:
+        """True if the peer may be asked now, whatever its group."""
+        return now >= self._asked_until.get(peer, -math.inf)
+
+    def wait(self, peer: Hashable, until: float) -> None:
+        """Do not ask the peer before this time."""
+        keep_newest(self._asked_until, peer, until, MAX_KNOWN)
+
+    def take(self, peer: Hashable, now: float, group: Hashable = None) -> bool:
+        """True if the peer is to be asked now, which counts as asked; `group` None: of no group."""
+        if not self.may(peer, now):
+            return False
+        if group is not None:
+            recent = [at for at in self._asked_at.get(group, ()) if now - at < self._window]
+            is_full = len(recent) >= self._at_once
+            keep_newest(self._asked_at, group, recent if is_full else [*recent, now], MAX_KNOWN)
+            if is_full:
+                return False
+        self.wait(peer, now + self._period)
+        return True
