@@ -6,7 +6,7 @@ import logging
 from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from msgspec.structs import astuple
@@ -25,7 +25,9 @@ from swarmd.sim.trace import (
     enter_decision,
 )
 from swarmd.sim.world.contacts import EPISODE_GAP, ContactEpisodes
-from swarmd.sim.world.world import World
+
+if TYPE_CHECKING:  # its simulator takes 80 ms to load
+    from swarmd.sim.world.world import World
 
 _log = logging.getLogger(__name__)
 
