@@ -319,15 +319,24 @@ def test_a_robot_that_was_heard_before_the_look_alone_is_waited_for_as_one_that_
     assert ends == pytest.approx(60.0 + GONE_WAIT + GONE_TRIPS * looked.found.round_trip)
 
 
-def test_round_trip_loss_and_links_are_those_of_the_look(looked: Rig) -> None:
+def test_round_trip_and_lists_are_those_of_the_look(looked: Rig) -> None:
     assert looked.found.links(0.02) == {("a", "b")}
-    looked.look_again(60.0)
+    looked.look_again(1.0)
     found = looked.found
     assert found.round_trip == 0.0
-    assert found.links(60.0) == frozenset()
-    assert not found.has_all_lists(60.0)
-    found.on_solicit(2, 60.0)
-    looked.hear("a", at=60.3, echo=2, sequence=2)
+    assert found.links(1.0) == frozenset()
+    assert not found.has_all_lists(1.0)
+    found.on_solicit(2, 1.0)
+    looked.hear("a", at=1.3, echo=2, sequence=2)
     assert found.round_trip == pytest.approx(0.3)
     assert found.unlisted == ("a",)
-    assert found.result(60.3).loss == 0.0
+
+
+def test_loss_is_that_of_the_look(looked: Rig) -> None:
+    for echo in range(2, 10):  # none is answered
+        looked.found.on_solicit(echo, 0.1 * echo)
+    assert looked.found.result(1.5).loss > 0.8
+    looked.look_again(2.0)
+    looked.found.on_solicit(10, 2.0)
+    answers_with(looked, "a", "b", echo=10, at=2.01)
+    assert looked.found.result(2.5).loss == 0.0
