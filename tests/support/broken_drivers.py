@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
+from msgspec import structs
 
 from swarmd.core.errors import CodecError
 from swarmd.core.finding import Finding
@@ -325,9 +326,9 @@ WRONG_ODOMETRY = [
     with_odometry("NaN pose", lambda one: Odometry(one.stamp, Pose(np.nan, 0.0, 0.0), one.twist)),
     with_odometry("same stamp", lambda one: Odometry(1.0, one.pose, one.twist)),
 ]
-ALWAYS_WELL = with_findings("always well", lambda one: replace(one, is_well=True))
-NEVER_WELL = with_findings("never well", lambda one: replace(one, is_well=False))
-NO_REASON = with_findings("no reason", lambda one: replace(one, text=""))
+ALWAYS_WELL = with_findings("always well", lambda one: structs.replace(one, is_well=True))
+NEVER_WELL = with_findings("never well", lambda one: structs.replace(one, is_well=False))
+NO_REASON = with_findings("no reason", lambda one: structs.replace(one, text=""))
 
 
 class DropsScansWithoutReturns(Good):
