@@ -70,9 +70,10 @@ def address(robot: str) -> tuple[str, int]:
 
 
 class Rig:
-    """A look that began at 0."""
+    """A look that began at 0. Beacons are numbered as they come, unless a test tells a number."""
 
     def __init__(self, *roster: str, needs_status: bool = True) -> None:
+        self._sent = 0
         self.found = Discovery(0.0, roster, needs_status=needs_status)
 
     def look_again(self, now: float) -> None:
@@ -82,7 +83,9 @@ class Rig:
 
     def hear(self, *robots: str, at: float = 0.01, **changes: Any) -> None:
         for robot in robots:
-            self.found.on_beacon(beacon(robot, **changes), address(robot), at)
+            self._sent += 1
+            told = {"sequence": self._sent} | changes
+            self.found.on_beacon(beacon(robot, **told), address(robot), at)
 
     def tell(self, robot: str, *others: MemberReport, at: float = 0.01, **changes: Any) -> None:
         self.found.on_member_list(word(robot, *others, **changes), at)

@@ -6,7 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.messages import Presence
-from swarmd.network.operator.beacon_table import MAX_ROBOTS, QUIET_TIME
+from swarmd.network.members.membership import MAX_MEMBERS
 from swarmd.network.operator.discovery import (
     ANSWER_WAIT,
     FIRST_ROBOT_TIMEOUT,
@@ -18,6 +18,7 @@ from swarmd.network.operator.discovery import (
     UNREACHABLE_WAIT,
     Discovery,
 )
+from swarmd.network.operator.round_trips import QUIET_TIME
 from swarmd.network.operator.seen_member import INDIRECT_TIME
 from tests.network.discovery_rig import ALIVE, FAILED, Rig, address, beacon, heard, life, word
 
@@ -39,6 +40,17 @@ def test_one_robot_that_answered_is_complete_only_after_the_quiet_time(rig: Rig)
     rig.answer("a")
     assert not rig.found.is_complete(0.02 + QUIET_TIME / 2)
     assert rig.found.is_complete(0.021 + QUIET_TIME)
+
+
+def test_a_robot_that_answered_and_is_gone_since_makes_no_complete_look(rig: Rig) -> None:
+    for robot, other in (("a", "b"), ("b", "a")):
+        rig.hear(robot)
+        rig.answer(robot, other)
+    assert rig.found.is_complete(0.2)
+    end = 0.2 + INDIRECT_TIME  # the report of the other robot is old as well
+    rig.hear("a", at=end)
+    assert rig.found.result(end).missing == ("b",)
+    assert not rig.found.is_complete(end)
 
 
 def test_the_quiet_time_is_two_round_trips_of_the_slowest(rig: Rig) -> None:
@@ -194,11 +206,11 @@ def test_a_robot_that_moved_is_found_at_its_new_address(rig: Rig) -> None:
 
 def test_strangers_are_bounded() -> None:
     rig = Rig("own")
-    for number in range(2 * MAX_ROBOTS):
+    for number in range(2 * MAX_MEMBERS):
         rig.hear(f"r{number}")
         rig.tell(f"t{number}", heard(f"x{number}"))
         rig.answer(f"v{number}")
-    assert len(rig.found.known) <= MAX_ROBOTS + 1
+    assert len(rig.found.known) <= MAX_MEMBERS + 1
     assert "own" in rig.found.result(0.1).missing
 
 

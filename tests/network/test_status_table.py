@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from swarmd.network.operator.beacon_table import QUIET_TIME
+from swarmd.network.operator.round_trips import QUIET_TIME
 from tests.network.discovery_rig import Rig, life
 
 

@@ -1,4 +1,4 @@
-"""The members of a swarm as one robot hears them. Pure: datagrams and times in, members out.
+"""The members of a swarm as a robot or an operator hears them. Pure: datagrams and times in.
 
 A robot is
 
@@ -7,7 +7,8 @@ A robot is
 - failed when its lease ended without that; it stays listed until it returns or is forgotten.
 
 The lists of others name robots whose beacons do not arrive here. These indirect members are handed
-on with their age and their distance, and are no neighbours.
+on with their age and their distance, and are no neighbours. An operator owns no id, and keeps what
+each robot reports of the others in `operator/member_reports.py`.
 Times are in s on the caller's monotonic clock.
 """
 
@@ -15,8 +16,9 @@ from __future__ import annotations
 
 import ipaddress
 from collections.abc import Collection, Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from enum import Enum, auto
 
+from msgspec import Struct
 from msgspec.structs import replace
 
 from swarmd.core.messages import Body, Member, Presence
@@ -33,7 +35,7 @@ from swarmd.network.datagram import (
 )
 
 MAX_MEMBERS = 1024
-MAX_INSTANCES = 4
+MAX_INSTANCES = 8
 # A member that is silent for this share of its lease is solicited, once per PROBE_PERIOD.
 PROBE_SHARE = 0.5
 PROBE_PERIOD = 0.25
@@ -45,29 +47,61 @@ STRANGER_KEPT = 120.0
 MEMBER_KEPT = 600.0  # s for which one that is gone and was no stranger keeps its place
 
 
-@dataclass(slots=True)
-class _Instance:
-    """One life of a robot. `since`: first beacon as the owner of its id."""
+class Life(Struct):
+    """One life of a robot: from its first beacon as the owner of its id, at `since`.
+
+    `beacon`, `address`: the newest. `version`: of the package, once a beacon told. `left`: when it
+    said that it leaves. `has_returned`: it was heard after that, so that the farewell was false.
+    """
 
     since: float
     heard: float
     beacon: Beacon
     address: Address
-    has_left: bool = False
+    version: str = ""
+    left: float | None = None
+    has_returned: bool = False
+
+    def take(self, beacon: Beacon, address: Address, now: float, *, is_answer: bool) -> bool:
+        """Take a beacon; False if it is a delayed one, or a farewell that does not count.
+
+        A beacon with a lower number is a delayed one for a while only: a forged number must not
+        hide the robot. A false farewell does not count twice. `is_answer`: the beacon answers what
+        was asked after the farewell.
+        """
+        is_farewell = bool(beacon.flags & Flag.LEFT)
+        is_late = beacon.sequence <= self.beacon.sequence and now - self.heard < LATE_TIME
+        if (is_late and not (self.left is not None and is_answer)) or (
+            is_farewell and self.has_returned
+        ):
+            return False
+        self.has_returned |= self.left is not None and not is_farewell
+        self.heard, self.beacon, self.address = now, beacon, address
+        self.version = beacon.version or self.version
+        self.left = now if is_farewell else None
+        return True
 
 
-@dataclass(slots=True)
-class _Record:
-    """`shown`: the instance and presence at the last event, and `since` when.
+class Change(Enum):
+    """What a beacon changed: nothing, the figures of a life, or which lives there are."""
 
-    `body`: what the latest instance that tells its body told of it.
+    IGNORED = auto()
+    REFRESHED = auto()
+    FOUND = auto()
+    LEFT = auto()
+
+
+class _Robot(Struct):
+    """The lives of one robot. `shown`: the life and presence at the last event, `since` when.
+
+    `body`: what the latest life that tells its body told of it.
     """
 
-    instances: dict[bytes, _Instance] = field(default_factory=dict)
+    first: float
+    lives: dict[bytes, Life] = {}
     body: BodyReport | None = None
     shown: tuple[bytes, Presence] | None = None
     since: float = 0.0
-    first: float = 0.0
     probed: float = 0.0
 
     @property
@@ -76,9 +110,9 @@ class _Record:
         return self.latest.heard - self.first < STRANGER_TIME
 
     @property
-    def latest(self) -> _Instance:
-        """The instance that appeared last."""
-        return next(reversed(self.instances.values()))
+    def latest(self) -> Life:
+        """The life that appeared last."""
+        return next(reversed(self.lives.values()))
 
     def living(self, lease: float, now: float) -> list[bytes]:
         """The living instances, the newest first.
@@ -89,15 +123,14 @@ class _Record:
         newest = self.latest
         return [
             name
-            for name, one in reversed(self.instances.items())
-            if not one.has_left
+            for name, one in reversed(self.lives.items())
+            if one.left is None
             and now - one.heard <= lease
             and (one is newest or one.heard > newest.since)
         ]
 
 
-@dataclass(frozen=True, slots=True)
-class IndirectMember:
+class IndirectMember(Struct, frozen=True):
     """A robot that others know: their description, by whom and when it came."""
 
     heard: MemberReport
@@ -110,7 +143,7 @@ class IndirectMember:
 
 
 class Membership:
-    """The other robots of a swarm; `own` is never among them.
+    """The other robots of a swarm; `own` is never among them, and empty for an operator.
 
     Bounded: beyond MAX_MEMBERS a new robot replaces the one that is gone the longest, and is
     ignored and counted in `ignored` if all are alive.
@@ -119,42 +152,53 @@ class Membership:
     def __init__(self, own: str, lease: float) -> None:
         self._own = own
         self._lease = lease
-        self._records: dict[str, _Record] = {}
+        self._robots: dict[str, _Robot] = {}
         self._indirect: dict[str, IndirectMember] = {}
         self.ignored = 0
 
     def on_beacon(self, beacon: Beacon, address: Address, now: float) -> bool:
         """A robot that owns its id sent a beacon; True if its presence or instance changed."""
-        if beacon.robot == self._own or beacon.flags & Flag.JOINING:
-            return False
-        record = self._records.get(beacon.robot)
-        if record is None:
-            if beacon.flags & Flag.LEFT:
-                return False
-            if len(self._records) >= MAX_MEMBERS and not self._make_room(now):
-                self.ignored += 1
-                return False
-            record = self._records[beacon.robot] = _Record(first=now)
-        self._indirect.pop(beacon.robot, None)
-        instance = record.instances.get(beacon.instance)
-        if instance is None:
-            instance = _Instance(now, now, beacon, address)
-            record.instances[beacon.instance] = instance
-            for old in list(record.instances)[:-MAX_INSTANCES]:
-                del record.instances[old]
-        elif beacon.sequence <= instance.beacon.sequence and now - instance.heard < LATE_TIME:
-            return False  # delayed; after that time a forged number must not hide the robot
-        instance.heard, instance.beacon, instance.address = now, beacon, address
-        instance.has_left = bool(beacon.flags & Flag.LEFT)
-        if beacon.body is not None and (record.body is None or instance is record.latest):
-            record.body = beacon.body
-        return self._settle(record, now)
+        change = self.take(beacon, address, now)
+        return change is not Change.IGNORED and self._settle(self._robots[beacon.robot], now)
+
+    def take(
+        self, beacon: Beacon, address: Address, now: float, *, is_answer: bool = False
+    ) -> Change:
+        """Take a beacon; `is_answer`: to a question that was asked after its sender left."""
+        name, is_farewell = beacon.robot, bool(beacon.flags & Flag.LEFT)
+        if name == self._own or beacon.flags & Flag.JOINING:
+            return Change.IGNORED
+        robot = self._robots.get(name)
+        life = None if robot is None else robot.lives.get(beacon.instance)
+        if life is None:
+            if is_farewell:
+                return Change.IGNORED
+            if robot is None:
+                if len(self._robots) >= MAX_MEMBERS and not self._make_room(now):
+                    self.ignored += 1
+                    return Change.IGNORED
+                robot = self._robots[name] = _Robot(first=now)
+            self._indirect.pop(name, None)
+            life = robot.lives[beacon.instance] = Life(now, now, beacon, address, beacon.version)
+            for old in list(robot.lives)[:-MAX_INSTANCES]:
+                del robot.lives[old]
+            change = Change.FOUND
+        else:
+            assert robot is not None
+            was_gone = life.left is not None
+            if not life.take(beacon, address, now, is_answer=is_answer):
+                return Change.IGNORED
+            change = Change.FOUND if was_gone else Change.REFRESHED
+            change = Change.LEFT if is_farewell else change
+        if beacon.body is not None and (robot.body is None or life is robot.latest):
+            robot.body = beacon.body
+        return change
 
     def on_member_list(self, members: MemberList, now: float) -> None:
         """A robot sent a part of its list of members."""
         for heard in members.members:
-            record = self._records.get(heard.robot)
-            is_heard_here = record is not None and record.shown is not None
+            robot = self._robots.get(heard.robot)
+            is_heard_here = robot is not None and robot.shown is not None
             if heard.robot == self._own or heard.hops >= MAX_HOPS or is_heard_here:
                 continue
             known = self._indirect.get(heard.robot)
@@ -168,10 +212,10 @@ class Membership:
 
     def advance(self, now: float) -> list[str]:
         """End the leases that are over; the robots whose presence changed."""
-        changed = [robot for robot, record in self._records.items() if self._settle(record, now)]
-        for robot, record in list(self._records.items()):
-            if _is_gone(record) and record.is_stranger and now - record.since > STRANGER_KEPT:
-                del self._records[robot]
+        changed = [robot for robot, known in self._robots.items() if self._settle(known, now)]
+        for robot, known in list(self._robots.items()):
+            if _is_gone(known) and known.is_stranger and now - known.since > STRANGER_KEPT:
+                del self._robots[robot]
         for robot, indirect in list(self._indirect.items()):
             if now - indirect.at > STRANGER_KEPT:
                 del self._indirect[robot]
@@ -180,46 +224,46 @@ class Membership:
     def to_probe(self, now: float) -> list[Address]:
         """The addresses of members whose beacons are overdue."""
         found = []
-        for record in self._records.values():
-            if _is_gone(record) or record.shown is None:
+        for known in self._robots.values():
+            if _is_gone(known) or known.shown is None:
                 continue
-            silence = now - record.latest.heard
-            if silence > PROBE_SHARE * self._lease and now - record.probed >= PROBE_PERIOD:
-                record.probed = now
-                found.append(record.latest.address)
+            silence = now - known.latest.heard
+            if silence > PROBE_SHARE * self._lease and now - known.probed >= PROBE_PERIOD:
+                known.probed = now
+                found.append(known.latest.address)
         return found
 
     def forget(self, robot: str) -> bool:
         """Remove a robot; False if it is alive or unknown."""
         self._indirect.pop(robot, None)
-        record = self._records.get(robot)
-        if record is None or not _is_gone(record):
+        known = self._robots.get(robot)
+        if known is None or not _is_gone(known):
             return False
-        del self._records[robot]
+        del self._robots[robot]
         return True
 
     def keep_only(self, robots: Collection[str]) -> None:
         """Remove all other robots, alive or not: they are no longer on the roster."""
-        for known in (self._records, self._indirect):
+        for known in (self._robots, self._indirect):
             for robot in known.keys() - set(robots):
                 del known[robot]
 
     def member(self, robot: str, now: float) -> Member | None:
         """One member, or None if it was never heard or is forgotten."""
-        record = self._records.get(robot)
-        if record is None or record.shown is None:
+        known = self._robots.get(robot)
+        if known is None or known.shown is None:
             return None
-        instance, presence = record.shown
+        instance, presence = known.shown
         return Member(
             robot=robot,
             instance=instance.hex(),
             presence=presence,
-            age=max(0.0, now - record.since),
+            age=max(0.0, now - known.since),
         )
 
     def members(self, now: float) -> dict[str, Member]:
         """All members by id, in the order of their names."""
-        found = ((robot, self.member(robot, now)) for robot in sorted(self._records))
+        found = ((robot, self.member(robot, now)) for robot in sorted(self._robots))
         return {robot: member for robot, member in found if member is not None}
 
     def bodies(self) -> dict[str, Body | None]:
@@ -229,9 +273,9 @@ class Membership:
         instance that tells nothing of its body does not take back what another one told.
         """
         return {
-            robot: None if record.body is None else record.body.body
-            for robot, record in self._records.items()
-            if record.shown is not None
+            robot: None if known.body is None else known.body.body
+            for robot, known in self._robots.items()
+            if known.shown is not None
         }
 
     @property
@@ -250,54 +294,54 @@ class Membership:
 
     def is_present(self, robot: str, instance: bytes) -> bool:
         """True if this instance is shown as alive."""
-        record = self._records.get(robot)
-        return record is not None and record.shown == (instance, Presence.ALIVE)
+        known = self._robots.get(robot)
+        return known is not None and known.shown == (instance, Presence.ALIVE)
 
     def goals(self) -> Iterator[tuple[bytes, bytes]]:
         """The instance of each robot that is alive, and the digest of the goal that it shows."""
-        for record in self._records.values():
-            if record.shown is not None and record.shown[1] is Presence.ALIVE:
-                instance = record.shown[0]
-                yield instance, record.instances[instance].beacon.digest(RecordKind.GOAL)
+        for known in self._robots.values():
+            if known.shown is not None and known.shown[1] is Presence.ALIVE:
+                instance = known.shown[0]
+                yield instance, known.lives[instance].beacon.digest(RecordKind.GOAL)
 
     def latches_of(self, robot: str, instance: bytes) -> bytes | None:
         """The digest of latches in the newest beacon of an instance that is alive."""
         if not self.is_present(robot, instance):
             return None
-        return self._records[robot].instances[instance].beacon.digest(RecordKind.LATCH)
+        return self._robots[robot].lives[instance].beacon.digest(RecordKind.LATCH)
 
     def is_established(self, robot: str) -> bool:
         """True if the robot was heard here for longer than a stranger."""
-        record = self._records.get(robot)
-        return record is not None and record.shown is not None and not record.is_stranger
+        known = self._robots.get(robot)
+        return known is not None and known.shown is not None and not known.is_stranger
 
     def knows(self, robot: str) -> bool:
         """True if the robot was heard here or by others."""
-        return robot in self._records or robot in self._indirect
+        return robot in self._robots or robot in self._indirect
 
     def address(self, robot: str) -> Address | None:
         """The address from which a member was last heard."""
-        record = self._records.get(robot)
-        return None if record is None or record.shown is None else record.latest.address
+        known = self._robots.get(robot)
+        return None if known is None or known.shown is None else known.latest.address
 
     def alive_addresses(self) -> Iterable[tuple[str, Address]]:
         """The members that are alive, with their addresses."""
-        for robot, record in self._records.items():
-            if record.shown is not None and record.shown[1] is Presence.ALIVE:
-                yield robot, record.latest.address
+        for robot, known in self._robots.items():
+            if known.shown is not None and known.shown[1] is Presence.ALIVE:
+                yield robot, known.latest.address
 
     def reports(self, now: float) -> tuple[MemberReport, ...]:
         """The list for others: the robots heard here, then those that only others hear."""
-        known = []
-        for robot, record in sorted(self._records.items()):
-            if record.shown is None:
+        found = []
+        for robot, known in sorted(self._robots.items()):
+            if known.shown is None:
                 continue
-            presence, latest = record.shown[1], record.latest
-            since = latest.heard if presence is Presence.ALIVE else record.since
-            known.append(
+            presence, latest = known.shown[1], known.latest
+            since = latest.heard if presence is Presence.ALIVE else known.since
+            found.append(
                 MemberReport(
                     robot=robot,
-                    instance=record.shown[0],
+                    instance=known.shown[0],
                     presence=PRESENCES.index(presence),
                     age=round(max(now - since, 0.0) * 1000),
                     host=latest.address[0].partition("%")[0],
@@ -307,7 +351,7 @@ class Membership:
         for robot, indirect in sorted(self._indirect.items()):
             heard = indirect.heard
             age = round(indirect.age(now) * 1000)
-            known.append(
+            found.append(
                 MemberReport(
                     robot=robot,
                     instance=heard.instance,
@@ -318,42 +362,85 @@ class Membership:
                     port=heard.port,
                 )
             )
-        return tuple(known)
+        return tuple(found)
 
     def duplicates(self, now: float) -> Mapping[str, tuple[str, ...]]:
         """Robot ids that more than one living instance holds, with those instances."""
         found = {
-            robot: tuple(sorted(name.hex() for name in record.living(self._lease, now)))
-            for robot, record in self._records.items()
+            robot: tuple(sorted(name.hex() for name in known.living(self._lease, now)))
+            for robot, known in self._robots.items()
         }
         return {robot: living for robot, living in found.items() if len(living) > 1}
+
+    # Of one robot, by instance
+
+    @property
+    def heard(self) -> frozenset[str]:
+        """The robots that were heard and did not leave."""
+        return frozenset(name for name in self._robots if self.lives(name))
+
+    def was_heard(self, robot: str) -> bool:
+        """True if a life of the robot was heard, also if it left."""
+        return robot in self._robots
+
+    def lives(self, robot: str) -> dict[str, Life]:
+        """The lives of a robot that were heard and did not leave."""
+        known = self._robots.get(robot)
+        lives = {} if known is None else known.lives
+        return {name.hex(): one for name, one in lives.items() if one.left is None}
+
+    def farewells(self, robot: str) -> dict[str, float]:
+        """When the instances of a robot that left said so."""
+        known = self._robots.get(robot)
+        lives = {} if known is None else known.lives
+        return {name.hex(): one.left for name, one in lives.items() if one.left is not None}
+
+    def left_at(self, robot: str, instance: bytes) -> float | None:
+        """When an instance said that it leaves; None: it did not."""
+        known = self._robots.get(robot)
+        life = None if known is None else known.lives.get(instance)
+        return None if life is None else life.left
+
+    def last_heard(self, robot: str) -> Life | None:
+        """The life of a robot that was heard last, and did not leave."""
+        return max(self.lives(robot).values(), key=lambda one: one.heard, default=None)
+
+    def holders(self, robot: str) -> frozenset[str]:
+        """The living instances of a robot when it was heard last; several hold one id."""
+        last = self.last_heard(robot)
+        if last is None:
+            return frozenset()
+        living = self._robots[robot].living(self._lease, last.heard)
+        return frozenset(name.hex() for name in living)
+
+    # Parts
 
     def _make_room(self, now: float) -> bool:
         """Drop a stranger that is gone, or a member that is gone for long."""
         gone = [
-            (record.since, robot)
-            for robot, record in self._records.items()
-            if _is_gone(record) and (record.is_stranger or now - record.since > MEMBER_KEPT)
+            (known.since, robot)
+            for robot, known in self._robots.items()
+            if _is_gone(known) and (known.is_stranger or now - known.since > MEMBER_KEPT)
         ]
         if gone:
-            del self._records[min(gone)[1]]
+            del self._robots[min(gone)[1]]
         return bool(gone)
 
-    def _settle(self, record: _Record, now: float) -> bool:
-        living = record.living(self._lease, now)
-        name, latest = next(reversed(record.instances.items()))
+    def _settle(self, known: _Robot, now: float) -> bool:
+        living = known.living(self._lease, now)
+        name, latest = next(reversed(known.lives.items()))
         if living:
             shown = living[0], Presence.ALIVE
         else:
-            shown = name, Presence.LEFT if latest.has_left else Presence.FAILED
-        if shown == record.shown:
+            shown = name, Presence.LEFT if latest.left is not None else Presence.FAILED
+        if shown == known.shown:
             return False
-        record.shown, record.since = shown, now
+        known.shown, known.since = shown, now
         return True
 
 
-def _is_gone(record: _Record) -> bool:
-    return record.shown is not None and record.shown[1] is not Presence.ALIVE
+def _is_gone(known: _Robot) -> bool:
+    return known.shown is not None and known.shown[1] is not Presence.ALIVE
 
 
 def _is_ip_address(host: str) -> bool:

@@ -1,6 +1,6 @@
 """The members of a swarm as an operator finds them. Pure: datagrams, views and times in.
 
-Four sources are put together: beacons that the operator hears itself (`beacon_table.py`), the words
+Four sources are put together: beacons that the operator hears itself (`membership.py`), the words
 of robots about the others (`member_reports.py`), the robots' own statuses by Zenoh
 (`status_table.py`), and rosters. A look is complete once every expected robot has answered for
 itself and no news has come for a while, or all views agree. Until then it goes on for a time that
@@ -11,13 +11,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
 
+from swarmd.core import codec
 from swarmd.core.keys import is_id
 from swarmd.core.messages import PeerView, Presence, StatusHeader
 from swarmd.core.record import RecordKind, generation_of
 from swarmd.network.datagram import Address, Beacon, MemberList
-from swarmd.network.operator.beacon_table import MAX_ROBOTS, QUIET_TIME, BeaconChange, BeaconTable
+from swarmd.network.members.membership import MAX_MEMBERS, Change, Membership
 from swarmd.network.operator.member_reports import (
     EARLIER,
+    FRESH_TIME,
     LIST,
     VIEW,
     MemberReports,
@@ -26,6 +28,7 @@ from swarmd.network.operator.member_reports import (
     reports_of_view,
 )
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
+from swarmd.network.operator.round_trips import QUIET_TIME, RoundTrips
 from swarmd.network.operator.seen_member import INDIRECT_TIME, present_member, silent_member
 from swarmd.network.operator.status_table import StatusAnswer, StatusTable
 
@@ -77,7 +80,8 @@ class Discovery:
         self.found_at = now  # when the last robot was found
         self._news = self._prolonging_news = now
         self._roster = set(roster)
-        self._beacons = BeaconTable()
+        self._members = Membership("", FRESH_TIME)
+        self._trips = RoundTrips()
         self._reports = MemberReports(is_local=is_local)
         self._statuses = StatusTable()
         self._mentioned: dict[str, float] = {}
@@ -108,24 +112,26 @@ class Discovery:
 
     def on_solicit(self, echo: int, now: float) -> None:
         """A `Solicit` with this number is sent now."""
-        self._beacons.on_solicit(echo, now)
+        self._trips.on_solicit(echo, now)
 
     def on_beacon(self, beacon: Beacon, address: Address, now: float) -> None:
         """A robot's own beacon; one that does not own its id yet is no member."""
-        robot = beacon.robot
-        change = self._beacons.on_beacon(beacon, address, now, has_room=self._has_room(robot))
-        if change is BeaconChange.IGNORED:
+        robot, instance = beacon.robot, beacon.instance.hex()
+        if not self._has_room(robot):
             return
-        if change is BeaconChange.LEFT:
+        left = self._members.left_at(robot, beacon.instance)
+        is_answer = left is not None and self._trips.is_after(beacon.echo, left)
+        change = self._members.take(beacon, address, now, is_answer=is_answer)
+        if change is Change.LEFT:
             self._lists_at = -float("inf")  # do the others know?
-            self._statuses.drop(robot, beacon.instance.hex())
+            self._statuses.drop(robot, instance)
             self._on_news(robot, now)
-            return
-        if change is BeaconChange.FOUND:
+        elif change is Change.FOUND:
             self._mention(robot, now)
             self._on_news(robot, now)
             self.found_at = now
-        self._beacons.on_echo(beacon, now)
+        if instance in self._members.lives(robot):
+            self._trips.on_echo(robot, instance, beacon.echo, now)
 
     def on_member_list(self, word: MemberList, now: float) -> None:
         """A robot's word about others; the parts of one come one by one."""
@@ -136,16 +142,16 @@ class Discovery:
         if not self._reports.has_list(word.robot):
             self._on_news(word.robot, now)
         reports = self._reports.add_list(word, now)
-        self._roster.update(word.roster if len(self._roster) < MAX_ROBOTS else ())
+        self._roster.update(word.roster if len(self._roster) < MAX_MEMBERS else ())
         self._store_reports(word.robot, LIST, reports, now)
-        if self._beacons.is_fresh(word.robot, now) and now - self._forgot_at >= FORGET_PERIOD:
+        if self._is_fresh(word.robot, now) and now - self._forgot_at >= FORGET_PERIOD:
             self._forgot_at = now
             self._forget(now)
 
     def on_view(self, view: PeerView, now: float) -> None:
         """A robot answered with its status and its members."""
         self._take_answer(view.robot, StatusAnswer(view.status, view.members, now), now)
-        if len(self._roster) < MAX_ROBOTS:
+        if len(self._roster) < MAX_MEMBERS:
             self._roster.update(name for name in view.roster if is_id(name))
         self._store_reports(view.robot, VIEW, reports_of_view(view, now), now)
 
@@ -157,13 +163,13 @@ class Discovery:
 
     @property
     def round_trip(self) -> float:
-        """The round trip, in s, as `BeaconTable` measures it."""
-        return self._beacons.round_trip
+        """The round trip, in s, as `RoundTrips` measures it."""
+        return self._trips.round_trip
 
     @property
     def heard(self) -> frozenset[str]:
         """The robots that the operator has heard itself."""
-        return self._beacons.robots
+        return self._members.heard
 
     @property
     def known(self) -> frozenset[str]:
@@ -173,14 +179,19 @@ class Discovery:
     @property
     def of_other_version(self) -> frozenset[str]:
         """The robots whose beacons show another version of requests."""
-        return self._beacons.of_other_version
+        return frozenset(
+            robot
+            for robot in self.heard
+            if any(one.beacon.wire != codec.VERSION for one in self._members.lives(robot).values())
+        )
 
     @property
     def doubted(self) -> frozenset[str]:
         """The robots that left by a beacon, and are alive in the newest list of another robot."""
         return frozenset(
             robot
-            for robot, instance in self._beacons.gone
+            for robot in self._mentioned
+            for instance in self._members.farewells(robot)
             if self._reports.is_alive(robot, instance)
         )
 
@@ -202,19 +213,18 @@ class Discovery:
 
         Of an id that two daemons hold, both must be linked before a request goes out.
         """
-        heard, holders = self._beacons.instances(robot), self.holders(robot)
-        is_echoed = all(one in heard and heard[one].echoes for one in holders)
+        holders = self.holders(robot)
+        is_echoed = all(self._trips.has_answered(robot, one) for one in holders)
         return len(holders) == 1 and is_echoed and self._reports.has_full_list(robot)
 
     def holders(self, robot: str) -> frozenset[str]:
         """The living instances of an id, by beacons and by the word of any one robot."""
-        double = self._reports.doubles(robot)
-        told = (one for one in double if (robot, one) not in self._beacons.gone)
-        return frozenset(self._beacons.living(robot).union(told))
+        told = self._reports.doubles(robot) - self._members.farewells(robot).keys()
+        return self._members.holders(robot) | told
 
     def address(self, robot: str) -> Address | None:
         """Where a robot is: the source of its beacons, else what others say."""
-        heard = self._beacons.newest(robot)
+        heard = self._members.last_heard(robot)
         if heard is not None:
             return heard.address
         reports = [one for one in self._all_reports(robot) if one.address is not None]
@@ -228,7 +238,7 @@ class Discovery:
         found: dict[tuple[str, str], Address] = {}
         indirect: dict[tuple[str, str], Address] = {}
         for robot in self._mentioned:
-            heard = self._beacons.instances(robot)
+            heard = self._members.lives(robot)
             if heard:
                 for instance in self.holders(robot) & heard.keys():
                     found[robot, instance] = heard[instance].address
@@ -246,7 +256,7 @@ class Discovery:
         """The addresses of robots that are known by the word of others alone, some at a time."""
         known = {self.address(robot) for robot in self._mentioned.keys() - self.heard}
         found = sorted(one for one in known if one is not None)
-        first = self._beacons.solicits * MAX_COPIES % len(found) if len(found) > MAX_COPIES else 0
+        first = self._trips.solicits * MAX_COPIES % len(found) if len(found) > MAX_COPIES else 0
         return tuple((found[first:] + found[:first])[:MAX_COPIES])
 
     # When to end
@@ -261,7 +271,8 @@ class Discovery:
         settled = self.settled
         if not settled or not self.heard <= settled:
             return False
-        if not self.result(now).expected <= settled:
+        view = self.result(now)
+        if not view.expected <= settled.intersection(view.alive):
             return False
         if not self._needs_status:
             return self.has_all_lists(now)
@@ -297,10 +308,8 @@ class Discovery:
                 continue
             since = self._mentioned.get(robot, self.started)
             best = most_certain(self._all_reports(robot))
-            if self._beacons.is_fresh(robot, now):
-                wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * self._beacons.loss(
-                    now
-                )
+            if self._is_fresh(robot, now):
+                wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * self._loss(now)
                 since = max(since, found_at)
             elif best is not None and best.presence is Presence.ALIVE:
                 wait = UNREACHABLE_WAIT + UNREACHABLE_TRIPS * trip
@@ -341,7 +350,7 @@ class Discovery:
                 robot: tuple(sorted(some)) for robot, some in holders.items() if len(some) > 1
             },
             round_trip=self.round_trip,
-            loss=self._beacons.loss(now),
+            loss=self._loss(now),
             seconds=now - self.started,
             goal_generation=max(self._generations(), default=0),
         )
@@ -349,21 +358,36 @@ class Discovery:
     def _generations(self) -> Iterator[int]:
         """Those of the goals that robots show in beacons and in statuses."""
         for robot in self.heard:
-            instances = self._beacons.instances(robot).values()
+            instances = self._members.lives(robot).values()
             yield from (generation_of(one.beacon.digest(RecordKind.GOAL)) for one in instances)
         for _, status, _ in self._statuses.statuses():
             if status.goal is not None and status.goal.held is not None:
                 yield status.goal.held.goal.generation
 
     def _member(self, robot: str, now: float) -> SeenMember | None:
-        heard = self._beacons.newest(robot)
+        heard = self._members.last_heard(robot)
         answer = self._statuses.newest(robot, self.holders(robot))
-        if self._beacons.is_fresh(robot, now) or (answer is not None and heard is None):
+        if self._is_fresh(robot, now) or (answer is not None and heard is None):
             return present_member(robot, heard, answer, now)
         report = most_certain(self._all_reports(robot))
         return silent_member(robot, heard, answer, report, now)
 
     # Parts
+
+    def _is_fresh(self, robot: str, now: float) -> bool:
+        """True if a beacon of a robot came lately."""
+        heard = self._members.last_heard(robot)
+        return heard is not None and now - heard.heard <= FRESH_TIME
+
+    def _loss(self, now: float) -> float:
+        """The largest share of solicits that an instance which is heard left unanswered, 0 to 1."""
+        heard = (
+            (robot, instance)
+            for robot in self.heard
+            for instance, life in self._members.lives(robot).items()
+            if now - life.heard <= FRESH_TIME
+        )
+        return self._trips.loss(heard, now)
 
     def _on_news(self, robot: str, now: float) -> None:
         self._news = now
@@ -374,19 +398,18 @@ class Discovery:
         """True if a look waits for a robot: found early, known to another, or it answered."""
         if self._mentioned.get(robot, self.started) - self.started <= PROLONGING_TIME:
             return True
-        heard = self._beacons.instances(robot).values()
         return (
             robot in self._statuses.robots
             or self._reports.is_reported(robot)
-            or any(one.echoes for one in heard)
+            or any(self._trips.has_answered(robot, one) for one in self._members.lives(robot))
         )
 
     def _has_room(self, robot: str) -> bool:
-        return robot in self._mentioned or len(self._mentioned) < MAX_ROBOTS
+        return robot in self._mentioned or len(self._mentioned) < MAX_MEMBERS
 
     def _mention(self, robot: str, now: float) -> bool:
         """Note that a name is known; True if it is new."""
-        if robot in self._mentioned or len(self._mentioned) >= MAX_ROBOTS:
+        if robot in self._mentioned or len(self._mentioned) >= MAX_MEMBERS:
             return False
         self._mentioned[robot] = now
         return True
@@ -396,9 +419,9 @@ class Discovery:
 
     def _forget(self, now: float) -> None:
         """Drop the robots that were never seen, and that no list has named for a while."""
-        seen = self.heard | self._statuses.robots | {robot for robot, _ in self._beacons.gone}
         for robot, at in list(self._named.items()):
-            if now - at > INDIRECT_TIME and robot not in seen:
+            is_seen = self._members.was_heard(robot) or robot in self._statuses.robots
+            if now - at > INDIRECT_TIME and not is_seen:
                 del self._named[robot]
                 self._mentioned.pop(robot, None)
                 self._reports.forget(robot)
@@ -429,10 +452,6 @@ class Discovery:
 
     def _all_reports(self, robot: str) -> list[PeerReport]:
         """The reports of other robots about a robot, and its own last beacon before it left."""
-        left = [
-            PeerReport(instance, Presence.LEFT, at)
-            for (name, instance), (at, _) in self._beacons.gone.items()
-            if name == robot
-        ]
-        gone = {one.instance for one in left}
+        gone = self._members.farewells(robot)
+        left = [PeerReport(instance, Presence.LEFT, at) for instance, at in gone.items()]
         return [*left, *(one for one in self._reports.of(robot) if one.instance not in gone)]

@@ -9,7 +9,9 @@ from msgspec import Struct
 
 from swarmd.core.messages import PeerView, Presence
 from swarmd.network.datagram import PRESENCES, Address, MemberList
-from swarmd.network.operator.beacon_table import FRESH_TIME, MAX_INSTANCES
+from swarmd.network.members.membership import MAX_INSTANCES
+
+FRESH_TIME = 3.0  # a beacon, and the word of one, counts for this long, in s
 
 LIST, VIEW, EARLIER = "list", "view", "earlier"
 """The ways of a report: a member list, a view, an earlier look of the operator (of reporter "").

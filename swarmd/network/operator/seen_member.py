@@ -5,7 +5,7 @@ from __future__ import annotations
 from swarmd.core import codec
 from swarmd.core.messages import Epoch, Presence, Status, StatusHeader
 from swarmd.network.datagram import STATES
-from swarmd.network.operator.beacon_table import HeardInstance
+from swarmd.network.members.membership import Life
 from swarmd.network.operator.member_reports import PeerReport
 from swarmd.network.operator.members_view import Contact, SeenMember
 from swarmd.network.operator.status_table import StatusAnswer
@@ -14,11 +14,11 @@ INDIRECT_TIME = 10.0  # s after others heard a robot, in which it counts
 
 
 def present_member(
-    robot: str, heard: HeardInstance | None, answer: StatusAnswer | None, now: float
+    robot: str, heard: Life | None, answer: StatusAnswer | None, now: float
 ) -> SeenMember:
     """A robot that is heard, or that answered."""
     status = answer.status if answer is not None else None
-    at = answer.at if answer is not None else heard.last if heard is not None else now
+    at = answer.at if answer is not None else heard.heard if heard is not None else now
     beacon = heard.beacon if heard is not None else None
     contact = Contact.ANSWERED if isinstance(status, Status) else Contact.NO_ANSWER
     if isinstance(status, StatusHeader) or (beacon and beacon.wire != codec.VERSION):
@@ -42,7 +42,7 @@ def present_member(
 
 def silent_member(
     robot: str,
-    heard: HeardInstance | None,
+    heard: Life | None,
     answer: StatusAnswer | None,
     report: PeerReport | None,
     now: float,
@@ -51,8 +51,8 @@ def silent_member(
 
     It is alive if others heard it lately; it failed if its last beacon is newer than the report.
     """
-    if heard is not None and (report is None or report.at <= heard.last):
-        report = PeerReport(heard.beacon.instance.hex(), Presence.FAILED, heard.last)
+    if heard is not None and (report is None or report.at <= heard.heard):
+        report = PeerReport(heard.beacon.instance.hex(), Presence.FAILED, heard.heard)
     if report is None:
         return None
     is_alive = report.presence is Presence.ALIVE and now - report.at <= INDIRECT_TIME

@@ -7,7 +7,7 @@ from collections.abc import Collection, Iterator, KeysView, Mapping
 from msgspec import Struct
 
 from swarmd.core.messages import Member, Presence, Status, StatusHeader
-from swarmd.network.operator.beacon_table import MAX_INSTANCES
+from swarmd.network.members.membership import MAX_INSTANCES
 
 
 class StatusAnswer(Struct, frozen=True):

@@ -6,8 +6,8 @@ import pytest
 
 from swarmd.core.messages import State
 from swarmd.network.datagram import STATES, Flag
-from swarmd.network.operator.beacon_table import MAX_ROUND_TRIP
 from swarmd.network.operator.members_view import Contact
+from swarmd.network.operator.round_trips import MAX_ROUND_TRIP
 from tests.network.discovery_rig import Rig, life
 
 
