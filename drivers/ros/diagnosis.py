@@ -497,7 +497,7 @@ def has_enough(subscriptions: Subscriptions, elapsed: float) -> bool:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Report:
+class DriverCheck:
     """What a driver found out about its robot during a check.
 
     `connection_fault` is empty if the hub answers. `command_types`: the classes of messages that

@@ -25,7 +25,7 @@ from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Sink, ZeroSenderSpec
 from swarmd.drivers.ros.diagnosis import (
     Conflict,
-    Report,
+    DriverCheck,
     driven,
     driven_by_others,
     has_enough,
@@ -163,12 +163,12 @@ class Ros1Driver:
         self._foreign = ForeignCommands(self._options, ROS1_ACTIONS, is_cmd_vel_shared=True)
         self._hears_motion = False
 
-    def _report(self) -> Report | None:
+    def _report(self) -> DriverCheck | None:
         """What a check has found out; None if the adapter told nothing yet."""
         state = self._master.state
         if state is None:
             return None
-        return Report(
+        return DriverCheck(
             graph=self._master.graph(),
             endpoint=self._options.master_uri,
             connection_fault="" if state.master else self._unreachable(state),

@@ -23,8 +23,8 @@ from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.ros import cdr, from_ros
 from swarmd.drivers.ros.diagnosis import (
     Conflict,
+    DriverCheck,
     Graph,
-    Report,
     driven,
     has_enough,
     incomplete,
@@ -157,10 +157,10 @@ class RosDriver:
         held = self._credit.release(now)
         self._pass(None if held is None or self._conflict else self._gate.filter(held))
 
-    def _report(self) -> Report:
+    def _report(self) -> DriverCheck:
         graph = self._foreign_graph()
         is_connected = self._session is not None and bool(linked_hubs(self._session))
-        return Report(
+        return DriverCheck(
             graph=graph,
             endpoint=self._options.endpoint,
             connection_fault="" if is_connected else self._unreachable(),

@@ -30,7 +30,7 @@ from swarmd.core.messages import Code, Epoch, Refusal, Reply
 from swarmd.core.record import may_replace
 from swarmd.core.verbs import BehavioursReply, Nothing, PushRequest, ReloadRequest
 from swarmd.daemon.code_versions import Candidate, CodeVersions
-from swarmd.daemon.requests import Answer
+from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.bus import ZenohBus
 from swarmd.network.carriers.inbound_queue import FAILED, DropCounter
 from swarmd.network.datagram import Address
@@ -81,7 +81,7 @@ class CodeIntake:
 
     # Pushes
 
-    def on_push(self, request: PushRequest, answer: Answer) -> None:
+    def on_push(self, request: PushRequest, answer: SendReply) -> None:
         """Take a piece of a behaviour; the reply to the last piece follows when it is written."""
         if (reply := self._take_piece(request)) is not None:
             answer(reply, is_audited=reply.code is not Code.APPLIED)

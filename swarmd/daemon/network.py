@@ -56,7 +56,7 @@ from swarmd.network.datagram import (
 )
 from swarmd.network.members.link_quality import LinkQuality
 from swarmd.network.members.membership import MAX_MEMBERS
-from swarmd.network.peer import Effects, Peer, Summary
+from swarmd.network.peer import Peer, PeerActions, Summary
 from swarmd.network.settings import NetworkSettings
 from swarmd.network.signature import Author
 from swarmd.security.identity import Identity, authority_of
@@ -416,7 +416,7 @@ class Network:
         body: Datagram,
         source: Address,
         author: Author | None,
-        effects: Effects,
+        effects: PeerActions,
     ) -> None:
         """What follows in a secured swarm from a datagram that counts, or does not."""
         now = boottime()
@@ -434,7 +434,7 @@ class Network:
                 self._send(refusal, sender, author)
 
     def _carry_out(
-        self, effects: Effects, source: Address | None = None, author: Author | None = None
+        self, effects: PeerActions, source: Address | None = None, author: Author | None = None
     ) -> None:
         """Carry out what follows; `source` and `author`: of the datagram from which it does."""
         for body, address in effects.sends:

@@ -27,7 +27,7 @@ from swarmd.core.verbs import (
     RecordRequest,
 )
 from swarmd.daemon.recorder import Recorder
-from swarmd.daemon.requests import Answer
+from swarmd.daemon.requests import SendReply
 from swarmd.plugins import need
 from swarmd.recording.head import RecordingHead
 from swarmd.recording.reader import clock_of
@@ -65,7 +65,7 @@ class RecordingService:
             file=report.path[-1000:], size=report.bytes, dropped=recorder.dropped
         )
 
-    def on_record(self, request: RecordRequest, answer: Answer) -> None:
+    def on_record(self, request: RecordRequest, answer: SendReply) -> None:
         """Start or stop the recording."""
         recorder, is_on = self.recorder, self.recorder.is_on
         code, refusal = Code.APPLIED, None

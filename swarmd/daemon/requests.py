@@ -60,7 +60,7 @@ class _Pending:
     query: Query | None = None  # None: a datagram
 
 
-class Answer(Protocol):
+class SendReply(Protocol):
     """Sends the reply to a request, at once or later; `RequestServer.reply`."""
 
     def __call__(self, reply: Reply, *, is_stored: bool = True, is_audited: bool = True) -> None:

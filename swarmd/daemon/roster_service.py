@@ -13,7 +13,7 @@ from collections.abc import Callable, Coroutine
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.messages import Code, KeySummary, Refusal, Reply
 from swarmd.core.verbs import RosterRequest
-from swarmd.daemon.requests import Answer
+from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.security.identity import Identity
 from swarmd.security.roster_change import (
@@ -56,7 +56,7 @@ class RosterService:
             return None
         return KeySummary(generation=identity.roster.generation, expires=identity.info.expires)
 
-    def on_roster(self, request: RosterRequest, answer: Answer) -> None:
+    def on_roster(self, request: RosterRequest, answer: SendReply) -> None:
         """Take the roster of a request; the reply follows when the robot stands."""
 
         def tell(code: Code, refusal: Refusal | None, text: str) -> None:

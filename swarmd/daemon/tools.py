@@ -43,7 +43,7 @@ from swarmd.core.verbs import (
 )
 from swarmd.daemon.audit import AuditLog
 from swarmd.daemon.network import Network
-from swarmd.daemon.requests import Answer
+from swarmd.daemon.requests import SendReply
 from swarmd.network.carriers.machine_network import measure_network
 from swarmd.settings.settings import DaemonSettings
 
@@ -132,7 +132,7 @@ class FieldTools:
 
     # Members
 
-    def on_forget(self, request: ForgetRequest, answer: Answer) -> None:
+    def on_forget(self, request: ForgetRequest, answer: SendReply) -> None:
         """Remove a member from the list of members, unless the member is alive."""
         name = request.name
         code, refusal, text = Code.APPLIED, None, f"forgot {name}"

@@ -18,7 +18,7 @@ from swarmd.kit.conditions import (
     Nearer,
     Not,
     Reading,
-    Report,
+    Reported,
     Settled,
     Timeout,
     needs_of,
@@ -120,7 +120,7 @@ def _evaluator(condition: Condition, started: float) -> _Evaluate:
             return lambda seen: seen.scan is not None and bool((seen.scan.ranges < distance).any())
         case Settled():
             return _settled(condition)
-        case Report():
+        case Reported():
             return lambda seen: _is_as_wanted(condition, seen.reports.get(condition.name))
         case Reading():
             return lambda seen: _is_within(condition, seen.readings.get(condition.name))
@@ -140,14 +140,14 @@ def _settled(condition: Settled) -> _Evaluate:
     return evaluate
 
 
-def _is_as_wanted(condition: Report, value: Scalar | None) -> bool:
+def _is_as_wanted(condition: Reported, value: Scalar | None) -> bool:
     wanted = condition.value
     if wanted is None:
         return _is_within(condition, value)
     return value == wanted and isinstance(value, str) == isinstance(wanted, str)
 
 
-def _is_within(condition: Report | Reading, value: Scalar | None) -> bool:
+def _is_within(condition: Reported | Reading, value: Scalar | None) -> bool:
     if value is None or isinstance(value, str):
         return False
     is_above = condition.above is None or value > condition.above

@@ -61,7 +61,7 @@ class Nearer(Struct, frozen=True, tag="nearer", forbid_unknown_fields=True):
         return f"something is nearer than {self.distance:g} m"
 
 
-class Report(Struct, frozen=True, tag="report", forbid_unknown_fields=True):
+class Reported(Struct, frozen=True, tag="report", forbid_unknown_fields=True):
     """A reported value equals a value, or is above or below a number; exactly one of them."""
 
     name: str = field(name="report")
@@ -120,7 +120,7 @@ class Not(Struct, frozen=True, tag="not", forbid_unknown_fields=True):
         return f"not: {self.condition}"
 
 
-Condition: TypeAlias = Timeout | Done | Settled | Nearer | Report | Reading | AnyOf | AllOf | Not
+Condition: TypeAlias = Timeout | Done | Settled | Nearer | Reported | Reading | AnyOf | AllOf | Not
 
 _FORMS = ("timeout:SECONDS", "done", "settled:REPORT:SECONDS", "nearer:METRES", "report:KEY=VALUE")
 
@@ -140,7 +140,7 @@ def parse_condition(text: str) -> Condition:
     if kind == "report":
         name, sign, value_text = rest.partition("=")
         if name and sign:
-            return Report(name, _scalar(value_text))
+            return Reported(name, _scalar(value_text))
     kinds = [form.partition(":")[0] for form in _FORMS]
     fault = f"condition {text!r}" if kind in kinds else unknown("condition", kind, kinds)
     raise ConfigError(f"{fault}; expected one of {', '.join(_FORMS)}")

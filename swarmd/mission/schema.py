@@ -19,7 +19,7 @@ from msgspec import Meta, Struct
 from swarmd.core.bounds import BoundedScalar
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.keys import is_id
-from swarmd.kit.conditions import Condition, Done, Report, Settled
+from swarmd.kit.conditions import Condition, Done, Reported, Settled
 from swarmd.settings.layered import Fault, Keys, fault_at, read
 from swarmd.settings.yamlfile import key_lines, shown
 from swarmd.settings.yamlfile import read as read_yaml
@@ -240,7 +240,7 @@ def driving_parts(element: Element) -> Iterator[str]:
 def report_of(condition: Condition) -> str | None:
     """The report that a simple condition is about, as PART.KEY; None if it is about none."""
     match condition:
-        case Settled(report=name) | Report(name=name):
+        case Settled(report=name) | Reported(name=name):
             return name
         case _:
             return None
@@ -293,7 +293,7 @@ def _check(value: Any, keys: Keys, names: Collection[str]) -> Iterator[Fault]:
                     yield fault_at((*keys, "switch", index, "when"), text)
         case Done():
             yield from _check_part(value.part, (*keys, "done"), names)
-        case Settled() | Report():
+        case Settled() | Reported():
             key = str(value.__struct_config__.tag)
             yield from _check_reference(report_of(value) or "", (*keys, key), names)
         case Map():

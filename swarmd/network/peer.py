@@ -1,7 +1,7 @@
-"""What one robot says and hears by datagrams. Pure: datagrams and times in, `Effects` out.
+"""What one robot says and hears by datagrams. Pure: datagrams and times in, `PeerActions` out.
 
 `Peer` joins the claim of the id, the membership, the spread of latches, the relay of stops and the
-loss of pattern messages. The daemon sends what `Effects` holds and carries out the rest.
+loss of pattern messages. The daemon sends what `PeerActions` holds and carries out the rest.
 """
 
 from __future__ import annotations
@@ -103,7 +103,7 @@ class Summary:
 
 
 @dataclass(slots=True)
-class Effects:
+class PeerActions:
     """What follows from a datagram or from time.
 
     `sends`: datagrams, each to an address or (None) to all. `stops`: to be carried out, with their
@@ -247,12 +247,12 @@ class Peer:
         is_any: bool = False,
         author: Author | None = None,
         waited: float = 0.0,
-    ) -> Effects:
+    ) -> PeerActions:
         """A datagram arrived; `is_any`: it is for any swarm. `author`: in a secured swarm.
 
         `waited`: for so many seconds, as while the process was frozen.
         """
-        effects = Effects()
+        effects = PeerActions()
         if isinstance(body, Stop) and waited > 0.0:
             body = replace(body, age=body.age + round(1000.0 * waited))
         if self._admission is not None and not is_any:
@@ -352,9 +352,9 @@ class Peer:
         """The last beacon of a robot that leaves in order."""
         return self._beacon(summary, Flag.LEFT)
 
-    def advance(self, now: float, summary: Summary) -> Effects:
+    def advance(self, now: float, summary: Summary) -> PeerActions:
         """Time passes; call it at `wake_at` and at least ten times a second."""
-        effects = Effects()
+        effects = PeerActions()
         if self._claim is not None and self._claim.is_won(now):
             self._claim = None
             self._beacon_at = now
@@ -384,7 +384,7 @@ class Peer:
                 effects.sends.append((ask, self._random.choice(alive)[1]))
         return effects
 
-    def _advance_members(self, now: float, effects: Effects) -> None:
+    def _advance_members(self, now: float, effects: PeerActions) -> None:
         """End leases and solicit silent members, which takes a microsecond a member."""
         effects.changed = self.membership.advance(now)
         silent = self.membership.to_probe(now)
@@ -403,7 +403,7 @@ class Peer:
     # Parts
 
     def _on_beacon(
-        self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: Effects
+        self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: PeerActions
     ) -> None:
         if beacon.instance == self._instance:
             return
@@ -428,7 +428,7 @@ class Peer:
             if echo is not None:
                 effects.sends.append((Solicit(echo=echo, wants_goal=True), source))
 
-    def _on_goal(self, report: GoalReport, now: float, effects: Effects) -> None:
+    def _on_goal(self, report: GoalReport, now: float, effects: PeerActions) -> None:
         found = self._goal_sync.on_report(report, now)
         if found is None:
             return
@@ -441,7 +441,7 @@ class Peer:
         else:
             effects.invalid_goals += 1
 
-    def _join_if_settled(self, now: float, summary: Summary, effects: Effects) -> None:
+    def _join_if_settled(self, now: float, summary: Summary, effects: PeerActions) -> None:
         """Let the robot join the run of its goal once the goals and latches of all are known."""
         held = summary.goal
         if not self._is_join_due or held is None or self._claim is not None:
@@ -466,7 +466,7 @@ class Peer:
         return self.robot in stop.targets and issued < summary.wished
 
     def _on_own_id(
-        self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: Effects
+        self, beacon: Beacon, source: Address, now: float, summary: Summary, effects: PeerActions
     ) -> None:
         if self._claim is not None:
             self._claim.on_beacon(beacon, now)
@@ -486,7 +486,7 @@ class Peer:
         source: Address,
         now: float,
         summary: Summary,
-        effects: Effects,
+        effects: PeerActions,
         *,
         is_robot: bool,
     ) -> None:
@@ -533,7 +533,7 @@ class Peer:
         return self._admission.admit(body, author, now, self.membership, is_claiming=is_claiming)
 
     def _question(
-        self, body: Datagram, flaw: Flaw, source: Address, now: float, effects: Effects
+        self, body: Datagram, flaw: Flaw, source: Address, now: float, effects: PeerActions
     ) -> None:
         """Ask the sender of a beacon whether it lives now, if that is not known."""
         if self._admission is not None and flaw is Flaw.UNPROVEN and isinstance(body, Beacon):
@@ -546,7 +546,7 @@ class Peer:
         echo = 0 if self._admission is None else self._admission.liveness.new_echo(now)
         return Solicit(echo=echo, wants_members=members, wants_latches=latches)
 
-    def _on_stop(self, stop: Stop, source: Address, now: float, effects: Effects) -> None:
+    def _on_stop(self, stop: Stop, source: Address, now: float, effects: PeerActions) -> None:
         if self._admission is not None:
             taken = self._admission.stops.take(stop, now)
             if taken is None:
@@ -567,7 +567,7 @@ class Peer:
             age=None if age is None else math.ceil(1000.0 * age),
         )
 
-    def _on_clock(self, reply: ClockReply, now: float, effects: Effects) -> None:
+    def _on_clock(self, reply: ClockReply, now: float, effects: PeerActions) -> None:
         sample = self._clocks.sample(reply, now)
         if sample is not None:
             self.links.on_round_trip(reply.robot, max(now - sample.sent, 0.0), now)
@@ -582,14 +582,14 @@ class Peer:
             self._digest_since = now if digest else -math.inf
             self._beacon_at = now
 
-    def _send_latches_if_due(self, now: float, summary: Summary, effects: Effects) -> None:
+    def _send_latches_if_due(self, now: float, summary: Summary, effects: PeerActions) -> None:
         if self._latches_due and now >= self._latches_due[0] and self._claim is None:
             self._latches_due.pop(0)
             if self._latch_copies < REDUNDANCY:
                 parts = latch_parts(self.robot, self._instance, summary.latches)
                 effects.sends.extend((latches, None) for latches in parts)
 
-    def _send_beacon_if_due(self, now: float, summary: Summary, effects: Effects) -> None:
+    def _send_beacon_if_due(self, now: float, summary: Summary, effects: PeerActions) -> None:
         shown = (summary.state, summary.revision, summary.digests, self._claim is None)
         if shown != self._shown:
             self._shown = shown

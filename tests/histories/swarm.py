@@ -68,7 +68,7 @@ from swarmd.daemon.requests import RequestServer
 from swarmd.network.carriers.inbound_queue import DropCounter
 from swarmd.network.datagram import Ack, Address, Datagram, Stop
 from swarmd.network.members.admission import Admission
-from swarmd.network.peer import Effects, Peer, Summary
+from swarmd.network.peer import Peer, PeerActions, Summary
 from swarmd.network.signature import Author
 from swarmd.network.spread.goal_sync import FoundGoal
 from swarmd.network.stops.stop_freshness import REPLAYED
@@ -470,7 +470,7 @@ class VirtualDaemon(Node):
         )
         self._send(ack, source)
 
-    def _apply(self, effects: Effects, source: Address | None = None) -> None:
+    def _apply(self, effects: PeerActions, source: Address | None = None) -> None:
         """As `Network._carry_out`."""
         for body, address in effects.sends:
             self._send(body, address)

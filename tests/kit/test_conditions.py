@@ -19,7 +19,7 @@ from swarmd.kit.conditions import (
     Nearer,
     Not,
     Reading,
-    Report,
+    Reported,
     Settled,
     Timeout,
     needs_of,
@@ -50,7 +50,7 @@ def at(now: float, **reports: Any) -> Observation:
         ({"done": "vote"}, Done("vote")),
         ({"settled": "vote.opinion", "for": 5}, Settled("vote.opinion", 5.0)),
         ({"nearer": 0.4}, Nearer(0.4)),
-        ({"report": "vote.opinion", "is": 2}, Report("vote.opinion", 2)),
+        ({"report": "vote.opinion", "is": 2}, Reported("vote.opinion", 2)),
         ({"reading": "light", "above": -3}, Reading("light", above=-3.0)),
         ({"any": [{"timeout": 1}, {"done": "a"}]}, AnyOf((Timeout(1.0), Done("a")))),
         ({"all": [{"not": {"nearer": 1}}]}, AllOf((Not(Nearer(1.0)),))),
@@ -93,9 +93,9 @@ def test_a_malformed_condition_is_a_fault_at_its_key(data: Any, keys: Any, subje
         ("timeout:2.5", Timeout(2.5)),
         ("nearer:0.4", Nearer(0.4)),
         ("settled:vote.opinion:5", Settled("vote.opinion", 5.0)),
-        ("report:state=settled", Report("state", "settled")),
-        ("report:opinion=2", Report("opinion", 2)),
-        ("report:ok=true", Report("ok", True)),
+        ("report:state=settled", Reported("state", "settled")),
+        ("report:opinion=2", Reported("opinion", 2)),
+        ("report:ok=true", Reported("ok", True)),
     ],
 )
 def test_parses_the_short_forms(text: str, condition: Condition) -> None:
@@ -145,16 +145,16 @@ def test_done_refers_to_a_part_or_the_whole_pattern() -> None:
 
 
 def test_values_are_compared_by_kind() -> None:
-    assert met(Report("a", above=1.0), at(0.0, a=1), at(0.0, a=1.1), at(0.0, a="2")) == [
+    assert met(Reported("a", above=1.0), at(0.0, a=1), at(0.0, a=1.1), at(0.0, a="2")) == [
         False,
         True,
         False,
     ]
-    assert met(Report("a", below=1.0), at(0.0, a=0), at(0.0)) == [True, False]
-    assert met(Report("a", "1"), at(0.0, a=1), at(0.0, a="1")) == [False, True]
+    assert met(Reported("a", below=1.0), at(0.0, a=0), at(0.0)) == [True, False]
+    assert met(Reported("a", "1"), at(0.0, a=1), at(0.0, a="1")) == [False, True]
     light = Observation(0.0, {}, readings={"light": 3.0})
     assert met(Reading("light", above=2.0), light) == [True]
-    assert met(Report("light", above=2.0), light) == [False]
+    assert met(Reported("light", above=2.0), light) == [False]
 
 
 def test_combinations_evaluate_all_conditions_at_each_step() -> None:

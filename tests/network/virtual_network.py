@@ -19,7 +19,7 @@ from swarmd.core.messages import Code, Latch, State
 from swarmd.core.values import PeerPlace
 from swarmd.network.datagram import Ack, Address, Datagram, Solicit, Stop, pack, tag_of, unpack
 from swarmd.network.members.admission import Admission
-from swarmd.network.peer import CheckGoal, Effects, Peer, Summary
+from swarmd.network.peer import CheckGoal, Peer, PeerActions, Summary
 from swarmd.network.signature import PREVIOUS_TIME, Author, Flaw, Previous, Trust
 from swarmd.robot.goals import Found, Goals
 from tests.network.keyring import Keyring
@@ -206,7 +206,7 @@ class VirtualNetwork:
                     self._carry_out(name, robot.peer.advance(self.now, robot.summary))
                 if robot.is_up and robot.is_recording:
                     asked = robot.peer.clock_queries(self.now)
-                    self._carry_out(name, Effects(sends=asked))
+                    self._carry_out(name, PeerActions(sends=asked))
 
     def until(self, holds: Callable[[], bool], cap: float = 60.0) -> float:
         """Let time pass until it holds; the seconds it took."""
@@ -267,7 +267,7 @@ class VirtualNetwork:
     def _carry_out(
         self,
         name: str,
-        effects: Effects,
+        effects: PeerActions,
         asker: tuple[Address, Author | None] | None = None,
     ) -> None:
         robot = self.robots[name]

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from swarmd.core.finding import Finding
 from swarmd.core.values import Array, Scan, Value
 from swarmd.drivers.ros import messages
-from swarmd.drivers.ros.diagnosis import Graph, Middleware, Report, has_enough
+from swarmd.drivers.ros.diagnosis import DriverCheck, Graph, Middleware, has_enough
 from swarmd.drivers.ros.endpoints import Endpoint
 from swarmd.drivers.ros.foreign_commands import ROS2_ACTIONS, ForeignCommands
 from swarmd.drivers.ros.options import Ros1Options, TopicOptions, read_options
@@ -63,7 +63,7 @@ def found(
     command_types: Sequence[type] = (messages.Twist,),
     **others: Any,
 ) -> dict[str, Finding]:
-    report = Report(
+    report = DriverCheck(
         graph=Graph(middleware=middleware, endpoints=list(graph)),
         endpoint="here",
         subscriptions=subscriptions,
