@@ -1,9 +1,9 @@
 """Recordings of a daemon: on request, by a process of its own, handed out piece by piece.
 
-The recorder hands what happens to that process, and never blocks the loop. Entries are gathered and sent twice a second: a process that wakes at each tick finds its code out
-of the caches, and costs twice as much. A batch for which the socket has no room is dropped and
-counted: the disk is slower than the robot. A recorder process that ends is reported, and the robot
-drives on.
+The recorder hands what happens to that process, and never blocks the loop. Entries are gathered and
+sent twice a second: a process that wakes at each tick finds its code out of the caches, and costs
+twice as much. A batch for which the socket has no room is dropped and counted: the disk is slower
+than the robot. A recorder process that ends is reported, and the robot drives on.
 """
 
 from __future__ import annotations
