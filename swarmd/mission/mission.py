@@ -20,15 +20,7 @@ from swarmd.kit.conditions import needs_of
 from swarmd.kit.factory import Find
 from swarmd.kit.params import Params, Recovery
 from swarmd.kit.voting_pattern import VotingPattern
-from swarmd.mission import schema
-from swarmd.mission.validate import (
-    PartBuilder,
-    build_parts,
-    build_setters,
-    check_reports,
-    error_text,
-    with_values,
-)
+from swarmd.mission import schema, validate
 from swarmd.settings.layered import fault_at
 
 PatternClasses: TypeAlias = dict[str, type[Pattern[Any]]]
@@ -64,9 +56,9 @@ class Mission(CombinedPattern[Params]):
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """All parts, with every value of every map tried; ConfigError for the first fault."""
         builder = self._builder(self.params)
-        parts = build_parts(builder)
-        self._setters = build_setters(builder, parts)
-        check_reports(builder, parts)
+        parts = validate.build_parts(builder)
+        self._setters = validate.build_setters(builder, parts)
+        validate.check_reports(builder, parts)
         self._raise_first(builder)
         return parts
 
@@ -78,13 +70,13 @@ class Mission(CombinedPattern[Params]):
             for name, values in builder.exposed.items()
         }
         changed = {
-            name: with_values(self.parts[name], values, "update")
+            name: validate.with_values(self.parts[name], values, "update")
             for name, values in changes.items()
             if values
         }
         opinions = {n: values["opinions"] for n, values in changes.items() if "opinions" in values}
         if opinions or any(setter.target[0] in changed for setter in self._setters):
-            setters = build_setters(builder, self.parts, opinions)
+            setters = validate.build_setters(builder, self.parts, opinions)
             self._raise_first(builder)
             self._setters = setters
         for name, values in changed.items():
@@ -117,13 +109,13 @@ class Mission(CombinedPattern[Params]):
                 self._set(*setter.target, setter.table.get(outputs.report[key]))
         return outputs
 
-    def _builder(self, params: Params) -> PartBuilder:
+    def _builder(self, params: Params) -> validate.PartBuilder:
         exposed: dict[str, dict[str, Any]] = {}
         for own, (name, param) in self.document.parameters.items():
             exposed.setdefault(name, {})[param] = getattr(params, own)
-        return PartBuilder(self.document, self.context.make, exposed, [])
+        return validate.PartBuilder(self.document, self.context.make, exposed, [])
 
-    def _raise_first(self, builder: PartBuilder) -> None:
+    def _raise_first(self, builder: validate.PartBuilder) -> None:
         if builder.faults:
             raise schema.fault_error(self.document.path, builder.faults)
 
@@ -180,7 +172,7 @@ def pattern_classes(document: schema.Document, find: Find) -> PatternClasses:
             text = f"names {error}"
             document.faults.append(fault_at(("parts", name, "pattern"), text))
         except (Exception, SystemExit) as error:  # a plugin may raise anything
-            text = f"cannot be loaded: {error_text(error)}"
+            text = f"cannot be loaded: {validate.error_text(error)}"
             document.faults.append(fault_at(("parts", name, "pattern"), text))
     return classes
 
