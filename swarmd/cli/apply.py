@@ -121,7 +121,6 @@ def _carry_out(
 
 
 def _grouped(by_robot: Any, key: Callable[[Any], Any]) -> dict[Any, list[str]]:
-    """The robots by what is wanted of them."""
     found: dict[Any, list[str]] = defaultdict(list)
     for name, wanted in by_robot.items():
         found[key(wanted)].append(name)
