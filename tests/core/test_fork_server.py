@@ -18,6 +18,7 @@ MODULE = "tests.support.forked_module"
 PARENT = f"""
 import signal, sys
 from pathlib import Path
+sys.path.insert(0, {str(Path(__file__).parents[2])!r})
 from swarmd.core.fork_server import fork_main, start_server
 if __name__ == "__main__":
     start_server(())
@@ -57,7 +58,7 @@ def test_a_forked_process_gets_what_it_would_get_from_a_start(
 
 def test_a_forked_process_is_ended_by_signals_and_waited_for(tmp_path: Path) -> None:
     forked = fork(tmp_path, "wait")
-    wait_until(lambda: (tmp_path / "err").read_text() != "", "it runs")
+    wait_until(lambda: (tmp_path / "err").read_text() == "error\n", "it runs")
     assert forked.poll() is None
     with pytest.raises(subprocess.TimeoutExpired):
         forked.wait(0.01)
@@ -76,7 +77,7 @@ def test_forked_processes_end_with_their_parent(tmp_path: Path) -> None:
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
         assert parent.stdout is not None
         child = int(parent.stdout.readline())
-        wait_until(lambda: (tmp_path / "err").read_text() != "", "the child runs")
+        wait_until(lambda: (tmp_path / "err").read_text() == "error\n", "the child runs")
         assert is_running(child)
         parent.kill()
     wait_until(lambda: not is_running(child), "the child has ended")
