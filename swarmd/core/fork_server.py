@@ -14,6 +14,7 @@ import sys
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from importlib import import_module
+from multiprocessing import forkserver
 from pathlib import Path
 
 # Of the server. Safe path: a random.py where this is called is not to shadow a module. A BLAS with
@@ -63,8 +64,6 @@ class ForkedProcess:
 
 def start_server(modules: Iterable[str]) -> None:
     """Start the server, which imports these modules; it is not waited for."""
-    from multiprocessing import forkserver
-
     multiprocessing.get_context("forkserver").set_forkserver_preload([__name__, *modules])
     with _environment(_ENVIRON):
         forkserver.ensure_running()
@@ -104,6 +103,8 @@ def _run(
     folder: str,
     environ: dict[str, str],
 ) -> None:
+    # The server ends once this pipe has no writer any more: the first process alone is one.
+    os.close(forkserver._forkserver._forkserver_alive_fd)  # type: ignore[attr-defined]
     os.setsid()
     Path("/proc/self/comm").write_text(name)  # of which the kernel takes 15 characters
     os.chdir(folder)
