@@ -36,18 +36,18 @@ from swarmd.drivers.ros.foreign_commands import ROS2_ACTIONS, ForeignCommands
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.subscriptions import Deliver, Subscriptions
 from swarmd.drivers.ros.zero_answers import ZeroAnswers
-from swarmd.drivers.ros2.admin_space import AdminSpaces
+from swarmd.drivers.ros2.admin_space import AdminSpaces, route_faults
 from swarmd.drivers.ros2.command_credit import CommandCredit
-from swarmd.drivers.ros2.kept_messages import KEPT, query_kept
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
-from swarmd.drivers.ros2.route_quality import route_faults
 from swarmd.drivers.ros2.session import (
+    KEPT,
     MAX_OPEN_TIME,
     OPEN_TIME,
     ask_hub,
     command_publisher,
     linked_hubs,
     open_session,
+    query_kept,
     subscribe_with_history,
 )
 from swarmd.drivers.ros2.zero_sender import zero_hint, zeros

@@ -43,9 +43,8 @@ from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
 from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
-from swarmd.sim.lockstep.schedules import Alarms, Schedules
+from swarmd.sim.lockstep.schedules import Alarms, Schedules, Timeline
 from swarmd.sim.lockstep.shell import RobotShell
-from swarmd.sim.lockstep.timeline import Timeline
 from swarmd.sim.scenarios.preflight import has_findings
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of

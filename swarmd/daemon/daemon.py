@@ -50,13 +50,12 @@ from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.code_transfer import CodeIntake, CodePull
 from swarmd.daemon.code_versions import CodeControl, CodeRuns, CodeVersions
-from swarmd.daemon.driver import DriverOutput, make_driver
-from swarmd.daemon.driver_sink import DriverSink
+from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.network import Network
-from swarmd.daemon.recording_service import RecordingService
+from swarmd.daemon.recorder import RecordingService
 from swarmd.daemon.requests import RequestServer
 from swarmd.daemon.robot_setup import make_robot, recording_head
 from swarmd.daemon.roster_service import RosterService

@@ -1,10 +1,13 @@
-"""Runners carry a robot's commands to its pattern: inline, or in a child process."""
+"""Runners carry a robot's commands to its pattern, inline or in a child process; its prints."""
 
 from __future__ import annotations
 
 import asyncio
 import dataclasses
 import logging
+import os
+import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -27,6 +30,7 @@ from swarmd.core.host_messages import (
     refusal_of,
 )
 from swarmd.core.messages import Sandbox
+from swarmd.core.token_bucket import TokenBucket
 from swarmd.pattern_host.host_process import (
     HostProcess,
     HostSettings,
@@ -34,15 +38,15 @@ from swarmd.pattern_host.host_process import (
     trial_done,
     why_it_ended,
 )
-from swarmd.pattern_host.printed import PrintPipe
 from swarmd.pattern_host.wire import decode_event, encode_command
 from swarmd.plugins import Origin, check_single, installed_patterns, pattern_names, places_of
 
 if TYPE_CHECKING:
-    # It brings 7 MB of numpy.random, which only patterns need.
     from swarmd.pattern_host.executor import PatternExecutor
 
+
 log = logging.getLogger(__name__)
+print_log = logging.getLogger("swarmd.pattern")
 
 MIN_RESPAWN_DELAY = 0.05
 MAX_RESPAWN_DELAY = 5.0
@@ -50,6 +54,11 @@ MAX_RESPAWN_DELAY = 5.0
 
 Overlay = Callable[[Mapping[str, Origin], Load, bool], Mapping[str, Origin]]
 """The robot's own patterns, a load and whether it is a trial, to all patterns for that load."""
+PRINT_RATE, PRINT_BURST = 20.0, 100.0  # lines that patterns print, a second and at once
+MAX_LINE = 500  # bytes
+_READ = 65536
+_PAUSE = 0.02
+"""s between two reads: a pattern that prints more than 3 MB/s waits, and not the daemon."""
 
 
 class InlineRunner:
@@ -271,3 +280,53 @@ class ProcessRunner:
             self._respawn = None
         self._host = HostProcess(self._loop, self, self._settings)
         return self._host
+
+
+class PrintedLines:
+    """Splits what patterns print into lines and limits their rate. Pure; times in s, handed in."""
+
+    def __init__(self) -> None:
+        self._budget = TokenBucket(PRINT_RATE, PRINT_BURST)
+        self._rest = b""
+        self._left_out = 0
+
+    def take(self, data: bytes, now: float) -> list[str]:
+        """The lines that end in `data` and may be logged now; those left out are told before."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        self._rest = self._rest[:MAX_LINE]
+        found: list[str] = []
+        for number, line in enumerate(lines):
+            if not self._budget.take(1.0, now):
+                self._left_out += len(lines) - number
+                break
+            if self._left_out:
+                found.append(self._told())
+            found.append(line[:MAX_LINE].decode(errors="replace").rstrip())
+        return [one for one in found if one]
+
+    def _told(self) -> str:
+        count, self._left_out = self._left_out, 0
+        return f"[{count} lines left out]"
+
+
+class PrintPipe:
+    """A pipe that hosts print into; a thread logs what comes out until `close`."""
+
+    def __init__(self) -> None:
+        self._read, self.write = os.pipe2(os.O_CLOEXEC)
+        threading.Thread(target=self._run, name="swarmd-printed", daemon=True).start()
+
+    def close(self) -> None:
+        """Write no more. The thread ends when the hosts have ended, too."""
+        if self.write >= 0:
+            os.close(self.write)
+            self.write = -1
+
+    def _run(self) -> None:
+        lines = PrintedLines()
+        while data := os.read(self._read, _READ):
+            for line in lines.take(data, time.monotonic()):
+                print_log.info("%s", line)
+            if len(data) > _READ // 8:
+                time.sleep(_PAUSE)
+        os.close(self._read)

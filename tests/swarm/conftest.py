@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import io
 import json
 import os
 import signal
@@ -13,10 +14,12 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
+from unittest import mock
 
 import msgspec
 import pytest
 
+from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.codec import Decoder
 from swarmd.core.keys import ANYONE, CONTROL, build
 from swarmd.core.messages import PeerView, Presence, State, Status
@@ -70,6 +73,7 @@ class Swarm:
     ) -> None:
         self.name = name or unique_swarm()
         self.folder = folder
+        self.home = folder / "home"
         self._prefix = tuple(prefix)
         self.config = config
         self._left = contextlib.ExitStack()
@@ -137,23 +141,21 @@ class Swarm:
 
     # Operate
 
-    def begin(self, *words: str, user: str = "anna") -> subprocess.Popen[str]:
-        """A `swarmctl` by this user, under way; hand it to `finish`."""
+    def environ(self, user: str = "anna") -> dict[str, str]:
+        """The environment of a `swarmctl` of this user."""
         shared = {} if self.config is None else {"SWARM_CONFIG": str(self.config)}
+        homes = {"HOME": str(self.home), "XDG_CACHE_HOME": str(self.home / ".cache")}
+        return {**os.environ, "LOGNAME": user, "SWARM": self.name, **homes, **shared}
+
+    def begin(self, *words: str, user: str = "anna") -> subprocess.Popen[str]:
+        """A `swarmctl` by this user in a process of its own, under way; hand it to `finish`."""
         return subprocess.Popen(
             [*self._prefix, *SWARMCTL, *words],
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,
             stdin=subprocess.DEVNULL,
             text=True,
-            env={
-                **os.environ,
-                "LOGNAME": user,
-                "SWARM": self.name,
-                "XDG_CACHE_HOME": str(self.folder / "cache"),
-                "PYTHONFAULTHANDLER": "1",
-                **shared,
-            },
+            env={**self.environ(user), "PYTHONFAULTHANDLER": "1"},
         )
 
     def finish(self, process: subprocess.Popen[str]) -> Finished:
@@ -167,7 +169,18 @@ class Swarm:
             return Finished(process.returncode, out, err)
 
     def ctl(self, *words: str, user: str = "anna") -> Finished:
-        return self.finish(self.begin(*words, user=user))
+        """A `swarmctl` in this process: the start of another one costs most of its time."""
+        if self._prefix:  # another network namespace
+            return self.finish(self.begin(*words, user=user))
+        out, err = io.StringIO(), io.StringIO()
+        with (
+            mock.patch.dict(os.environ, self.environ(user)),
+            mock.patch.object(sys, "stdin", io.StringIO()),
+            contextlib.redirect_stdout(out),
+            contextlib.redirect_stderr(err),
+        ):
+            code = run_cli(cli, list(words), "swarmctl", exit_code_of)
+        return Finished(code, out.getvalue(), err.getvalue())
 
     def run_drive(self, *robots: str) -> None:
         done = self.ctl("run", "drive", *robots)

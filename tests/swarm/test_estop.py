@@ -80,7 +80,7 @@ def test_a_reset_never_clears_an_estop_that_it_did_not_see(swarm: Swarm) -> None
     robots = ("r1", "r2")
     for robot in robots:
         swarm.start(robot)
-    for crossing in range(5):
+    for crossing in range(3):
         assert swarm.ctl("estop", "--reason", f"first {crossing}").code == 0
         resetting = swarm.begin("reset", "--all", "--yes")
         stopping = swarm.begin("estop", "--reason", f"second {crossing}")

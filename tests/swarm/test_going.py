@@ -80,24 +80,3 @@ def test_a_daemon_that_is_ended_commands_zero_and_is_listed_as_left(
     assert body.commands[-1].twist.is_zero
     done = swarm.ctl("stop")  # does not wait for a robot that left
     assert done.outcome == (0, "1 targeted, 1 applied")
-
-
-def test_a_failed_robot_stays_listed_until_it_is_forgotten_everywhere(swarm: Swarm) -> None:
-    swarm.start("r2")
-    swarm.start("r3")
-    daemon = swarm.start("r1")
-    for peer in ("r2", "r3"):
-        swarm.await_presence(peer, "r1", Presence.ALIVE)
-    done = swarm.ctl("members", "forget", "r1")
-    assert done.code == 7
-    assert done.err == "error: r1 is alive; only robots that failed or left can be forgotten\n"
-
-    daemon.kill()
-    for peer in ("r2", "r3"):
-        swarm.await_presence(peer, "r1", Presence.FAILED)
-    done = swarm.ctl("run", "drive", "--all")
-    assert (done.code, "no answer (r1)" in done.out) == (3, True)
-    assert swarm.ctl("members", "forget", "r1").code == 0
-    assert swarm.presences("r2") == {"r3": Presence.ALIVE}
-    assert swarm.presences("r3") == {"r2": Presence.ALIVE}
-    assert swarm.ctl("run", "drive", "--all").code == 0
