@@ -10,17 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core import verbs
 from swarmd.core.errors import SwarmError
 from swarmd.core.messages import Code
 from swarmd.core.values import Array
-from swarmd.core.verbs import (
-    EstopRequest,
-    ParamRequest,
-    Request,
-    ResetRequest,
-    RunRequest,
-    StopRequest,
-)
 from swarmd.sim.lockstep.shell import RobotShell
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 
@@ -152,7 +145,7 @@ class Timeline:
             what = f"{event.action} {event.pattern}".rstrip()
             raise SwarmError(f"at {event.at:g} s {what}: {shell.robot.id}: {answer}")
 
-    def _request(self, event: ScheduledEvent, shell: RobotShell, now: float) -> Request:
+    def _request(self, event: ScheduledEvent, shell: RobotShell, now: float) -> verbs.Request:
         robot = shell.robot
         common: dict[str, Any] = {
             "id": f"event-{self._next}",
@@ -160,7 +153,7 @@ class Timeline:
             "targets": {robot.id: robot.epoch},
         }
         if event.action == "run":
-            return RunRequest(
+            return verbs.RunRequest(
                 **common,
                 pattern=event.pattern,
                 params=dict(event.parameters),
@@ -168,11 +161,11 @@ class Timeline:
                 until=tuple(event.until),
             )
         if event.action == "param":
-            return ParamRequest(**common, params=dict(event.parameters))
+            return verbs.ParamRequest(**common, params=dict(event.parameters))
         if event.action == "reset":
-            return ResetRequest(**common, ids=tuple(robot.status(now).latches))
+            return verbs.ResetRequest(**common, ids=tuple(robot.status(now).latches))
         if event.action == "estop":
             swarm = self._swarm
             others = {*compress(swarm.world.ids, swarm.has_daemon)} - {*event.robots}
-            return EstopRequest(**common, scope="robots" if others else "swarm")
-        return StopRequest(**common)
+            return verbs.EstopRequest(**common, scope="robots" if others else "swarm")
+        return verbs.StopRequest(**common)

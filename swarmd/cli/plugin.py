@@ -13,14 +13,15 @@ from string import Template
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.options import (
     EXISTING_FILE,
     FOLDER,
     CommonOptions,
+    Targets,
     VerbGroup,
     common_options,
     local_options,
+    takes_targets,
 )
 from swarmd.cli.output import print_json
 from swarmd.cli.plugin_push import list_pushed, push, remove

@@ -6,21 +6,10 @@ import asyncio
 import logging
 from collections.abc import Callable, Mapping
 
+from swarmd.core import events
 from swarmd.core.clock import boottime
 from swarmd.core.codec import decode_value
 from swarmd.core.errors import CodecError, ConfigError, SwarmError
-from swarmd.core.events import (
-    DriverInput,
-    HazardsInput,
-    Input,
-    MessageInput,
-    NeighborsInput,
-    OdometryInput,
-    PoseInput,
-    RangesInput,
-    ReadingsInput,
-    ScanInput,
-)
 from swarmd.core.hazard import Hazard
 from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Neighbor, Odometry, Scan, SharedPose, Twist
@@ -143,7 +132,9 @@ class DriverSink:
     robots itself. `drops`: unreadable inputs by kind.
     """
 
-    def __init__(self, step: Callable[[Input], None], neighborhood: NeighborSelection) -> None:
+    def __init__(
+        self, step: Callable[[events.Input], None], neighborhood: NeighborSelection
+    ) -> None:
         self._step = step
         self._neighborhood = neighborhood
         self.has_neighbors = False
@@ -151,33 +142,33 @@ class DriverSink:
 
     def scan(self, scan: Scan) -> None:
         """A scan as measured."""
-        self._step(ScanInput(scan))
+        self._step(events.ScanInput(scan))
 
     def ranges(self, scan: Scan) -> None:
         """A scan of the ring of range sensors, as measured."""
-        self._step(RangesInput(scan))
+        self._step(events.RangesInput(scan))
 
     def odometry(self, odometry: Odometry) -> None:
         """A measured pose and twist."""
-        self._step(OdometryInput(odometry))
+        self._step(events.OdometryInput(odometry))
 
     def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
         """The robots that the driver senses, or whose messages it can receive."""
         self.has_neighbors = True
-        self._step(NeighborsInput(self._neighborhood.select(neighbors, boottime())))
+        self._step(events.NeighborsInput(self._neighborhood.select(neighbors, boottime())))
 
     def pose(self, pose: SharedPose) -> None:
         """The robot's own pose in a frame that robots share."""
         self._neighborhood.on_pose(pose)
-        self._step(PoseInput(pose))
+        self._step(events.PoseInput(pose))
 
     def readings(self, values: Mapping[str, float]) -> None:
         """Scalar sensors by name."""
-        self._step(ReadingsInput(dict(values)))
+        self._step(events.ReadingsInput(dict(values)))
 
     def hazards(self, hazards: tuple[Hazard, ...]) -> None:
         """All hazards that the base senses now."""
-        self._step(HazardsInput(hazards))
+        self._step(events.HazardsInput(hazards))
 
     def message(self, sender: str, channel: str, payload: bytes) -> None:
         """A pattern's message that the base's radio received."""
@@ -186,13 +177,13 @@ class DriverSink:
         except CodecError:
             self.dropped("message")
         else:
-            self._step(MessageInput(sender, channel, value))
+            self._step(events.MessageInput(sender, channel, value))
 
     def state(
         self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
     ) -> None:
         """The base is connected, or lost for the reason `text`; see `Sink`."""
-        self._step(DriverInput(is_up, text, hold, gets_zero))
+        self._step(events.DriverInput(is_up, text, hold, gets_zero))
 
     def dropped(self, what: str) -> None:
         """Count one input that could not be read."""

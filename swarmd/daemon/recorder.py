@@ -25,6 +25,7 @@ from typing import Any
 
 import msgspec
 
+from swarmd.core import verbs
 from swarmd.core.bounds import FileName
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.errors import CodecError, ConfigError, PluginError
@@ -44,14 +45,6 @@ from swarmd.core.events import (
 from swarmd.core.messages import Code, RecordingSummary, Refusal, Reply, Status
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Scan
-from swarmd.core.verbs import (
-    FetchQuery,
-    FetchReply,
-    Nothing,
-    RecordingFile,
-    RecordingsReply,
-    RecordRequest,
-)
 from swarmd.daemon.requests import SendReply
 from swarmd.plugins import need
 from swarmd.recording import frames
@@ -355,7 +348,7 @@ class RecordingService:
             file=report.path[-1000:], size=report.bytes, dropped=recorder.dropped
         )
 
-    def on_record(self, request: RecordRequest, answer: SendReply) -> None:
+    def on_record(self, request: verbs.RecordRequest, answer: SendReply) -> None:
         """Start or stop the recording."""
         recorder, is_on = self.recorder, self.recorder.is_on
         code, refusal = Code.APPLIED, None
@@ -391,11 +384,11 @@ class RecordingService:
 
     # Recordings for operators
 
-    def on_recordings(self, _: Nothing) -> Callable[[], RecordingsReply]:
+    def on_recordings(self, _: verbs.Nothing) -> Callable[[], verbs.RecordingsReply]:
         """The recordings that there are; listed in a thread."""
         return self._list
 
-    def on_fetch(self, query: FetchQuery) -> Callable[[], FetchReply]:
+    def on_fetch(self, query: verbs.FetchQuery) -> Callable[[], verbs.FetchReply]:
         """Bytes of a recording; read in a thread."""
         return partial(self._fetch, query)
 
@@ -403,7 +396,7 @@ class RecordingService:
         """Finish the recording."""
         self.recorder.close()
 
-    def _list(self) -> RecordingsReply:
+    def _list(self) -> verbs.RecordingsReply:
         try:
             found = (path for path in self._folder.glob("*.mcap") if _is_told(path.name))
             paths = sorted(found)[-MAX_FILES:]
@@ -413,7 +406,7 @@ class RecordingService:
         lost = self.recorder.dropped
         files = [_described(path, lost if path.name == open_now else None) for path in paths]
         recorder = self.recorder
-        return RecordingsReply(
+        return verbs.RecordingsReply(
             robot=self._robot,
             now=boottime(),
             clock=clock_id(),
@@ -421,7 +414,7 @@ class RecordingService:
             fault=recorder.fault[:1000],
         )
 
-    def _fetch(self, query: FetchQuery) -> FetchReply:
+    def _fetch(self, query: verbs.FetchQuery) -> verbs.FetchReply:
         data, size, text = b"", 0, ""
         try:
             if not query.file.endswith(".mcap"):
@@ -434,7 +427,7 @@ class RecordingService:
             text = "there is no such recording"
         except OSError as error:
             text = error.strerror or "cannot be read"
-        return FetchReply(
+        return verbs.FetchReply(
             robot=self._robot,
             file=query.file,
             offset=query.offset,
@@ -452,7 +445,7 @@ def _is_told(name: str) -> bool:
     return False
 
 
-def _described(path: Path, lost: int | None) -> RecordingFile | None:
+def _described(path: Path, lost: int | None) -> verbs.RecordingFile | None:
     """One file; `lost`: entries that were dropped so far if it is being written, else None."""
     try:
         size = path.stat().st_size
@@ -462,7 +455,7 @@ def _described(path: Path, lost: int | None) -> RecordingFile | None:
     try:
         index: dict[str, Any] = json.loads(path.with_suffix(".index.json").read_text())
         begin, end = (clock_of(index["about"], int(index[key])) for key in ("begin_ns", "end_ns"))
-        return RecordingFile(
+        return verbs.RecordingFile(
             name=name,
             size=size,
             is_open=False,
@@ -472,4 +465,6 @@ def _described(path: Path, lost: int | None) -> RecordingFile | None:
             end=end,
         )
     except (OSError, ValueError, KeyError, ConfigError):  # it is being written, or was cut off
-        return RecordingFile(name=name, size=size, is_open=lost is not None, dropped=lost or 0)
+        return verbs.RecordingFile(
+            name=name, size=size, is_open=lost is not None, dropped=lost or 0
+        )
