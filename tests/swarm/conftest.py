@@ -3,23 +3,17 @@
 from __future__ import annotations
 
 import contextlib
-import io
-import json
 import os
 import signal
 import subprocess
-import sys
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeVar
-from unittest import mock
+from typing import TypeVar
 
 import msgspec
 import pytest
 
-from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.codec import Decoder
 from swarmd.core.keys import ANYONE, CONTROL, build
 from swarmd.core.messages import PeerView, Presence, State, Status
@@ -30,30 +24,10 @@ from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from tests.support.fake_body import Body
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
+from tests.support.swarmctl import SWARMCTL, Finished, swarmctl
 from tests.support.viewer import Viewer
 
-SWARMCTL = (sys.executable, "-c", "from swarmd.cli.swarmctl import main; main()")
-
 T = TypeVar("T", bound=msgspec.Struct)
-
-
-@dataclass(frozen=True, slots=True)
-class Finished:
-    """The exit code and output of a `swarmctl`."""
-
-    code: int
-    out: str
-    err: str
-
-    @property
-    def outcome(self) -> tuple[int, str]:
-        """The exit code and the last line, which counts the robots."""
-        return self.code, self.out.splitlines()[-1]
-
-    @property
-    def json(self) -> Any:
-        """Its answer with `-o json`."""
-        return json.loads(self.out)
 
 
 class Swarm:
@@ -172,15 +146,7 @@ class Swarm:
         """A `swarmctl` in this process: the start of another one costs most of its time."""
         if self._prefix:  # another network namespace
             return self.finish(self.begin(*words, user=user))
-        out, err = io.StringIO(), io.StringIO()
-        with (
-            mock.patch.dict(os.environ, self.environ(user)),
-            mock.patch.object(sys, "stdin", io.StringIO()),
-            contextlib.redirect_stdout(out),
-            contextlib.redirect_stderr(err),
-        ):
-            code = run_cli(cli, list(words), "swarmctl", exit_code_of)
-        return Finished(code, out.getvalue(), err.getvalue())
+        return swarmctl(*words, environ=self.environ(user))
 
     def run_drive(self, *robots: str) -> None:
         done = self.ctl("run", "drive", *robots)

@@ -33,6 +33,8 @@ def test_newcomers_take_over_an_estop_of_the_swarm_alone(swarm: Swarm) -> None:
     started = boottime()
     swarm.start("r3", body)
     assert dict(swarm.await_state("r3", State.ESTOPPED).latches) == held
+    entries = swarm.ctl("audit", "r3", "-o", "json").json["entries"]
+    assert [one["text"] for one in entries if one["verb"] == "latch"] == ["smoke"]
     body.wait_zero(started)
     assert swarm.ctl("run", "drive", "r3").code == 7
     assert not body.moved_since(started)

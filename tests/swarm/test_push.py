@@ -15,7 +15,8 @@ from tests.support.keys import SwarmKeys
 from tests.support.processes import wait_until
 
 if TYPE_CHECKING:
-    from tests.swarm.conftest import Finished, Swarm
+    from tests.support.swarmctl import Finished
+    from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
 
@@ -193,9 +194,7 @@ def test_a_file_and_a_wheel_are_run_and_not_once_they_were_changed_on_the_disk(
     pushing.run(name, "r1", 2)
 
 
-def test_with_keys_an_operator_pushes_and_robots_pull_from_each_other(
-    swarm: Swarm, tmp_path: Path
-) -> None:
+def test_with_keys_an_operator_pushes_and_a_viewer_only_looks(swarm: Swarm, tmp_path: Path) -> None:
     robots, everyone = ("r1", "r2"), ("alice", "vera")
     keys = SwarmKeys(
         tmp_path / "keys", swarm.name, robots, operators=everyone[:1], viewers=everyone[1:]
@@ -219,3 +218,17 @@ def test_with_keys_an_operator_pushes_and_robots_pull_from_each_other(
 
     wait_until(lambda: bool(listed("r2")) and listed("r2")[0]["hash"] != "", "r2 has it")
     assert listed("r2")[0]["issuer"] == "alice"
+
+    assert ctl("alice", "stop", "r1").code == 0
+    entries = ctl("alice", "audit", "r1", "-o", "json").json["entries"]
+    assert {(one["verb"], one["operator"]) for one in entries} == {
+        ("push", "alice"),
+        ("stop", "alice"),
+    }
+    refused = ctl("vera", "audit", "r1")
+    assert refused.code != 0
+    assert "alice" not in refused.out
+    assert "ready in swarm" in ctl("vera", "logs").out
+    found = ctl("vera", "doctor", "-o", "json").json["findings"]
+    (identity,) = (one for one in found if (one["where"], one["what"]) == ("r1", "identity"))
+    assert "certificate ends in" in identity["finding"]

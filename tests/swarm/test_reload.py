@@ -17,7 +17,8 @@ from tests.support.processes import DaemonProcess, children, wait_until
 
 if TYPE_CHECKING:
     from tests.support.fake_body import Body, Commanded
-    from tests.swarm.conftest import Finished, Swarm
+    from tests.support.swarmctl import Finished
+    from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
 

@@ -5,6 +5,8 @@ r1 and r2 have bodies, so that their runs last; that of a robot without its body
 
 from __future__ import annotations
 
+import itertools
+import json
 import os
 import subprocess
 import sys
@@ -16,6 +18,7 @@ import pytest
 
 from swarmd.core.messages import Param, Presence, Reason, State
 from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
+from tests.support.swarmctl import swarmctl
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
@@ -67,6 +70,68 @@ def test_members_lists_all_robots_and_problems(swarm: Swarm) -> None:
     assert [line.split()[0] for line in lines[1:4]] == list(ROBOTS)
     assert lines[4] == "# 3/3 alive"
     assert lines[5].startswith("# driver lost: r3 (")
+
+
+def test_the_audit_log_has_requests_stops_and_refusals_of_each_robot(swarm: Swarm) -> None:
+    assert swarm.ctl("stop", "--all").code == 0
+    assert swarm.ctl("run", "no-such-pattern", "r1").code != 0
+    entries = swarm.ctl("audit", "-o", "json").json["entries"]
+    assert {one["robot"] for one in entries if one["verb"] == "stop"} == set(ROBOTS)
+    (refused,) = (one for one in entries if one["verb"] == "run")
+    assert (refused["robot"], refused["targets"]) == ("r1", 1)
+    assert refused["result"].startswith("refused")
+    assert "@" in refused["operator"]
+    assert refused["time"] is not None
+    words = ("audit", "-l", "red", "-n", "1", "--since", "1h", "-o", "json")
+    assert [one["robot"] for one in swarm.ctl(*words).json["entries"]] == ["r1"]
+    assert "no-such-pattern" in swarm.ctl("audit", "r1").out
+
+
+def test_logs_are_filtered_and_followed(swarm: Swarm) -> None:
+    records = swarm.ctl("logs", "--grep", "READY IN SWARM", "-o", "json").json["records"]
+    assert {one["robot"] for one in records} == set(ROBOTS)
+    assert all("ready" in one["text"] for one in records)
+    assert swarm.ctl("logs", "--level", "error", "-o", "json").json["records"] == []
+    with swarm.begin("logs", "r1", "-f", "-o", "json", "--grep", "estop to") as follower:
+        try:
+            assert follower.stdout is not None
+            swarm.ctl("estop", "--all")
+            first = json.loads(follower.stdout.readline())
+        finally:
+            follower.kill()
+    assert (first["kind"], first["robot"]) == ("LogRecord", "r1")
+    assert "estop to all robots" in first["text"]
+
+
+def test_links_tell_who_hears_whom(swarm: Swarm) -> None:
+    links = swarm.ctl("links", "-o", "json").json["links"]
+    pairs = {(one["robot"], one["hears"]) for one in links}
+    assert pairs == set(itertools.permutations(ROBOTS, 2))
+    for one in links:
+        assert one["received"] > 0
+        assert one["round_trip"] is not None
+        assert "multicast" in one["ways"]
+    assert swarm.ctl("links", "r9").code == 4
+
+
+def test_doctor_looks_at_this_machine_and_each_robot(swarm: Swarm) -> None:
+    found = swarm.ctl("doctor", "-o", "json").json["findings"]
+    assert {one["where"] for one in found} == {"this machine", *ROBOTS}
+    of_r1 = {one["what"]: one for one in found if one["where"] == "r1"}
+    assert {"skew", "version", "identity", "heard here", "hears", "state", "ports"} <= set(of_r1)
+    assert of_r1["hears"]["finding"].startswith("2 of 2")
+    shown = swarm.ctl("doctor", "--problems", "r1").out.splitlines()
+    assert not any(line.startswith("ok") for line in shown)
+
+
+def test_doctor_works_without_a_robot() -> None:
+    there = {"SWARM": unique_swarm()}
+    alone = swarmctl("doctor", "--timeout", "0.3s", environ=there)
+    assert alone.code == 0
+    assert "no robot of swarm" in alone.out
+    wrong = swarmctl("doctor", "--profile", "dev", "--seed", "x", environ=there)
+    assert wrong.code == 1
+    assert "this machine" in wrong.out
 
 
 def test_run_ends_with_a_count(swarm: Swarm) -> None:
