@@ -18,8 +18,7 @@ from swarmd.cli.send import known_members, show
 from swarmd.core.verbs import LabelRequest, ParamRequest
 from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL
 from swarmd.network.operator.outcome import Outcome, joined
-from swarmd.network.spread.next_goal import next_goal
-from swarmd.network.spread.signed_goals import signed_goals
+from swarmd.network.spread.operator_goals import next_goal, signed_goals
 
 if TYPE_CHECKING:
     from swarmd.network.operator.members_view import MembersView
