@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from swarmd.network.settings import NetworkSettings
     from swarmd.security.identity import Identity
 
-
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -206,7 +205,6 @@ def check_known(name: str, known: Collection[str]) -> None:
         text = f"{unknown('robot', name, known)}; see `swarmctl members`"
         raise Failure(text, NO_TARGET)
 
-
 _NETWORK_OPTIONS = (
     click.option(
         "--swarm",
@@ -248,7 +246,6 @@ _LOCAL_OPTIONS = (
         "--timeout", type=Duration(), help="How long the verb may wait for answers, such as 3s."
     ),
 )
-
 
 recordings_argument = click.argument(
     "files", nargs=-1, required=True, metavar="FILE...", type=EXISTING

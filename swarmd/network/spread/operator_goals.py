@@ -19,7 +19,6 @@ if TYPE_CHECKING:
     from swarmd.network.operator.operator import Operator
     from swarmd.security.identity import Identity
 
-
 MAX_GENERATION = 2**32 - 1
 _MAX_ISSUER = 63
 
