@@ -220,6 +220,7 @@ class _InDds(Struct, frozen=True):
     topic_name: str = ""
     type_name: str = ""
 
+
 _nodes: msgspec.json.Decoder[_Node] = msgspec.json.Decoder(_Node)
 _configs: msgspec.json.Decoder[_Config] = msgspec.json.Decoder(_Config)
 _in_dds: msgspec.json.Decoder[_InDds] = msgspec.json.Decoder(_InDds)

@@ -205,6 +205,7 @@ def check_known(name: str, known: Collection[str]) -> None:
         text = f"{unknown('robot', name, known)}; see `swarmctl members`"
         raise Failure(text, NO_TARGET)
 
+
 _NETWORK_OPTIONS = (
     click.option(
         "--swarm",

@@ -73,6 +73,7 @@ def make_driver(settings: DaemonSettings) -> Driver:
     watchdog = watchdog_name(settings.network.swarm, settings.id)
     return WatchedDriver(driver, spec, name=watchdog, tie=settings.die_with_parent)
 
+
 RETRY_PERIOD = 1.0  # s between the end of a driver and its next start
 
 
