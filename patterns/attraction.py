@@ -78,8 +78,7 @@ class AttractionParams(FieldParams, frozen=True, kw_only=True):
     """The reach of each law, the distances, and those of every FieldPattern."""
 
     paper_range: Annotated[
-        float,
-        about("law paper: reach of the field", ge=0.1, le=100.0, unit="m", source="paper"),
+        float, about("law paper: reach of the field", ge=0.1, le=100.0, unit="m", source="paper")
     ] = 2.0
     bias: Bias = -1.0
     angular_if_alone: TurnIfAlone = 1.0

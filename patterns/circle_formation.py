@@ -14,14 +14,7 @@ from __future__ import annotations
 
 from typing import Annotated
 
-from swarmd.api import (
-    Array,
-    FormationParams,
-    FormationPattern,
-    about,
-    place_on_circle,
-    radius_of,
-)
+from swarmd.api import Array, FormationParams, FormationPattern, about, place_on_circle, radius_of
 
 
 class CircleFormationParams(FormationParams, frozen=True, kw_only=True):

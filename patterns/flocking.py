@@ -164,8 +164,7 @@ class FlockingParams(Params, frozen=True, kw_only=True):
     ]
     object_width: ObjectWidth
     paper_turn: Annotated[
-        float,
-        about("law paper: turn rate", ge=0.0, le=4.0, unit="rad/s", source="ROS2swarm"),
+        float, about("law paper: turn rate", ge=0.0, le=4.0, unit="rad/s", source="ROS2swarm")
     ] = 0.2
     near: Annotated[
         float,

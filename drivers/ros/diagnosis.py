@@ -428,11 +428,7 @@ def too_fast(stats: TopicStats, spec: ScanSpec) -> str:
 
 
 def driven_by_others(
-    topic: str,
-    publishers: Iterable[str] = (),
-    *,
-    is_heard: bool = True,
-    nodes: Iterable[str] = (),
+    topic: str, publishers: Iterable[str] = (), *, is_heard: bool = True, nodes: Iterable[str] = ()
 ) -> str:
     """Another node publishes commands.
 

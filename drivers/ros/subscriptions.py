@@ -72,9 +72,7 @@ class Subscriptions:
             self._hazards_of.setdefault(hazard.topic, []).append(hazard)
         ring = options.ring()
         self._ring = from_ros.RangeRingDecoder(
-            [bearing for _, bearing, _ in ring],
-            [away for _, _, away in ring],
-            ring_spec,
+            [bearing for _, bearing, _ in ring], [away for _, _, away in ring], ring_spec
         )
         self._ring_index = {_range_name(name): index for index, (name, _, _) in enumerate(ring)}
         self.topics: Mapping[str, TopicStats] = {

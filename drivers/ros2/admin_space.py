@@ -68,10 +68,7 @@ class AdminSpaces:
         self._begun = -math.inf
 
     def query(
-        self,
-        session: zenoh.Session,
-        announcing: Collection[str],
-        loop: asyncio.AbstractEventLoop,
+        self, session: zenoh.Session, announcing: Collection[str], loop: asyncio.AbstractEventLoop
     ) -> None:
         """Query everything each PERIOD, sooner while `is_awaited`; else the readers of commands."""
         now, bridges = loop.time(), self.nodes.namespaces

@@ -13,12 +13,7 @@ from swarmd.drivers.ros.cdr import encode, name_of
 from swarmd.drivers.ros.from_ros import command_message
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros2.key_scheme import KeyScheme
-from swarmd.drivers.ros2.session import (
-    MAX_OPEN_TIME,
-    OPEN_TIME,
-    command_publisher,
-    open_session,
-)
+from swarmd.drivers.ros2.session import MAX_OPEN_TIME, OPEN_TIME, command_publisher, open_session
 
 _OPEN_TIMEOUT = 0.3
 _RETRY_PERIOD = 0.5

@@ -242,11 +242,7 @@ class Caster:
 
     @cython.cfunc
     def _fill_grid(
-        self,
-        west: cython.double,
-        east: cython.double,
-        south: cython.double,
-        north: cython.double,
+        self, west: cython.double, east: cython.double, south: cython.double, north: cython.double
     ) -> cython.int:
         """Sort the bodies by cell; a cell is as wide as the longest reach, or wider."""
         body: cython.Py_ssize_t

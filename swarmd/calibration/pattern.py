@@ -9,14 +9,7 @@ from typing import Annotated, TypeAlias
 import numpy as np
 
 from swarmd.calibration import figures
-from swarmd.calibration.estimators import (
-    Stop,
-    is_steady,
-    mean_of,
-    stop_of,
-    stopping,
-    turn_delay,
-)
+from swarmd.calibration.estimators import Stop, is_steady, mean_of, stop_of, stopping, turn_delay
 from swarmd.calibration.figures import Figure
 from swarmd.calibration.floor import needed_floor, tolerance, top_speeds, travel
 from swarmd.calibration.scan_matching import Located, Reference, points_of

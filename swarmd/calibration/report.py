@@ -79,11 +79,7 @@ def settings(
 
 
 def platform_file(
-    robot: str,
-    extends: str,
-    day: str,
-    figures: Mapping[str, Figure],
-    chosen: list[Setting],
+    robot: str, extends: str, day: str, figures: Mapping[str, Figure], chosen: list[Setting]
 ) -> str:
     """A platform file that extends the present one; what is less careful is a comment."""
     lines = [

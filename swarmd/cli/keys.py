@@ -151,11 +151,7 @@ def init(
 @days_option
 @_swarm_option
 def bundle(
-    swarm: str | None,
-    names: tuple[str, ...],
-    is_all: bool,
-    target: Path | None,
-    days: float | None,
+    swarm: str | None, names: tuple[str, ...], is_all: bool, target: Path | None, days: float | None
 ) -> None:
     """Write a bundle for each NAME: one file with its identity and the settings of the swarm.
 
@@ -359,11 +355,5 @@ def router_configuration(identity: Identity, listen: str) -> dict[str, Any]:
     return nested
 
 
-for _verb in (
-    keys_rollout.add,
-    keys_rollout.revoke,
-    keys_rollout.renew,
-    keys_rollout.push,
-    router,
-):
+for _verb in (keys_rollout.add, keys_rollout.revoke, keys_rollout.renew, keys_rollout.push, router):
     keys.add_command(_verb)

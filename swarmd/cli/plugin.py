@@ -39,11 +39,7 @@ def plugin() -> None:
 @plugin.command("new")
 @click.argument("name")
 @click.option(
-    "--dir",
-    "folder",
-    type=FOLDER,
-    default=Path(),
-    help="The folder to write to [the current one].",
+    "--dir", "folder", type=FOLDER, default=Path(), help="The folder to write to [the current one]."
 )
 @click.option(
     "--kind",

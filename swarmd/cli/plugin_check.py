@@ -57,10 +57,7 @@ class Point:
 
 
 def describe_patterns(
-    names: Sequence[str],
-    plugin_dir: Path | None,
-    platform: str,
-    timeout: float = DESCRIBE_TIMEOUT,
+    names: Sequence[str], plugin_dir: Path | None, platform: str, timeout: float = DESCRIBE_TIMEOUT
 ) -> list[Record]:
     """The named patterns (none named: all), a row each.
 

@@ -150,10 +150,7 @@ def _is_flushed() -> bool:
 
 
 def run_cli(
-    command: click.Command,
-    args: list[str] | None,
-    name: str,
-    code_of: Callable[[SwarmError], int],
+    command: click.Command, args: list[str] | None, name: str, code_of: Callable[[SwarmError], int]
 ) -> int:
     """Run a command and return its exit code; an error is one line on stderr.
 

@@ -73,12 +73,7 @@ def _end(
         raise unreachable(operator)
     if options.is_json:
         code = TIMEOUT if missing else APPLIED
-        content = {
-            "robots": list(names),
-            "met": list(met),
-            "missing": missing,
-            "exit_code": code,
-        }
+        content = {"robots": list(names), "met": list(met), "missing": missing, "exit_code": code}
         print_json("Wait", content)
     if missing:
         why = "; ".join(f"{name} {text}".strip() for name, text in missing.items())

@@ -134,11 +134,7 @@ class CodeVersions:
     """
 
     def __init__(
-        self,
-        files: CodeFiles,
-        robot: str,
-        swarm: str,
-        operators: Callable[[], Operators | None],
+        self, files: CodeFiles, robot: str, swarm: str, operators: Callable[[], Operators | None]
     ) -> None:
         self.files = files
         self._writer = RecordWriter(files, lambda text: self.control.fault(text))
@@ -448,11 +444,7 @@ class CodeRuns:
         return origins
 
     def _lay(
-        self,
-        origins: dict[str, Origin],
-        name: str,
-        version: Version,
-        own: Mapping[str, Origin],
+        self, origins: dict[str, Origin], name: str, version: Version, own: Mapping[str, Origin]
     ) -> bool:
         """Add a version to the origins; False if the robot's own pattern counts."""
         manifest = read_entry(version.signed).manifest

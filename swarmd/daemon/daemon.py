@@ -159,10 +159,7 @@ class Daemon:
         )
         self._has_joined = False
         self._recording = RecordingService(
-            settings.id,
-            settings.recording,
-            self._head,
-            self.on_event,
+            settings.id, settings.recording, self._head, self.on_event
         )
         self._tools = FieldTools(
             settings,
@@ -192,10 +189,7 @@ class Daemon:
             goals=self._goals.read(),
         )
         self._neighborhood = NeighborSelection(
-            settings.neighbors,
-            self._network.heard,
-            settings.network.interface_name,
-            self._loop,
+            settings.neighbors, self._network.heard, settings.network.interface_name, self._loop
         )
         self.sink = DriverSink(self.step, self._neighborhood)
         self._timer = TickTimer(self._loop, self._on_tick)
@@ -283,9 +277,7 @@ class Daemon:
         for pulled in self._pulled.values():
             pulled.serve(bus)
         bus.serve_view(
-            self._status,
-            lambda: tuple(self._network.members.values()),
-            self._network.roster,
+            self._status, lambda: tuple(self._network.members.values()), self._network.roster
         )
         serve_shared(bus, "roster", self._rosters.share)
 

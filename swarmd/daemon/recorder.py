@@ -110,13 +110,7 @@ class Recorder:
         """True while entries are taken."""
         return self._open is not None
 
-    def start(
-        self,
-        folder: Path,
-        name: str,
-        about: Mapping[str, str],
-        limits: FileLimits,
-    ) -> None:
+    def start(self, folder: Path, name: str, about: Mapping[str, str], limits: FileLimits) -> None:
         """Start a process that records; OSError if that fails. Call it only while `is_on` is false.
 
         `about`: texts on the robot.

@@ -157,10 +157,7 @@ class RequestServer:
         age = min(stop.age / 1000.0, MAX_SECONDS)
         if stop.verb == "stop":
             request = StopRequest(
-                id=stop.id,
-                operator=stop.operator or "unknown",
-                targets=targets,
-                age=age,
+                id=stop.id, operator=stop.operator or "unknown", targets=targets, age=age
             )
         else:
             request = EstopRequest(
@@ -213,10 +210,7 @@ class RequestServer:
         else:
             # The newest query of an id gets the reply: the link of an older one may be closed.
             self._pending[request.id] = _Pending(
-                request,
-                lambda reply: query.reply(encode(reply)),
-                lambda: query.source,
-                query=query,
+                request, lambda reply: query.reply(encode(reply)), lambda: query.source, query=query
             )
             if not is_pending:
                 self._handlers[request.verb](request, self.reply)
@@ -252,11 +246,7 @@ class RequestServer:
             refusal = Refusal.OTHER_VERSION
             text = f"{self._robot} speaks {codec.VERSION}, this swarmctl {version}"
         reply = Reply(
-            id=header.id,
-            robot=self._robot,
-            code=code,
-            refusal=refusal,
-            text=text[:MAX_TEXT],
+            id=header.id, robot=self._robot, code=code, refusal=refusal, text=text[:MAX_TEXT]
         )
         is_repeat = header.id in self._replies
         if not is_repeat and pending is None:

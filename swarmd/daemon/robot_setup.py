@@ -19,12 +19,7 @@ from swarmd.settings.settings import DaemonSettings
 
 
 def make_robot(
-    settings: DaemonSettings,
-    instance: str,
-    seed: int,
-    *,
-    latches: LatchRecord,
-    goals: GoalRecord,
+    settings: DaemonSettings, instance: str, seed: int, *, latches: LatchRecord, goals: GoalRecord
 ) -> Robot:
     """The robot of the daemon's life `instance`. `latches` and `goals`: as its files have them."""
 

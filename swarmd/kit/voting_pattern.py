@@ -9,14 +9,7 @@ from typing import Annotated, ClassVar, TypeVar
 from swarmd.core.values import Inputs, Message, Neighbor, Outputs, Value
 from swarmd.kit.behavior import Context, Pattern
 from swarmd.kit.params import Params, Recovery, about
-from swarmd.kit.vote_windows import (
-    Rounds,
-    Ties,
-    VoteWindow,
-    Windows,
-    read_opinion,
-    read_round_vote,
-)
+from swarmd.kit.vote_windows import Rounds, Ties, VoteWindow, Windows, read_opinion, read_round_vote
 
 OPINION = "opinion"
 ROUND_VOTE = "round_vote"
@@ -77,8 +70,7 @@ class VotingParams(Params, frozen=True, kw_only=True):
         ),
     ] = 3.0
     count_own: Annotated[
-        bool,
-        about("count the own opinion as a vote", source="ROS2swarm: it is not"),
+        bool, about("count the own opinion as a vote", source="ROS2swarm: it is not")
     ] = False
     staggered: Annotated[
         bool,

@@ -607,13 +607,7 @@ class Peer:
         effects.sends.append((self._beacon(summary, flags, number=self._beacons), None))
 
     def _beacon(
-        self,
-        summary: Summary,
-        flags: int = 0,
-        *,
-        echo: int = 0,
-        version: str = "",
-        number: int = 0,
+        self, summary: Summary, flags: int = 0, *, echo: int = 0, version: str = "", number: int = 0
     ) -> Beacon:
         self._sequence += 1
         return Beacon(

@@ -24,13 +24,7 @@ from typing import NamedTuple
 import msgspec
 
 from swarmd.core.errors import CodecError
-from swarmd.network.datagram import (
-    KIND_OFFSET,
-    MAX_DATAGRAM,
-    Ack,
-    Kind,
-    length_without_trailer,
-)
+from swarmd.network.datagram import KIND_OFFSET, MAX_DATAGRAM, Ack, Kind, length_without_trailer
 from swarmd.security.datagram_keys import DatagramKeys
 from swarmd.security.identity import Identity
 from swarmd.security.roster import Role, Roster

@@ -231,12 +231,7 @@ class ProcessRunner:
         try:
             frame = encode_command(self._with_origins(load, is_trial=True))
             self._trial = TrialProcess(
-                self._loop,
-                number,
-                frame,
-                self._on_trial_done,
-                self.on_reaped,
-                self._settings,
+                self._loop, number, frame, self._on_trial_done, self.on_reaped, self._settings
             )
         except (PluginError, CodecError, OSError) as error:
             self._events.append(TrialDone(number, str(error), refusal_of(error)))

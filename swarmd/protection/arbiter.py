@@ -60,12 +60,7 @@ def make_barrier(platform: Platform) -> Barrier:
 
 
 MODES: Mapping[str, Callable[[Platform], Arbiter]] = MappingProxyType(
-    {
-        "barrier": make_barrier,
-        "potential_field": PotentialField,
-        "stop_zone": StopZone,
-        "off": Off,
-    }
+    {"barrier": make_barrier, "potential_field": PotentialField, "stop_zone": StopZone, "off": Off}
 )
 """The arbiter of each mode."""
 
@@ -230,11 +225,7 @@ class Protection:
         return np.concatenate((points, self._near)) if len(self._near) else points
 
     def _decision(
-        self,
-        wanted: Twist,
-        decision: ModeDecision,
-        reason: Reason | None,
-        context: DecisionContext,
+        self, wanted: Twist, decision: ModeDecision, reason: Reason | None, context: DecisionContext
     ) -> Decision:
         twist, recovery = decision.twist, self._recovery
         safe = self._allowed = twist if twist is wanted else self._limits.clip(twist)

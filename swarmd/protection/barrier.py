@@ -1256,11 +1256,7 @@ class Barrier:
     @cython.cfunc
     @cython.exceptval(-1)
     def _add_point(
-        self,
-        i: cython.Py_ssize_t,
-        x: cython.double,
-        y: cython.double,
-        radius: cython.double,
+        self, i: cython.Py_ssize_t, x: cython.double, y: cython.double, radius: cython.double
     ) -> cython.int:
         """A row for a placed point, the centre of a disc of that radius."""
         self._placed_x[i], self._placed_y[i], self._radius_of[i] = x, y, radius

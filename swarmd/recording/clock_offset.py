@@ -193,9 +193,7 @@ def _lines(exchanges: Iterable[Exchange]) -> dict[tuple[str, str], ClockLine]:
 
 
 def _along(
-    path: tuple[str, ...],
-    lines: Mapping[tuple[str, str], ClockLine],
-    span: tuple[float, float],
+    path: tuple[str, ...], lines: Mapping[tuple[str, str], ClockLine], span: tuple[float, float]
 ) -> Alignment:
     """Follow a path back to its first clock, at both ends of a span."""
     ends, errors = list(span), [0.0, 0.0]

@@ -16,14 +16,7 @@ import msgspec
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.events import HostInput, Input, RequestInput
-from swarmd.core.host_messages import (
-    KillHost,
-    Load,
-    Loaded,
-    SentEvent,
-    StartTrial,
-    Stepped,
-)
+from swarmd.core.host_messages import KillHost, Load, Loaded, SentEvent, StartTrial, Stepped
 from swarmd.core.messages import State
 from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.core.verbs import StopRequest

@@ -13,14 +13,7 @@ from msgspec import structs
 from swarmd.core.arrival_delay import ArrivalDelay
 from swarmd.core.clock import TICK
 from swarmd.core.messages import Body, PeerFinding
-from swarmd.core.values import (
-    MAX_TOLD_DISTANCE,
-    Neighbor,
-    PeerPlace,
-    Platform,
-    SharedPose,
-    Twist,
-)
+from swarmd.core.values import MAX_TOLD_DISTANCE, Neighbor, PeerPlace, Platform, SharedPose, Twist
 from swarmd.protection.binding_range import REACTION_TIME, BindingRange
 from swarmd.protection.compatibility import (
     Accepts,

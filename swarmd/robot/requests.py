@@ -25,13 +25,7 @@ from collections.abc import Callable
 from typing import Any
 
 from swarmd.core.goal import GoalState
-from swarmd.core.host_messages import (
-    CancelTrial,
-    KillHost,
-    SetParams,
-    StartTrial,
-    TrialDone,
-)
+from swarmd.core.host_messages import CancelTrial, KillHost, SetParams, StartTrial, TrialDone
 from swarmd.core.keys import is_id
 from swarmd.core.messages import Latch, Reason, Refusal, State
 from swarmd.core.verbs import (

@@ -52,11 +52,7 @@ class Sensors:
     """
 
     def __init__(
-        self,
-        platform: Platform,
-        accepts: Accepts = ACCEPTS_NONE,
-        *,
-        tells_pose: bool = False,
+        self, platform: Platform, accepts: Accepts = ACCEPTS_NONE, *, tells_pose: bool = False
     ) -> None:
         self._stale_after = platform.scan.stale_after
         self._max_delay = platform.scan.max_scan_delay

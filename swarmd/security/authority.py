@@ -36,14 +36,7 @@ from swarmd.security.datagram_keys import (
 )
 from swarmd.security.identity import IdentityInfo, Issued, RosterFile, write_private
 from swarmd.security.private_keys import load_key, pem_of, public_bytes
-from swarmd.security.roster import (
-    Role,
-    Roster,
-    digest_of,
-    encode_roster,
-    pack_roster,
-    read_roster,
-)
+from swarmd.security.roster import Role, Roster, digest_of, encode_roster, pack_roster, read_roster
 
 KEY, CERTIFICATE, STATE, NAMES = "authority.key", "authority.pem", "state", "names"
 LOCK = "lock"

@@ -134,13 +134,7 @@ class _Seen:
     """
 
     def __init__(
-        self,
-        scan: Scan,
-        layout: _Layout,
-        at: float,
-        headings: Headings,
-        sensor: Pose,
-        skew: float,
+        self, scan: Scan, layout: _Layout, at: float, headings: Headings, sensor: Pose, skew: float
     ) -> None:
         self.at, self.skew, self._layout, self._headings = at, skew, layout, headings
         self.x, self.y, self.yaw = sensor.x, sensor.y, sensor.yaw

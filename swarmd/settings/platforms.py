@@ -15,16 +15,7 @@ import swarmd.config
 from swarmd.core.angles import wrap
 from swarmd.core.clock import TICK
 from swarmd.core.errors import ConfigError, unknown
-from swarmd.core.values import (
-    Array,
-    Heights,
-    Limits,
-    Platform,
-    ScanSpec,
-    Sweep,
-    Value,
-    input_fault,
-)
+from swarmd.core.values import Array, Heights, Limits, Platform, ScanSpec, Sweep, Value, input_fault
 from swarmd.protection.binding_range import BindingRange
 from swarmd.protection.compatibility import barrier_settings
 from swarmd.protection.footprint import Footprint

@@ -100,9 +100,7 @@ class DaemonSettings:
 
 
 def load_daemon_settings(
-    config: Path | None,
-    overrides: Mapping[str, object],
-    environ: Mapping[str, str] = os.environ,
+    config: Path | None, overrides: Mapping[str, object], environ: Mapping[str, str] = os.environ
 ) -> DaemonSettings:
     """The settings from a file (None: no file), `overrides` and the environment.
 

@@ -121,10 +121,7 @@ def _protection(status: Status) -> list[tuple[str, str]]:
                 decision.requested_linear, decision.requested_angular, decision.requested_lateral
             ),
         ),
-        (
-            "safe",
-            _twist_text(decision.safe_linear, decision.safe_angular, decision.safe_lateral),
-        ),
+        ("safe", _twist_text(decision.safe_linear, decision.safe_angular, decision.safe_lateral)),
         *zip(titles, limits, strict=False),
         ("nearest", NOTHING if gap is None else f"{gap:.2f} m"),
         ("scan age", NOTHING if age is None else seconds(age)),

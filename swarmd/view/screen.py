@@ -23,9 +23,7 @@ _ENTER = "\x1b[?1049h\x1b[?25l\x1b[?7l\x1b[?2004h"
 _LEAVE = "\x1b[0m\x1b[?2004l\x1b[?7h\x1b[?25h\x1b[?1049l"
 _CSI = re.compile(rb"\x1b\[[0-?]*[ -/]*([@-~])")
 _SS3 = re.compile(rb"\x1bO(.)", re.DOTALL)
-_NAMES = {
-    **{b"A": "up", b"B": "down", b"C": "right", b"D": "left", b"H": "home", b"F": "end"},
-}
+_NAMES = {**{b"A": "up", b"B": "down", b"C": "right", b"D": "left", b"H": "home", b"F": "end"}}
 _NUMBERED = {b"1": "home", b"4": "end", b"5": "pageup", b"6": "pagedown", b"7": "home", b"8": "end"}
 _CONTROLS = {
     **{"\r": "enter", "\n": "enter", "\t": "tab", "\x7f": "backspace", "\x08": "backspace"},

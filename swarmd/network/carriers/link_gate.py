@@ -129,10 +129,7 @@ def open_files() -> int:
 
 
 def watch_links(
-    session: zenoh.Session,
-    roster: Roster,
-    loop: AbstractEventLoop,
-    on_event: Callable[[str], None],
+    session: zenoh.Session, roster: Roster, loop: AbstractEventLoop, on_event: Callable[[str], None]
 ) -> None:
     """Call `on_event` on the loop with a line for each link of a name that the roster lacks.
 

@@ -15,14 +15,7 @@ from array import array
 from collections.abc import Iterable, Sequence
 
 from swarmd.network.carriers.flood_limits import FloodRules
-from swarmd.network.datagram import (
-    ANY_SWARM,
-    MAGIC,
-    MAX_DATAGRAM,
-    URGENT,
-    Address,
-    Kind,
-)
+from swarmd.network.datagram import ANY_SWARM, MAGIC, MAX_DATAGRAM, URGENT, Address, Kind
 
 _LOAD, _LOAD_HALF, _LOAD_BYTE, _LOAD_LENGTH, _LOAD_MEMORY = 0x20, 0x28, 0x30, 0x80, 0x60
 _STORE, _TO_X, _XOR_X, _SHIFT_LEFT = 0x02, 0x07, 0xAC, 0x64

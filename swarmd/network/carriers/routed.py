@@ -19,13 +19,7 @@ from swarmd.core.clock import boottime
 from swarmd.core.keys import ANY, build, is_id, parse
 from swarmd.network.carriers.recipients import Recipients
 from swarmd.network.carriers.session import undeclare
-from swarmd.network.datagram import (
-    KIND_OFFSET,
-    MAX_DATAGRAM,
-    URGENT,
-    Address,
-    OnDatagram,
-)
+from swarmd.network.datagram import KIND_OFFSET, MAX_DATAGRAM, URGENT, Address, OnDatagram
 
 if TYPE_CHECKING:
     from asyncio import AbstractEventLoop

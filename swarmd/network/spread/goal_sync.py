@@ -15,14 +15,7 @@ from typing import NamedTuple
 
 from swarmd.core.bounds import keep_newest
 from swarmd.core.errors import CodecError
-from swarmd.core.goal import (
-    MAX_UNSIGNED,
-    Goal,
-    HeldGoal,
-    decode_goal,
-    digest_of,
-    signed_part,
-)
+from swarmd.core.goal import MAX_UNSIGNED, Goal, HeldGoal, decode_goal, digest_of, signed_part
 from swarmd.core.record import may_replace
 from swarmd.core.token_bucket import TokenBucket
 from swarmd.network.datagram import Address, GoalReport

@@ -17,12 +17,7 @@ from swarmd.network.settings import NetworkSettings
 from swarmd.network.spread.pull import pull
 from swarmd.security.datagram_keys import KEY_BYTES
 from swarmd.security.identity import Identity
-from swarmd.security.roster_change import (
-    SharedRoster,
-    read_shared,
-    take_answers,
-    take_roster,
-)
+from swarmd.security.roster_change import SharedRoster, read_shared, take_answers, take_roster
 
 PULL_TIMEOUT = 5.0  # s
 MAX_PULLS = 8  # at a time
