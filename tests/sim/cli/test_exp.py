@@ -174,12 +174,12 @@ def test_a_sweep_that_is_ended_keeps_finished_runs_and_leaves_no_worker(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl
 ) -> None:
     folder, begin, end = tmp_path / "x", "", "2 of 4 runs are kept; to go on: swarmctl exp run "
-    words = ("exp", "run", duo, "--seeds", 2, "--sweep", "duration=1,1e6", "-j", 1, "--out", folder)
+    words = ("exp", "run", duo, "--seeds", 2, "--sweep", f"{END}=none,hang", "--out", folder)
     ends = (signal.SIGKILL, -9, ""), (signal.SIGINT, 130, end), (signal.SIGTERM, 143, end)
     for number, code, advice in ends:
-        process = started(*words, cwd=tmp_path)
-        wait_until(lambda: finished(folder) == 2, "the short runs are done")
-        wait_until(lambda one=process: len(runs_of(one)) == 1, "a long one runs")  # type: ignore[misc]
+        process = started(*words, "-j", 1, cwd=tmp_path)
+        wait_until(lambda: finished(folder) == 2, "two runs are done")
+        wait_until(lambda one=process: len(runs_of(one)) == 1, "one that hangs runs")  # type: ignore[misc]
         running = [*children(process.pid), *runs_of(process)]
         os.killpg(process.pid, number)
         _, told = process.communicate(timeout=60)
