@@ -28,7 +28,7 @@ from swarmd.core.processes import die_with_parent
 from swarmd.core.values import Scan, Twist
 from swarmd.daemon import daemon as daemon_module
 from swarmd.daemon.daemon import Daemon
-from swarmd.daemon.driver_sink import DriverSink
+from swarmd.daemon.driver import DriverSink
 from swarmd.drivers import simulated
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.pattern_host.runner import ProcessRunner

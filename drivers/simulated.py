@@ -16,17 +16,9 @@ from swarmd.core.errors import CodecError
 from swarmd.core.finding import Finding
 from swarmd.core.threads import hand_over
 from swarmd.core.values import ZERO, Odometry, Platform, Scan, ScanSpec, Twist, Value
+from swarmd.driver_api import hw_codec
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
-from swarmd.driver_api.hw_codec import (
-    INPUTS,
-    check_measures,
-    decode_input,
-    decode_messages,
-    deliver,
-    encode_command,
-    encode_message,
-)
 from swarmd.drivers.latest_samples import LatestSamples
 from swarmd.drivers.scan_content import ENOUGH_SCANS, ScanContent
 from swarmd.drivers.scan_delay import scan_delay_finding
@@ -64,7 +56,7 @@ class SimulatedDriver:
     ) -> None:
         """Not connected yet. Options: `SimulatedOptions`."""
         self._robot, self._swarm, self._platform = robot, swarm, platform
-        check_measures(platform)
+        hw_codec.check_measures(platform)
         chosen = Layered(("driver simulated", options)).build(SimulatedOptions)
         self._endpoint, self.carries_messages = chosen.endpoint, chosen.radio
         parse_endpoint(self._endpoint, "driver simulated: endpoint is ", DEFAULT_ENDPOINT)
@@ -85,7 +77,7 @@ class SimulatedDriver:
         )
         try:
             self._commands = realtime_publisher(session, self._key("cmd_vel"))
-            for name in INPUTS:
+            for name in hw_codec.INPUTS:
                 session.declare_subscriber(self._key(name), inbox.receiver(name, self._key(name)))
             if self.carries_messages:
                 self._sent = session.declare_publisher(self._key("sent"))
@@ -114,7 +106,7 @@ class SimulatedDriver:
     def send_message(self, channel: str, payload: bytes) -> None:
         """Send a pattern's message by the simulated radio; dropped while there is no session."""
         if self._sent is not None:
-            self._sent.put(encode_message(self._robot, channel, payload))
+            self._sent.put(hw_codec.encode_message(self._robot, channel, payload))
 
     async def check(self, seconds: float) -> tuple[Finding, ...]:
         """Whether scans and odometry arrive and commands have a subscriber; moves nothing."""
@@ -160,11 +152,11 @@ class SimulatedDriver:
 
     def _put(self, twist: Twist, scan_seq: int, requested_scan_seq: int) -> None:
         if self._commands is not None:
-            self._commands.put(encode_command(twist, scan_seq, requested_scan_seq))
+            self._commands.put(hw_codec.encode_command(twist, scan_seq, requested_scan_seq))
 
     def _take(self, sink: Sink, name: str, payload: bytes) -> None:
         try:
-            value = decode_input(name, payload, self._platform.scan)
+            value = hw_codec.decode_input(name, payload, self._platform.scan)
         except CodecError:
             sink.dropped(f"hw/{name}")
             return
@@ -172,11 +164,11 @@ class SimulatedDriver:
         if not self._gate.is_open:
             self._gate.open()
             sink.state(True, f"simulated robot at {self._endpoint}")
-        deliver(sink, value)
+        hw_codec.deliver(sink, value)
 
     def _take_messages(self, sink: Sink, sample: zenoh.Sample) -> None:
         try:
-            wires = decode_messages(sample.payload.to_bytes())
+            wires = hw_codec.decode_messages(sample.payload.to_bytes())
         except CodecError:
             sink.dropped("hw/received")
             return
@@ -204,7 +196,7 @@ class SimulatedZeroSender:
 
     def send_zero(self) -> None:
         """Send zero once."""
-        self._commands.put(encode_command(ZERO, -1, -1))
+        self._commands.put(hw_codec.encode_command(ZERO, -1, -1))
 
     def close(self) -> None:
         """Close the session."""

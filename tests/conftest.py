@@ -12,7 +12,8 @@ import signal
 import subprocess
 from collections import Counter
 from collections.abc import Generator, Iterator
-from pathlib import PurePath
+from multiprocessing import forkserver
+from pathlib import Path, PurePath
 from resource import RUSAGE_CHILDREN, RUSAGE_SELF, getrusage
 
 import pytest
@@ -90,10 +91,20 @@ def pytest_collection_finish(session: pytest.Session) -> None:
 def _spend(config: pytest.Config, subject: str) -> None:
     """Count the CPU time of this process and its ended children since the last call."""
     usages = getrusage(RUSAGE_SELF), getrusage(RUSAGE_CHILDREN)
-    now = sum(usage.ru_utime + usage.ru_stime for usage in usages)
+    now = sum(usage.ru_utime + usage.ru_stime for usage in usages) + _of_fork_server()
     spent = config.stash[CPU_SPENT]
     spent[subject] = spent.get(subject, 0.0) + now - config.stash[CPU_TIME]
     config.stash[CPU_TIME] = now
+
+
+def _of_fork_server() -> float:
+    """The CPU time of the fork server and of its children that have ended."""
+    pid = forkserver._forkserver._forkserver_pid  # type: ignore[attr-defined]
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    except OSError:
+        return 0.0
+    return sum(map(int, fields[11:15])) / os.sysconf("SC_CLK_TCK")
 
 
 @pytest.hookimpl(wrapper=True)

@@ -15,19 +15,9 @@ from rosbags.typesys import Stores
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Platform, Value
+from swarmd.drivers.ros import messages
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
-from swarmd.drivers.ros.messages import (
-    BatteryState,
-    Imu,
-    LaserScan,
-    Odometry,
-    PoseStamped,
-    PoseWithCovarianceStamped,
-    Range,
-    Twist,
-    TwistStamped,
-)
 from swarmd.drivers.ros.topic_hazards import HazardOptions, TopicHazard, topic_hazard
 from swarmd.drivers.ros.topic_readings import ReadingOptions, TopicReading, topic_reading
 from swarmd.drivers.ros.topic_stats import HAZARD, READING
@@ -111,15 +101,15 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     @property
     def command_types(self) -> tuple[type, ...]:
         """The message classes that the commands may have: one, or all if the base decides."""
-        return {"twist": (Twist,), "twist_stamped": (TwistStamped,)}.get(
-            self.cmd_vel_type, (Twist, TwistStamped)
+        return {"twist": (messages.Twist,), "twist_stamped": (messages.TwistStamped,)}.get(
+            self.cmd_vel_type, (messages.Twist, messages.TwistStamped)
         )
 
     @property
     def pose_type(self) -> type:
         """The message class of the shared pose."""
         is_plain = self.shared_pose_type == "pose"
-        return PoseStamped if is_plain else PoseWithCovarianceStamped
+        return messages.PoseStamped if is_plain else messages.PoseWithCovarianceStamped
 
     def topic(self, name: str) -> str:
         """The full name of a topic, such as `/tb3_01/scan`."""
@@ -306,10 +296,15 @@ def _faults(options: TopicOptions) -> Iterator[str]:
 
 def _types(options: TopicOptions) -> dict[str, str]:
     """The message type of each option that is a sensor's topic, such as `sensor_msgs/Imu`."""
-    kinds = {"scan": LaserScan, "odometry": Odometry, "imu": Imu, "battery": BatteryState}
+    kinds = {
+        "scan": messages.LaserScan,
+        "odometry": messages.Odometry,
+        "imu": messages.Imu,
+        "battery": messages.BatteryState,
+    }
     kinds |= {
         "shared_pose": options.pose_type,
-        **{f"ranges.{name}": Range for name in options.ranges},
+        **{f"ranges.{name}": messages.Range for name in options.ranges},
     }
     return {
         **{option: name_of(kind).replace("/msg/", "/") for option, kind in kinds.items()},

@@ -10,16 +10,7 @@ from typing import Any
 from swarmd.core.finding import Finding
 from swarmd.core.values import Platform, Scan
 from swarmd.driver_api.driver import Sink
-from swarmd.drivers.ros import cdr, from_ros
-from swarmd.drivers.ros.messages import (
-    BatteryState,
-    Imu,
-    LaserScan,
-    Odometry,
-    PoseStamped,
-    PoseWithCovarianceStamped,
-    Range,
-)
+from swarmd.drivers.ros import cdr, from_ros, messages
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.topic_hazards import Hazards, TopicHazard
 from swarmd.drivers.ros.topic_readings import BATTERY, IMU, Readings, TopicReading
@@ -30,7 +21,7 @@ Deliver = Callable[[Sink], None]
 Decode = Callable[[type, bytes], Any]
 """Reads a message of the given class; raises CodecError."""
 
-_SIGNS_OF_LIFE = (LaserScan, Range, Odometry)
+_SIGNS_OF_LIFE = (messages.LaserScan, messages.Range, messages.Odometry)
 
 
 class Subscriptions:
@@ -59,7 +50,7 @@ class Subscriptions:
             self.contents["scan"] = ScanContent(platform.scan)
         if options.ranges:
             self.contents["ranges"] = ScanContent(ring_spec, section)
-        self._laser: LaserScan | None = None
+        self._laser: messages.LaserScan | None = None
         self.last_arrival = -math.inf
         readings = options.topic_readings
         self._readings = Readings(readings)
@@ -179,7 +170,7 @@ class Subscriptions:
         return from_ros.sweep_finding(self._laser, self._spec, is_upside_down=self._is_upside_down)
 
     def _value(self, stats: TopicStats, message: Any, now: float) -> tuple[Deliver, str]:
-        if stats.message_type is LaserScan:
+        if stats.message_type is messages.LaserScan:
             self._scan_seq += 1
             self._laser = message
             scan = from_ros.scan_of(
@@ -187,19 +178,19 @@ class Subscriptions:
             )
             self.contents["scan"].take(scan)
             return lambda sink: sink.scan(scan), ""
-        if stats.message_type is Range:
+        if stats.message_type is messages.Range:
             whole = self._ring.take(self._ring_index[stats.name], message)
             if whole is not None:
                 self.contents["ranges"].take(whole)
             is_scan = "scan" not in self.contents
             return partial(_deliver_ring, whole, is_scan), f"{message.range:.3g} m"
-        if stats.message_type is Odometry:
+        if stats.message_type is messages.Odometry:
             odometry = from_ros.odometry_of(message)
             return lambda sink: sink.odometry(odometry), ""
-        if stats.message_type in (PoseStamped, PoseWithCovarianceStamped):
+        if stats.message_type in (messages.PoseStamped, messages.PoseWithCovarianceStamped):
             pose = from_ros.shared_pose_of(message, *self._pose_errors)
             return lambda sink: sink.pose(pose), f"frame {pose.frame}"
-        if stats.message_type is Imu:
+        if stats.message_type is messages.Imu:
             names, values, lacks = IMU, from_ros.imu_readings(message), ""
         else:
             names = BATTERY
@@ -231,19 +222,23 @@ def _deliver_ring(scan: Scan | None, is_scan: bool, sink: Sink) -> None:
 def _topics(options: TopicOptions, platform: Platform, has_lidar: bool) -> list[TopicStats]:
     topic = options.topic
     found = [
-        TopicStats(_range_name(name), "ranges", topic(name), Range, is_needed=True)
+        TopicStats(_range_name(name), "ranges", topic(name), messages.Range, is_needed=True)
         for name in options.ranges
     ]
     if has_lidar:
-        scan = TopicStats("scan", "scan", topic(options.scan_topic), LaserScan, is_needed=True)
+        scan = TopicStats(
+            "scan", "scan", topic(options.scan_topic), messages.LaserScan, is_needed=True
+        )
         found.insert(0, scan)
     needs_odometry = "odometry" in platform.provides
     found.append(
-        TopicStats("odometry", "odometry", topic(options.odometry), Odometry, needs_odometry)
+        TopicStats(
+            "odometry", "odometry", topic(options.odometry), messages.Odometry, needs_odometry
+        )
     )
     for name, given, message_type in (
-        ("imu", options.imu, Imu),
-        ("battery", options.battery, BatteryState),
+        ("imu", options.imu, messages.Imu),
+        ("battery", options.battery, messages.BatteryState),
         ("shared_pose", options.shared_pose, options.pose_type),
     ):
         if given is not None:

@@ -18,15 +18,7 @@ from msgspec import Struct
 
 from swarmd.core.errors import DriverError
 from swarmd.core.processes import how_it_ended
-from swarmd.drivers.ros1.adapter_process import (
-    ALIVE,
-    COMMAND,
-    COMMAND_HEAD,
-    DATA,
-    DATA_HEAD,
-    EVENT,
-    FAREWELL,
-)
+from swarmd.drivers.ros1 import adapter_process
 
 ALIVE_TIMEOUT = 1.0
 """Seconds without a sign of life after which an adapter is killed."""
@@ -170,7 +162,10 @@ class AdapterProcess:
     def send(self, command: bytes) -> None:
         """Hand over a serialised command: never blocks; dropped if the adapter does not read."""
         with contextlib.suppress(OSError):
-            self._socket.send(COMMAND_HEAD.pack(COMMAND, time.monotonic()) + command)
+            self._socket.send(
+                adapter_process.COMMAND_HEAD.pack(adapter_process.COMMAND, time.monotonic())
+                + command
+            )
 
     async def until_end(self, seconds: float) -> bool:
         """Wait that long at most; True once it has ended, or was killed because it was silent."""
@@ -193,7 +188,7 @@ class AdapterProcess:
         try:
             if politely and not self._ended.is_set():
                 with contextlib.suppress(OSError):
-                    self._socket.send(FAREWELL)
+                    self._socket.send(adapter_process.FAREWELL)
                 await self._wait(_LEAVE_TIMEOUT)
             elif politely:
                 await self._wait(_END_TIMEOUT)
@@ -233,15 +228,15 @@ class AdapterProcess:
 
     def _take(self, frame: bytes, newest: dict[int, bytes]) -> None:
         kind = frame[:1]
-        if kind == DATA and len(frame) >= DATA_HEAD.size:
-            _, topic, arrival = DATA_HEAD.unpack_from(frame)
+        if kind == adapter_process.DATA and len(frame) >= adapter_process.DATA_HEAD.size:
+            _, topic, arrival = adapter_process.DATA_HEAD.unpack_from(frame)
             is_late = not abs(time.monotonic() - arrival) < MAX_MESSAGE_AGE
             is_old = is_late and topic not in self._kept
             if is_old or topic in newest:
                 self._listener.on_dropped("overtaken")
             if not is_old:
-                newest[topic] = frame[DATA_HEAD.size :]
-        elif kind == EVENT:
+                newest[topic] = frame[adapter_process.DATA_HEAD.size :]
+        elif kind == adapter_process.EVENT:
             try:
                 event = _events.decode(frame[1:])
             except (msgspec.DecodeError, UnicodeDecodeError):
@@ -250,7 +245,7 @@ class AdapterProcess:
             if isinstance(event, PublisherGone):
                 newest.pop(event.topic, None)
             self._listener.on_event(event)
-        elif frame != ALIVE:
+        elif frame != adapter_process.ALIVE:
             self._listener.on_dropped("garbage")
             return
         self._alive_at = self._loop.time()

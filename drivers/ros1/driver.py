@@ -23,15 +23,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Platform, Twist, Value
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import Sink, ZeroSenderSpec
-from swarmd.drivers.ros.diagnosis import (
-    Conflict,
-    DriverCheck,
-    driven,
-    driven_by_others,
-    has_enough,
-    unconnected,
-    unreachable,
-)
+from swarmd.drivers.ros import diagnosis
 from swarmd.drivers.ros.foreign_commands import ROS1_ACTIONS, ForeignCommands
 from swarmd.drivers.ros.messages import Twist as TwistMessage
 from swarmd.drivers.ros.messages import TwistStamped
@@ -158,17 +150,17 @@ class Ros1Driver:
         self._subscriptions = Subscriptions(self._options, self._platform, serialization.decode)
         self._master = MasterGraph(self._options, self._subscriptions.topics)
         self._end, self._is_planned_end, self._was_up = "", False, False
-        self._conflict: Conflict | None = None
+        self._conflict: diagnosis.Conflict | None = None
         # The publishers of cmd_vel count by their registration, as `MasterGraph.blocks` says.
         self._foreign = ForeignCommands(self._options, ROS1_ACTIONS, is_cmd_vel_shared=True)
         self._hears_motion = False
 
-    def _report(self) -> DriverCheck | None:
+    def _report(self) -> diagnosis.DriverCheck | None:
         """What a check has found out; None if the adapter told nothing yet."""
         state = self._master.state
         if state is None:
             return None
-        return DriverCheck(
+        return diagnosis.DriverCheck(
             graph=self._master.graph(),
             endpoint=self._options.master_uri,
             connection_fault="" if state.master else self._unreachable(state),
@@ -185,7 +177,9 @@ class Ros1Driver:
 
     def _has_enough(self, seconds: float) -> bool:
         state = self._master.state
-        return bool(state and state.listeners) and has_enough(self._subscriptions, seconds)
+        return bool(state and state.listeners) and diagnosis.has_enough(
+            self._subscriptions, seconds
+        )
 
     async def _run_adapter(self, *, is_check: bool) -> str:
         """One life of the adapter; how it ended."""
@@ -336,9 +330,11 @@ class Ros1Driver:
         if not state.master:
             return self._unreachable(state)
         if master.blocks:
-            return driven_by_others(master.cmd_vel, state.others, is_heard=self._hears_motion)
+            return diagnosis.driven_by_others(
+                master.cmd_vel, state.others, is_heard=self._hears_motion
+            )
         graph = master.graph()
-        if by_others := driven(self._foreign, graph, now):
+        if by_others := diagnosis.driven(self._foreign, graph, now):
             return by_others
         for stats in self._subscriptions.silent(now, TOPIC_TIMEOUT):
             is_unreadable = bool(stats.recent_fault(now))
@@ -347,10 +343,10 @@ class Ros1Driver:
             return ""
         return graph.no_subscriber(
             master.cmd_vel, self._options.command_types, has_subscriber=bool(state.listeners)
-        ) or unconnected(master.cmd_vel, state.listeners)
+        ) or diagnosis.unconnected(master.cmd_vel, state.listeners)
 
     def _unreachable(self, state: MasterState) -> str:
-        return unreachable(Ros1(), self._options.master_uri, state.text)
+        return diagnosis.unreachable(Ros1(), self._options.master_uri, state.text)
 
     def _put(self, twist: Twist) -> None:
         kind = self._master.command_type

@@ -1,17 +1,33 @@
-"""Queries of the admin spaces of bridges: nodes, and the ends of the robot's topics in DDS."""
+"""The admin spaces of bridges: nodes, and the ends of the robot's topics in DDS.
+
+A bridge announces a topic once, however many nodes have it; its admin space names the nodes, and
+has each reader and writer in DDS but its own. Whatever reads a topic in DDS gets what the bridge
+writes there: also a reader without a ROS node, and another bridge in the domain.
+
+DDS counts a killed process as alive for the time of its lease, 10 s by default. At the lease's end
+the bridge (1.10, its issue 702) withdraws the announcements of every node of that name, for good: a
+base that restarted meanwhile no longer receives commands, not even zero.
+"""
 
 from __future__ import annotations
 
 import asyncio
 import math
+from collections import defaultdict
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
+import msgspec
 import zenoh
+from msgspec import Struct
 from zenoh.handlers import Callback
 
 from swarmd.core.threads import hand_over
-from swarmd.drivers.ros2.node_list import NodeList
+from swarmd.drivers.ros.diagnosis import Graph
+from swarmd.drivers.ros.endpoints import Endpoint
+from swarmd.drivers.ros.messages import ros_name
 
 PERIOD = 2.0
 """Seconds between two queries of everything."""
@@ -29,6 +45,21 @@ _QUERY_TIMEOUT = 1.0
 _MAX_ANSWERS = 4096
 _MAX_PAYLOAD = 100_000
 _ANY = "*"
+MAX_FIRST = 3
+"""Answers after which the driver waits no longer for a bridge's list to be whole."""
+MAX_AGE = 15.0
+"""Seconds without a whole answer of a bridge after which its last one no longer counts."""
+NAMING_TIME = 0.5
+"""Seconds after which a reader in DDS without a node has none, in a process of ROS.
+
+Such a process announces its nodes after their readers; the bridge looks every 0.1 s. Another
+process has no nodes: each ROS middleware names its enclave in the user data of its participant.
+"""
+
+_BRIDGE = "zenoh_bridge_ros2dds"
+_NAMELESS = "/dds_reader"
+_ENCLAVE = list(b"enclave=")
+_BEST_EFFORT, _KEPT = "BEST_EFFORT", "TRANSIENT_LOCAL"
 
 
 class AdminSpaces:
@@ -156,5 +187,250 @@ class AdminSpaces:
             self.renew()
 
 
+class _Topic(Struct, frozen=True):
+    name: str
+    type: str
+
+
+class _Node(Struct, frozen=True):
+    publishers: list[_Topic]
+    subscribers: list[_Topic]
+
+
+class _Config(Struct, frozen=True):
+    namespace: str
+    nodename: str
+
+
+class _Policy(Struct, frozen=True):
+    kind: str = ""
+
+
+class _Quality(Struct, frozen=True):
+    reliability: _Policy = _Policy()
+    durability: _Policy = _Policy()
+    properties: dict[str, str] = {}
+    user_data: list[int] = []
+
+
+class _InDds(Struct, frozen=True):
+    """A DDS participant, or a reader or writer: then with names of its topic and type."""
+
+    qos: _Quality
+    topic_name: str = ""
+    type_name: str = ""
+
+
+_nodes: msgspec.json.Decoder[_Node] = msgspec.json.Decoder(_Node)
+_configs: msgspec.json.Decoder[_Config] = msgspec.json.Decoder(_Config)
+_in_dds: msgspec.json.Decoder[_InDds] = msgspec.json.Decoder(_InDds)
+_S = TypeVar("_S", bound=Struct)
+
+
+@dataclass(frozen=True, slots=True)
+class _Answer:
+    """What one bridge lists; `namespace` is empty or such as `/tb3_01`.
+
+    `others`: the DDS participants that are no processes of ROS.
+    """
+
+    namespace: str
+    nodes: frozenset[Endpoint]
+    dds: frozenset[Endpoint]
+    strays: frozenset[Endpoint]
+    others: frozenset[str]
+
+
+class NodeList:
+    """What the bridges list, by the answers that `take` gets. Pure.
+
+    `endpoints`: of all nodes but the bridges themselves; `zid` is the bridge that lists the node.
+    `dds`: the readers and writers in DDS, as far as they were queried. `strays`: the readers among
+    them that are of no node, or of another bridge; `node` then names the process or the bridge.
+    """
+
+    def __init__(self) -> None:
+        """No answer yet."""
+        self._answers: Mapping[str, bytes] = {}  # the last ones, and what was read in them
+        self._read: Mapping[str, _Answer] = {}
+        self._by_bridge: Mapping[str, _Answer] = {}
+        self._since: Mapping[tuple[str, str], float] = {}
+        self._unnamed: Mapping[tuple[str, str], float] = {}
+        self._heard_at: Mapping[str, float] = {}
+        self._tries: Mapping[str, int] = {}
+        self._settled: frozenset[str] = frozenset()
+        self.endpoints: tuple[Endpoint, ...] = ()
+        self.dds: tuple[Endpoint, ...] = ()
+        self.strays: tuple[Endpoint, ...] = ()
+
+    @property
+    def namespaces(self) -> Mapping[str, str]:
+        """By the id of each bridge that answered, what precedes its topics: empty or `/tb3_01`."""
+        return {zid: answer.namespace for zid, answer in self._by_bridge.items()}
+
+    def take(
+        self,
+        answers: Mapping[str, bytes] | None,
+        announcing: Collection[str],
+        now: float,
+        late: Collection[str] = (),
+    ) -> None:
+        """All answers to one query, payload by key; None if all timed out.
+
+        Keys are `@/<zid>/ros2/config`, `.../node/<participant>/<name>`, `.../dds/<participant>` and
+        `.../dds/<participant>/reader/<id>/rt/<topic>`, also `writer`. `announcing`: the sessions
+        that announce topics. `late`: those whose answers are not whole.
+        """
+        self._tries = {zid: self._tries.get(zid, 0) + 1 for zid in announcing}
+        before = self._by_bridge
+        late = {*before} if answers is None else late
+        if answers is not None and answers != self._answers:
+            self._answers, self._read = dict(answers), dict(_by_bridge(answers))
+        read = {} if answers is None else self._read
+        whole = {zid: one for zid, one in read.items() if zid not in late}
+        alike = {zid for zid, one in whole.items() if before.get(zid) == one}
+        kept = {
+            zid: one
+            for zid, one in before.items()
+            if zid in late and now - self._heard_at[zid] <= MAX_AGE
+        }
+        self._heard_at = {zid: self._heard_at[zid] for zid in kept} | dict.fromkeys(whole, now)
+        if kept | whole != before:  # to read and compare 2000 endpoints takes 40 ms
+            self._replace(kept | whole, now)
+        unnamed = {
+            (end.process, end.topic): end for one in self._by_bridge.values() for end in one.strays
+        }
+        self._unnamed = {key: self._unnamed.get(key, now) for key in unnamed}
+        others = {process for one in self._by_bridge.values() for process in one.others}
+        self.strays = tuple(
+            end
+            for key, end in unnamed.items()
+            if end.process in others or now - self._unnamed[key] >= NAMING_TIME
+        )
+        self._settled = frozenset(alike | (self._settled & self._by_bridge.keys()))
+
+    @property
+    def is_naming(self) -> bool:
+        """True while a reader in DDS may still get the name of its node."""
+        return len(self.strays) < len(self._unnamed)
+
+    def is_awaited(self, announcing: Collection[str]) -> bool:
+        """True if a session announces topics, and its whole list of nodes may still come."""
+        unsettled = set(announcing) - self._settled
+        return self.is_naming or any(self._tries.get(zid, 0) < MAX_FIRST for zid in unsettled)
+
+    def _replace(self, by_bridge: Mapping[str, _Answer], now: float) -> None:
+        self._by_bridge, answers = by_bridge, by_bridge.values()
+        ends = [end for one in answers for end in one.nodes]
+        self._since = {end.source: self._since.get(end.source, now) for end in ends}
+        self.endpoints = tuple(replace(end, since=self._since[end.source]) for end in ends)
+        self.dds = tuple(end for one in answers for end in one.dds)
+
+
+def route_faults(ends: Iterable[Endpoint], graph: Graph) -> dict[str, str]:
+    """By topic, why messages of these ends in DDS do not pass the bridge.
+
+    The bridge (1.10) makes one route for a topic, with the quality of service of the first node
+    that it finds, and keeps it while any node has the topic. A node that comes later and asks for
+    more, or that offers less, is connected to nothing, and neither DDS nor the bridge says so.
+    """
+    found: dict[str, str] = {}
+    for end in ends:
+        routes = graph.qualities(end.topic, is_publisher=end.is_publisher)
+        differs = _differs(end, routes[0]) if len(routes) == 1 else ""
+        if differs and end.topic not in found:
+            does, hub = "publishes" if end.is_publisher else "takes", graph.middleware.hub
+            found[end.topic] = (
+                f"a node {does} {end.topic} {differs}, but {hub} has a {routes[0]} route, as the"
+                f" first node of that topic was: nothing passes; start {hub} again when the other"
+                " node has ended"
+            )
+    return found
+
+
 def _readers(answers: Iterable[str]) -> Collection[str]:
     return {key for key in answers if "/reader/" in key}
+
+
+def _by_bridge(answers: Mapping[str, bytes]) -> Iterator[tuple[str, _Answer]]:
+    """What each bridge lists; of a bridge that does not tell its namespace, nothing."""
+    configs = dict[str, _Config]()
+    nodes, in_dds = (defaultdict[str, dict[str, bytes]](dict) for _ in range(2))
+    for key, payload in answers.items():
+        parts = key.split("/", 4)
+        if len(parts) < 4 or (parts[0], parts[2]) != ("@", "ros2"):
+            continue
+        if parts[3:] == ["config"] and (config := _decoded(_configs, payload)):
+            configs[parts[1]] = config
+        elif parts[3] in ("node", "dds") and len(parts) == 5:
+            (nodes if parts[3] == "node" else in_dds)[parts[1]][parts[4]] = payload
+    bridges = {_BRIDGE, *(config.nodename for config in configs.values())}
+    for zid, config in configs.items():
+        prefix = config.namespace.rstrip("/")
+        ends = [end for node in nodes[zid].items() for end in _of_node(zid, prefix, *node)]
+        named = [end for end in ends if end.node.rpartition("/")[2] not in bridges]
+        dds, processes, others = _ends_in_dds(zid, prefix, in_dds[zid])
+        processes |= {end.process: end.node for end in ends if end not in named}
+        taking = {(end.process, end.topic) for end in named if not end.is_publisher}
+        strays = (
+            replace(end, node=processes.get(end.process, _NAMELESS))
+            for end in dds
+            if not end.is_publisher and (end.process, end.topic) not in taking
+        )
+        yield zid, _Answer(prefix, frozenset(named), dds, frozenset(strays), others)
+
+
+def _of_node(zid: str, prefix: str, name: str, payload: bytes) -> Iterator[Endpoint]:
+    """The ends of one node; `name` is `<participant>/<name>`, `prefix` the bridge's namespace."""
+    participant, _, node_name = name.partition("/")
+    if (node := _decoded(_nodes, payload)) is None or not node_name.isprintable():
+        return
+    for is_publisher, topics in ((True, node.publishers), (False, node.subscribers)):
+        for topic in topics:
+            full = f"{prefix}{topic.name}"
+            if full.isprintable():
+                yield Endpoint(
+                    is_publisher, full, topic.type, zid, node=f"/{node_name}", process=participant
+                )
+
+
+def _ends_in_dds(
+    zid: str, prefix: str, answers: Mapping[str, bytes]
+) -> tuple[frozenset[Endpoint], dict[str, str], frozenset[str]]:
+    """The readers and writers, a name for each participant, and the participants not of ROS.
+
+    CycloneDDS tells the name of a process; other implementations do not.
+    """
+    ends, processes, others = list[Endpoint](), dict[str, str](), set[str]()
+    for key, payload in answers.items():
+        participant, _, rest = key.partition("/")
+        if (read := _decoded(_in_dds, payload)) is None:
+            continue
+        if not rest and read.qos.user_data[: len(_ENCLAVE)] != _ENCLAVE:
+            others.add(participant)
+        if not rest and (process := read.qos.properties.get("__ProcessName", "")).isprintable():
+            processes[participant] = f"{_NAMELESS}_{process}" if process else _NAMELESS
+        topic, type_name = read.topic_name.removeprefix("rt/"), ros_name(read.type_name)
+        if rest and f"{topic}{type_name}".isprintable():
+            quality = "best effort" if read.qos.reliability.kind == _BEST_EFFORT else "reliable"
+            quality += ", transient local" if read.qos.durability.kind == _KEPT else ""
+            end = Endpoint(rest.startswith("writer/"), f"{prefix}/{topic}", type_name, zid)
+            ends.append(replace(end, quality=quality, process=participant))
+    return frozenset(ends), processes, frozenset(others)
+
+
+def _decoded(decoder: msgspec.json.Decoder[_S], payload: bytes) -> _S | None:
+    try:
+        return decoder.decode(payload)
+    except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError):
+        return None
+
+
+def _differs(end: Endpoint, route: str) -> str:
+    """What an end of DDS offers too little, or asks for in vain; empty if its messages pass."""
+    is_kept = "transient" in end.quality
+    if not end.is_publisher:
+        return "transient local" if is_kept and "transient" not in route else ""
+    if route.startswith("reliable") and not end.quality.startswith("reliable"):
+        return "best effort"
+    return "volatile" if "transient" in route and not is_kept else ""

@@ -20,34 +20,24 @@ from swarmd.core.values import ZERO, Platform, Twist
 from swarmd.driver_api.command_gate import CommandGate
 from swarmd.driver_api.driver import NullSink, Sink, ZeroSenderSpec
 from swarmd.drivers.latest_samples import LatestSamples
-from swarmd.drivers.ros import cdr, from_ros
-from swarmd.drivers.ros.diagnosis import (
-    Conflict,
-    DriverCheck,
-    Graph,
-    driven,
-    has_enough,
-    incomplete,
-    unlisted,
-    unreachable,
-)
+from swarmd.drivers.ros import cdr, diagnosis, from_ros
 from swarmd.drivers.ros.endpoints import Endpoint, with_nodes
 from swarmd.drivers.ros.foreign_commands import ROS2_ACTIONS, ForeignCommands
 from swarmd.drivers.ros.options import RosOptions
 from swarmd.drivers.ros.subscriptions import Deliver, Subscriptions
 from swarmd.drivers.ros.zero_answers import ZeroAnswers
-from swarmd.drivers.ros2.admin_space import AdminSpaces
+from swarmd.drivers.ros2.admin_space import AdminSpaces, route_faults
 from swarmd.drivers.ros2.command_credit import CommandCredit
-from swarmd.drivers.ros2.kept_messages import KEPT, query_kept
 from swarmd.drivers.ros2.key_scheme import KeyScheme, TopicEnd
-from swarmd.drivers.ros2.route_quality import route_faults
 from swarmd.drivers.ros2.session import (
+    KEPT,
     MAX_OPEN_TIME,
     OPEN_TIME,
     ask_hub,
     command_publisher,
     linked_hubs,
     open_session,
+    query_kept,
     subscribe_with_history,
 )
 from swarmd.drivers.ros2.zero_sender import zero_hint, zeros
@@ -133,7 +123,7 @@ class RosDriver:
         try:
             while loop.time() - began < seconds and not task.done():
                 await asyncio.sleep(min(_PERIOD, seconds))
-                if has_enough(self._subscriptions, loop.time() - began) and not (
+                if diagnosis.has_enough(self._subscriptions, loop.time() - began) and not (
                     self._bridges.is_awaited(self._announcing())
                 ):
                     break
@@ -157,10 +147,10 @@ class RosDriver:
         held = self._credit.release(now)
         self._pass(None if held is None or self._conflict else self._gate.filter(held))
 
-    def _report(self) -> DriverCheck:
+    def _report(self) -> diagnosis.DriverCheck:
         graph = self._foreign_graph()
         is_connected = self._session is not None and bool(linked_hubs(self._session))
-        return DriverCheck(
+        return diagnosis.DriverCheck(
             graph=graph,
             endpoint=self._options.endpoint,
             connection_fault="" if is_connected else self._unreachable(),
@@ -172,7 +162,9 @@ class RosDriver:
             foreign=self._foreign,
             unpassed=self._unpassed(graph),
             foreign_publishers=[end.owner for end in graph.publishers(self._cmd_vel)],
-            unlisted="" if self._bridges.is_known(self._announcing()) else unlisted(self._scheme),
+            unlisted=""
+            if self._bridges.is_known(self._announcing())
+            else diagnosis.unlisted(self._scheme),
             now=asyncio.get_running_loop().time(),
         )
 
@@ -196,7 +188,7 @@ class RosDriver:
         allowed = self._options.command_types
         self._command_type = self._opened_type = allowed[0] if len(allowed) == 1 else None
         self._reported: tuple[bool, str, Reason | None, bool] | None = None
-        self._conflict: Conflict | None = None
+        self._conflict: diagnosis.Conflict | None = None
         self._reported_at = -math.inf
         self._was_incomplete = False
 
@@ -344,7 +336,7 @@ class RosDriver:
     def _own_zid(self) -> str:
         return str(self._session.info.zid()) if self._session is not None else ""
 
-    def _foreign_graph(self) -> Graph:
+    def _foreign_graph(self) -> diagnosis.Graph:
         """The endpoints of others."""
         if self._others is None:
             own, asked_at = self._own_zid(), self._bridges.asked_at
@@ -352,7 +344,7 @@ class RosDriver:
             ends = with_nodes(announced, self._bridges.nodes.endpoints, asked_at)
             is_newer = asked_at > self._withdrawn_at
             self._others = [end for end in ends if end.is_routed or is_newer]
-        return Graph(
+        return diagnosis.Graph(
             middleware=self._scheme,
             endpoints=self._others,
             strays=self._bridges.nodes.strays,
@@ -414,7 +406,7 @@ class RosDriver:
         if not self._foreign.take_command(topic, payload, types, now):
             return
         if self._gate.is_open:
-            self._close_gate(sink, driven(self._foreign, graph, now))
+            self._close_gate(sink, diagnosis.driven(self._foreign, graph, now))
         self._zeros.answer()
 
     def _on_status(self, sink: Sink, topic: str, payload: bytes, now: float) -> None:
@@ -425,7 +417,7 @@ class RosDriver:
             sink.dropped(topic)
             return
         if self._foreign.take_status(topic, status, now) and self._gate.is_open:
-            self._close_gate(sink, driven(self._foreign, self._foreign_graph(), now))
+            self._close_gate(sink, diagnosis.driven(self._foreign, self._foreign_graph(), now))
 
     def _open_gate(self, sink: Sink, is_check: bool, now: float) -> None:
         if self._gate.is_open or self._subscriptions.last_arrival < now or self._command_fault(now):
@@ -519,7 +511,7 @@ class RosDriver:
     def _command_fault(self, now: float) -> str:
         """Why the base must not be commanded although its messages arrive; empty otherwise."""
         graph = self._foreign_graph()
-        if by_others := driven(self._foreign, graph, now):
+        if by_others := diagnosis.driven(self._foreign, graph, now):
             return by_others
         if self._graph_query is not None:
             return f"{self._place()} has not listed its nodes yet"
@@ -554,10 +546,10 @@ class RosDriver:
         )
         return next(filter(None, faults), "") or self._incompleteness()
 
-    def _unpassed(self, graph: Graph) -> Mapping[str, str]:
+    def _unpassed(self, graph: diagnosis.Graph) -> Mapping[str, str]:
         return route_faults(self._bridges.nodes.dds, graph)
 
-    def _find_conflict(self) -> Conflict | None:
+    def _find_conflict(self) -> diagnosis.Conflict | None:
         topics = self._subscriptions.topics.values()
         return self._foreign_graph().conflict(topics, self._platform.scan)
 
@@ -569,12 +561,12 @@ class RosDriver:
         """What all scans lack, as far as the last two that were examined tell."""
         scan, was_incomplete = self._subscriptions.scan, self._was_incomplete
         stats = next(iter(self._subscriptions.topics.values()))
-        fault = "" if scan is None else incomplete(stats, scan, self._platform.scan)
+        fault = "" if scan is None else diagnosis.incomplete(stats, scan, self._platform.scan)
         self._was_incomplete = bool(fault)
         return fault if was_incomplete else ""
 
     def _unreachable(self) -> str:
-        return unreachable(self._scheme, self._options.endpoint)
+        return diagnosis.unreachable(self._scheme, self._options.endpoint)
 
     def _place(self) -> str:
         return f"{self._scheme.hub} at {self._options.endpoint}"

@@ -32,6 +32,9 @@ MAX_OPEN_TIME = 2.5
 
 _NO_TOKEN = "@swarmd/alive"
 _ANSWER_TIMEOUT = 5.0
+_KEPT_TIMEOUT = 1.0
+KEPT = ":kept"
+"""Ends the name of a topic whose message comes from a cache."""
 
 
 def open_session(endpoint: str, *, within: float = OPEN_TIME) -> zenoh.Session | None:
@@ -98,3 +101,25 @@ def subscribe_with_history(
 def command_publisher(session: zenoh.Session, key: str) -> zenoh.Publisher:
     """A publisher of commands; it skips its own session."""
     return realtime_publisher(session, key, allowed_destination=zenoh.Locality.REMOTE)
+
+
+def query_kept(session: zenoh.Session, key: str, receive: Callable[[zenoh.Sample], None]) -> None:
+    """Query the publishers of a key for their last message; a newer one may arrive before it.
+
+    A publisher with durability TRANSIENT_LOCAL is an advanced publisher of zenoh-ext, in the bridge
+    ros2dds 1.10 as in rmw_zenoh since 0.2.2: its cache answers to `<key>/@adv/**`. Other publishers
+    do not answer. An advanced subscriber asks too, and drops what it had before: after a loss of
+    the link the last value would not come again, as it has to for a reading.
+    """
+
+    def on_reply(reply: zenoh.Reply) -> None:
+        if reply.ok is not None:
+            receive(reply.ok)
+
+    session.get(
+        f"{key}/@adv/**?_max=1",
+        Callback(on_reply, indirect=False),
+        target=zenoh.QueryTarget.ALL,
+        accept_replies=zenoh.ReplyKeyExpr.ANY,
+        timeout=_KEPT_TIMEOUT,
+    )

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.arguments import Duration
+from swarmd.cli.options import Duration
 from swarmd.cli.output import print_json, print_section, warn
 from swarmd.core.errors import SwarmError
 from swarmd.sim.cli.exp_video import film, need_film

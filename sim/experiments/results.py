@@ -13,17 +13,9 @@ import numpy as np
 
 from swarmd.core.errors import ConfigError, SwarmError, unknown
 from swarmd.core.values import Array
+from swarmd.sim.experiments import statistics
 from swarmd.sim.experiments.manifest import Manifest, read_manifest
 from swarmd.sim.experiments.plan import Plan, Run
-from swarmd.sim.experiments.statistics import (
-    HEADER,
-    LEVEL,
-    METHOD,
-    Summary,
-    aligned,
-    summarize,
-    summary_rows,
-)
 from swarmd.sim.experiments.store import Row, read_errors, read_failures, read_table, trace_path
 from swarmd.sim.metrics.catalog import METRICS, Metric, check_has_value, measure, metric_of
 from swarmd.sim.metrics.own import MetricError
@@ -200,7 +192,7 @@ class Results:
 
     def summary(
         self, variant: str | None = None, names: Sequence[str | Metric] | None = None
-    ) -> dict[str, Summary]:
+    ) -> dict[str, statistics.Summary]:
         """Statistics by metric, of a variant or the only one; of all metrics without `names`.
 
         ConfigError if there are several variants and none is named.
@@ -211,7 +203,7 @@ class Results:
                 raise ConfigError(f"{text}; name one")
             variant = self.variants[0]
         return {
-            one.name: summarize(
+            one.name: statistics.summarize(
                 self.metric(one, variant),
                 is_share=one.unit == YES_OR_NO,
                 is_time_to_event=one.is_time_to_event,
@@ -230,8 +222,8 @@ class Results:
             "kernels": self.kernels,
             "times_real_time": self._speed(),
             "wall": sum(row.wall for row in self._rows),
-            "level": LEVEL,
-            "method": METHOD,
+            "level": statistics.LEVEL,
+            "method": statistics.METHOD,
             "variants": [
                 {
                     "name": variant.name,
@@ -248,7 +240,7 @@ class Results:
 
     def _summaries(
         self, variant: str, names: Sequence[str | Metric] | None
-    ) -> list[tuple[Metric, Summary]]:
+    ) -> list[tuple[Metric, statistics.Summary]]:
         metrics = [self.about(name) for name in names or self.metrics]
         found = self.summary(variant, metrics)
         return [(one, found[one.name]) for one in metrics]
@@ -268,7 +260,9 @@ class Results:
             found.append(f"kernels: {self.kernels}")
         for variant in self.variants:
             found += ["", variant] if variant else [""]
-            found += aligned(HEADER, summary_rows(self._summaries(variant, names)))
+            found += statistics.aligned(
+                statistics.HEADER, statistics.summary_rows(self._summaries(variant, names))
+            )
         return "\n".join(found)
 
     def __str__(self) -> str:

@@ -19,18 +19,10 @@ from swarmd.core.messages import State, Status
 from swarmd.core.verbs import ParamRequest, ResetRequest, RunRequest
 from swarmd.network.operator.operator import Operator, StopVerb
 from swarmd.network.operator.outcome import Outcome
+from swarmd.sim.live import starting
 from swarmd.sim.live.fleet import Fleet
 from swarmd.sim.live.link import WorldView
 from swarmd.sim.live.recording import StatusLog
-from swarmd.sim.live.starting import (
-    Started,
-    await_robots,
-    joined,
-    run_fields,
-    start_pattern,
-    statuses_of,
-    why_not,
-)
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.live.summary import DoneEvent, Summary, mean_duty, numbers_of, problems_of
 from swarmd.sim.scenarios.scenario import ScheduledEvent
@@ -84,7 +76,7 @@ class LiveTimeline:
                 for robot in event.robots:
                     if robot not in present:
                         self._fleet.start_daemon(robot)
-                await_robots(self._operator, self._fleet)
+                starting.await_robots(self._operator, self._fleet)
             case "leave" | "kill" | "remove":
                 for robot in robots:
                     self._fleet.end_daemon(robot, in_order=event.action == "leave")
@@ -101,7 +93,7 @@ class LiveTimeline:
         view = operator.members()
         epochs = view.epochs(robots)
         if event.action == "run":
-            outcome = operator.request(RunRequest, epochs, **run_fields(event))
+            outcome = operator.request(RunRequest, epochs, **starting.run_fields(event))
         elif event.action == "param":
             outcome = operator.request(ParamRequest, epochs, params=dict(event.parameters))
         else:
@@ -112,7 +104,7 @@ class LiveTimeline:
 
 def _check(verb: str, outcome: Outcome) -> None:
     if outcome.exit_code:
-        raise SwarmError(why_not(verb, outcome))
+        raise SwarmError(starting.why_not(verb, outcome))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -186,17 +178,19 @@ class DemoRun:
 
     def perform(self, trace: Path, began: float) -> Summary:
         """Run all events from start to end; `began` is when the command did (boot time)."""
-        view = await_robots(self._operator, self._fleet)
+        view = starting.await_robots(self._operator, self._fleet)
         wall_start = time.monotonic()
         start = self._world.ask("start").state
         self._watcher.begin(start)
         first, later = _split(self._settings.events)
-        started = joined(start_pattern(self._operator, view, run) for run in first)
+        started = starting.joined(
+            starting.start_pattern(self._operator, view, run) for run in first
+        )
         self._timeline = LiveTimeline(later, self._fleet, self._operator, self._world)
-        before = statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
+        before = starting.statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
         self._follow(before, start.time)
         wall = time.monotonic() - wall_start
-        after = statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
+        after = starting.statuses_of(self._operator.members(timeout=STATUS_TIMEOUT))
         end = self._world.ask("finish").state
         stopped = self._timeline.send_stop("stop", self._fleet.robots)
         return self._summary(trace, began, end.recorded / wall, started, before, after, stopped)
@@ -213,7 +207,7 @@ class DemoRun:
             self._log.add_present(state.recorded, self._fleet.robots)
             if time.monotonic() >= next_round:
                 self._fleet.check()
-                statuses = statuses_of(self._operator.members(timeout=STATUS_PERIOD))
+                statuses = starting.statuses_of(self._operator.members(timeout=STATUS_PERIOD))
                 self._log.add(state.recorded, statuses)
                 self._on_scene(self._scene(state, statuses))
                 next_round = time.monotonic() + STATUS_PERIOD
@@ -242,7 +236,7 @@ class DemoRun:
         trace_path: Path,
         began: float,
         real_time_factor: float,
-        started: Started,
+        started: starting.Started,
         before: Mapping[str, Status],
         after: Mapping[str, Status],
         stopped: Outcome,
@@ -260,7 +254,7 @@ class DemoRun:
         faulted = [name for name in sorted(changed & after.keys()) if _is_faulted(after[name])]
         problems += [f"{name} ended faulted: {after[name].detail}" for name in faulted]
         if stopped.exit_code:
-            problems.append(why_not("stop", stopped))
+            problems.append(starting.why_not("stop", stopped))
         moved = self._watcher.all_moved_at
         return Summary(
             pattern=self._settings.pattern,

@@ -1,7 +1,8 @@
 """A simulated world and its daemons as child processes, started and ended together.
 
 The children end with this process, however it ends: each asks the kernel for a signal at the death
-of its parent (`--die-with-parent`). The signal follows the *thread* that started the child, so
+of its parent (`--die-with-parent`), which is this process for the world, and for daemons the fork
+server, which ends with this process. The signal follows the *thread* that started the child, so
 start a fleet from the main thread. Each child has its own session: a Ctrl-C in the terminal reaches
 only the parent, which then ends the children in order.
 """
@@ -26,6 +27,7 @@ import yaml
 from msgspec import structs
 
 from swarmd.core.errors import NetworkError, SwarmError
+from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.processes import how_it_ended
 from swarmd.core.values import Platform
 from swarmd.settings.platforms import load_platform
@@ -35,6 +37,7 @@ from swarmd.sim.world.radio import RadioSettings
 
 WORLD = "world"
 WHOLE_BODIES = "every lidar sees whole bodies here (lidar_visibility: body)"
+DAEMON_MODULES = ("swarmd.cli.daemon", "swarmd.daemon.daemon", "zenoh")
 KILL_DELAY = 2.0  # s between TERM and KILL
 WORLD_TIMEOUT = 30.0  # s; MuJoCo's first import from a cold disk is slow
 
@@ -96,7 +99,7 @@ class Child:
     """A child process and the file of its standard error."""
 
     name: str
-    process: subprocess.Popen[bytes]
+    process: subprocess.Popen[bytes] | ForkedProcess
     log: Path
 
     def how_it_ended(self) -> str:
@@ -137,8 +140,10 @@ class Fleet:
 
     def start_daemon(self, robot: str) -> None:
         """Start the daemon of a robot that has none."""
-        command = ["swarmd.cli.daemon", "--config", str(self.spec.folder / f"{robot}.yaml")]
-        self._children.append(_spawn(robot, command, self.spec.folder, stdout=subprocess.DEVNULL))
+        words = ("--config", str(self.spec.folder / f"{robot}.yaml"))
+        log = self.spec.folder / f"{robot}.log"
+        daemon = fork_main(robot, "swarmd.cli.daemon", words, stdout=None, stderr=log)
+        self._children.append(Child(robot, daemon, log))
 
     def end_daemon(self, robot: str, *, in_order: bool) -> None:
         """End the daemon of a robot, in order or by SIGKILL; `check` forgets it."""
@@ -173,11 +178,12 @@ class Fleet:
     def _start(self) -> None:
         spec = self.spec
         spec.folder.mkdir(parents=True, exist_ok=True)
+        start_server(DAEMON_MODULES)
         if spec.scenario is not None:
             spec.scenario.write(spec.folder)
         options = msgspec.json.encode(world_options(spec)).decode()
         command = ["swarmd.sim.live.server", options]
-        world = _spawn(WORLD, command, spec.folder, stdout=subprocess.PIPE)
+        world = _start_world(command, spec.folder)
         self._children.append(world)
         self.ready = ready = _await_ready(world)
         self.endpoint = ready.endpoint
@@ -248,20 +254,20 @@ def end_on_signals() -> None:
     signal.signal(signal.SIGHUP, leave)
 
 
-def _spawn(name: str, arguments: Iterable[str], folder: Path, *, stdout: int) -> Child:
-    log = folder / f"{name}.log"
+def _start_world(arguments: Iterable[str], folder: Path) -> Child:
+    log = folder / f"{WORLD}.log"
     # -P: a random.py where this is called is not to shadow a module.
     command = [sys.executable, "-P", "-m", *arguments, "--die-with-parent", str(os.getpid())]
     with log.open("ab") as sink:
         process = subprocess.Popen(
             command,
             stdin=subprocess.DEVNULL,
-            stdout=stdout,
+            stdout=subprocess.PIPE,
             stderr=sink,
             start_new_session=True,
             env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
         )
-    return Child(name, process, log)
+    return Child(WORLD, process, log)
 
 
 def _await_ready(world: Child) -> Ready:

@@ -22,20 +22,8 @@ from swarmd.core import keys
 from swarmd.core.codec import MAX_CONTROL, encode
 from swarmd.core.errors import CodecError, NetworkError, SwarmError
 from swarmd.core.values import Platform, Twist
+from swarmd.driver_api import hw_codec
 from swarmd.driver_api.emulator import Emulator, EmulatorFactory
-from swarmd.driver_api.hw_codec import (
-    INPUTS,
-    MAX_MESSAGES,
-    MessageWire,
-    decode_command,
-    decode_message,
-    encode_messages,
-    encode_neighbors,
-    encode_odometry,
-    encode_pose,
-    encode_readings,
-    encode_scan,
-)
 from swarmd.network.carriers.session import open_listening, open_with, tune_sockets
 from swarmd.sim.live.state import (
     Action,
@@ -68,11 +56,11 @@ _OPTIONS: dict[str, object] = {
 
 _ENCODERS: Mapping[str, Callable[[Any], bytes]] = MappingProxyType(
     {
-        "scan": encode_scan,
-        "odometry": encode_odometry,
-        "neighbors": encode_neighbors,
-        "pose": encode_pose,
-        "readings": encode_readings,
+        "scan": hw_codec.encode_scan,
+        "odometry": hw_codec.encode_odometry,
+        "neighbors": hw_codec.encode_neighbors,
+        "pose": hw_codec.encode_pose,
+        "readings": hw_codec.encode_readings,
     }
 )
 
@@ -104,7 +92,7 @@ class WorldLink:
         self._clock = clock
         self._lock = threading.Lock()
         self._commands: dict[str, Command] = {}
-        self._messages: list[MessageWire] = []
+        self._messages: list[hw_codec.MessageWire] = []
         self._requests: list[PendingRequest] = []
         self._swarm = swarm
         self._ids = frozenset(ids)
@@ -113,7 +101,7 @@ class WorldLink:
         self._publishers = {
             (robot, name): self._publisher(keys.build(swarm, robot, "hw", name))
             for robot in self._ids
-            for name in (*INPUTS, "received")
+            for name in (*hw_codec.INPUTS, "received")
         }
         self._state = self._session.declare_publisher(state_key(swarm))
         self._session.declare_subscriber(
@@ -130,13 +118,17 @@ class WorldLink:
         """Publish what the sensor `name` of INPUTS of a robot has measured."""
         self.publish(robot, name, _ENCODERS[name](value))
 
-    def messages(self, robot: str, messages: Sequence[MessageWire]) -> None:
+    def messages(self, robot: str, messages: Sequence[hw_codec.MessageWire]) -> None:
         """Publish the messages of patterns that the radio of `robot` receives now, in their order.
 
         In few packets: more than the queue of the link holds at once would be dropped.
         """
-        for first in range(0, len(messages), MAX_MESSAGES):
-            self.publish(robot, "received", encode_messages(messages[first : first + MAX_MESSAGES]))
+        for first in range(0, len(messages), hw_codec.MAX_MESSAGES):
+            self.publish(
+                robot,
+                "received",
+                hw_codec.encode_messages(messages[first : first + hw_codec.MAX_MESSAGES]),
+            )
 
     def publish_state(self, state: WorldState) -> None:
         """Publish the state for viewers."""
@@ -148,7 +140,7 @@ class WorldLink:
             commands, self._commands = self._commands, {}
         return commands
 
-    def take_messages(self) -> list[MessageWire]:
+    def take_messages(self) -> list[hw_codec.MessageWire]:
         """The messages that patterns have sent since the last call, in order of arrival."""
         with self._lock:
             messages, self._messages = self._messages, []
@@ -179,7 +171,7 @@ class WorldLink:
             return
         arrival = self._clock()
         try:
-            wire = decode_command(sample.payload.to_bytes())
+            wire = hw_codec.decode_command(sample.payload.to_bytes())
         except CodecError:  # keep the newest valid command
             self.dropped += 1
             return
@@ -190,7 +182,7 @@ class WorldLink:
     def _on_sent(self, sample: zenoh.Sample) -> None:
         key = keys.parse(str(sample.key_expr))
         try:
-            wire = decode_message(sample.payload.to_bytes())
+            wire = hw_codec.decode_message(sample.payload.to_bytes())
         except CodecError:
             self.dropped += 1
             return

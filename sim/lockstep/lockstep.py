@@ -21,18 +21,10 @@ from operator import itemgetter
 
 import numpy as np
 
+from swarmd.core import events
 from swarmd.core.clock import TICK
 from swarmd.core.codec import decode_value, encode_value
 from swarmd.core.errors import CodecError
-from swarmd.core.events import (
-    LatchesInput,
-    LeaveInput,
-    MessageInput,
-    NeighborsInput,
-    OdometryInput,
-    PeersInput,
-    ReadingsInput,
-)
 from swarmd.core.messages import Body, Latch, Status
 from swarmd.core.values import Array, Twist, Value
 from swarmd.pattern_host.loader import PatternLoader
@@ -43,9 +35,8 @@ from swarmd.robot.robot import Robot
 from swarmd.robot.settings import RobotSettings
 from swarmd.sim.lockstep.processes import TIMEOUT, RunProcess, run_processes
 from swarmd.sim.lockstep.recorder import LockstepRecorder
-from swarmd.sim.lockstep.schedules import Alarms, Schedules
+from swarmd.sim.lockstep.schedules import Alarms, Schedules, Timeline
 from swarmd.sim.lockstep.shell import RobotShell
-from swarmd.sim.lockstep.timeline import Timeline
 from swarmd.sim.scenarios.preflight import has_findings
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.simulation import meta_of, radio_of, world_of
@@ -156,7 +147,7 @@ class Lockstep:
         self.exchange()
         for shell in self._present(rows):  # before any request
             for latches in list(self._peer_latches.values()):
-                shell.step(LatchesInput(latches), now)
+                shell.step(events.LatchesInput(latches), now)
         self.exchange()
         if self._is_mixed:
             self._update_peers(rows)
@@ -189,7 +180,7 @@ class Lockstep:
         """End the daemon of robot `row`; after a kill the base stops by its timeout."""
         shell, now = self.shells[row], self.world.time
         if in_order and shell is not None:
-            shell.step(LeaveInput(), now)
+            shell.step(events.LeaveInput(), now)
         if not in_order:
             self._silent_at[row] = now + BASE_TIMEOUT
         if shell is not None:
@@ -282,12 +273,12 @@ class Lockstep:
         for hearer, sender, name, value in self._radio.arrived(now):
             shell = self.shells[hearer]
             if shell is not None:
-                shell.step(MessageInput(self.world.ids[sender], name, value), now)
+                shell.step(events.MessageInput(self.world.ids[sender], name, value), now)
         received, self._new_latches = self._new_latches, []
         for row, latches in received:
             for shell in self._present(range(len(self.shells))):
                 if shell.row != row:
-                    shell.step(LatchesInput(latches), now)
+                    shell.step(events.LatchesInput(latches), now)
         self._update_neighbors(self._neighbors_due.due(now))
 
     def _update_neighbors(self, rows: Sequence[int]) -> None:
@@ -302,14 +293,14 @@ class Lockstep:
             neighbors = self._radio.neighbors(shell.row, poses, boxes)
             if self._absent_count:
                 neighbors = tuple(neighbor for neighbor in neighbors if neighbor.id in there)
-            shell.step(NeighborsInput(neighbors), world.time)
+            shell.step(events.NeighborsInput(neighbors), world.time)
 
     def _update_peers(self, new: Iterable[int]) -> None:
         """Tell all robots of the bodies of new ones, as their beacons do."""
         self._heard |= {self.world.ids[row]: self._bodies[self.world.ids[row]] for row in new}
         for shell in self._present(range(len(self.shells))):
             others = {i: body for i, body in self._heard.items() if i != shell.robot.id}
-            shell.step(PeersInput(others), self.world.time)
+            shell.step(events.PeersInput(others), self.world.time)
 
     def _sense(self, now: float) -> None:
         world = self.world
@@ -321,7 +312,7 @@ class Lockstep:
             if shell is not None:
                 shell.scan(scan, now)
         for shell in self._present(self._readings_due.due(now)):
-            shell.step(ReadingsInput(dict(world.readings(shell.row))), now)
+            shell.step(events.ReadingsInput(dict(world.readings(shell.row))), now)
 
     def _tick(self, now: float) -> None:
         world = self.world
@@ -331,7 +322,7 @@ class Lockstep:
             for row, odometry in zip(own.tolist(), world.odometry(own), strict=True):
                 shell = self.shells[row]
                 if shell is not None:
-                    shell.step(OdometryInput(odometry), now)
+                    shell.step(events.OdometryInput(odometry), now)
         for shell in self._present(self._ticks.due(now)):
             shell.tick(now)
         for shell in self._present(self._alarms.due(self._steps)):

@@ -1,16 +1,29 @@
-"""Periodic jobs and alarms in lockstep."""
+"""Periodic jobs, alarms, and the events of a scenario, in lockstep."""
 
 from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from collections.abc import Sequence
+from itertools import compress
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from swarmd.core import verbs
+from swarmd.core.errors import SwarmError
+from swarmd.core.messages import Code
 from swarmd.core.values import Array
+from swarmd.sim.lockstep.shell import RobotShell
+from swarmd.sim.scenarios.scenario import ScheduledEvent
+
+if TYPE_CHECKING:
+    from swarmd.sim.lockstep.lockstep import Lockstep
+
 
 _ROUNDING = 1e-9
 _AHEAD = 1.0  # s of times that are listed at once
+OPERATOR = "scenario"
 
 
 class Schedules:
@@ -85,3 +98,74 @@ class Alarms:
         for row in rows:
             self._alarms[row] = -1
         return sorted(rows)
+
+
+class Timeline:
+    """Events in order of time, carried out when due."""
+
+    def __init__(self, events: Sequence[ScheduledEvent], swarm: Lockstep) -> None:
+        self._events = events
+        self._swarm = swarm
+        self._rows = {robot: row for row, robot in enumerate(swarm.world.ids)}
+        self._next = 0
+
+    def apply(self, now: float) -> None:
+        """Carry out the events due by `now` s. Raises SwarmError if a robot refuses one."""
+        first = self._next
+        while self._next < len(self._events) and self._events[self._next].at <= now + _ROUNDING:
+            self._next += 1
+            self._carry_out(self._events[self._next - 1], now)
+        if self._next > first:
+            self._swarm.exchange()
+
+    def _carry_out(self, event: ScheduledEvent, now: float) -> None:
+        swarm = self._swarm
+        if event.pose is not None:
+            swarm.world.place(event.box, event.pose)
+        elif event.box:
+            swarm.world.remove(event.box)
+        rows = [self._rows[robot] for robot in event.robots]
+        if event.action == "join":
+            swarm.start([row for row in rows if not swarm.has_daemon[row]])
+            return
+        for row in rows:
+            shell = swarm.shells[row]
+            if event.action in ("leave", "kill", "remove"):
+                if swarm.has_daemon[row]:
+                    swarm.end(row, in_order=event.action == "leave")
+            elif shell is not None:
+                self._send_request(event, shell, now)
+            if event.action == "remove":
+                swarm.world.take_out(row)
+
+    def _send_request(self, event: ScheduledEvent, shell: RobotShell, now: float) -> None:
+        reply = shell.request(self._request(event, shell, now), now)
+        if reply is None or reply.code is not Code.APPLIED:
+            answer = "gave no answer" if reply is None else reply.text
+            what = f"{event.action} {event.pattern}".rstrip()
+            raise SwarmError(f"at {event.at:g} s {what}: {shell.robot.id}: {answer}")
+
+    def _request(self, event: ScheduledEvent, shell: RobotShell, now: float) -> verbs.Request:
+        robot = shell.robot
+        common: dict[str, Any] = {
+            "id": f"event-{self._next}",
+            "operator": OPERATOR,
+            "targets": {robot.id: robot.epoch},
+        }
+        if event.action == "run":
+            return verbs.RunRequest(
+                **common,
+                pattern=event.pattern,
+                params=dict(event.parameters),
+                seconds=event.seconds,
+                until=tuple(event.until),
+            )
+        if event.action == "param":
+            return verbs.ParamRequest(**common, params=dict(event.parameters))
+        if event.action == "reset":
+            return verbs.ResetRequest(**common, ids=tuple(robot.status(now).latches))
+        if event.action == "estop":
+            swarm = self._swarm
+            others = {*compress(swarm.world.ids, swarm.has_daemon)} - {*event.robots}
+            return verbs.EstopRequest(**common, scope="robots" if others else "swarm")
+        return verbs.StopRequest(**common)

@@ -19,21 +19,9 @@ from swarmd.sim.experiments.compare import Side, compare
 from swarmd.sim.experiments.plan import Run
 from swarmd.sim.experiments.results import YES_OR_NO, Results, load_results
 from swarmd.sim.metrics.catalog import METRICS, Metric, series
+from swarmd.sim.plots import select
 from swarmd.sim.plots.bands import Series, series_figure
 from swarmd.sim.plots.intervals import DifferencePanel, Panel, differences_figure, intervals_figure
-from swarmd.sim.plots.select import (
-    OVER_TIME,
-    RUN_BY_RUN,
-    events_of,
-    facets_of,
-    label_of,
-    metrics_over_time,
-    primary_metric,
-    smoothing_of,
-    stem_of,
-    typical_first,
-    worst_first,
-)
 from swarmd.sim.plots.start_and_end import start_and_end_figure
 from swarmd.sim.plots.survival import Times, survival_figure
 from swarmd.sim.plots.theme import save
@@ -108,11 +96,11 @@ def compared_over_time(
                 groups.setdefault(label, []).append((trace.t - trace.t[0], one))
     return series_figure(
         {"": groups},
-        label=label_of(stem_of(found.name)),
+        label=select.label_of(select.stem_of(found.name)),
         unit=found.unit,
         title=title,
         target=look.targets.get(found.name),
-        smoothing=smoothing_of(found.name),
+        smoothing=select.smoothing_of(found.name),
         width=look.width,
     )
 
@@ -133,9 +121,9 @@ class _Gallery:
         self._out = folder / "plots" if out is None else out
         self._look = look
         self._runs = _chosen(self._results, folder, seeds)
-        self._primary = primary_metric(self._results, self._metrics)
+        self._primary = select.primary_metric(self._results, self._metrics)
         self._scenario = Path(self._results.plan.scenario).stem
-        self._facets = facets_of(self._results.plan, look.facet, self._scenario)
+        self._facets = select.facets_of(self._results.plan, look.facet, self._scenario)
         self._warned: set[str] = set()
         names = {run.variant.name for run in self._runs}
         self.variants = [name for name in self._results.variants if name in names]
@@ -146,13 +134,14 @@ class _Gallery:
     def intervals(self) -> list[Path]:
         """Metrics run by run."""
         panels = []
-        for one in self._asked(RUN_BY_RUN):
+        for one in self._asked(select.RUN_BY_RUN):
             for panel, variants in self._by_panel().items():
                 shown = {self._facets[v].label: self._values(one, v) for v in variants}
                 if not self._has_spread(one, panel, list(shown.values())):
                     continue
                 panels.append(
-                    Panel(label=_joined(label_of(one.name), panel), unit=one.unit, values=shown,
+                    Panel(label=_joined(select.label_of(one.name), panel), unit=one.unit,
+                          values=shown,
                           is_share=one.unit == YES_OR_NO,
                           target=self._look.targets.get(one.name),
                           is_time_to_event=one.is_time_to_event)
@@ -167,7 +156,7 @@ class _Gallery:
         if len(self._runs) < len(self._results.runs):  # of some seeds there are few
             return []
         panels = []
-        for one in self._asked(RUN_BY_RUN):
+        for one in self._asked(select.RUN_BY_RUN):
             for panel, (first, *others) in self._by_panel().items():
                 found = {
                     f"{self._facets[v].label} - {self._facets[first].label}": compare(
@@ -176,7 +165,7 @@ class _Gallery:
                     for v in others
                 }
                 if any(d.interval and d.interval != (0.0, 0.0) for d in found.values()):
-                    label = _joined(label_of(one.name), panel)
+                    label = _joined(select.label_of(one.name), panel)
                     panels.append(DifferencePanel(label, one.unit, found))
         if not panels:
             return []
@@ -186,7 +175,7 @@ class _Gallery:
     def survival(self) -> list[Path]:
         """Times to an event, as the share of runs that have not had it yet."""
         made = []
-        for one in self._asked(OVER_TIME):
+        for one in self._asked(select.OVER_TIME):
             facets: dict[str, dict[str, Times]] = {}
             for panel, variants in self._by_panel().items():
                 for v in variants:
@@ -201,7 +190,10 @@ class _Gallery:
             )
             if one.is_time_to_event and has_event:
                 figure = survival_figure(
-                    facets, label=label_of(one.name), title=self._scenario, width=self._look.width
+                    facets,
+                    label=select.label_of(one.name),
+                    title=self._scenario,
+                    width=self._look.width,
                 )
                 made.append(self._save(figure, f"survival_{one.name}"))
         return made
@@ -214,7 +206,7 @@ class _Gallery:
             (f"seed {run.seed}{self._primary_value(run)}", lambda run=run: self._trace(run))
             for run in self._of(variant)
         ]
-        note = f"by seed: {label_of(self._primary.name)}" if self._primary else ""
+        note = f"by seed: {select.label_of(self._primary.name)}" if self._primary else ""
         figure = overview_figure(
             runs, self._title(variant), note=note, fields=self._fields(variant),
             width=self._look.width,
@@ -229,23 +221,23 @@ class _Gallery:
         if self._primary is None:
             return self._first_of(runs, "first")[0]
         values = self._values(self._primary, variant)
-        nearest = [runs[k] for k in typical_first(values)]
+        nearest = [runs[k] for k in select.typical_first(values)]
         made, typical = self._first_of(nearest, "typical")
-        order, word = worst_first(values, self._primary.better)
+        order, word = select.worst_first(values, self._primary.better)
         # If the trace of the worst is lost, the next one is not the worst.
         worst = [runs[k] for k in order[:1] if runs[k] is not typical]
         return made + self._first_of(worst, word)[0]
 
     def over_time(self) -> list[Path]:
         """Metrics over time, of all variants."""
-        asked = [one for one in self._asked(OVER_TIME) if not one.is_time_to_event]
-        metrics = metrics_over_time(asked)
+        asked = [one for one in self._asked(select.OVER_TIME) if not one.is_time_to_event]
+        metrics = select.metrics_over_time(asked)
         found: dict[str, dict[str, dict[str, list[Series]]]] = {one.name: {} for one in metrics}
         events: set[tuple[tuple[float, str], ...]] = set()
         for run in self._runs if metrics and self._has_traces else ():
             trace = self._trace(run)
             if trace is not None:
-                events.add(events_of(trace))
+                events.add(select.events_of(trace))
                 facet = self._facets[run.variant.name]
                 for one in metrics:
                     values = None if one.series is None else one.series(trace)
@@ -258,15 +250,15 @@ class _Gallery:
             if _varies(found[one.name]):
                 figure = series_figure(
                     found[one.name],
-                    label=label_of(stem_of(one.name)),
+                    label=select.label_of(select.stem_of(one.name)),
                     unit=one.unit,
                     title=self._scenario,
                     target=self._look.targets.get(one.name),
                     events=next(iter(events)) if len(events) == 1 else (),
-                    smoothing=smoothing_of(one.name),
+                    smoothing=select.smoothing_of(one.name),
                     width=self._look.width,
                 )
-                made.append(self._save(figure, f"over_time_{stem_of(one.name)}"))
+                made.append(self._save(figure, f"over_time_{select.stem_of(one.name)}"))
         return made
 
     def _first_of(self, runs: Sequence[Run], word: str) -> tuple[list[Path], Run | None]:
@@ -353,7 +345,7 @@ class _Gallery:
         if np.isnan(value):
             return ""
         unit = "" if self._primary.unit in ("share", YES_OR_NO) else self._primary.unit
-        name = f"{label_of(self._primary.name)} " if has_name else ""
+        name = f"{select.label_of(self._primary.name)} " if has_name else ""
         return f": {name}{value:.3g} {unit}".rstrip()
 
     def _title(self, variant: str) -> str:

@@ -13,17 +13,7 @@ from swarmd.sim.metrics import pairs
 from swarmd.sim.metrics.aggregation import cluster_link, clusters
 from swarmd.sim.metrics.consensus import OPINION
 from swarmd.sim.metrics.window import first, last, presence
-from swarmd.sim.plots.scene import (
-    check_drawable,
-    cut_note,
-    extent_of,
-    paint_arena,
-    paint_bodies,
-    paint_fields,
-    paint_links,
-    paint_movable_boxes,
-    prepare,
-)
+from swarmd.sim.plots import scene
 from swarmd.sim.plots.theme import GUIDE_COLOUR, NOTE, ROBOT_COLOURS, fit, new_figure
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.scalar_fields import Field
@@ -56,9 +46,9 @@ def start_and_end_figure(
     opinions, the colours show opinions instead. `width`: in inches, for a paper. SwarmError if
     there is nothing to draw.
     """
-    check_drawable(trace)
+    scene.check_drawable(trace)
     reach = cluster_link(trace) if link is None else link
-    extent = extent_of(trace)
+    extent = scene.extent_of(trace)
     across, height = extent.panel(5.5 if len(trace.ids) <= 100 else 7.0)
     rows, columns = (2, 1) if across > 1.6 * height else (1, 2)
     size = columns * (across + 0.2) + 0.7, rows * (height + 0.4) + 1.1
@@ -75,10 +65,10 @@ def start_and_end_figure(
         strict=True,
     ):
         grouping = by_opinion(part, opinions) if opinions else by_cluster(part, reach)
-        prepare(axes, extent)
-        paint_fields(axes, trace, extent, fields)
+        scene.prepare(axes, extent)
+        scene.paint_fields(axes, trace, extent, fields)
         _paint_instant(axes, part, None if opinions else reach)
-        paint_bodies(axes, part, 0, grouping.colours, is_filled=True)
+        scene.paint_bodies(axes, part, 0, grouping.colours, is_filled=True)
         axes.set_title(f"{word}: {grouping.label}", fontsize=10, pad=4.0)
     for axes in both[-1]:
         axes.set_xlabel("x [m]")
@@ -155,12 +145,12 @@ def _add_legend(figure: Figure, opinions: Sequence[float]) -> None:
 
 def _note(trace: Trace, link: float | None) -> str:
     linked = "" if link is None else f"one cluster: each within {link:g} m of the next"
-    return "; ".join(word for word in (cut_note(trace), linked) if word)
+    return "; ".join(word for word in (scene.cut_note(trace), linked) if word)
 
 
 def _paint_instant(axes: Axes, part: Trace, link: float | None) -> None:
-    paint_arena(axes, part)
-    paint_movable_boxes(axes, part)
+    scene.paint_arena(axes, part)
+    scene.paint_movable_boxes(axes, part)
     if link is not None:
         near = pairs.near(part.pose[..., :2], presence(part), link)
-        paint_links(axes, part.pose[0, near.a, :2], part.pose[0, near.b, :2])
+        scene.paint_links(axes, part.pose[0, near.a, :2], part.pose[0, near.b, :2])

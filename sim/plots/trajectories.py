@@ -12,22 +12,7 @@ import numpy as np
 from swarmd.core.errors import SwarmError
 from swarmd.sim.metrics.contacts import contact_list
 from swarmd.sim.metrics.window import presence
-from swarmd.sim.plots.scene import (
-    MOVABLE_BOX_COLOUR,
-    Extent,
-    check_drawable,
-    cut_note,
-    extent_of,
-    paint_arena,
-    paint_bodies,
-    paint_fields,
-    paint_movable_boxes,
-    paint_paths,
-    paint_paths_by_time,
-    prepare,
-    robot_colour,
-    robot_style,
-)
+from swarmd.sim.plots import scene
 from swarmd.sim.plots.theme import CONTACT_COLOUR, GUIDE_COLOUR, NOTE, fit, new_figure
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import radius
@@ -62,9 +47,9 @@ def trajectories_figure(
     and how many robots were moving. `width`: in inches, for a paper, which does not name robots.
     SwarmError if matplotlib is not installed or there is nothing to draw.
     """
-    check_drawable(trace)
+    scene.check_drawable(trace)
     is_named = len(trace.ids) <= MAX_NAMED
-    extent = extent_of(trace)
+    extent = scene.extent_of(trace)
     across, height = extent.panel(6.3 if is_named else 8.0)
     entries = (_names(trace) if is_named and width is None else []) + _key(trace)
     handles, labels = zip(*entries, strict=True)
@@ -76,12 +61,12 @@ def trajectories_figure(
         scale = (width - (0.6 if is_named else 1.2)) / across
         figure = new_figure(width, height * scale + 0.75, is_map=True)
     axes = figure.add_subplot()
-    prepare(axes, extent)
-    paint_fields(axes, trace, extent, fields)
+    scene.prepare(axes, extent)
+    scene.paint_fields(axes, trace, extent, fields)
     paths = paint_run(axes, trace, is_small=width is not None)
     title = title or f"{len(trace.ids)} robots, {trace.duration:.0f} s"
     axes.set_title(title, fontsize=11, gid=NOTE)
-    axes.set_xlabel(", ".join(word for word in ("x [m]", cut_note(trace)) if word))
+    axes.set_xlabel(", ".join(word for word in ("x [m]", scene.cut_note(trace)) if word))
     axes.set_ylabel("y [m]")
     style: Any = {"frameon": False, "fontsize": 9}
     if paths is None and width is not None:
@@ -102,17 +87,17 @@ def paint_run(axes: Axes, trace: Trace, *, is_small: bool = False) -> Any:
     """
     n = len(trace.ids)
     is_named = n <= MAX_NAMED
-    paint_arena(axes, trace)
-    paint_movable_boxes(axes, trace)
-    colours = [robot_colour(robot) if is_named else MANY_COLOUR for robot in range(n)]
+    scene.paint_arena(axes, trace)
+    scene.paint_movable_boxes(axes, trace)
+    colours = [scene.robot_colour(robot) if is_named else MANY_COLOUR for robot in range(n)]
     starts = colours if is_named else ["0.45"] * n
     paths = None
     if is_named:
-        paint_paths(axes, trace, linewidth=0.6 if is_small else 1.1)
+        scene.paint_paths(axes, trace, linewidth=0.6 if is_small else 1.1)
     else:
-        paths = paint_paths_by_time(axes, trace, linewidth=0.3 if is_small else 0.5)
-    paint_bodies(axes, trace, 0, starts, is_filled=False)
-    paint_bodies(axes, trace, -1, colours, is_filled=True)
+        paths = scene.paint_paths_by_time(axes, trace, linewidth=0.3 if is_small else 0.5)
+    scene.paint_bodies(axes, trace, 0, starts, is_filled=False)
+    scene.paint_bodies(axes, trace, -1, colours, is_filled=True)
     _paint_changes(axes, trace, colours, size=3.5 if is_small else 6.5)
     size = 4.5 if is_small or not is_named else 8.0
     paint_contacts(axes, marks_of(trace), size=size)
@@ -137,7 +122,9 @@ def _names(trace: Trace) -> list[tuple[Any, str]]:
 
     entries: list[tuple[Any, str]] = []
     for robot, name in enumerate(trace.ids):
-        line = Line2D([], [], color=robot_colour(robot), linestyle=robot_style(robot), linewidth=2)
+        line = Line2D(
+            [], [], color=scene.robot_colour(robot), linestyle=scene.robot_style(robot), linewidth=2
+        )
         entries.append((line, name))
     return entries
 
@@ -158,7 +145,7 @@ def _key(trace: Trace) -> list[tuple[Any, str]]:
     if (step < 0).any():
         entries.append(mark("v", "0.35", "white", "leaves"))
     if trace.movable_boxes:
-        entries.append(mark("s", MOVABLE_BOX_COLOUR, "0.3", "movable box"))
+        entries.append(mark("s", scene.MOVABLE_BOX_COLOUR, "0.3", "movable box"))
     found = [mark.kind for mark in marks_of(trace)]
     for kind, (marker, face) in MARKS.items():
         if kind in found:
@@ -255,17 +242,17 @@ def overview_figure(
     return fit(figure, width)
 
 
-def _common_extent(runs: Sequence[tuple[str, Load]]) -> Extent | None:
+def _common_extent(runs: Sequence[tuple[str, Load]]) -> scene.Extent | None:
     """An extent that holds every run, for one scale; None if there is no trace."""
     shown = []
     for _, load in runs:
         trace = load()
         if trace is not None:
-            check_drawable(trace)
-            shown.append(extent_of(trace))
+            scene.check_drawable(trace)
+            shown.append(scene.extent_of(trace))
     if not shown:
         return None
-    return Extent(
+    return scene.Extent(
         min(extent.left for extent in shown),
         max(extent.right for extent in shown),
         min(extent.bottom for extent in shown),
@@ -274,17 +261,17 @@ def _common_extent(runs: Sequence[tuple[str, Load]]) -> Extent | None:
 
 
 def _paint_small(
-    axes: Axes, trace: Trace | None, extent: Extent | None, fields: Sequence[Field]
+    axes: Axes, trace: Trace | None, extent: scene.Extent | None, fields: Sequence[Field]
 ) -> None:
     axes.set_xticks([])
     axes.set_yticks([])
     for spine in axes.spines.values():
         spine.set_color("0.8")
     if extent is not None:
-        prepare(axes, extent)
+        scene.prepare(axes, extent)
     if trace is None or extent is None:
         axes.text(0.5, 0.5, "no trace", transform=axes.transAxes, ha="center", va="center",
                   fontsize=9, color=GUIDE_COLOUR)  # fmt: skip
         return
-    paint_fields(axes, trace, extent, fields, is_small=True)
+    scene.paint_fields(axes, trace, extent, fields, is_small=True)
     paint_run(axes, trace, is_small=True)

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import click
 
-from swarmd.cli.arguments import Duration, Targets, takes_targets
 from swarmd.cli.labels import robots_of
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, Duration, Targets, common_options, takes_targets
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.questions import ask_robots, end, in_reach
 from swarmd.cli.send import known_members

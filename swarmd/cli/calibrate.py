@@ -15,8 +15,7 @@ import click
 
 from swarmd.calibration.figures import DONE, PATTERN, Figure
 from swarmd.cli import completion
-from swarmd.cli.arguments import Failure, check_known
-from swarmd.cli.options import FILE, CommonOptions, common_options
+from swarmd.cli.options import FILE, CommonOptions, Failure, check_known, common_options
 from swarmd.cli.output import need_consent, print_json, print_table, rewrite, warn
 from swarmd.cli.send import known_members
 from swarmd.core.messages import Presence, Reason, State, Status

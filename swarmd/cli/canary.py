@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.arguments import Failure
+from swarmd.cli.options import Failure
 from swarmd.cli.questions import next_status, statuses_of
 from swarmd.core.clock import boottime
 from swarmd.core.keys import is_id

@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from swarmd.cli.arguments import Duration, Targets, takes_targets
 from swarmd.cli.labels import robots_of
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, Duration, Targets, common_options, takes_targets
 from swarmd.cli.output import print_json, print_line, signals_end, warn
 from swarmd.cli.send import exit_code_of, known_members, named_now
 from swarmd.core.messages import MAX_EVENTS, Status

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec import to_builtins
 
-from swarmd.cli.arguments import Failure, Targets, takes_targets
 from swarmd.cli.labels import robots_of
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, Failure, Targets, common_options, takes_targets
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.run_start import send_goal
 from swarmd.cli.send import asking, known_members, report, stop_names, time_left

@@ -9,9 +9,8 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from swarmd.cli.arguments import Failure
 from swarmd.cli.authority_folder import configuration, days_option, open_authority
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, Failure, common_options
 from swarmd.cli.output import warn
 from swarmd.cli.send import report, time_left
 from swarmd.core.errors import ConfigError, SwarmError

@@ -8,9 +8,8 @@ from typing import Any
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.arguments import Failure, Targets, takes_targets
 from swarmd.cli.labels import labels_of
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, Failure, Targets, common_options, takes_targets
 from swarmd.cli.send import asking
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import LabelRequest

@@ -6,7 +6,7 @@ from collections.abc import Collection
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from swarmd.cli.arguments import Failure, Targets
+from swarmd.cli.options import Failure, Targets
 from swarmd.core.errors import unknown
 from swarmd.network.exit_codes import NO_TARGET
 

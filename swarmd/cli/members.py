@@ -10,8 +10,7 @@ import click
 from msgspec import to_builtins
 
 from swarmd.cli import completion
-from swarmd.cli.arguments import Failure, check_known
-from swarmd.cli.options import CommonOptions, VerbGroup, common_options
+from swarmd.cli.options import CommonOptions, Failure, VerbGroup, check_known, common_options
 from swarmd.cli.output import print_json, print_section, print_table
 from swarmd.cli.send import exit_code_of, known_members, report, time_left
 from swarmd.core import codec

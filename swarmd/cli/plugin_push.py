@@ -13,9 +13,16 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn
 import click
 from msgspec.structs import replace as with_fields
 
-from swarmd.cli.arguments import Duration, Failure, Targets, takes_targets
 from swarmd.cli.canary import canaries_of, read_canary
-from swarmd.cli.options import EXISTING_FILE, CommonOptions, common_options
+from swarmd.cli.options import (
+    EXISTING_FILE,
+    CommonOptions,
+    Duration,
+    Failure,
+    Targets,
+    common_options,
+    takes_targets,
+)
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.questions import ask_robots, in_reach
 from swarmd.cli.run_start import goal_targets

@@ -9,8 +9,14 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.arguments import Targets, takes_targets
-from swarmd.cli.options import FOLDER, CommonOptions, VerbGroup, common_options
+from swarmd.cli.options import (
+    FOLDER,
+    CommonOptions,
+    Targets,
+    VerbGroup,
+    common_options,
+    takes_targets,
+)
 from swarmd.cli.output import fields, print_json, print_table, rewrite, warn
 from swarmd.cli.questions import ASK_TIME
 from swarmd.cli.record_merge import merge

@@ -7,9 +7,8 @@ from typing import Any
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.arguments import Duration, Targets, takes_targets
 from swarmd.cli.canary import CANARY_TIME, canaries_of, read_canary
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, Duration, Targets, common_options, takes_targets
 from swarmd.cli.run_start import goal_targets, run_with_canary, start, start_at
 from swarmd.cli.send import asking
 from swarmd.core.keys import is_id

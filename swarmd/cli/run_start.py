@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, NoReturn
 import click
 from msgspec.structs import replace
 
-from swarmd.cli.arguments import Failure, Targets
 from swarmd.cli.canary import watch_canary
+from swarmd.cli.options import Failure, Targets
 from swarmd.cli.output import warn
 from swarmd.cli.send import Asked, stop_names, stop_on_interrupt, time_left
 from swarmd.core.clock import TICK, boottime

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Literal, NoReturn
 import click
 from msgspec.structs import replace
 
-from swarmd.cli.arguments import Failure, Targets
 from swarmd.cli.known_robots import remember
 from swarmd.cli.labels import STOP_LOOK, named, robots_of, stopped, unlabelled
+from swarmd.cli.options import Failure, Targets
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Refusal

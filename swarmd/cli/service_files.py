@@ -11,7 +11,7 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.arguments import Failure
+from swarmd.cli.options import Failure
 from swarmd.core.errors import ConfigError
 from swarmd.core.files import open_folder, whole_file
 from swarmd.daemon.systemd import CONFIG_FILE, CONFIG_FOLDER, USER

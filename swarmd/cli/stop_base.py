@@ -9,8 +9,7 @@ from pathlib import Path
 
 import click
 
-from swarmd.cli.arguments import Duration
-from swarmd.cli.options import FILE
+from swarmd.cli.options import FILE, Duration
 from swarmd.core.errors import DriverError
 from swarmd.driver_api.driver import ZeroSender, ZeroSenderProvider, ZeroSenderSpec
 from swarmd.driver_api.watchdog import ZERO_PERIOD, made_zero_sender

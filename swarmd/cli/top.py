@@ -10,9 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from swarmd.cli.arguments import Targets, takes_targets
 from swarmd.cli.labels import robots_of
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, Targets, common_options, takes_targets
 from swarmd.cli.output import (
     need_terminal,
     print_json,

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.arguments import Failure, Targets, takes_targets
 from swarmd.cli.labels import labels_of
-from swarmd.cli.options import CommonOptions, common_options
+from swarmd.cli.options import CommonOptions, Failure, Targets, common_options, takes_targets
 from swarmd.cli.output import print_json
 from swarmd.cli.send import unreachable
 from swarmd.core.clock import boottime

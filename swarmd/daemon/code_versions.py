@@ -14,18 +14,7 @@ from dataclasses import dataclass
 from msgspec import Struct
 from msgspec.structs import replace
 
-from swarmd.core.behaviour import (
-    Entry,
-    Manifest,
-    Signed,
-    Table,
-    digest_of,
-    greatest_generation,
-    merged,
-    read_entry,
-    read_table,
-    wanted_by,
-)
+from swarmd.core import behaviour
 from swarmd.core.bounds import keep_newest
 from swarmd.core.errors import ChangedCodeError, CodecError, PluginError
 from swarmd.core.events import CodeInput, HostInput, Input, NoteInput
@@ -119,7 +108,7 @@ class Candidate(Struct, frozen=True):
     """
 
     id: str
-    entry: Entry
+    entry: behaviour.Entry
     version: Version
     is_passed: bool = False
     is_accepted: bool = False
@@ -141,13 +130,13 @@ class CodeVersions:
         self.robot, self.swarm = robot, swarm
         self.operators = operators
         self.control: CodeControl  # from `open` on
-        self.table: Table = ()
+        self.table: behaviour.Table = ()
         self.versions: dict[str, PushedCode] = {}
         self.digest = b""
         self.changes = 0  # of the table or the versions
         self.candidate: Candidate | None = None
         self.pinned: dict[str, Version] = {}
-        self._adopting: tuple[Entry, Version] | None = None
+        self._adopting: tuple[behaviour.Entry, Version] | None = None
 
     # On the disk
 
@@ -155,7 +144,7 @@ class CodeVersions:
         """Read what is on the disk, and check it; call it once, before the robot may run."""
         self.control = control
         record = await asyncio.to_thread(self.files.read)
-        table, versions = read_table(record.table), record.versions
+        table, versions = behaviour.read_table(record.table), record.versions
         if not table and not versions:
             return
         foreign, checked = await asyncio.to_thread(self._check, table, versions)
@@ -180,16 +169,18 @@ class CodeVersions:
             table, versions = self._adopted(*self._adopting)
         return CodeRecord(tuple(entry.signed for entry in table), versions)
 
-    def _adopted(self, entry: Entry, version: Version) -> tuple[Table, dict[str, PushedCode]]:
+    def _adopted(
+        self, entry: behaviour.Entry, version: Version
+    ) -> tuple[behaviour.Table, dict[str, PushedCode]]:
         """The state after a removal, or after a trial that `version` passed."""
         versions, name = dict(self.versions), entry.manifest.name
         if entry.is_removal:
             versions.pop(name, None)
         else:
             versions[name] = versions.get(name, PushedCode()).accept(version)
-        return merged(self.table, [entry]), versions
+        return behaviour.merged(self.table, [entry]), versions
 
-    def apply(self, entry: Entry, version: Version) -> None:
+    def apply(self, entry: behaviour.Entry, version: Version) -> None:
         """Carry out a removal or make a version current; `save` writes it."""
         table, self.versions = self._adopted(entry, version)
         self.set_table(table)
@@ -199,7 +190,9 @@ class CodeVersions:
         """True while `adopt` waits for the disk."""
         return self._adopting is not None
 
-    async def adopt(self, entry: Entry, version: Version, is_wanted: Callable[[], bool]) -> str:
+    async def adopt(
+        self, entry: behaviour.Entry, version: Version, is_wanted: Callable[[], bool]
+    ) -> str:
         """The same once it is on the disk; why nothing has changed, empty if it is done.
 
         `is_wanted` is asked when it is on the disk. One entry is adopted at a time.
@@ -212,7 +205,7 @@ class CodeVersions:
             self._adopting = None
         if fault:
             fault = "it cannot be written to the disk; see the log"
-        elif not is_wanted() or entry not in merged(self.table, [entry]):
+        elif not is_wanted() or entry not in behaviour.merged(self.table, [entry]):
             fault = "another request came while it was written"
         if fault:
             self.save()  # the disk may have it
@@ -252,8 +245,8 @@ class CodeVersions:
         self.save()
 
     def _check(
-        self, table: Table, versions: Mapping[str, PushedCode]
-    ) -> tuple[set[Entry], dict[str, PushedCode]]:
+        self, table: behaviour.Table, versions: Mapping[str, PushedCode]
+    ) -> tuple[set[behaviour.Entry], dict[str, PushedCode]]:
         """In a thread: the entries that are not trusted, and the versions that may be loaded."""
         foreign = {entry for entry in table if not self.is_trusted(entry)}
         return foreign, {name: self._checked(code) for name, code in versions.items()}
@@ -282,18 +275,18 @@ class CodeVersions:
 
     def _is_signed(self, version: Version) -> bool:
         try:
-            return self.is_trusted(read_entry(version.signed))
+            return self.is_trusted(behaviour.read_entry(version.signed))
         except CodecError:
             return False
 
     def _is_whole(self, version: Version) -> bool:
         try:
-            manifest = read_entry(version.signed).manifest
+            manifest = behaviour.read_entry(version.signed).manifest
         except CodecError:
             return False
         return self.files.code(manifest.name, manifest.digest) is not None
 
-    def is_trusted(self, entry: Entry) -> bool:
+    def is_trusted(self, entry: behaviour.Entry) -> bool:
         """True if an operator of the roster has signed it, or without keys; takes some 4 ms."""
         operators, manifest = self.operators(), entry.manifest
         if manifest.swarm != self.swarm:
@@ -305,28 +298,28 @@ class CodeVersions:
 
     # What is here
 
-    def set_table(self, table: Table) -> None:
+    def set_table(self, table: behaviour.Table) -> None:
         """Replace the table."""
         self.changes += 1
-        self.table, self.digest = table, digest_of(table)
+        self.table, self.digest = table, behaviour.digest_of(table)
 
-    def wanted(self) -> Mapping[str, Entry]:
+    def wanted(self) -> Mapping[str, behaviour.Entry]:
         """What this robot is to have, by name, removals included."""
-        return wanted_by(self.robot, self.control.labels(), self.table)
+        return behaviour.wanted_by(self.robot, self.control.labels(), self.table)
 
-    def has(self, entry: Entry) -> bool:
+    def has(self, entry: behaviour.Entry) -> bool:
         """True if the code of an entry is the current one."""
         code = self.versions.get(entry.manifest.name)
         current = None if code is None else code.current
         return current is not None and current.digest == entry.manifest.digest
 
-    def is_taken(self, manifest: Manifest) -> bool:
+    def is_taken(self, manifest: behaviour.Manifest) -> bool:
         """True if the robot has a pattern of that name by other means, which is not replaced."""
         if manifest.replaces or manifest.kind == "removed":
             return False
         return manifest.name in self.control.own_patterns()
 
-    def note_failed(self, entry: Entry, version: Version, text: str) -> None:
+    def note_failed(self, entry: behaviour.Entry, version: Version, text: str) -> None:
         """Note that a version did not pass: the same push is not tried again."""
         name = entry.manifest.name
         self.versions[name] = self.versions.get(name, PushedCode()).refuse(version, text)
@@ -339,7 +332,7 @@ class CodeVersions:
         to = "nothing pushed" if code.current is None else code.current.label
         self.control.event(f"{name}: returned from {code.failed.label} to {to}: {code.fault}")
 
-    def missing(self) -> list[Entry]:
+    def missing(self) -> list[behaviour.Entry]:
         """The behaviours that this robot is to have and does not have."""
         found = []
         for name, entry in self.wanted().items():
@@ -361,10 +354,10 @@ class CodeVersions:
             if code is None and entry is not None and entry.is_removal:
                 continue
             rows.append(_report(name, entry, code or PushedCode()))
-        newest = self.table[0].signed if self.table else Signed(b"")
+        newest = self.table[0].signed if self.table else behaviour.Signed(b"")
         return BehavioursReply(
             robot=self.robot,
-            generation=greatest_generation(self.table),
+            generation=behaviour.greatest_generation(self.table),
             behaviours=tuple(rows),
             newest=newest.content,
             signature=newest.signature,
@@ -379,10 +372,10 @@ class CodeVersions:
         return None
 
 
-def _report(name: str, entry: Entry | None, code: PushedCode) -> BehaviourReport:
+def _report(name: str, entry: behaviour.Entry | None, code: PushedCode) -> BehaviourReport:
     current, manifest = code.current, None if entry is None else entry.manifest
     is_missing = entry is not None and not entry.is_removal and code.lacks(entry)
-    used = None if current is None else read_entry(current.signed).manifest
+    used = None if current is None else behaviour.read_entry(current.signed).manifest
     shown = used or manifest
     return BehaviourReport(
         name=name,
@@ -447,7 +440,7 @@ class CodeRuns:
         self, origins: dict[str, Origin], name: str, version: Version, own: Mapping[str, Origin]
     ) -> bool:
         """Add a version to the origins; False if the robot's own pattern counts."""
-        manifest = read_entry(version.signed).manifest
+        manifest = behaviour.read_entry(version.signed).manifest
         if name in own and not manifest.replaces:
             return False
         value, is_file = self._state.files.place(manifest)

@@ -20,28 +20,11 @@ from typing import Any
 
 from msgspec.structs import replace
 
+from swarmd.core import events
 from swarmd.core.behaviour import Entry
 from swarmd.core.clock import ClockSample, boottime, clock_id
 from swarmd.core.codec import encode, encode_value
 from swarmd.core.errors import CodecError, CoreFault, SwarmError, fail_stop
-from swarmd.core.events import (
-    TICK_INPUT,
-    DuplicateInput,
-    ForgetInput,
-    HostInput,
-    Input,
-    LatchesInput,
-    LeaveInput,
-    NeighborsInput,
-    NetworkInput,
-    NoteInput,
-    PeersInput,
-    PlaceInput,
-    ProvisionalInput,
-    RequestInput,
-    RosterInput,
-    TickInput,
-)
 from swarmd.core.goal import Goal
 from swarmd.core.messages import Reply, Status
 from swarmd.core.record import RecordKind
@@ -50,13 +33,12 @@ from swarmd.core.verbs import Request
 from swarmd.daemon.audit import Audit
 from swarmd.daemon.code_transfer import CodeIntake, CodePull
 from swarmd.daemon.code_versions import CodeControl, CodeRuns, CodeVersions
-from swarmd.daemon.driver import DriverOutput, make_driver
-from swarmd.daemon.driver_sink import DriverSink
+from swarmd.daemon.driver import DriverOutput, DriverSink, make_driver
 from swarmd.daemon.goal_service import GoalService
 from swarmd.daemon.health import HealthMeter
 from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.daemon.network import Network
-from swarmd.daemon.recording_service import RecordingService
+from swarmd.daemon.recorder import RecordingService
 from swarmd.daemon.requests import RequestServer
 from swarmd.daemon.robot_setup import make_robot, recording_head
 from swarmd.daemon.roster_service import RosterService
@@ -292,7 +274,7 @@ class Daemon:
             answer.cancel()
         try:
             if self._crash is None:
-                self.step(LeaveInput())
+                self.step(events.LeaveInput())
                 self._timer.stop()
         finally:
             self._neighborhood.close()
@@ -309,9 +291,9 @@ class Daemon:
     # Inputs
 
     @fail_stop
-    def step(self, input: Input) -> None:
+    def step(self, input: events.Input) -> None:
         """Hand an input to the robot, and carry out what follows."""
-        if type(input) is TickInput or type(input) is HostInput:
+        if type(input) is events.TickInput or type(input) is events.HostInput:
             self._tell_provisional()
         actions = self._recording.recorder.step(self._robot, input, boottime())
         if actions is not None:
@@ -323,21 +305,21 @@ class Daemon:
         current = tuple(filter(is_provisional, self._robot.generations))
         if current != self._provisional:
             self._provisional = current
-            self.step(ProvisionalInput(current))
+            self.step(events.ProvisionalInput(current))
 
-    def on_input(self, input: Input) -> None:
+    def on_input(self, input: events.Input) -> None:
         """Hand an input of another robot to the robot; audit an adopted latch or goal."""
         robot = self._robot
         held, goal, state = set(robot.latches), robot.goal, robot.state
-        if isinstance(input, PlaceInput):
+        if isinstance(input, events.PlaceInput):
             self._neighborhood.on_place(input.place, boottime())
-        elif isinstance(input, DuplicateInput) and input.holder is not None:
+        elif isinstance(input, events.DuplicateInput) and input.holder is not None:
             log.error("id %s is also held by %s", robot.id, input.holder)
         self.step(input)
         for id in sorted(robot.latches.keys() - held):
             latch = robot.latches[id]
             self._audit.note(f"latch {id}", latch.issuer, "a peer", latch.reason, boottime())
-        if isinstance(input, LatchesInput) and robot.state is not state:
+        if isinstance(input, events.LatchesInput) and robot.state is not state:
             text = robot.status(boottime()).detail
             log.info("estopped by the latch of a peer: %s", text)
         if robot.goal is not None and (goal is None or goal.goal != robot.goal.goal):
@@ -361,26 +343,30 @@ class Daemon:
         """Tell of a change of the interface; with another address the robot stands."""
         log.warning("%s", change.line)
         self._notify.status(change.line)
-        self.step(NetworkInput(change.line) if change.must_reopen else NoteInput(change.line))
+        self.step(
+            events.NetworkInput(change.line)
+            if change.must_reopen
+            else events.NoteInput(change.line)
+        )
 
     def _on_request(self, request: Request) -> None:
         if refusal := self._goals.refusal_of(request, self._robot.id):
             self._requests.reply(refusal)
             return
-        self.step(RequestInput(request))
+        self.step(events.RequestInput(request))
 
     def _on_audit(self, line: str) -> None:
         log.info("%s", line)
-        self.step(NoteInput(line))
+        self.step(events.NoteInput(line))
 
     def _on_roster(self, taken: TakenRoster) -> None:
         """The identity took a roster: the robot stands, and the network opens anew."""
         log.warning("roster: %s", taken.text)
         what = f"roster {taken.identity.roster.generation}"
         self._audit.note(what, "the authority", "an operator or peer", taken.text, boottime())
-        self.step(RosterInput(taken.text, taken.is_revoked))
+        self.step(events.RosterInput(taken.text, taken.is_revoked))
         if foreign := self._goals.foreign(self._robot.goals):
-            self.step(ForgetInput(foreign))
+            self.step(events.ForgetInput(foreign))
         self._network.take_identity(taken.identity)
         self._puller.take_identity(taken.identity)
         self._behaviours.check_again()
@@ -393,15 +379,15 @@ class Daemon:
     def on_event(self, text: str) -> None:
         """A line for the events and a warning for the log."""
         log.warning("%s", text)
-        self.step(NoteInput(text))
+        self.step(events.NoteInput(text))
 
     def on_members(self) -> None:
         """Tell the robot of the members, its neighbors unless the driver measures those."""
-        self.step(PeersInput(dict(self._network.bodies)))
+        self.step(events.PeersInput(dict(self._network.bodies)))
         if not self._has_joined or self.sink.has_neighbors:
             return
         alive = tuple(Neighbor(robot, 0.0) for robot in sorted(self._network.alive))
-        self.step(NeighborsInput(self._neighborhood.select(alive, boottime())))
+        self.step(events.NeighborsInput(self._neighborhood.select(alive, boottime())))
 
     def summary(self) -> Summary:
         """The robot's part of a beacon."""
@@ -442,7 +428,7 @@ class Daemon:
 
     def _on_tick(self) -> None:
         self._ticks += 1
-        self.step(TICK_INPUT)
+        self.step(events.TICK_INPUT)
         self._network.advance()
         if self._recording.recorder.is_on:
             self._network.ask_clocks()
@@ -484,13 +470,13 @@ class Daemon:
         else:
             text = f"{self._latches.path.parent} can be written again"
             log.info("%s", text)
-        self.step(NoteInput(text))
+        self.step(events.NoteInput(text))
 
     def _on_host_events(self) -> None:
         for event in self._runner.events():
             kept = self._behaviours.on_event(event)
             if kept is not None:
-                self.step(HostInput(self._code_runs.granted(kept)))
+                self.step(events.HostInput(self._code_runs.granted(kept)))
 
     def _carry_out(self, actions: Actions) -> None:
         self._output.command(actions, boottime())

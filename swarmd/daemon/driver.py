@@ -4,10 +4,16 @@ from __future__ import annotations
 
 import asyncio
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
-from swarmd.core.errors import ConfigError, SwarmError
-from swarmd.core.values import ZERO, Twist
+from swarmd.core import events
+from swarmd.core.clock import boottime
+from swarmd.core.codec import decode_value
+from swarmd.core.errors import CodecError, ConfigError, SwarmError
+from swarmd.core.hazard import Hazard
+from swarmd.core.messages import Reason
+from swarmd.core.values import ZERO, Neighbor, Odometry, Scan, SharedPose, Twist
+from swarmd.daemon.neighbors import NeighborSelection
 from swarmd.driver_api.driver import Driver, Sink, ZeroSenderProvider
 from swarmd.driver_api.watchdog import watchdog_name
 from swarmd.plugins import load_driver
@@ -21,6 +27,7 @@ from swarmd.settings.driver_options import (
 from swarmd.settings.settings import DaemonSettings
 
 log = logging.getLogger(__name__)
+MAX_KIND_LENGTH = 64
 
 
 def make_bare_driver(settings: DaemonSettings) -> Driver:
@@ -116,3 +123,69 @@ class DriverOutput:
         except Exception as error:  # a driver may raise anything
             log.exception("driver %s: a command could not be sent", self._name)
             self._on_crash(error)
+
+
+class DriverSink:
+    """The driver's sink: makes inputs for `step`.
+
+    `neighborhood` marks which of the sensed robots are in reach. `has_neighbors`: the driver senses
+    robots itself. `drops`: unreadable inputs by kind.
+    """
+
+    def __init__(
+        self, step: Callable[[events.Input], None], neighborhood: NeighborSelection
+    ) -> None:
+        self._step = step
+        self._neighborhood = neighborhood
+        self.has_neighbors = False
+        self.drops: dict[str, int] = {}
+
+    def scan(self, scan: Scan) -> None:
+        """A scan as measured."""
+        self._step(events.ScanInput(scan))
+
+    def ranges(self, scan: Scan) -> None:
+        """A scan of the ring of range sensors, as measured."""
+        self._step(events.RangesInput(scan))
+
+    def odometry(self, odometry: Odometry) -> None:
+        """A measured pose and twist."""
+        self._step(events.OdometryInput(odometry))
+
+    def neighbors(self, neighbors: tuple[Neighbor, ...]) -> None:
+        """The robots that the driver senses, or whose messages it can receive."""
+        self.has_neighbors = True
+        self._step(events.NeighborsInput(self._neighborhood.select(neighbors, boottime())))
+
+    def pose(self, pose: SharedPose) -> None:
+        """The robot's own pose in a frame that robots share."""
+        self._neighborhood.on_pose(pose)
+        self._step(events.PoseInput(pose))
+
+    def readings(self, values: Mapping[str, float]) -> None:
+        """Scalar sensors by name."""
+        self._step(events.ReadingsInput(dict(values)))
+
+    def hazards(self, hazards: tuple[Hazard, ...]) -> None:
+        """All hazards that the base senses now."""
+        self._step(events.HazardsInput(hazards))
+
+    def message(self, sender: str, channel: str, payload: bytes) -> None:
+        """A pattern's message that the base's radio received."""
+        try:
+            value = decode_value(payload)
+        except CodecError:
+            self.dropped("message")
+        else:
+            self._step(events.MessageInput(sender, channel, value))
+
+    def state(
+        self, is_up: bool, text: str, *, hold: Reason | None = None, gets_zero: bool = False
+    ) -> None:
+        """The base is connected, or lost for the reason `text`; see `Sink`."""
+        self._step(events.DriverInput(is_up, text, hold, gets_zero))
+
+    def dropped(self, what: str) -> None:
+        """Count one input that could not be read."""
+        kind = f"driver/{what}"[:MAX_KIND_LENGTH]
+        self.drops[kind] = self.drops.get(kind, 0) + 1

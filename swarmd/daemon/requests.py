@@ -16,23 +16,13 @@ from typing import Any, Protocol
 
 import msgspec
 
-from swarmd.core import codec
+from swarmd.core import codec, verbs
 from swarmd.core.bounds import MAX_SECONDS, keep_newest
 from swarmd.core.clock import boottime
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError
 from swarmd.core.keys import CONTROL
 from swarmd.core.messages import Code, Refusal, Reply
-from swarmd.core.verbs import (
-    VERBS,
-    AnyRequest,
-    EstopRequest,
-    Handler,
-    Nothing,
-    Request,
-    RequestHeader,
-    StopRequest,
-)
 from swarmd.daemon.audit import Audit, describe_request
 from swarmd.network.carriers.bus import Query, ZenohBus
 from swarmd.network.carriers.inbound_queue import DropCounter
@@ -47,13 +37,13 @@ MAX_TEXT = 300
 MAX_ANSWERS = 8
 """Answers from threads to one verb at a time; further questions are dropped, and repeated."""
 
-_DECODERS = {row.name: Decoder(row.asked) for row in VERBS.values()}
-_header = Decoder(RequestHeader, any_version=True)
+_DECODERS = {row.name: Decoder(row.asked) for row in verbs.VERBS.values()}
+_header = Decoder(verbs.RequestHeader, any_version=True)
 
 
 @dataclass(frozen=True, slots=True)
 class _Pending:
-    request: AnyRequest
+    request: verbs.AnyRequest
     answer: Callable[[Reply], None]
     source: Callable[[], str]
     is_relayed: bool = False
@@ -85,7 +75,7 @@ class RequestServer:
     def __init__(
         self,
         robot: str,
-        on_request: Callable[[Request], None],
+        on_request: Callable[[verbs.Request], None],
         audit: Audit,
         *services: object,
         drops: DropCounter,
@@ -97,10 +87,10 @@ class RequestServer:
         self._on_request = on_request
         self._handlers: dict[str, Callable[..., Any]] = {
             row.name: _handler(f"on_{row.name}", services)
-            if row.handler is Handler.DAEMON
+            if row.handler is verbs.Handler.DAEMON
             else lambda request, answer: on_request(request)
-            for row in VERBS.values()
-            if row.handler is not Handler.NETWORK
+            for row in verbs.VERBS.values()
+            if row.handler is not verbs.Handler.NETWORK
         }
         self._threads: dict[str, set[asyncio.Task[None]]] = defaultdict(set)
         self._audit = audit
@@ -109,8 +99,8 @@ class RequestServer:
 
     def serve(self, bus: ZenohBus) -> None:
         """Answer all verbs on a bus that was opened, but those that the bus itself answers."""
-        for row in VERBS.values():
-            if row.handler is not Handler.NETWORK and not row.is_datagram:
+        for row in verbs.VERBS.values():
+            if row.handler is not verbs.Handler.NETWORK and not row.is_datagram:
                 handle = self.handle if row.is_request else self.ask
                 bus.serve(CONTROL, row.name, partial(handle, row.name))
 
@@ -153,14 +143,14 @@ class RequestServer:
         targets = None if stop.targets is None else dict.fromkeys(stop.targets)
         if targets is not None and self._robot not in targets:
             return
-        request: StopRequest | EstopRequest
+        request: verbs.StopRequest | verbs.EstopRequest
         age = min(stop.age / 1000.0, MAX_SECONDS)
         if stop.verb == "stop":
-            request = StopRequest(
+            request = verbs.StopRequest(
                 id=stop.id, operator=stop.operator or "unknown", targets=targets, age=age
             )
         else:
-            request = EstopRequest(
+            request = verbs.EstopRequest(
                 id=stop.id,
                 operator=stop.operator or "unknown",
                 targets=targets,
@@ -179,7 +169,11 @@ class RequestServer:
 
     def ask(self, verb: str, query: Query) -> None:
         """Answer the question in a query that came on the key of `verb`."""
-        asked = Nothing() if VERBS[verb].asked is Nothing else _DECODERS[verb](query.payload)
+        asked = (
+            verbs.Nothing()
+            if verbs.VERBS[verb].asked is verbs.Nothing
+            else _DECODERS[verb](query.payload)
+        )
         found = self._handlers[verb](asked)
         if not callable(found):
             query.reply(encode(found))
@@ -198,7 +192,7 @@ class RequestServer:
         with self._drops.refusing(f"control/{verb}", lambda code, text: query.drop()):
             query.reply(encode(await asyncio.to_thread(make)))
 
-    def _carry_out(self, request: AnyRequest, query: Query) -> None:
+    def _carry_out(self, request: verbs.AnyRequest, query: Query) -> None:
         if self._is_secured:
             request = msgspec.structs.replace(request, operator=query.asker)
         is_for_this = request.targets is None or self._robot in request.targets
@@ -229,7 +223,7 @@ class RequestServer:
         try:
             header = _header(query.payload)
         except CodecError:
-            header = RequestHeader(id="", verb="")
+            header = verbs.RequestHeader(id="", verb="")
         if not 0 < len(header.id) <= MAX_ID or self._robot not in (header.targets or ()):
             query.drop()
             return

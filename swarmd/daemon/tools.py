@@ -17,6 +17,7 @@ from pathlib import Path
 
 import msgspec
 
+from swarmd.core import verbs
 from swarmd.core.clock import FIRST_WALL, boottime, clock_id
 from swarmd.core.codec import encode
 from swarmd.core.kernels import describe_kernels
@@ -24,23 +25,6 @@ from swarmd.core.log_ring import LogRing
 from swarmd.core.machine import measure_machine
 from swarmd.core.messages import Code, KeySummary, Refusal, Reply, Sandbox
 from swarmd.core.threads import hand_over
-from swarmd.core.verbs import (
-    LOG_PAGE,
-    AuditEntry,
-    AuditQuery,
-    AuditReply,
-    DoctorReply,
-    ForgetRequest,
-    LinkReport,
-    LinksQuery,
-    LinksReply,
-    LogBatch,
-    LogRecord,
-    LogsQuery,
-    MachineFacts,
-    NetworkFacts,
-    Nothing,
-)
 from swarmd.daemon.audit import AuditLog
 from swarmd.daemon.network import Network
 from swarmd.daemon.requests import SendReply
@@ -110,7 +94,7 @@ class FieldTools:
         self._pinged = 0
         self._measuring = threading.Lock()
         self._measured_at = -math.inf
-        self._facts: tuple[MachineFacts, NetworkFacts]
+        self._facts: tuple[verbs.MachineFacts, verbs.NetworkFacts]
         self.storage = ""
         folder = settings.state_dir / settings.network.swarm / settings.id
         self.audit = AuditLog(
@@ -132,7 +116,7 @@ class FieldTools:
 
     # Members
 
-    def on_forget(self, request: ForgetRequest, answer: SendReply) -> None:
+    def on_forget(self, request: verbs.ForgetRequest, answer: SendReply) -> None:
         """Remove a member from the list of members, unless the member is alive."""
         name = request.name
         code, refusal, text = Code.APPLIED, None, f"forgot {name}"
@@ -146,21 +130,21 @@ class FieldTools:
     def _on_audit_event(self, text: str) -> None:
         log.warning("%s", text)
 
-    def on_audit(self, query: AuditQuery) -> Callable[[], AuditReply]:
+    def on_audit(self, query: verbs.AuditQuery) -> Callable[[], verbs.AuditReply]:
         """Entries of the audit log; read in a thread."""
         return partial(self._read_audit, query)
 
-    def _read_audit(self, query: AuditQuery) -> AuditReply:
+    def _read_audit(self, query: verbs.AuditQuery) -> verbs.AuditReply:
         now, clock, wall = boottime(), clock_id(), time.time()
 
-        def age_of(entry: AuditEntry) -> float | None:
+        def age_of(entry: verbs.AuditEntry) -> float | None:
             if entry.clock == clock:
                 return max(now - entry.boot, 0.0)
             is_known = entry.wall is not None and wall >= FIRST_WALL
             return max(wall - (entry.wall or 0.0), 0.0) if is_known else None
 
         entries, has_more = self.audit.read(query, age_of)
-        return AuditReply(
+        return verbs.AuditReply(
             robot=self._settings.id,
             entries=tuple(entries),
             ages=tuple(map(age_of, entries)),
@@ -170,19 +154,19 @@ class FieldTools:
 
     # Logs
 
-    def on_logs(self, query: LogsQuery) -> LogBatch:
+    def on_logs(self, query: verbs.LogsQuery) -> verbs.LogBatch:
         """The newest records that match."""
         return self._batch(self._ring.matching(query))
 
-    def _batch(self, records: list[LogRecord]) -> LogBatch:
+    def _batch(self, records: list[verbs.LogRecord]) -> verbs.LogBatch:
         """The newest records that fit."""
-        room, first = MAX_BATCH, max(len(records) - LOG_PAGE, 0)
+        room, first = MAX_BATCH, max(len(records) - verbs.LOG_PAGE, 0)
         for number in range(len(records) - 1, first - 1, -1):
             room -= len(records[number].text.encode()) + 64
             if room < 0:
                 first = number + 1
                 break
-        return LogBatch(
+        return verbs.LogBatch(
             robot=self._settings.id,
             instance=self._instance,
             now=boottime(),
@@ -193,7 +177,7 @@ class FieldTools:
 
     # Links
 
-    def on_links(self, query: LinksQuery) -> LinksReply:
+    def on_links(self, query: verbs.LinksQuery) -> verbs.LinksReply:
         """How well this robot hears others; pings some of them if the query asks for that."""
         links = sorted(self._network.links(), key=lambda link: link[1].age)
         if query.measures and links:
@@ -202,15 +186,15 @@ class FieldTools:
             self._network.ping((names[first:] + names[:first])[:MAX_PINGS])
             self._pinged = first + MAX_PINGS
         reports = tuple(
-            LinkReport(robot, one.received, one.lost, one.age, one.round_trip, ways)
+            verbs.LinkReport(robot, one.received, one.lost, one.age, one.round_trip, ways)
             for robot, one, ways in links[:MAX_LINKS]
         )
         unlisted = max(len(links) - MAX_LINKS, 0)
-        return LinksReply(robot=self._settings.id, links=reports, unlisted=unlisted)
+        return verbs.LinksReply(robot=self._settings.id, links=reports, unlisted=unlisted)
 
     # Doctor
 
-    def on_doctor(self, _: Nothing) -> Callable[[], DoctorReply]:
+    def on_doctor(self, _: verbs.Nothing) -> Callable[[], verbs.DoctorReply]:
         """Facts of the machine and the network; measured in a thread."""
         alive = set(self._network.alive)
         ways = Counter(
@@ -219,7 +203,7 @@ class FieldTools:
         heard = {**ways, "any": len(alive)}
         return partial(self._doctor, heard)
 
-    def _doctor(self, heard: dict[str, int]) -> DoctorReply:
+    def _doctor(self, heard: dict[str, int]) -> verbs.DoctorReply:
         """In a thread. One measurement at a time, and an answer may be CACHE_TIME old."""
         settings, keys = self._settings, self._keys()
         with self._measuring:
@@ -230,7 +214,7 @@ class FieldTools:
                 self._facts = (measure_machine(folders), network)
                 self._measured_at = boottime()
             machine, network = self._facts
-        return DoctorReply(
+        return verbs.DoctorReply(
             robot=settings.id,
             version=self._version,
             kernels=describe_kernels(),

@@ -10,20 +10,7 @@ from msgspec import Struct
 
 from swarmd.core.errors import MissingSensorError
 from swarmd.core.values import Inputs, Outputs, Platform, Scalar, Scan
-from swarmd.kit.conditions import (
-    AllOf,
-    AnyOf,
-    Condition,
-    Done,
-    Nearer,
-    Not,
-    Reading,
-    Reported,
-    Settled,
-    Timeout,
-    needs_of,
-    parse_conditions,
-)
+from swarmd.kit import conditions
 
 _ROUNDING = 1e-9
 
@@ -47,7 +34,7 @@ _Evaluate: TypeAlias = Callable[[Observation], bool]
 class ConditionState:
     """A condition with its memory: when it started, and since when reports are unchanged."""
 
-    def __init__(self, condition: Condition) -> None:
+    def __init__(self, condition: conditions.Condition) -> None:
         self.condition = condition
         self.start(0.0)
 
@@ -63,8 +50,8 @@ class ConditionState:
 class UntilConditions:
     """Ends a run when one of its conditions is met; times count from its first step."""
 
-    def __init__(self, condition: Condition) -> None:
-        several = condition.conditions if isinstance(condition, AnyOf) else (condition,)
+    def __init__(self, condition: conditions.Condition) -> None:
+        several = condition.conditions if isinstance(condition, conditions.AnyOf) else (condition,)
         self._states = [ConditionState(one) for one in several]
         self._is_started = False
 
@@ -90,8 +77,8 @@ def until_conditions(until: Sequence[str], platform: Platform) -> UntilCondition
     """
     if not until:
         return None
-    condition = parse_conditions(until)
-    missing = sorted(needs_of(condition) - platform.provides)
+    condition = conditions.parse_conditions(until)
+    missing = sorted(conditions.needs_of(condition) - platform.provides)
     if missing:
         raise MissingSensorError(
             f"the condition needs {', '.join(missing)}, which {platform.name} does not provide"
@@ -99,34 +86,34 @@ def until_conditions(until: Sequence[str], platform: Platform) -> UntilCondition
     return UntilConditions(condition)
 
 
-def _evaluator(condition: Condition, started: float) -> _Evaluate:
+def _evaluator(condition: conditions.Condition, started: float) -> _Evaluate:
     match condition:
-        case AnyOf() | AllOf():
+        case conditions.AnyOf() | conditions.AllOf():
             inner = [_evaluator(one, started) for one in condition.conditions]
-            combine = any if isinstance(condition, AnyOf) else all
+            combine = any if isinstance(condition, conditions.AnyOf) else all
             # A list, not a generator: each must be evaluated at every step for its memory.
             return lambda seen: combine([evaluate(seen) for evaluate in inner])
-        case Not():
+        case conditions.Not():
             opposite = _evaluator(condition.condition, started)
             return lambda seen: not opposite(seen)
-        case Timeout():
+        case conditions.Timeout():
             seconds = condition.seconds - _ROUNDING
             return lambda seen: seen.now - started >= seconds
-        case Done():
+        case conditions.Done():
             return lambda seen: condition.part in seen.done
-        case Nearer():
+        case conditions.Nearer():
             # -inf (too close to measure) is nearer, NaN (unknown) is not.
             distance = condition.distance
             return lambda seen: seen.scan is not None and bool((seen.scan.ranges < distance).any())
-        case Settled():
+        case conditions.Settled():
             return _settled(condition)
-        case Reported():
+        case conditions.Reported():
             return lambda seen: _is_as_wanted(condition, seen.reports.get(condition.name))
-        case Reading():
+        case conditions.Reading():
             return lambda seen: _is_within(condition, seen.readings.get(condition.name))
 
 
-def _settled(condition: Settled) -> _Evaluate:
+def _settled(condition: conditions.Settled) -> _Evaluate:
     last: Scalar | None = None
     since = 0.0
 
@@ -140,14 +127,14 @@ def _settled(condition: Settled) -> _Evaluate:
     return evaluate
 
 
-def _is_as_wanted(condition: Reported, value: Scalar | None) -> bool:
+def _is_as_wanted(condition: conditions.Reported, value: Scalar | None) -> bool:
     wanted = condition.value
     if wanted is None:
         return _is_within(condition, value)
     return value == wanted and isinstance(value, str) == isinstance(wanted, str)
 
 
-def _is_within(condition: Reported | Reading, value: Scalar | None) -> bool:
+def _is_within(condition: conditions.Reported | conditions.Reading, value: Scalar | None) -> bool:
     if value is None or isinstance(value, str):
         return False
     is_above = condition.above is None or value > condition.above

@@ -20,26 +20,7 @@ from swarmd.kit.conditions import needs_of
 from swarmd.kit.factory import Find
 from swarmd.kit.params import Params, Recovery
 from swarmd.kit.voting_pattern import VotingPattern
-from swarmd.mission.schema import (
-    Document,
-    Element,
-    Parallel,
-    RunPart,
-    Sequence,
-    Switch,
-    conditions,
-    driving_parts,
-    fault_error,
-    read_document,
-)
-from swarmd.mission.validate import (
-    PartBuilder,
-    build_parts,
-    build_setters,
-    check_reports,
-    error_text,
-    with_values,
-)
+from swarmd.mission import schema, validate
 from swarmd.settings.layered import fault_at
 
 PatternClasses: TypeAlias = dict[str, type[Pattern[Any]]]
@@ -48,7 +29,7 @@ PatternClasses: TypeAlias = dict[str, type[Pattern[Any]]]
 class Mission(CombinedPattern[Params]):
     """A pattern that a file composes of others; each file has a class of its own."""
 
-    document: ClassVar[Document]
+    document: ClassVar[schema.Document]
     classes: ClassVar[PatternClasses]
 
     def __init__(self, params: Params, context: Context) -> None:
@@ -75,9 +56,9 @@ class Mission(CombinedPattern[Params]):
     def make_parts(self) -> Mapping[str, Pattern[Any]]:
         """All parts, with every value of every map tried; ConfigError for the first fault."""
         builder = self._builder(self.params)
-        parts = build_parts(builder)
-        self._setters = build_setters(builder, parts)
-        check_reports(builder, parts)
+        parts = validate.build_parts(builder)
+        self._setters = validate.build_setters(builder, parts)
+        validate.check_reports(builder, parts)
         self._raise_first(builder)
         return parts
 
@@ -89,13 +70,13 @@ class Mission(CombinedPattern[Params]):
             for name, values in builder.exposed.items()
         }
         changed = {
-            name: with_values(self.parts[name], values, "update")
+            name: validate.with_values(self.parts[name], values, "update")
             for name, values in changes.items()
             if values
         }
         opinions = {n: values["opinions"] for n, values in changes.items() if "opinions" in values}
         if opinions or any(setter.target[0] in changed for setter in self._setters):
-            setters = build_setters(builder, self.parts, opinions)
+            setters = validate.build_setters(builder, self.parts, opinions)
             self._raise_first(builder)
             self._setters = setters
         for name, values in changed.items():
@@ -128,15 +109,15 @@ class Mission(CombinedPattern[Params]):
                 self._set(*setter.target, setter.table.get(outputs.report[key]))
         return outputs
 
-    def _builder(self, params: Params) -> PartBuilder:
+    def _builder(self, params: Params) -> validate.PartBuilder:
         exposed: dict[str, dict[str, Any]] = {}
         for own, (name, param) in self.document.parameters.items():
             exposed.setdefault(name, {})[param] = getattr(params, own)
-        return PartBuilder(self.document, self.context.make, exposed, [])
+        return validate.PartBuilder(self.document, self.context.make, exposed, [])
 
-    def _raise_first(self, builder: PartBuilder) -> None:
+    def _raise_first(self, builder: validate.PartBuilder) -> None:
         if builder.faults:
-            raise fault_error(self.document.path, builder.faults)
+            raise schema.fault_error(self.document.path, builder.faults)
 
     def _set(self, name: str, param: str, value: Scalar | None) -> None:
         part = self.parts[name]
@@ -160,13 +141,13 @@ def mission_class(path: Path, find: Find) -> type[Mission]:
 
     ConfigError for its first fault, with file and line.
     """
-    document = read_document(path)
+    document = schema.read_document(path)
     classes = pattern_classes(document, find)
     params_type = _params_type(document, classes)
     if document.faults or document.root is None:
-        raise fault_error(path, document.faults)
+        raise schema.fault_error(path, document.faults)
     needs = frozenset[str]().union(*(kind.needs for kind in classes.values()))
-    for _, condition in conditions(document.root):
+    for _, condition in schema.conditions(document.root):
         needs |= needs_of(condition)
     members = {
         "__doc__": document.description,
@@ -181,7 +162,7 @@ def mission_class(path: Path, find: Find) -> type[Mission]:
     return type(f"Mission_{path.stem}", (Mission,), members)
 
 
-def pattern_classes(document: Document, find: Find) -> PatternClasses:
+def pattern_classes(document: schema.Document, find: Find) -> PatternClasses:
     """The class of each part; a fault is added for a pattern that cannot be loaded."""
     classes: PatternClasses = {}
     for name, part in document.parts.items():
@@ -191,12 +172,12 @@ def pattern_classes(document: Document, find: Find) -> PatternClasses:
             text = f"names {error}"
             document.faults.append(fault_at(("parts", name, "pattern"), text))
         except (Exception, SystemExit) as error:  # a plugin may raise anything
-            text = f"cannot be loaded: {error_text(error)}"
+            text = f"cannot be loaded: {validate.error_text(error)}"
             document.faults.append(fault_at(("parts", name, "pattern"), text))
     return classes
 
 
-def _params_type(document: Document, classes: PatternClasses) -> type[Params]:
+def _params_type(document: schema.Document, classes: PatternClasses) -> type[Params]:
     """The mission's own parameters, each with the type, bounds and meaning of its part's."""
     fields: list[Any] = []
     for own, (name, param) in document.parameters.items():
@@ -224,13 +205,13 @@ def _params_type(document: Document, classes: PatternClasses) -> type[Params]:
     return cast("type[Params]", made)
 
 
-def _recovery(document: Document, classes: PatternClasses) -> bool:
+def _recovery(document: schema.Document, classes: PatternClasses) -> bool:
     """The file's `recovery`; else true if all parts that drive have it on."""
     if document.recovery is not None or document.root is None:
         return bool(document.recovery)
     found = [
         document.parts[name].params.get("recovery", _default(classes[name], "recovery"))
-        for name in set(driving_parts(document.root)) & set(classes)
+        for name in set(schema.driving_parts(document.root)) & set(classes)
         if not issubclass(classes[name], VotingPattern)
     ]
     return bool(found) and all(value is True for value in found)
@@ -240,7 +221,7 @@ def _default(kind: type[Pattern[Any]], name: str) -> Any:
     return next(f.default for f in msgspec.structs.fields(kind.params_type) if f.name == name)
 
 
-def _channels(document: Document, classes: PatternClasses) -> dict[str, type]:
+def _channels(document: schema.Document, classes: PatternClasses) -> dict[str, type]:
     """The channels as the classes declare them; those of a Mission object are exact."""
     found: dict[str, type] = {}
     for name, part in document.parts.items():
@@ -253,7 +234,7 @@ def _channels(document: Document, classes: PatternClasses) -> dict[str, type]:
 class _Node(ABC):
     """Carries out one element. `ended` is the reason why it has ended; empty before."""
 
-    def __init__(self, element: Element) -> None:
+    def __init__(self, element: schema.Element) -> None:
         self.name = element.label
         self.ended = ""
         self._is_new = True
@@ -287,7 +268,7 @@ class _Node(ABC):
 
 
 class _RunNode(_Node):
-    def __init__(self, element: RunPart) -> None:
+    def __init__(self, element: schema.RunPart) -> None:
         super().__init__(element)
         self._part = element.part
 
@@ -303,7 +284,7 @@ class _RunNode(_Node):
 
 
 class _SequenceNode(_Node):
-    def __init__(self, element: Sequence) -> None:
+    def __init__(self, element: schema.Sequence) -> None:
         super().__init__(element)
         self._steps = [_node(step) for step in element.children]
         self._repeats = element.then == "repeat"
@@ -339,7 +320,7 @@ class _SequenceNode(_Node):
 
 
 class _ParallelNode(_Node):
-    def __init__(self, element: Parallel) -> None:
+    def __init__(self, element: schema.Parallel) -> None:
         super().__init__(element)
         self._items = [_node(child) for child in element.children]
         self._driver = element.drives
@@ -367,7 +348,7 @@ class _ParallelNode(_Node):
 
 
 class _SwitchNode(_Node):
-    def __init__(self, element: Switch) -> None:
+    def __init__(self, element: schema.Switch) -> None:
         super().__init__(element)
         self._branches = [
             (None if child.when is None else ConditionState(child.when), _node(child))
@@ -399,15 +380,15 @@ class _SwitchNode(_Node):
         return _joined(self.name, "" if self._chosen is None else self._chosen.phase)
 
 
-def _node(element: Element) -> _Node:
+def _node(element: schema.Element) -> _Node:
     match element:
-        case RunPart():
+        case schema.RunPart():
             return _RunNode(element)
-        case Sequence():
+        case schema.Sequence():
             return _SequenceNode(element)
-        case Parallel():
+        case schema.Parallel():
             return _ParallelNode(element)
-        case Switch():
+        case schema.Switch():
             return _SwitchNode(element)
 
 

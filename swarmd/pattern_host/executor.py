@@ -15,22 +15,8 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
+from swarmd.core import host_messages
 from swarmd.core.errors import ParameterError, PluginError, SwarmError, named
-from swarmd.core.host_messages import (
-    REQUEST_LAYER,
-    Load,
-    Loaded,
-    LoadRefused,
-    ParamSources,
-    ParamsSet,
-    PatternFailed,
-    SentCommand,
-    SentEvent,
-    SetParams,
-    Step,
-    Stepped,
-    refusal_of,
-)
 from swarmd.core.messages import Refusal
 from swarmd.core.values import Inputs, Message, Outputs, Platform, Twist
 from swarmd.kit.condition_state import UntilConditions, until_conditions
@@ -45,20 +31,20 @@ class PatternExecutor:
 
     def __init__(self, find: Find) -> None:
         self._find = find
-        self._load: Load | None = None
+        self._load: host_messages.Load | None = None
         self._assembled: Assembled | None = None
         self._until: UntilConditions | None = None
 
-    def handle(self, command: SentCommand) -> SentEvent | None:
+    def handle(self, command: host_messages.SentCommand) -> host_messages.SentEvent | None:
         """Carry a command out; None if it belongs to another generation."""
         is_current = self._load is not None and command.generation == self._load.generation
-        if isinstance(command, Step):
+        if isinstance(command, host_messages.Step):
             return self._on_step(command) if is_current else None
-        if isinstance(command, Load):
+        if isinstance(command, host_messages.Load):
             return self._on_load(command)
         return self._on_set(command) if is_current else None
 
-    def _on_load(self, load: Load) -> SentEvent:
+    def _on_load(self, load: host_messages.Load) -> host_messages.SentEvent:
         assembled = _guard(
             lambda: assemble(
                 load.pattern,
@@ -70,19 +56,19 @@ class PatternExecutor:
             )
         )
         if isinstance(assembled, _Fault):
-            return LoadRefused(load.generation, *assembled)
+            return host_messages.LoadRefused(load.generation, *assembled)
         until = _guard(lambda: until_conditions(load.until, load.platform))
         if isinstance(until, _Fault):
             is_unread = until.refusal is Refusal.PATTERN_FAILED
             refusal = Refusal.INVALID_CONDITION if is_unread else until.refusal
-            return LoadRefused(load.generation, until.text, refusal)
+            return host_messages.LoadRefused(load.generation, until.text, refusal)
         self._load, self._assembled, self._until = load, assembled, until
         pattern = assembled.pattern
         channels = frozenset(pattern.channels)
         rate = float(pattern.rate)
-        asked = dict(load.layers).get(REQUEST_LAYER, {})
+        asked = dict(load.layers).get(host_messages.REQUEST_LAYER, {})
         note = _beyond_limits(type(pattern).params_type, asked, assembled.params, load.platform)
-        return Loaded(
+        return host_messages.Loaded(
             load.generation,
             rate,
             channels,
@@ -92,7 +78,7 @@ class PatternExecutor:
             scan_delay=float(pattern.scan_delay),
         )
 
-    def _on_step(self, step: Step) -> SentEvent:
+    def _on_step(self, step: host_messages.Step) -> host_messages.SentEvent:
         assert self._assembled is not None
         pattern = self._assembled.pattern
         inputs, dropped = _typed(step.inputs, pattern.channels)
@@ -101,19 +87,19 @@ class PatternExecutor:
         except MemoryError:
             raise
         except Exception as error:  # a plugin may raise anything
-            return PatternFailed(step.generation, _fault_of(error).text)
+            return host_messages.PatternFailed(step.generation, _fault_of(error).text)
         if self._until is not None:
             outputs = self._until.apply(inputs, outputs)
         scan_seq = -1 if inputs.scan is None else inputs.scan.seq
-        return Stepped(step.generation, outputs, scan_seq, dropped)
+        return host_messages.Stepped(step.generation, outputs, scan_seq, dropped)
 
-    def _on_set(self, command: SetParams) -> SentEvent:
+    def _on_set(self, command: host_messages.SetParams) -> host_messages.SentEvent:
         assert self._assembled is not None
         assert self._load is not None
         pattern, load = self._assembled.pattern, self._load
-        layers = (*load.layers, (REQUEST_LAYER, command.values))
+        layers = (*load.layers, (host_messages.REQUEST_LAYER, command.values))
 
-        def change() -> ParamSources:
+        def change() -> host_messages.ParamSources:
             whole = full_layers(type(pattern), load.platform, layers)
             params, sources = build(type(pattern).params_type, whole)
             pattern.update(params)
@@ -121,11 +107,11 @@ class PatternExecutor:
 
         sources = _guard(change)
         if isinstance(sources, _Fault):
-            return ParamsSet(command.generation, command.request, sources.text)
+            return host_messages.ParamsSet(command.generation, command.request, sources.text)
         self._load = replace(load, layers=layers)
         self._assembled = Assembled(pattern, sources)
         note = _beyond_limits(type(pattern).params_type, command.values, sources, load.platform)
-        return ParamsSet(command.generation, command.request, note, sources)
+        return host_messages.ParamsSet(command.generation, command.request, note, sources)
 
 
 def checked_outputs(outputs: object, channels: Mapping[str, type]) -> Outputs:
@@ -173,7 +159,10 @@ def _in_one_line(error: BaseException) -> str:
 
 
 def _beyond_limits(
-    params_type: type[Params], changed: Iterable[str], params: ParamSources, platform: Platform
+    params_type: type[Params],
+    changed: Iterable[str],
+    params: host_messages.ParamSources,
+    platform: Platform,
 ) -> str:
     """A note on the changed speeds that the base cannot reach; empty without one."""
     limits = {"m/s": platform.limits.linear, "rad/s": platform.limits.angular}
@@ -208,9 +197,9 @@ def _guard(call: Callable[[], T]) -> T | _Fault:
 
 def _fault_of(error: Exception) -> _Fault:
     if isinstance(error, ParameterError):
-        return _Fault(str(error), refusal_of(error), error.parameter)
+        return _Fault(str(error), host_messages.refusal_of(error), error.parameter)
     if isinstance(error, SwarmError):
-        return _Fault(str(error), refusal_of(error))
+        return _Fault(str(error), host_messages.refusal_of(error))
     return _Fault(_in_one_line(error))
 
 

@@ -1,10 +1,13 @@
-"""Runners carry a robot's commands to its pattern: inline, or in a child process."""
+"""Runners carry a robot's commands to its pattern, inline or in a child process; its prints."""
 
 from __future__ import annotations
 
 import asyncio
 import dataclasses
 import logging
+import os
+import threading
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
@@ -12,21 +15,10 @@ from typing import TYPE_CHECKING
 
 from msgspec.structs import replace
 
+from swarmd.core import host_messages
 from swarmd.core.errors import CodecError, PluginError, UnknownPatternError, unknown
-from swarmd.core.host_messages import (
-    CancelTrial,
-    HostCommand,
-    HostDied,
-    HostEvent,
-    KillHost,
-    Load,
-    LoadRefused,
-    PatternFailed,
-    StartTrial,
-    TrialDone,
-    refusal_of,
-)
 from swarmd.core.messages import Sandbox
+from swarmd.core.token_bucket import TokenBucket
 from swarmd.pattern_host.host_process import (
     HostProcess,
     HostSettings,
@@ -34,22 +26,27 @@ from swarmd.pattern_host.host_process import (
     trial_done,
     why_it_ended,
 )
-from swarmd.pattern_host.printed import PrintPipe
 from swarmd.pattern_host.wire import decode_event, encode_command
 from swarmd.plugins import Origin, check_single, installed_patterns, pattern_names, places_of
 
 if TYPE_CHECKING:
-    # It brings 7 MB of numpy.random, which only patterns need.
     from swarmd.pattern_host.executor import PatternExecutor
 
+
 log = logging.getLogger(__name__)
+print_log = logging.getLogger("swarmd.pattern")
 
 MIN_RESPAWN_DELAY = 0.05
 MAX_RESPAWN_DELAY = 5.0
 
 
-Overlay = Callable[[Mapping[str, Origin], Load, bool], Mapping[str, Origin]]
+Overlay = Callable[[Mapping[str, Origin], host_messages.Load, bool], Mapping[str, Origin]]
 """The robot's own patterns, a load and whether it is a trial, to all patterns for that load."""
+PRINT_RATE, PRINT_BURST = 20.0, 100.0  # lines that patterns print, a second and at once
+MAX_LINE = 500  # bytes
+_READ = 65536
+_PAUSE = 0.02
+"""s between two reads: a pattern that prints more than 3 MB/s waits, and not the daemon."""
 
 
 class InlineRunner:
@@ -59,17 +56,17 @@ class InlineRunner:
         self._make_executor = make_executor
         self._executor = make_executor()
 
-    def send(self, command: HostCommand) -> HostEvent | None:
+    def send(self, command: host_messages.HostCommand) -> host_messages.HostEvent | None:
         """Carry the command out; the event that follows, if one does."""
-        if isinstance(command, StartTrial):
+        if isinstance(command, host_messages.StartTrial):
             answer = self._make_executor().handle(command.load)
             return trial_done(command.load.generation, answer)
-        if isinstance(command, CancelTrial):
+        if isinstance(command, host_messages.CancelTrial):
             return None
-        if isinstance(command, KillHost):
+        if isinstance(command, host_messages.KillHost):
             self._executor = self._make_executor()
             return None
-        if isinstance(command, Load) and command.is_fresh:
+        if isinstance(command, host_messages.Load) and command.is_fresh:
             self._executor = self._make_executor()
         return self._executor.handle(command)
 
@@ -98,7 +95,7 @@ class ProcessRunner:
         self._plugin_dir = plugin_dir
         self._installed = installed_patterns()
         self._wake = wake
-        self._events: deque[HostEvent] = deque()
+        self._events: deque[host_messages.HostEvent] = deque()
         self._generation = 0
         self._respawn_delay = MIN_RESPAWN_DELAY
         self._respawn: asyncio.TimerHandle | None = None
@@ -124,17 +121,17 @@ class ProcessRunner:
             self._sandbox = self._host.sandbox
         return self._sandbox
 
-    def send(self, command: HostCommand) -> None:
+    def send(self, command: host_messages.HostCommand) -> None:
         """Send a command; never blocks. A command for which the socket has no room is dropped."""
-        if isinstance(command, StartTrial | CancelTrial):
+        if isinstance(command, host_messages.StartTrial | host_messages.CancelTrial):
             self._end_trial()
-            if isinstance(command, StartTrial):
+            if isinstance(command, host_messages.StartTrial):
                 self._start_trial(command.load)
             return
-        if isinstance(command, KillHost):
+        if isinstance(command, host_messages.KillHost):
             self._replace()
             return
-        if isinstance(command, Load):
+        if isinstance(command, host_messages.Load):
             log.info("loading %s", command.pattern)
             if command.is_fresh:
                 self._replace()
@@ -142,14 +139,16 @@ class ProcessRunner:
         try:
             frame = encode_command(
                 self._with_origins(command, is_trial=False)
-                if isinstance(command, Load)
+                if isinstance(command, host_messages.Load)
                 else command
             )
         except (PluginError, CodecError) as error:
             self._events.append(
-                LoadRefused(command.generation, str(error), refusal_of(error))
-                if isinstance(command, Load)
-                else PatternFailed(command.generation, str(error))
+                host_messages.LoadRefused(
+                    command.generation, str(error), host_messages.refusal_of(error)
+                )
+                if isinstance(command, host_messages.Load)
+                else host_messages.PatternFailed(command.generation, str(error))
             )
             self._loop.call_soon(self._wake)
             return
@@ -159,7 +158,7 @@ class ProcessRunner:
         except OSError:  # full, or just ended: silence and the pidfd are watched
             self.dropped += 1
 
-    def events(self) -> Iterable[HostEvent]:
+    def events(self) -> Iterable[host_messages.HostEvent]:
         """The events since the last call, in order."""
         while self._events:
             yield self._events.popleft()
@@ -188,7 +187,7 @@ class ProcessRunner:
         try:
             event = decode_event(frame)
         except CodecError as error:
-            event = PatternFailed(self._generation, str(error))
+            event = host_messages.PatternFailed(self._generation, str(error))
         self._events.append(event)
         self._wake()
 
@@ -197,7 +196,7 @@ class ProcessRunner:
         if host is not self._host:
             return
         self._host = None
-        self._events.append(HostDied(self._generation, why_it_ended(code)))
+        self._events.append(host_messages.HostDied(self._generation, why_it_ended(code)))
         if not self._is_closed:
             self._respawn = self._loop.call_later(self._respawn_delay, self._start_if_none)
             self._respawn_delay = min(2.0 * self._respawn_delay, MAX_RESPAWN_DELAY)
@@ -207,10 +206,10 @@ class ProcessRunner:
         """The patterns of packages and of the folder, without those of the overlay."""
         return pattern_names(self._plugin_dir, self._installed)
 
-    def _found(self, load: Load, *, is_trial: bool) -> Mapping[str, Origin]:
+    def _found(self, load: host_messages.Load, *, is_trial: bool) -> Mapping[str, Origin]:
         return self._overlay(self.own_patterns(), load, is_trial)
 
-    def _with_origins(self, load: Load, *, is_trial: bool) -> Load:
+    def _with_origins(self, load: host_messages.Load, *, is_trial: bool) -> host_messages.Load:
         found = self._found(load, is_trial=is_trial)
         if load.pattern not in found:  # perhaps installed meanwhile; reading that takes 2 ms
             self._installed = installed_patterns()
@@ -224,7 +223,7 @@ class ProcessRunner:
         digests = {name: one.digest for name, one in found.items() if one.digest}
         return replace(load, origins=origins, platform=platform, digests=digests)
 
-    def _start_trial(self, load: Load) -> None:
+    def _start_trial(self, load: host_messages.Load) -> None:
         log.info("trying new code of %s", load.pattern)
         self._installed = installed_patterns()  # a new version may have it elsewhere
         number = load.generation
@@ -234,10 +233,12 @@ class ProcessRunner:
                 self._loop, number, frame, self._on_trial_done, self.on_reaped, self._settings
             )
         except (PluginError, CodecError, OSError) as error:
-            self._events.append(TrialDone(number, str(error), refusal_of(error)))
+            self._events.append(
+                host_messages.TrialDone(number, str(error), host_messages.refusal_of(error))
+            )
             self._loop.call_soon(self._wake)
 
-    def _on_trial_done(self, result: TrialDone) -> None:
+    def _on_trial_done(self, result: host_messages.TrialDone) -> None:
         if result.text:
             self._end_trial()
         self._events.append(result)
@@ -271,3 +272,53 @@ class ProcessRunner:
             self._respawn = None
         self._host = HostProcess(self._loop, self, self._settings)
         return self._host
+
+
+class PrintedLines:
+    """Splits what patterns print into lines and limits their rate. Pure; times in s, handed in."""
+
+    def __init__(self) -> None:
+        self._budget = TokenBucket(PRINT_RATE, PRINT_BURST)
+        self._rest = b""
+        self._left_out = 0
+
+    def take(self, data: bytes, now: float) -> list[str]:
+        """The lines that end in `data` and may be logged now; those left out are told before."""
+        *lines, self._rest = (self._rest + data).split(b"\n")
+        self._rest = self._rest[:MAX_LINE]
+        found: list[str] = []
+        for number, line in enumerate(lines):
+            if not self._budget.take(1.0, now):
+                self._left_out += len(lines) - number
+                break
+            if self._left_out:
+                found.append(self._told())
+            found.append(line[:MAX_LINE].decode(errors="replace").rstrip())
+        return [one for one in found if one]
+
+    def _told(self) -> str:
+        count, self._left_out = self._left_out, 0
+        return f"[{count} lines left out]"
+
+
+class PrintPipe:
+    """A pipe that hosts print into; a thread logs what comes out until `close`."""
+
+    def __init__(self) -> None:
+        self._read, self.write = os.pipe2(os.O_CLOEXEC)
+        threading.Thread(target=self._run, name="swarmd-printed", daemon=True).start()
+
+    def close(self) -> None:
+        """Write no more. The thread ends when the hosts have ended, too."""
+        if self.write >= 0:
+            os.close(self.write)
+            self.write = -1
+
+    def _run(self) -> None:
+        lines = PrintedLines()
+        while data := os.read(self._read, _READ):
+            for line in lines.take(data, time.monotonic()):
+                print_log.info("%s", line)
+            if len(data) > _READ // 8:
+                time.sleep(_PAUSE)
+        os.close(self._read)

@@ -11,17 +11,10 @@ from typing import NamedTuple
 
 import msgspec
 
+from swarmd.core import verbs
 from swarmd.core.clock import boottime, clock_id
 from swarmd.core.codec import Decoder, encode
 from swarmd.core.errors import CodecError, NetworkError
-from swarmd.core.verbs import (
-    FETCH,
-    RECORDINGS,
-    FetchQuery,
-    FetchReply,
-    RecordingFile,
-    RecordingsReply,
-)
 from swarmd.recording.clock_offset import Exchange
 from swarmd.recording.reader import crc_of
 
@@ -35,8 +28,8 @@ MAX_NAME = 200
 Ask = Callable[[str, str, bytes], bytes | None]
 """Robot, name of the query and payload to the answer; None if none came."""
 
-_recordings = Decoder(RecordingsReply, 256 * 1024)
-_fetched = Decoder(FetchReply, 2 * PIECE)
+_recordings = Decoder(verbs.RecordingsReply, 256 * 1024)
+_fetched = Decoder(verbs.FetchReply, 2 * PIECE)
 
 
 class Copy(NamedTuple):
@@ -52,9 +45,9 @@ class Copy(NamedTuple):
     fault: str = ""
 
 
-def recordings_of(ask: Ask, robot: str) -> RecordingsReply:
+def recordings_of(ask: Ask, robot: str) -> verbs.RecordingsReply:
     """The recordings of a robot; NetworkError if it does not answer."""
-    answer = ask(robot, RECORDINGS.name, b"")
+    answer = ask(robot, verbs.RECORDINGS.name, b"")
     if answer is None:
         raise NetworkError(f"{robot} does not answer; its recordings are not known")
     try:
@@ -89,7 +82,7 @@ def read_exchanges(path: Path) -> list[Exchange]:
 def fetch(
     ask: Ask,
     robot: str,
-    file: RecordingFile,
+    file: verbs.RecordingFile,
     folder: Path,
     on_progress: Callable[[int, int], None] = lambda received, size: None,
 ) -> Copy:
@@ -136,7 +129,7 @@ def _is_name(name: str) -> bool:
     return is_alone and name.endswith(".mcap") and len(name.encode()) <= MAX_NAME
 
 
-def _is_part_of(here: Path, ask: Ask, robot: str, file: RecordingFile) -> bool:
+def _is_part_of(here: Path, ask: Ask, robot: str, file: verbs.RecordingFile) -> bool:
     """True if a file here is, or begins, the robot's file of that name."""
     size = here.stat().st_size
     if size > file.size:
@@ -157,8 +150,10 @@ def _unused(path: Path) -> Path:
     return next(one for one in numbers if not one.exists())
 
 
-def _piece(ask: Ask, robot: str, name: str, offset: int, length: int) -> FetchReply:
-    answer = ask(robot, FETCH.name, encode(FetchQuery(file=name, offset=offset, length=length)))
+def _piece(ask: Ask, robot: str, name: str, offset: int, length: int) -> verbs.FetchReply:
+    answer = ask(
+        robot, verbs.FETCH.name, encode(verbs.FetchQuery(file=name, offset=offset, length=length))
+    )
     if answer is None:
         raise NetworkError(f"{robot} does not answer; {name} has {offset} bytes here; fetch again")
     try:

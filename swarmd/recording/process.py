@@ -18,24 +18,9 @@ from pathlib import Path
 
 from msgspec import structs
 
+from swarmd.core import events
 from swarmd.core.clock import boottime
 from swarmd.core.errors import CodecError
-from swarmd.core.events import (
-    DriverInput,
-    HostInput,
-    MessageInput,
-    NeighborsInput,
-    NoteInput,
-    OdometryInput,
-    PoseInput,
-    RangesInput,
-    ReadingsInput,
-    ScanInput,
-    TickInput,
-    decode_input,
-    encode_input,
-    tag_of,
-)
 from swarmd.core.host_messages import Stepped
 from swarmd.core.values import ZERO, Scan, Value
 from swarmd.recording import frames, messages
@@ -98,49 +83,53 @@ class Converter:
     def _input(self, entry: frames.InputEntry, stamp: float) -> None:
         """Write an input for a replay, and the message that viewers read."""
         try:
-            input = decode_input(entry.data)
+            input = events.decode_input(entry.data)
         except CodecError:  # beyond a bound; the replay tells
             self._write(entry, INPUT, messages.bytes_message(entry.data, stamp))
             return
-        if isinstance(input, ScanInput | RangesInput):
+        if isinstance(input, events.ScanInput | events.RangesInput):
             self._scan(entry, input, stamp)
             return
         self._write(entry, INPUT, messages.bytes_message(entry.data, stamp))
         match input:
-            case OdometryInput():
+            case events.OdometryInput():
                 self._write(entry, "/odometry", messages.odometry_message(input.odometry))
-            case NeighborsInput():
+            case events.NeighborsInput():
                 found = messages.neighbors_message(input.neighbors, stamp)
                 self._write(entry, "/neighbors", found)
-            case PoseInput():
+            case events.PoseInput():
                 self._write(entry, "/pose", messages.pose_message(input.pose))
-            case ReadingsInput():
+            case events.ReadingsInput():
                 self._write(entry, "/readings", messages.readings_message(input.readings, stamp))
-            case DriverInput():
+            case events.DriverInput():
                 self._write(entry, "/driver", messages.driver_message(input, stamp))
-            case MessageInput():
+            case events.MessageInput():
                 heard = _said(input.sender, input.channel, input.value)
                 self._text(entry, "/message/received", heard)
-            case HostInput(event=Stepped() as stepped):
+            case events.HostInput(event=Stepped() as stepped):
                 twist, seq = stepped.outputs.twist or ZERO, stepped.scan_seq
                 requested = messages.requested_message(twist, seq, stamp)
                 self._write(entry, "/command/requested", requested)
-            case HostInput() | NoteInput() | TickInput():
+            case events.HostInput() | events.NoteInput() | events.TickInput():
                 pass
             case _:
                 fields = structs.astuple(input)
-                self._text(entry, f"/{tag_of(input)}", fields[0] if len(fields) == 1 else fields)
+                self._text(
+                    entry, f"/{events.tag_of(input)}", fields[0] if len(fields) == 1 else fields
+                )
 
-    def _scan(self, entry: frames.InputEntry, input: ScanInput | RangesInput, stamp: float) -> None:
+    def _scan(
+        self, entry: frames.InputEntry, input: events.ScanInput | events.RangesInput, stamp: float
+    ) -> None:
         """Write the geometry of a scan only where it changes, and the scan."""
-        topic, is_new = f"/{tag_of(input)}", len(input.scan.bearings) > 0
+        topic, is_new = f"/{events.tag_of(input)}", len(input.scan.bearings) > 0
         scan = frames.with_geometry(input.scan, self._scans.get(topic))
         if scan is None:
             return
         data = entry.data
         if is_new or topic not in self._scans:
             self._write(entry, topic + GEOMETRY, messages.geometry_message(scan))
-            data = encode_input(type(input)(frames.without_geometry(scan)))
+            data = events.encode_input(type(input)(frames.without_geometry(scan)))
         self._scans[topic] = scan
         self._write(entry, INPUT, messages.bytes_message(data, stamp))
         self._write(entry, topic, messages.scan_message(scan), scan.seq)

@@ -6,18 +6,10 @@ A greater goal for this robot ends its run. Only a request starts a run, but for
 
 from __future__ import annotations
 
+from swarmd.core import verbs
 from swarmd.core.errors import ConfigError
 from swarmd.core.goal import Goal, GoalState
 from swarmd.core.messages import Epoch, Reason, Refusal, State
-from swarmd.core.verbs import (
-    EstopRequest,
-    GoalRequest,
-    LabelRequest,
-    Request,
-    ResumeRequest,
-    RunRequest,
-    StopRequest,
-)
 from swarmd.kit.conditions import parse_conditions
 from swarmd.robot.actions import Effects
 from swarmd.robot.goals import Found
@@ -55,12 +47,12 @@ class GoalHandler:
             self._is_settled = True
             self.join_if_settled(effects)
 
-    def is_of_found_goal(self, request: Request, quoted: Epoch | None) -> bool:
+    def is_of_found_goal(self, request: verbs.Request, quoted: Epoch | None) -> bool:
         """True for a run or a goal that came from a peer sooner than by this request.
 
         Nothing else has changed the robot since the operator looked at it, at the epoch `quoted`.
         """
-        if self._found is None or not isinstance(request, RunRequest | GoalRequest):
+        if self._found is None or not isinstance(request, verbs.RunRequest | verbs.GoalRequest):
             return False
         goal, before, after = self._found
         return (request.goal, quoted, self._lifecycle.revision) == (goal, before, after)
@@ -72,12 +64,12 @@ class GoalHandler:
             self._goals.offer_again(run.generation)
             self.join_if_settled(effects)
 
-    def on_stop(self, request: StopRequest | EstopRequest, effects: Effects) -> None:
+    def on_stop(self, request: verbs.StopRequest | verbs.EstopRequest, effects: Effects) -> None:
         """A stop or estop was carried out: one of all robots makes a goal without a pattern."""
         if request.targets is None:
             self._goals.stand(request.id, request.operator, request.age, effects.now)
 
-    def resume(self, request: ResumeRequest, wish: Wish, effects: Effects) -> None:
+    def resume(self, request: verbs.ResumeRequest, wish: Wish, effects: Effects) -> None:
         """Run the own goal; the caller has checked that the robot may run."""
         lifecycle, own = self._lifecycle, self._goals.own
         if own is None or own.goal.pattern is None:
@@ -96,7 +88,7 @@ class GoalHandler:
             lifecycle.raise_revision(f"{request.operator} (resume {own.goal.pattern})")
             self._start(own.goal, effects, wish, own.goal.seconds, request)
 
-    def set_goal(self, request: GoalRequest, effects: Effects) -> None:
+    def set_goal(self, request: verbs.GoalRequest, effects: Effects) -> None:
         """Take a goal over without a run."""
         lifecycle, goals, goal = self._lifecycle, self._goals, request.goal
         if refusal := goals.overtaken_by(goal):
@@ -109,7 +101,7 @@ class GoalHandler:
             goals.adopt(goal, request.age, effects.now, may_join=False)
         lifecycle.applied(effects, request, f"holds {goal.text}")
 
-    def set_labels(self, request: LabelRequest, effects: Effects) -> None:
+    def set_labels(self, request: verbs.LabelRequest, effects: Effects) -> None:
         """Set the labels; the held goal may target the robot by its new labels."""
         lifecycle, goals = self._lifecycle, self._goals
         lifecycle.raise_revision(f"{request.operator} (label)")
@@ -170,7 +162,7 @@ class GoalHandler:
         effects: Effects,
         wish: Wish,
         seconds: float | None,
-        request: ResumeRequest | None,
+        request: verbs.ResumeRequest | None,
     ) -> None:
         assert goal.pattern is not None
         self._goals.on_loading()

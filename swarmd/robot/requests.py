@@ -24,26 +24,11 @@ import math
 from collections.abc import Callable
 from typing import Any
 
+from swarmd.core import verbs
 from swarmd.core.goal import GoalState
 from swarmd.core.host_messages import CancelTrial, KillHost, SetParams, StartTrial, TrialDone
 from swarmd.core.keys import is_id
 from swarmd.core.messages import Latch, Reason, Refusal, State
-from swarmd.core.verbs import (
-    MAX_AHEAD,
-    MAX_LATE,
-    VERBS,
-    EstopRequest,
-    GoalRequest,
-    Handler,
-    LabelRequest,
-    ParamRequest,
-    ReloadRequest,
-    Request,
-    ResetRequest,
-    ResumeRequest,
-    RunRequest,
-    StopRequest,
-)
 from swarmd.protection.arbiter import Protection
 from swarmd.robot.actions import Effects
 from swarmd.robot.goal_handler import GoalHandler, fault_of
@@ -78,23 +63,23 @@ class RequestHandler:
         self.reset_at = -math.inf  # when the robot was reset last
         self._handlers: dict[str, Callable[[Any, Effects], None]] = {
             row.name: getattr(self, f"on_{row.name}")
-            for row in VERBS.values()
-            if row.handler is Handler.ROBOT
+            for row in verbs.VERBS.values()
+            if row.handler is verbs.Handler.ROBOT
         }
 
-    def answer(self, request: Request, effects: Effects) -> None:
+    def answer(self, request: verbs.Request, effects: Effects) -> None:
         """Carry the request out or refuse it; no reply if it targets only other robots."""
         if request.targets is not None and self._robot not in request.targets:
             return
-        if VERBS[request.verb].needs_epoch and (refusal := self._refusal_of(request)):
+        if verbs.VERBS[request.verb].needs_epoch and (refusal := self._refusal_of(request)):
             self._lifecycle.refuse(effects, request, *refusal)
         else:
             self._handlers[request.verb](request, effects)
 
-    def _refusal_of(self, request: Request) -> tuple[Refusal, str] | None:
+    def _refusal_of(self, request: verbs.Request) -> tuple[Refusal, str] | None:
         """Why a request of another epoch, or to a revoked robot, is refused."""
         revoked, quoted = self._lifecycle.revoked, (request.targets or {})[self._robot]
-        if revoked and not isinstance(request, ResetRequest):
+        if revoked and not isinstance(request, verbs.ResetRequest):
             return Refusal.REVOKED, f"{revoked}; it is no longer a robot of this swarm"
         # Nothing but the goal of this request may have changed the robot since the epoch quoted.
         is_same = quoted == self._lifecycle.epoch
@@ -105,7 +90,7 @@ class RequestHandler:
 
     # Requests, by the names of their verbs
 
-    def on_stop(self, request: StopRequest, effects: Effects) -> None:
+    def on_stop(self, request: verbs.StopRequest, effects: Effects) -> None:
         """Stop, unless what runs was asked for after the stop was issued."""
         lifecycle, now, run = self._lifecycle, effects.now, self._lifecycle.pattern_run
         # A copy of a stop that was carried out is at least as old as the time since then. The age
@@ -138,7 +123,7 @@ class RequestHandler:
         self._goals.on_stop(request, effects)
         lifecycle.applied(effects, request, self._stop_text(now))
 
-    def on_estop(self, request: EstopRequest, effects: Effects) -> None:
+    def on_estop(self, request: verbs.EstopRequest, effects: Effects) -> None:
         """Latch, unless a relayed copy of this emergency stop was reset."""
         latch_id = request.id if is_id(request.id) else "unnamed"
         if request.is_relayed and self._lifecycle.latches.is_cleared(latch_id):
@@ -151,7 +136,7 @@ class RequestHandler:
         self._goals.on_stop(request, effects)
         self._lifecycle.applied(effects, request, self._stop_text(effects.now))
 
-    def on_run(self, request: RunRequest, effects: Effects) -> None:
+    def on_run(self, request: verbs.RunRequest, effects: Effects) -> None:
         """Load the pattern; the reply follows when the pattern is ready."""
         lifecycle = self._lifecycle
         why = self._refusal_to_start() or self._refusal_to_run(request, effects.now)
@@ -171,18 +156,18 @@ class RequestHandler:
                 start_at=request.at.get(self._robot),
             )
 
-    def on_resume(self, request: ResumeRequest, effects: Effects) -> None:
+    def on_resume(self, request: verbs.ResumeRequest, effects: Effects) -> None:
         """Run the robot's own goal."""
         if why := self._refusal_to_start():
             self._lifecycle.refuse(effects, request, *why)
         else:
             self._goals.resume(request, self._wish_of(request, effects.now), effects)
 
-    def on_goal(self, request: GoalRequest, effects: Effects) -> None:
+    def on_goal(self, request: verbs.GoalRequest, effects: Effects) -> None:
         """Set the goal without a run."""
         self._goals.set_goal(request, effects)
 
-    def on_label(self, request: LabelRequest, effects: Effects) -> None:
+    def on_label(self, request: verbs.LabelRequest, effects: Effects) -> None:
         """Replace the labels."""
         self._goals.set_labels(request, effects)
 
@@ -196,26 +181,28 @@ class RequestHandler:
         text = under_way(self._lifecycle)
         return (Refusal.BUSY, text) if text else None
 
-    def _wish_of(self, request: RunRequest | ResumeRequest | ReloadRequest, now: float) -> Wish:
+    def _wish_of(
+        self, request: verbs.RunRequest | verbs.ResumeRequest | verbs.ReloadRequest, now: float
+    ) -> Wish:
         """The time at which the operator issued the request.
 
         The epoch that the request quotes began after the last stop, so the request did, too.
         """
         return Wish(max(now - request.age, self._stopped), request.operator)
 
-    def _refusal_to_run(self, request: RunRequest, now: float) -> tuple[Refusal, str] | None:
+    def _refusal_to_run(self, request: verbs.RunRequest, now: float) -> tuple[Refusal, str] | None:
         """Why a run is refused because of its conditions, its time or its goal."""
         if fault := fault_of(request.until):
             return Refusal.INVALID_CONDITION, fault
         ahead = request.at.get(self._robot, now) - now
-        if ahead < -MAX_LATE:
+        if ahead < -verbs.MAX_LATE:
             return Refusal.TOO_LATE, f"the run was to start {-ahead:.1f} s ago"
-        if ahead > MAX_AHEAD:
-            text = f"the run is to start in {ahead:.0f} s; at most {MAX_AHEAD:.0f} s ahead"
+        if ahead > verbs.MAX_AHEAD:
+            text = f"the run is to start in {ahead:.0f} s; at most {verbs.MAX_AHEAD:.0f} s ahead"
             return Refusal.INVALID_REQUEST, text
         return self._lifecycle.goals.refusal_of(request)
 
-    def on_reset(self, request: ResetRequest, effects: Effects) -> None:
+    def on_reset(self, request: verbs.ResetRequest, effects: Effects) -> None:
         """Clear the named latches and a fault; moves nothing."""
         lifecycle = self._lifecycle
         if lifecycle.duplicate is not None:
@@ -259,14 +246,16 @@ class RequestHandler:
             lifecycle.applied(effects, request, "idle")
             self._stood = self._stopped = self.reset_at = effects.now
 
-    def _end_findings(self, ended: list[str], request: ResetRequest, effects: Effects) -> None:
+    def _end_findings(
+        self, ended: list[str], request: verbs.ResetRequest, effects: Effects
+    ) -> None:
         """End findings of the assumption monitor, with an event for each."""
         self._protection.forget_findings(ended)
         by = f"{request.operator} ({request.reason})" if request.reason else request.operator
         for text in ended:
             self._lifecycle.log(f"ended by {by}: {text}", effects.now)
 
-    def on_param(self, request: ParamRequest, effects: Effects) -> None:
+    def on_param(self, request: verbs.ParamRequest, effects: Effects) -> None:
         """Set parameters; the reply follows when the pattern has taken them."""
         lifecycle, run = self._lifecycle, self._lifecycle.pattern_run
         if run.running is None or not lifecycle.is_running or run.is_restarting:
@@ -280,7 +269,7 @@ class RequestHandler:
                 SetParams(run.running.generation, request.id, dict(request.params))
             )
 
-    def on_reload(self, request: ReloadRequest, effects: Effects) -> None:
+    def on_reload(self, request: verbs.ReloadRequest, effects: Effects) -> None:
         """Start a trial of the new code, or refuse; the reply follows when the trial ends."""
         lifecycle, pattern = self._lifecycle, request.pattern
         if text := under_way(lifecycle):

@@ -41,21 +41,8 @@ from types import MappingProxyType
 
 from msgspec import structs
 
+from swarmd.core import host_messages
 from swarmd.core.goal import Goal, GoalRecord, GoalState, digest_of
-from swarmd.core.host_messages import (
-    REQUEST_LAYER,
-    CancelTrial,
-    HostDied,
-    HostEvent,
-    KillHost,
-    Load,
-    Loaded,
-    LoadRefused,
-    ParamSources,
-    ParamsSet,
-    PatternFailed,
-    Stepped,
-)
 from swarmd.core.messages import (
     MAX_EVENTS,
     Code,
@@ -201,7 +188,7 @@ class Lifecycle:
         self.wrong_type_count = 0
         self.provisional: tuple[int, ...] = ()  # generations whose code is provisional
         self._last_fault = ""
-        self._load: Load | None = None
+        self._load: host_messages.Load | None = None
         if self.latches.held:
             self.state_machine.apply(Trigger.ESTOP, Reason.ESTOP, self.latch_text(), now)
 
@@ -253,28 +240,28 @@ class Lifecycle:
 
     # Events of the pattern host
 
-    def on_host(self, event: HostEvent, effects: Effects) -> None:
+    def on_host(self, event: host_messages.HostEvent, effects: Effects) -> None:
         """Act on an event of the pattern host; events of other generations are ignored."""
-        if isinstance(event, Stepped):
+        if isinstance(event, host_messages.Stepped):
             self._on_stepped(event, effects)
             return
         run = self.pattern_run
         is_loading = run.loading is not None and event.generation == run.loading.generation
         is_running = run.running is not None and event.generation == run.running.generation
-        if isinstance(event, Loaded) and is_loading:
+        if isinstance(event, host_messages.Loaded) and is_loading:
             self._on_loaded(event, effects)
-        elif isinstance(event, LoadRefused) and is_loading:
+        elif isinstance(event, host_messages.LoadRefused) and is_loading:
             self._on_load_refused(event, effects)
-        elif isinstance(event, ParamsSet):
+        elif isinstance(event, host_messages.ParamsSet):
             self._on_params_set(event, effects)
-        elif isinstance(event, PatternFailed) and is_running:
+        elif isinstance(event, host_messages.PatternFailed) and is_running:
             self.fault(event.text, effects)
-        elif isinstance(event, PatternFailed) and is_loading:
+        elif isinstance(event, host_messages.PatternFailed) and is_loading:
             self.fail_load(event.text, effects)
-        elif isinstance(event, HostDied):
+        elif isinstance(event, host_messages.HostDied):
             self._on_host_died(event.text, effects)
 
-    def _on_loaded(self, event: Loaded, effects: Effects) -> None:
+    def _on_loaded(self, event: host_messages.Loaded, effects: Effects) -> None:
         """The pattern is loaded: run it, or keep it for the time at which the run is to start."""
         run = self.pattern_run
         loading = run.loading
@@ -290,14 +277,14 @@ class Lifecycle:
 
     def _end_late_load(self, late: float, effects: Effects) -> None:
         loading, self.pattern_run.loading = self.pattern_run.loading, None
-        effects.command_host(KillHost())
+        effects.command_host(host_messages.KillHost())
         assert loading is not None
         text = f"{loading.pattern} was loaded {late:.1f} s after the time at which it was to start"
         if loading.request is not None:
             self.refuse(effects, loading.request, Refusal.TOO_LATE, text)
         self._end(Trigger.LOAD_FAILED, Reason.LOAD_FAILED, text, effects)
 
-    def _begin_run(self, event: Loaded, effects: Effects) -> None:
+    def _begin_run(self, event: host_messages.Loaded, effects: Effects) -> None:
         now = effects.now
         loading = self.pattern_run.ready(event, now)
         self.hold_since = None
@@ -332,7 +319,7 @@ class Lifecycle:
             text = f"goes on with scans up to {event.scan_delay:.2f} s later than declared"
             self.log(f"{loading.pattern} {text}", effects.now)
 
-    def _on_load_refused(self, event: LoadRefused, effects: Effects) -> None:
+    def _on_load_refused(self, event: host_messages.LoadRefused, effects: Effects) -> None:
         text = event.text
         loading, self.pattern_run.loading = self.pattern_run.loading, None
         if loading is None or loading.request is None:
@@ -349,7 +336,7 @@ class Lifecycle:
         if self._load is not None and self._load.is_fresh:  # it replaced the host that ran
             self.fault("its host was replaced", effects)
 
-    def _on_stepped(self, event: Stepped, effects: Effects) -> None:
+    def _on_stepped(self, event: host_messages.Stepped, effects: Effects) -> None:
         run = self.pattern_run
         running = run.running
         if running is None or event.generation != running.generation:
@@ -372,7 +359,7 @@ class Lifecycle:
         else:
             effects.is_routine = True
 
-    def _on_params_set(self, event: ParamsSet, effects: Effects) -> None:
+    def _on_params_set(self, event: host_messages.ParamsSet, effects: Effects) -> None:
         if self.params_request is None or self.params_request[0].id != event.request:
             return
         request, self.params_request = self.params_request[0], None
@@ -405,7 +392,7 @@ class Lifecycle:
         running, loading = run.running, run.loading
         if running is None or not self.is_running:
             return
-        effects.command_host(KillHost())
+        effects.command_host(host_messages.KillHost())
         self._last_fault = text
         self.log(f"{running.pattern} failed: {text}", effects.now)
         if loading is not None and loading.request is not None:
@@ -430,7 +417,7 @@ class Lifecycle:
     def fail_load(self, text: str, effects: Effects) -> None:
         """End a load that failed, and its host."""
         loading, self.pattern_run.loading = self.pattern_run.loading, None
-        effects.command_host(KillHost())
+        effects.command_host(host_messages.KillHost())
         if loading is None:
             return
         self.log(f"{loading.pattern} was not loaded: {text}", effects.now)
@@ -458,7 +445,7 @@ class Lifecycle:
             self.pattern_run.end_running()
         else:
             if loading is not None:
-                effects.command_host(KillHost())
+                effects.command_host(host_messages.KillHost())
                 if loading.request is not None:
                     text = f"{reason} while it was being loaded" + (detail and f": {detail}")
                     self.refuse(effects, loading.request, Refusal.OVERTAKEN, text[:MAX_TEXT])
@@ -497,7 +484,7 @@ class Lifecycle:
         """End the trial under way, if any, without success; the running pattern goes on."""
         trial, self.trial = self.trial, None
         if trial is not None:
-            effects.trial = CancelTrial()
+            effects.trial = host_messages.CancelTrial()
             self.log(f"{trial.request.pattern} not reloaded: {text}", effects.now)
             self.refuse(effects, trial.request, refusal, text)
 
@@ -540,16 +527,20 @@ class Lifecycle:
         """Let the next run have a fresh host; the running pattern goes on."""
         run = self.pattern_run
         if run.running is None and run.loading is None:
-            effects.command_host(KillHost())
+            effects.command_host(host_messages.KillHost())
         else:
             run.is_outdated = True
 
-    def load_of(self, generation: int, pattern: str, params: Mapping[str, Scalar | None]) -> Load:
+    def load_of(
+        self, generation: int, pattern: str, params: Mapping[str, Scalar | None]
+    ) -> host_messages.Load:
         """The command that loads a pattern for this robot; `params` form the strongest layer."""
         identity = self.identity
-        layers = (*identity.settings.layers(pattern), (REQUEST_LAYER, dict(params)))
+        layers = (*identity.settings.layers(pattern), (host_messages.REQUEST_LAYER, dict(params)))
         seed = (identity.seed * 1_000_003 + generation) % 2**63
-        return Load(generation, pattern, layers, identity.robot, identity.platform, seed)
+        return host_messages.Load(
+            generation, pattern, layers, identity.robot, identity.platform, seed
+        )
 
     def latch(self, latch_id: str, latch: Latch, effects: Effects) -> None:
         """Add a latch and stop, in every state."""
@@ -670,7 +661,7 @@ class Lifecycle:
         """End a host that hangs in a step; a load that waits behind it gets a fresh host."""
         run, text = self.pattern_run, f"gave no answer for {STEP_TIMEOUT:.0f} s"
         if run.loading is None or self._load is None:
-            effects.command_host(KillHost())
+            effects.command_host(host_messages.KillHost())
             self.fault(text, effects)
             return
         self.log(f"the pattern before {run.loading.pattern} {text}", effects.now)
@@ -696,7 +687,7 @@ class Lifecycle:
         return hold
 
 
-def _may_recover(params: ParamSources) -> bool:
+def _may_recover(params: host_messages.ParamSources) -> bool:
     """True if the parameters of a pattern permit recovery."""
     may_recover, _ = params.get("recovery", (False, ""))
     return may_recover is True

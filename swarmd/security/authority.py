@@ -24,16 +24,8 @@ from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.core.keys import check_id
+from swarmd.security import datagram_keys
 from swarmd.security.content_signature import Purpose, sign
-from swarmd.security.datagram_keys import (
-    SECRET_BYTES,
-    DatagramKeys,
-    derive,
-    reader_digest,
-    reader_keys,
-    robot_keys,
-    robot_secret,
-)
 from swarmd.security.identity import IdentityInfo, Issued, RosterFile, write_private
 from swarmd.security.private_keys import load_key, pem_of, public_bytes
 from swarmd.security.roster import Role, Roster, digest_of, encode_roster, pack_roster, read_roster
@@ -118,12 +110,12 @@ class Authority:
             .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
             .sign(key, hashes.SHA256())
         )
-        secret = os.urandom(SECRET_BYTES)
+        secret = os.urandom(datagram_keys.SECRET_BYTES)
         roster = Roster(swarm=swarm, generation=1, secret_digest=digest_of(secret))
         content = encode_roster(roster)
         signed = pack_roster(content, sign(key, Purpose.ROSTER, content))
         state = AuthorityState(
-            master=os.urandom(SECRET_BYTES), days=days, now=Generation(secret, signed)
+            master=os.urandom(datagram_keys.SECRET_BYTES), days=days, now=Generation(secret, signed)
         )
         write_private(folder / STATE, msgspec.msgpack.encode(state))
         write_private(folder / CERTIFICATE, certificate.public_bytes(serialization.Encoding.PEM))
@@ -159,11 +151,13 @@ class Authority:
         self._remove_keys(add)  # of an earlier holder of the name
         kept = {name: old.role_of(name) for name in old.names if name not in remove} | add
         operators = [name for name, role in kept.items() if role is Role.OPERATOR]
-        secret = os.urandom(SECRET_BYTES)
+        secret = os.urandom(datagram_keys.SECRET_BYTES)
         generation = old.generation + 1
         viewers = tuple(name for name, role in kept.items() if role is Role.VIEWER)
         readers = {
-            name: reader_keys(generation, secret, name, is_operator=name in operators, answers={})
+            name: datagram_keys.reader_keys(
+                generation, secret, name, is_operator=name in operators, answers={}
+            )
             for name in (*operators, *viewers)
         }
         roster = Roster(
@@ -176,7 +170,7 @@ class Authority:
             },
             viewers=viewers,
             secret_digest=digest_of(secret),
-            readers={name: reader_digest(keys) for name, keys in readers.items()},
+            readers={name: datagram_keys.reader_digest(keys) for name, keys in readers.items()},
         )
         content = encode_roster(roster)
         signed = pack_roster(content, sign(self._key, Purpose.ROSTER, content))
@@ -266,19 +260,20 @@ class Authority:
                 return RosterFile(one.roster, self._keys(name, roster, one.secret))
         return None
 
-    def keys_of(self, name: str) -> DatagramKeys:
+    def keys_of(self, name: str) -> datagram_keys.DatagramKeys:
         """The keys of datagrams that a name of the roster holds."""
         return self._keys(name, self.roster, self.secret)
 
-    def _keys(self, name: str, roster: Roster, swarm_secret: bytes) -> DatagramKeys:
+    def _keys(self, name: str, roster: Roster, swarm_secret: bytes) -> datagram_keys.DatagramKeys:
         master = self._state.master
         if name in roster.robots:
-            secret = robot_secret(master, name)
-            return robot_keys(roster.generation, swarm_secret, secret)
+            secret = datagram_keys.robot_secret(master, name)
+            return datagram_keys.robot_keys(roster.generation, swarm_secret, secret)
         answers = {
-            robot: derive(robot_secret(master, robot), f"answer/{name}") for robot in roster.robots
+            robot: datagram_keys.derive(datagram_keys.robot_secret(master, robot), f"answer/{name}")
+            for robot in roster.robots
         }
-        return reader_keys(
+        return datagram_keys.reader_keys(
             roster.generation,
             swarm_secret,
             name,

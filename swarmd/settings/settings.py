@@ -28,18 +28,9 @@ from swarmd.protection.compatibility import Accepts
 from swarmd.security.identity import Identity
 from swarmd.security.roster import Role
 from swarmd.security.roster_change import is_revoked
+from swarmd.settings import swarmfile
 from swarmd.settings.layered import Layered
 from swarmd.settings.platforms import load_platform, platform_names
-from swarmd.settings.swarmfile import (
-    DEFAULT,
-    DaemonFile,
-    ParametersSection,
-    RecordingSection,
-    check,
-    identity_of,
-    layered,
-    path_of,
-)
 
 __all__ = ["DaemonSettings", "load_daemon_settings", "load_platform", "platform_names"]
 
@@ -65,14 +56,14 @@ class DaemonSettings:
     driver_options: Mapping[str, Value]
     labels: tuple[str, ...]
     label_members: Mapping[str, tuple[str, ...]]
-    parameters: ParametersSection
+    parameters: swarmfile.ParametersSection
     touch: TouchGrants
     accepts: Accepts
     neighbors: NeighborSettings
     roster: tuple[str, ...]
     state_dir: Path
     plugin_dir: Path | None
-    recording: RecordingSection
+    recording: swarmfile.RecordingSection
     identity: Identity | None = None
     is_insecure: bool = False
     die_with_parent: int | None = None
@@ -109,15 +100,17 @@ def load_daemon_settings(
     """
     given = {key: value for key, value in overrides.items() if value is not None}
     parent = given.pop("die_with_parent", None)
-    layers = layered(config, given, environ)
-    file = layers.build(DaemonFile, check)
+    layers = swarmfile.layered(config, given, environ)
+    file = layers.build(swarmfile.DaemonFile, swarmfile.check)
     near = config.parent if config is not None and "platform" not in given else Path()
     platform = load_platform(file.platform, near)
-    identity = identity_of(layers, file, config, environ)
+    identity = swarmfile.identity_of(layers, file, config, environ)
     robot = file.id or (_host_id() if identity is None else identity.name)
     _check_identity(robot, identity, file)
-    state_dir = path_of(layers, "state_dir", file.state_dir, config) or _state_dir(environ)
-    recordings = path_of(layers, "recording", file.recording.folder, config) or (
+    state_dir = swarmfile.path_of(layers, "state_dir", file.state_dir, config) or _state_dir(
+        environ
+    )
+    recordings = swarmfile.path_of(layers, "recording", file.recording.folder, config) or (
         state_dir / file.swarm / robot / "recordings"
     )
     options = _driver_options(platform, file)
@@ -140,7 +133,7 @@ def load_daemon_settings(
         neighbors=file.neighbors,
         roster=tuple(file.roster) if identity is None else identity.roster.robots,
         state_dir=state_dir,
-        plugin_dir=path_of(layers, "plugin_dir", file.plugin_dir, config),
+        plugin_dir=swarmfile.path_of(layers, "plugin_dir", file.plugin_dir, config),
         recording=structs.replace(file.recording, folder=str(recordings.absolute())),
         identity=identity,
         is_insecure=file.insecure,
@@ -149,7 +142,7 @@ def load_daemon_settings(
     )
 
 
-def _check_identity(robot: str, identity: Identity | None, file: DaemonFile) -> None:
+def _check_identity(robot: str, identity: Identity | None, file: swarmfile.DaemonFile) -> None:
     """ConfigError if the identity is not of this robot, or is missing where one is required."""
     if identity is None:
         if file.profile != "dev" and not file.insecure:
@@ -185,7 +178,7 @@ def _absolute(platform: str, near: Path) -> str:
     return str((near / Path(platform).expanduser()).absolute()) if is_file else platform
 
 
-def _driver_options(platform: Platform, file: DaemonFile) -> Mapping[str, Value]:
+def _driver_options(platform: Platform, file: swarmfile.DaemonFile) -> Mapping[str, Value]:
     options = Layered(("", file.driver_options), ("", platform.drivers.get(file.driver, {})))
     return options.data
 
@@ -204,14 +197,14 @@ def _state_dir(environ: Mapping[str, str]) -> Path:
 
 
 def _provenance(
-    layers: Layered, file: DaemonFile, platform: Platform, identity: Identity | None
+    layers: Layered, file: swarmfile.DaemonFile, platform: Platform, identity: Identity | None
 ) -> Mapping[str, str]:
     derived = {"id": "host name" if identity is None else "identity"}
     if identity is not None and file.identity is None:
         derived["identity"] = "found for the swarm"
     found = {
-        key: layers.source(key) or derived.get(key, DEFAULT)
-        for key in DaemonFile.__struct_fields__
+        key: layers.source(key) or derived.get(key, swarmfile.DEFAULT)
+        for key in swarmfile.DaemonFile.__struct_fields__
         if key != "swarm_file"
     }
     if platform.drivers.get(file.driver):

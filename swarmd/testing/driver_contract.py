@@ -545,7 +545,7 @@ class DriverContract:
             commands = rig.commands()
             rig.close()
             assert checking.result()
-            assert all(finding.is_well for finding in checking.result())
+            assert not [finding for finding in checking.result() if not finding.is_well]
             assert not commands, "another daemon may be driving this base"
 
         asyncio.run(run())

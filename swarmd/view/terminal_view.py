@@ -5,7 +5,7 @@ from __future__ import annotations
 import asyncio
 import os
 import signal
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from swarmd.core.messages import STATUS_SILENCE, Presence, Status
 from swarmd.network.operator.members_view import Contact, MembersView, SeenMember
@@ -30,20 +30,11 @@ ODOMETRY = "each robot's own odometry"
 class TerminalView:
     """Draws `source` on `screen` until a key or a signal ends it.
 
-    `places` gives true positions and their area where the caller knows them; without, positions
-    are those of each robot's own odometry, which begins where the robot was started.
+    Positions are those of each robot's own odometry, which begins where the robot was started.
     """
 
-    def __init__(
-        self,
-        source: LiveSource,
-        commander: LiveCommander,
-        screen: Screen,
-        *,
-        places: Callable[[], tuple[Mapping[str, Place], Area]] | None = None,
-    ) -> None:
+    def __init__(self, source: LiveSource, commander: LiveCommander, screen: Screen) -> None:
         self._source, self._commander, self._screen = source, commander, screen
-        self._places = places
         self._controls = Controls(patterns=source.patterns)
         self._keys = KeyDecoder()
         self._flush: asyncio.TimerHandle | None = None
@@ -191,12 +182,10 @@ class TerminalView:
             below=[*self._details(view, statuses, notes), *self._told()],
             footer=controls.prompt,
             footer_style="bold" if controls.mode is not Mode.LOOK or controls.note else "dim",
-            map_note="" if self._places else ODOMETRY,
+            map_note=ODOMETRY,
         )
 
     def _where(self) -> tuple[Mapping[str, Place], Area]:
-        if self._places is not None:
-            return self._places()
         robots = self._source.robots
         _, rows = self._source.frame()
         poses = {robots[int(i)].name: (x, y, yaw) for i, x, y, yaw in rows.tolist()}

@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
-import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import pytest
+from msgspec.structs import replace
 
 from swarmd.calibration.figures import Figure
 from swarmd.cli.calibrate import _end_findings, _floor
@@ -22,8 +22,10 @@ from swarmd.network.settings import NetworkSettings
 from swarmd.settings.settings import load_platform
 from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.starting import statuses_of
+from tests.support.fake_daemon import FakeDaemon, FakeSwarm, light_status
 from tests.support.processes import unique_swarm, wait_until
 from tests.support.statuses import status as make_status
+from tests.support.swarmctl import SWARMCTL, Finished, swarmctl
 
 pytestmark = pytest.mark.integration
 ROBOT = "r01"
@@ -58,21 +60,13 @@ def scans(swarm: str) -> bool:
     return found is not None and found.health.scan_rate > 0.0
 
 
-def calibrate(swarm: str, *options: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [str(Path(sys.executable).with_name("swarmctl")), "calibrate", ROBOT, *options],
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "SWARM": swarm},
-    )
+def calibrate(swarm: str, *options: str) -> Finished:
+    return swarmctl("calibrate", ROBOT, *options, environ={"SWARM": swarm})
 
 
 def test_nothing_is_sent_without_confirmation(swarm: str) -> None:
-    process = calibrate(swarm, "--floor", "2")
-    assert "--yes" in process.communicate(timeout=30.0)[1]
-    assert process.returncode == 2
+    done = calibrate(swarm, "--floor", "2")
+    assert (done.code, "--yes" in done.err) == (2, True)
     found = status(swarm)
     assert found is not None
     assert found.generation == 0
@@ -81,20 +75,23 @@ def test_nothing_is_sent_without_confirmation(swarm: str) -> None:
 def test_a_file_is_not_overwritten_without_a_terminal(swarm: str, tmp_path: Path) -> None:
     file = tmp_path / "mine.yaml"
     file.write_text("mine")
-    process = calibrate(swarm, "--floor", "2", "--yes", "--write", str(file))
-    assert "mine.yaml exists" in process.communicate(timeout=30.0)[1]
-    assert process.returncode == 2
+    done = calibrate(swarm, "--floor", "2", "--yes", "--write", str(file))
+    assert (done.code, "mine.yaml exists" in done.err) == (2, True)
     assert file.read_text() == "mine"
 
 
 def test_a_floor_that_is_not_free_is_refused(swarm: str) -> None:
-    process = calibrate(swarm, "--floor", "3", "--yes")
-    assert "is not free" in process.communicate(timeout=60.0)[1]
-    assert process.returncode == 7
+    done = calibrate(swarm, "--floor", "3", "--yes")
+    assert (done.code, "is not free" in done.err) == (7, True)
 
 
 def test_an_interrupt_stops_the_robot(swarm: str) -> None:
-    process = calibrate(swarm, "--floor", "2", "--yes")
+    process = subprocess.Popen(
+        [*SWARMCTL, "calibrate", ROBOT, "--floor", "2", "--yes"],
+        stderr=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "SWARM": swarm},
+    )
     assert process.stderr is not None
     for line in process.stderr:
         if "drive 1" in line:
@@ -108,9 +105,13 @@ def test_an_interrupt_stops_the_robot(swarm: str) -> None:
 
 
 @pytest.mark.timeout(600)
-def test_a_calibration_finds_weak_brakes_and_writes_them(swarm: str, tmp_path: Path) -> None:
+def test_a_calibration_finds_weak_brakes_and_writes_them(
+    swarm: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    told: list[Any] = []  # of the findings: a single calibration is too short for one
+    monkeypatch.setattr("swarmd.cli.calibrate._end_findings", lambda *given: told.append(given))
     file = tmp_path / "mine.yaml"
-    options = ("--floor", "2", "--yes", "--repeats", "2", "-o", "json", "--write", str(file))
+    options = ("--floor", "2", "--yes", "--repeats", "1", "-o", "json", "--write", str(file))
     wanted = {
         "braking_linear": pytest.approx(0.6, rel=0.15),
         "braking_angular": pytest.approx(2.4, rel=0.15),
@@ -118,35 +119,22 @@ def test_a_calibration_finds_weak_brakes_and_writes_them(swarm: str, tmp_path: P
     }
     for _ in range(5):  # the drives are in real time, so that other work may disturb some
         file.unlink(missing_ok=True)
-        process = calibrate(swarm, *options)
-        out, error = process.communicate(timeout=180.0)
-        if process.returncode == DISTURBED and "held: " in error:
+        done = calibrate(swarm, *options)
+        if done.code == DISTURBED and "held: " in done.err:
             continue
-        assert process.returncode == 0, error
-        figures = {name: one["value"] for name, one in json.loads(out)["figures"].items()}
+        assert done.code == 0, done
+        figures = {name: one["value"] for name, one in done.json["figures"].items()}
         found = {name: figures[name] for name in wanted}
         if found == wanted:
             break
-    assert process.returncode == 0, error
+    assert done.code == 0, done
     assert found == wanted
     file.write_text(file.read_text().replace("extends: ./weak.yaml", "extends: burger"))
     barrier = load_platform(str(file)).protection["barrier"]
     assert barrier["braking_linear"] < 0.7
     assert barrier["braking_angular"] < 2.8
-    assert "keeps the finding: braked at" in error  # the calibration confirms it
-    ctl = [str(Path(sys.executable).with_name("swarmctl")), "reset", ROBOT]
-    for words, kept in ([], True), (["--findings", "--reason", "a test"], False):
-        done = subprocess.run(
-            [*ctl, *words], capture_output=True, text=True, env={**os.environ, "SWARM": swarm}
-        )
-        assert done.returncode == 0
-        assert "braked at" in done.stderr
-        now = status(swarm)
-        assert now is not None
-        assert bool(now.findings) == kept
-    now = status(swarm)
-    assert now is not None
-    assert any("(a test): braked at" in event.text for event in now.events)
+    assert told[-1][1] == ROBOT
+    assert wanted.keys() <= told[-1][3].keys()
 
 
 FOUND = "braked at 0.60 +- 0.02 m/s2 in 3 stops, declared 1.00"
@@ -165,7 +153,9 @@ class Resetting:
 
 
 @pytest.mark.parametrize(("braking", "ends"), [(0.97, True), (0.86, False), (0.6, False)])
-def test_a_calibration_ends_findings_that_it_does_not_confirm(braking: float, ends: bool) -> None:
+def test_a_calibration_ends_findings_that_it_does_not_confirm(
+    capsys: pytest.CaptureFixture[str], braking: float, ends: bool
+) -> None:
     """It ends nothing that it cannot tell, such as the speed of others."""
     found = make_status(ROBOT, findings=(FOUND, CAME))
     operator = Resetting()
@@ -173,6 +163,21 @@ def test_a_calibration_ends_findings_that_it_does_not_confirm(braking: float, en
     _end_findings(operator, ROBOT, found, {"braking_linear": figure.text})  # type: ignore[arg-type]  # all that it uses
     assert [one["findings"] for one in operator.asked] == ([(FOUND,)] if ends else [])
     assert all(one["epochs"] == {ROBOT: found.epoch} for one in operator.asked)
+    assert ("keeps the finding: braked at" in capsys.readouterr().err) is not ends
+
+
+def test_a_reset_ends_findings_only_if_it_is_asked_to(monkeypatch: pytest.MonkeyPatch) -> None:
+    def with_finding(daemon: FakeDaemon) -> Status:
+        return replace(light_status(daemon.robot, daemon.instance), findings=(FOUND,))
+
+    monkeypatch.setattr(FakeDaemon, "status", with_finding)
+    settings = NetworkSettings(swarm=unique_swarm())
+    with closing(FakeSwarm(settings, (ROBOT,))) as fleet:
+        for words in (), ("--findings", "--reason", "a test"):
+            done = swarmctl("reset", ROBOT, *words, environ={"SWARM": settings.swarm})
+            assert (done.code, FOUND in done.err) == (0, True), done
+        asked = [(one.findings, one.reason) for one in fleet[ROBOT].requests]  # type: ignore[union-attr]  # resets
+    assert asked == [((), ""), ((FOUND,), "a test")]
 
 
 def test_late_scans_need_a_larger_floor() -> None:

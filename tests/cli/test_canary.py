@@ -6,8 +6,8 @@ import click
 import pytest
 from msgspec.structs import replace
 
-from swarmd.cli.arguments import Failure
 from swarmd.cli.canary import MIN_DECISIONS, canaries_of, fault_of, read_canary
+from swarmd.cli.options import Failure
 from swarmd.core.messages import DecisionSummary, Health, Reason, State, Status
 from tests.support.statuses import RUNNING
 

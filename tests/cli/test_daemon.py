@@ -186,17 +186,6 @@ def with_drivers(folder: Path, *args: str) -> subprocess.CompletedProcess[str]:
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
-def test_0_after_a_clean_stop(tmp_path: Path, number: signal.Signals) -> None:
-    swarm = unique_swarm()
-    with DaemonProcess(tmp_path, swarm=swarm, robot="r1", endpoint="tcp/127.0.0.1:9") as daemon:
-        daemon.wait_ready()
-        daemon.send(number)
-        assert daemon.process.wait(30) == 0
-        assert "Traceback" not in daemon.text()
-
-
-@pytest.mark.integration
 def test_sighup_is_ignored_under_nohup(tmp_path: Path) -> None:
     with DaemonProcess(
         tmp_path,

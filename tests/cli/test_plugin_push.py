@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from swarmd.cli import plugin_push
-from swarmd.cli.arguments import Failure
+from swarmd.cli.options import Failure
 from swarmd.cli.plugin_push import _differing, greatest_of, read_source
 from swarmd.core.behaviour import MAX_CODE, Manifest, encode_manifest
 from swarmd.core.errors import SwarmError

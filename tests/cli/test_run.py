@@ -5,8 +5,8 @@ from __future__ import annotations
 import click
 import pytest
 
-from swarmd.cli.arguments import Targets
 from swarmd.cli.label import label
+from swarmd.cli.options import Targets
 from swarmd.cli.run_start import goal_targets
 from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 

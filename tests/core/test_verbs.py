@@ -9,7 +9,7 @@ import pytest
 
 from swarmd.core.verbs import VERBS, AnyRequest, Handler, Request, Verb
 from swarmd.daemon.code_transfer import CodeIntake, CodePull
-from swarmd.daemon.recording_service import RecordingService
+from swarmd.daemon.recorder import RecordingService
 from swarmd.daemon.requests import RequestServer
 from swarmd.daemon.roster_service import RosterService
 from swarmd.daemon.tools import FieldTools

@@ -25,8 +25,7 @@ from swarmd.core.events import MessageInput, OdometryInput, ScanInput
 from swarmd.core.messages import LimitingObstacle
 from swarmd.core.values import Odometry, Pose, Scan, Twist
 from swarmd.core.verbs import Nothing, RecordingsReply
-from swarmd.daemon.recorder import Recorder
-from swarmd.daemon.recording_service import RecordingService
+from swarmd.daemon.recorder import Recorder, RecordingService
 from swarmd.protection.compatibility import ACCEPTS_NONE
 from swarmd.protection.decision import Decision
 from swarmd.recording import frames, messages, process

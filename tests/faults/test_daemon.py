@@ -228,14 +228,17 @@ def test_systemd_is_notified_of_ready_alive_and_stopping(bench: Bench, tmp_path:
         systemd.settimeout(30.0)
         begun = time.monotonic()
         bench.start({"NOTIFY_SOCKET": path, "WATCHDOG_USEC": "2000000"})
-        assert systemd.recv(100) == b"READY=1"
+        said = [systemd.recv(100)]
+        while b"READY=1" not in said:  # a busy machine is alive before it is ready
+            said.append(systemd.recv(100))
         print(f"ready within {time.monotonic() - begun:.3f} s")
+        assert set(said) <= {b"READY=1", b"WATCHDOG=1"}
         assert systemd.recv(100) == b"WATCHDOG=1"
         assert bench.daemon.terminate() == 0
-        said = systemd.recv(100)
-        while said == b"WATCHDOG=1":
-            said = systemd.recv(100)
-        assert said == b"STOPPING=1"
+        last = systemd.recv(100)
+        while last == b"WATCHDOG=1":
+            last = systemd.recv(100)
+        assert last == b"STOPPING=1"
 
 
 def test_a_frozen_daemon_does_not_ping_the_watchdog(bench: Bench, tmp_path: Path) -> None:

@@ -16,7 +16,7 @@ from tests.support.processes import wait_until
 
 pytestmark = pytest.mark.integration
 
-ROBOTS = ("r01", "r02", "r03", "r04", "r05", "r06")
+ROBOTS = ("r01", "r02", "r03", "r04")
 
 
 @pytest.mark.parametrize("is_mute", [True, False], ids=["mute", "deaf"])
@@ -44,19 +44,19 @@ def line(swarm: FieldSwarm, *hops: Iterable[str]) -> None:
 
 
 def test_a_line_is_known_and_stopped_to_its_end(swarm: FieldSwarm) -> None:
-    """The far laptop hears two robots, these two more, and those the last two."""
+    """The far laptop hears one robot, that one two more, and those the last one."""
     prepare(swarm, "running")
-    line(swarm, (FAR,), ROBOTS[:2], ROBOTS[2:4], ROBOTS[4:])
+    line(swarm, (FAR,), ROBOTS[:1], ROBOTS[1:3], ROBOTS[3:])
     judged = ask(swarm, "members")
     assert judged.answer.json["members"], judged
-    assert {one["robot"] for one in judged.answer.json["members"]} >= set(ROBOTS[:4])
-    judged = ask(swarm, "stop", "r03")
-    swarm.await_states(NEAR, "stopped", ["r03"])
-    judged = ask(swarm, "estop", "r04")
-    swarm.await_states(NEAR, "estopped", ["r04"])
+    assert {one["robot"] for one in judged.answer.json["members"]} >= set(ROBOTS[:3])
+    judged = ask(swarm, "stop", "r02")
+    swarm.await_states(NEAR, "stopped", ["r02"])
+    judged = ask(swarm, "estop", "r03")
+    swarm.await_states(NEAR, "estopped", ["r03"])
     assert swarm.states(NEAR)["r01"] == "running"
     judged = ask(swarm, "estop")
-    assert judged.counted >= set(ROBOTS[:2])
+    assert judged.counted >= set(ROBOTS[:1])
     swarm.await_states(NEAR, "estopped")
     swarm.field.heal()
     check_all_alive(swarm)
@@ -92,6 +92,6 @@ def test_wait_sees_robots_that_a_slow_link_shows_late(swarm: FieldSwarm) -> None
     radio = (*ROBOTS, FAR)
     prepare(swarm, "idle")
     swarm.field.set_between(radio, radio, delay=1.1)
-    answer = swarm.ctl(FAR, "wait", "--for", "state=idle", "--for", "count=6", "--timeout", "60s")
+    answer = swarm.ctl(FAR, "wait", "--for", "state=idle", "--for", "count=4", "--timeout", "60s")
     assert answer.code == 0, answer
     swarm.field.clear()

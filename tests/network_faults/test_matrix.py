@@ -9,7 +9,7 @@ from tests.support.network_matrix import TRUE, cell
 
 pytestmark = pytest.mark.integration
 
-ROBOTS = ("r01", "r02", "r03", "r04", "r05", "r06")
+ROBOTS = ("r01", "r02", "r03", "r04")
 
 
 def test_each_answer_is_true_with_losses(swarm: FieldSwarm) -> None:

@@ -9,7 +9,7 @@ from tests.support.network_matrix import NEAR, ask, check_all_alive, prepare
 
 pytestmark = pytest.mark.integration
 
-ROBOTS = ("r01", "r02", "r03", "r04", "r05", "r06")
+ROBOTS = ("r01", "r02", "r03", "r04")
 
 
 def test_a_frozen_robot_is_named_and_latched_when_it_thaws(swarm: FieldSwarm) -> None:

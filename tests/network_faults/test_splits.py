@@ -16,8 +16,8 @@ from tests.support.processes import wait_until
 
 pytestmark = pytest.mark.integration
 
-ROBOTS = ("r01", "r02", "r03", "r04", "r05", "r06")
-LEFT, RIGHT = ROBOTS[:3], ROBOTS[3:]
+ROBOTS = ("r01", "r02", "r03", "r04")
+LEFT, RIGHT = ROBOTS[:2], ROBOTS[2:]
 
 
 def pause(seconds: float) -> None:

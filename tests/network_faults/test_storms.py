@@ -17,9 +17,9 @@ pytestmark = [
     pytest.mark.integration,
     pytest.mark.parametrize(
         "started_swarm",
-        [names(8), pytest.param(names(16), marks=pytest.mark.evidence)],
+        [names(4), pytest.param(names(16), marks=pytest.mark.evidence)],
         indirect=True,
-        ids=["6 of 8", "12 of 16"],
+        ids=["3 of 4", "12 of 16"],
     ),
 ]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from swarmd.pattern_host.printed import BURST, MAX_LINE, RATE, PrintedLines
+from swarmd.pattern_host.runner import MAX_LINE, PRINT_BURST, PRINT_RATE, PrintedLines
 
 
 def test_lines_are_whole_whatever_the_reads() -> None:
@@ -13,10 +13,10 @@ def test_lines_are_whole_whatever_the_reads() -> None:
 
 def test_a_flood_is_cut_and_counted() -> None:
     lines = PrintedLines()
-    assert len(lines.take(b"x\n" * 5000, 1.0)) == BURST
+    assert len(lines.take(b"x\n" * 5000, 1.0)) == PRINT_BURST
     assert lines.take(b"y\n", 1.0) == []
-    later = lines.take(b"z\n", 1.0 + 1.0 / RATE)
-    assert later == [f"[{5001 - int(BURST)} lines left out]", "z"]
+    later = lines.take(b"z\n", 1.0 + 1.0 / PRINT_RATE)
+    assert later == [f"[{5001 - int(PRINT_BURST)} lines left out]", "z"]
 
 
 def test_a_line_without_end_is_bounded() -> None:

@@ -15,11 +15,14 @@ from pathlib import Path
 
 import yaml
 
+from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.values import Value
 from swarmd.driver_api.watchdog import watchdog_name
+from swarmd.sim.live.fleet import DAEMON_MODULES
 from swarmd.testing.driver_contract import is_running
 
 CAP = 60.0
+DAEMON = ("swarmd.cli.daemon",)
 
 
 def unique_swarm() -> str:
@@ -60,7 +63,7 @@ def wait_until(condition: Callable[[], bool], what: str, cap: float = CAP) -> No
 
 
 class DaemonProcess:
-    """One `swarmd` in a process of its own; a context manager.
+    """One `swarmd` in a process of its own, forked where it can be; a context manager.
 
     `folder` keeps its configuration, state, `log` (standard error) and `out`, so that a second
     one can be a restart; `environ` is added to this process's environment. `prefix` is a command
@@ -80,7 +83,7 @@ class DaemonProcess:
         options: Mapping[str, Value] | None = None,
         environ: Mapping[str, str] | None = None,
         prefix: Sequence[str] = (),
-        module: Sequence[str] = ("swarmd.cli.daemon",),
+        module: Sequence[str] = DAEMON,
     ) -> None:
         self.robot = robot
         self.swarm = swarm
@@ -100,9 +103,15 @@ class DaemonProcess:
         config.write_text(yaml.safe_dump(settings))
         self.log = folder / f"{robot}.log"
         self._begin = self.log.stat().st_size if self.log.exists() else 0
-        command = [*prefix, sys.executable, "-m", *module, "--config", str(config)]
-        command += ["--die-with-parent", str(os.getpid())]
         self.out = folder / f"{robot}.out"
+        self.process: subprocess.Popen[bytes] | ForkedProcess
+        words = ("--config", str(config))
+        if not (prefix or environ) and module == DAEMON and "SWARMD_COMPILED" not in os.environ:
+            start_server(DAEMON_MODULES)
+            self.process = fork_main(robot, *DAEMON, words, stdout=self.out, stderr=self.log)
+            return
+        command = [*prefix, sys.executable, "-m", *module, *words]
+        command += ["--die-with-parent", str(os.getpid())]
         with self.log.open("ab") as log, self.out.open("ab") as out:
             self.process = subprocess.Popen(
                 command, stdout=out, stderr=log, env={**os.environ, **(environ or {})}

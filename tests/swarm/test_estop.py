@@ -33,6 +33,8 @@ def test_newcomers_take_over_an_estop_of_the_swarm_alone(swarm: Swarm) -> None:
     started = boottime()
     swarm.start("r3", body)
     assert dict(swarm.await_state("r3", State.ESTOPPED).latches) == held
+    entries = swarm.ctl("audit", "r3", "-o", "json").json["entries"]
+    assert [one["text"] for one in entries if one["verb"] == "latch"] == ["smoke"]
     body.wait_zero(started)
     assert swarm.ctl("run", "drive", "r3").code == 7
     assert not body.moved_since(started)
@@ -80,7 +82,7 @@ def test_a_reset_never_clears_an_estop_that_it_did_not_see(swarm: Swarm) -> None
     robots = ("r1", "r2")
     for robot in robots:
         swarm.start(robot)
-    for crossing in range(5):
+    for crossing in range(3):
         assert swarm.ctl("estop", "--reason", f"first {crossing}").code == 0
         resetting = swarm.begin("reset", "--all", "--yes")
         stopping = swarm.begin("estop", "--reason", f"second {crossing}")

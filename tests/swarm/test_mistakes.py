@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import re
-import subprocess
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
 
+from swarmd.cli.daemon import exit_code_of, swarmd
+from swarmd.cli.swarmctl import run_cli
 from swarmd.core.clock import boottime
 from swarmd.core.messages import State, Status
-from tests.support.processes import CAP
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm
@@ -113,15 +112,15 @@ def test_an_unknown_swarm_is_reported_with_those_in_reach(driving: Driving) -> N
     ],
 )
 def test_swarmd_reports_a_mistake_in_one_line(
-    driving: Driving, tmp_path: Path, text: str, subject: str
+    driving: Driving, tmp_path: Path, capsys: pytest.CaptureFixture[str], text: str, subject: str
 ) -> None:
     """In a file that is right otherwise, and names the body of the robot that drives."""
     config = tmp_path / "swarmd.yaml"
     common = f"swarm: {driving.swarm.name}\ndriver_options: {{endpoint: {driving.body.endpoint}}}\n"
     config.write_text(text if text.startswith("[") else common + text + "\n")
-    command = [sys.executable, "-m", "swarmd.cli.daemon", "--config", str(config)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=CAP, check=False)
-    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done
-    assert done.stderr.startswith("error: ")
-    assert subject in done.stderr
+    assert run_cli(swarmd, ["--config", str(config)], "swarmd", exit_code_of) == 2
+    said = capsys.readouterr()
+    assert (said.out, said.err.count("\n")) == ("", 1), said
+    assert said.err.startswith("error: ")
+    assert subject in said.err
     driving.check()

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from swarmd.core.clock import boottime
 from swarmd.recording import messages
 from swarmd.recording.reader import RecordedFile, read_file
 from swarmd.testing.driver_contract import is_running
@@ -117,14 +118,13 @@ def test_robots_without_an_answer_are_named(swarm: Swarm, tmp_path: Path) -> Non
 
 def test_a_replay_repeats_the_commands_of_pattern_and_protection(swarm: Swarm) -> None:
     body = swarm.body("tb3-01")
-    swarm.start("tb3-01", body)
-    assert swarm.ctl("record", "start", "--all").code == 0
-    swarm.run_drive("tb3-01")
-    body.wait_moving()
-    swarm.ctl("stop", "--all")
-    assert swarm.ctl("run", "random_walk", "--all").code == 0
-    body.wait_stepped()
-    swarm.ctl("stop", "--all")
+    # What was measured before a recording is not in it.
+    swarm.start("tb3-01", body, {"recording": {"from_start": True}})
+    for pattern in ("drive", "random_walk"):
+        assert swarm.ctl("run", pattern, "--all").code == 0
+        first = body.wait_stepped(boottime())
+        body.wait(lambda one: one.requested_scan_seq > first.requested_scan_seq + 10)  # noqa: B023
+        swarm.ctl("stop", "--all")
     assert swarm.ctl("record", "stop", "--all").code == 0
     folder = swarm.folder / "state" / swarm.name / "tb3-01" / "recordings"
     wait_until(lambda: bool(list(folder.glob("*.index.json"))), "finished")

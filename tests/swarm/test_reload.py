@@ -17,7 +17,8 @@ from tests.support.processes import DaemonProcess, children, wait_until
 
 if TYPE_CHECKING:
     from tests.support.fake_body import Body, Commanded
-    from tests.swarm.conftest import Finished, Swarm
+    from tests.support.swarmctl import Finished
+    from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
 
@@ -39,7 +40,7 @@ class Own(MovementPattern[OwnParams]):
         return {"version": VERSION}
 """
 V1, V2 = (CODE.replace("VERSION", version) for version in "12")
-HANGS = "while True:\n    pass\n"
+HANGS = "import threading\nthreading.Event().wait()\n"
 HOG = "hoard = []\nwhile True:\n    hoard.append(bytes(1 << 26))\n"
 
 
@@ -116,7 +117,7 @@ class Own:
 
 @pytest.fixture(scope="module")
 def robot(shared_swarm: Swarm, tmp_path_factory: pytest.TempPathFactory) -> Own:
-    """One robot for all tests that leave its daemon running."""
+    """One robot for all tests."""
     return Own(shared_swarm, tmp_path_factory.mktemp("shared") / "own")
 
 
@@ -127,10 +128,21 @@ def own(robot: Own) -> Own:
     return robot
 
 
-@pytest.fixture
-def fresh(swarm: Swarm, tmp_path: Path) -> Own:
-    """A robot that knows the pattern, and was never asked to run it."""
-    return Own(swarm, tmp_path / "own")
+def test_reloading_a_pattern_that_does_not_run_stops_nothing(robot: Own) -> None:
+    """The first of this module: `robot` was never asked to run it."""
+    done = robot.reload("--run")
+    assert done.code == 0, done
+    assert "idle, as before" in done.out
+    assert robot.swarm.status("r1").state is S.IDLE
+    robot.swarm.run_drive("r1")
+    moving = robot.body.wait_stepped()
+    before = robot.swarm.status("r1")
+    done = robot.reload("--run")
+    assert "drive goes on" in done.out
+    robot.check_undisturbed(moving, before)
+    robot.write(V2)
+    robot.run()
+    assert robot.at_version().report == {"version": 2}
 
 
 def test_a_reload_stops_and_the_next_run_has_the_new_code(own: Own) -> None:
@@ -228,30 +240,6 @@ def test_no_second_trial_and_no_run_during_a_trial(own: Own) -> None:
     assert own.swarm.finish(begun).code == 7
 
 
-def test_a_daemon_that_ends_during_a_trial_leaves_no_process(fresh: Own) -> None:
-    begun = fresh.start_reload()
-    hosts = fresh.hosts()
-    assert fresh.daemon.terminate() == 0
-    assert not any(map(is_running, hosts))
-    assert fresh.swarm.finish(begun).code in (5, 7)
-
-
-def test_reloading_a_pattern_that_does_not_run_stops_nothing(fresh: Own) -> None:
-    done = fresh.reload("--run")
-    assert done.code == 0, done
-    assert "idle, as before" in done.out
-    assert fresh.swarm.status("r1").state is S.IDLE
-    fresh.swarm.run_drive("r1")
-    moving = fresh.body.wait_stepped()
-    before = fresh.swarm.status("r1")
-    done = fresh.reload("--run")
-    assert "drive goes on" in done.out
-    fresh.check_undisturbed(moving, before)
-    fresh.write(V2)
-    fresh.run()
-    assert fresh.at_version().report == {"version": 2}
-
-
 def test_only_patterns_that_exist_can_be_reloaded(own: Own) -> None:
     own.swarm.run_drive("r1")
     done = own.reload("--run", name="drive")
@@ -273,3 +261,12 @@ def test_an_edit_without_reload_changes_nothing(own: Own) -> None:
     assert (after.state, after.pattern, after.report) == (S.RUNNING, "own", before.report)
     assert own.body.ran_since(moving)
     assert own.swarm.ctl("param", "set", "r1", "speed=0.07").code == 0
+
+
+def test_a_daemon_that_ends_during_a_trial_leaves_no_process(own: Own) -> None:
+    """The last of this module, since its daemon has ended."""
+    begun = own.start_reload()
+    hosts = own.hosts()
+    assert own.daemon.terminate() == 0
+    assert not any(map(is_running, hosts))
+    assert own.swarm.finish(begun).code in (5, 7)

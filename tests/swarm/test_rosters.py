@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import io
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,11 +9,10 @@ import pytest
 from click.testing import CliRunner
 
 from swarmd.cli.daemon import swarmd
-from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.security.identity import load_identity
 from tests.support.fake_body import Body
 from tests.support.processes import wait_until
-from tests.swarm.conftest import Finished
+from tests.support.swarmctl import Finished, swarmctl
 
 if TYPE_CHECKING:
     from tests.support.processes import DaemonProcess
@@ -36,11 +33,7 @@ class SecuredSwarm:
         assert self.keys("bundle", "--all", "-o", str(self.folder)).code == 0
 
     def ctl(self, *words: str) -> Finished:
-        """A `swarmctl` in this process: the start of another one costs most of its time."""
-        out, err = io.StringIO(), io.StringIO()
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(err):
-            code = run_cli(cli, ["--swarm", self.swarm.name, *words], "swarmctl", exit_code_of)
-        return Finished(code, out.getvalue(), err.getvalue())
+        return swarmctl("--swarm", self.swarm.name, *words)
 
     def keys(self, *words: str) -> Finished:
         return self.ctl("keys", *words)

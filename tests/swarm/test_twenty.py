@@ -38,7 +38,7 @@ def run_until_applied(swarm: Swarm, pattern: str, robots: tuple[str, ...]) -> No
 
 
 @pytest.mark.parametrize(
-    ("count", "runs"), [(8, 6), pytest.param(20, 50, marks=pytest.mark.evidence)]
+    ("count", "runs"), [(5, 4), pytest.param(20, 50, marks=pytest.mark.evidence)]
 )
 def test_every_robot_acks_each_of_many_cold_runs(swarm: Swarm, count: int, runs: int) -> None:
     """Without a base: a pattern is loaded and acked all the same, and no scans hold the robot."""

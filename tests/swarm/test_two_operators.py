@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import pytest
 
 if TYPE_CHECKING:
-    from tests.swarm.conftest import Finished, Swarm
+    from tests.support.swarmctl import Finished
+    from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
 

@@ -23,7 +23,7 @@ from swarmd.core.messages import State
 from swarmd.view.source import CommandProgress
 from swarmd.view.terminal_view import answer_lines
 from tests.support.processes import CAP, wait_until
-from tests.swarm.conftest import SWARMCTL
+from tests.support.swarmctl import SWARMCTL
 
 if TYPE_CHECKING:
     from tests.swarm.conftest import Swarm

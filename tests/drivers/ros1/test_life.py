@@ -149,18 +149,26 @@ def test_an_adapter_that_ends_or_hangs_is_replaced_and_stops_the_base(
     play(RosRobot(roscore), story)
 
 
+def is_stopped(pid: int) -> bool:
+    """True once all threads of a process are stopped: on a busy machine one after the other."""
+    stats = (path.read_text() for path in Path(f"/proc/{pid}/task").glob("*/stat"))
+    return all(stat.rpartition(")")[2].split()[0] == "T" for stat in stats)
+
+
 def test_a_frozen_adapter_delivers_no_late_command(roscore: RosCore) -> None:
     """Frozen for less than the time after which it is replaced."""
 
     async def story(harness: DriverHarness, body: RosRobot) -> None:
         await drive(harness, body)
-        os.kill(adapter(harness.driver), signal.SIGSTOP)
-        await asyncio.sleep(0.05)  # its threads stop one after the other
+        pid = adapter(harness.driver)
+        os.kill(pid, signal.SIGSTOP)
+        await harness.until(lambda: is_stopped(pid))
+        await asyncio.sleep(0.05)  # what it sent before arrives
         for number in range(12):
             harness.driver.send(Twist(0.1, 0.01 * number), 1, 1)
             await asyncio.sleep(0.05)
         body.commands()
-        os.kill(adapter(harness.driver), signal.SIGCONT)
+        os.kill(pid, signal.SIGCONT)
         taken: list[Twist] = []
 
         def drives_on() -> bool:

@@ -18,9 +18,15 @@ from swarmd.drivers.ros.messages import Twist as TwistMessage
 from swarmd.drivers.ros.messages import TwistStamped
 from swarmd.drivers.ros.options import TopicOptions
 from swarmd.drivers.ros.subscriptions import Subscriptions
-from swarmd.drivers.ros2.admin_space import PERIOD, WATCH_PERIOD
+from swarmd.drivers.ros2.admin_space import (
+    MAX_AGE,
+    MAX_FIRST,
+    NAMING_TIME,
+    PERIOD,
+    WATCH_PERIOD,
+    NodeList,
+)
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
-from swarmd.drivers.ros2.node_list import MAX_AGE, MAX_FIRST, NAMING_TIME, NodeList
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.driver_contract import DriverHarness, play
 from tests.drivers.ros2.harness import announce, check, drive, reported

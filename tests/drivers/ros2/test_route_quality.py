@@ -8,9 +8,8 @@ import pytest
 
 from swarmd.drivers.ros.diagnosis import Graph
 from swarmd.drivers.ros.endpoints import Endpoint
+from swarmd.drivers.ros2.admin_space import NodeList, route_faults
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
-from swarmd.drivers.ros2.node_list import NodeList
-from swarmd.drivers.ros2.route_quality import route_faults
 
 BEST_EFFORT, RELIABLE = "BEST_EFFORT", "RELIABLE"
 

@@ -1,0 +1,83 @@
+"""Processes that are forked with their imports: what they get, and how they end."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
+from swarmd.testing.driver_contract import is_running
+from tests.support.processes import wait_until
+
+MODULE = "tests.support.forked_module"
+PARENT = f"""
+import signal, sys
+from pathlib import Path
+sys.path.insert(0, {str(Path(__file__).parents[2])!r})
+from swarmd.core.fork_server import fork_main, start_server
+if __name__ == "__main__":
+    start_server(())
+    log = Path(sys.argv[1])
+    print(fork_main("child", "{MODULE}", ("wait", "tied"), stdout=None, stderr=log).pid, flush=True)
+    signal.pause()
+"""
+
+
+def fork(folder: Path, *arguments: str) -> ForkedProcess:
+    start_server(())
+    out, err = folder / "out", folder / "err"
+    return fork_main("forked-robot", MODULE, arguments, stdout=out, stderr=err)
+
+
+def test_a_forked_process_gets_what_it_would_get_from_a_start(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("GIVEN", "yes")
+    monkeypatch.chdir(tmp_path)
+    forked = fork(tmp_path, "one", "two")
+    assert forked.wait(30.0) == 7
+    assert forked.returncode == 7
+    told = json.loads((tmp_path / "out").read_text())
+    parent = str(told.pop("parent"))
+    assert told == {
+        "arguments": ["one", "two", "--die-with-parent", parent],
+        "folder": str(tmp_path),
+        "name": "forked-robot",
+        "environ": "yes",
+        "safe_path": None,
+        "input": "",
+        "is_leader": True,
+    }
+    assert (tmp_path / "err").read_text() == "error\n"
+
+
+def test_a_forked_process_is_ended_by_signals_and_waited_for(tmp_path: Path) -> None:
+    forked = fork(tmp_path, "wait")
+    wait_until(lambda: (tmp_path / "err").read_text() == "error\n", "it runs")
+    assert forked.poll() is None
+    with pytest.raises(subprocess.TimeoutExpired):
+        forked.wait(0.01)
+    forked.kill()
+    assert forked.wait(30.0) == -signal.SIGKILL
+    forked.terminate()  # nothing: it has ended
+    other = fork(tmp_path, "wait")
+    other.terminate()
+    assert other.wait(30.0) == -signal.SIGTERM
+
+
+def test_forked_processes_end_with_their_parent(tmp_path: Path) -> None:
+    script = tmp_path / "parent.py"
+    script.write_text(PARENT)
+    command = [sys.executable, str(script), str(tmp_path / "err")]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        child = int(parent.stdout.readline())
+        wait_until(lambda: (tmp_path / "err").read_text() == "error\n", "the child runs")
+        assert is_running(child)
+        parent.kill()
+    wait_until(lambda: not is_running(child), "the child has ended")
