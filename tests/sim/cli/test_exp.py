@@ -179,8 +179,8 @@ def test_a_sweep_that_is_ended_keeps_finished_runs_and_leaves_no_worker(
     for number, code, advice in ends:
         process = started(*words, "-j", 1, cwd=tmp_path)
         wait_until(lambda: finished(folder) == 2, "two runs are done")
-        wait_until(lambda one=process: len(runs_of(one)) == 1, "one that hangs runs")  # type: ignore[misc]
-        running = [*children(process.pid), *runs_of(process)]
+        wait_until(lambda one=process: len(hanging_runs_of(one)) == 1, "one hangs")  # type: ignore[misc]
+        running = [*children(process.pid), *hanging_runs_of(process)]
         os.killpg(process.pid, number)
         _, told = process.communicate(timeout=60)
         assert process.returncode == code
@@ -197,9 +197,18 @@ def test_a_sweep_that_is_ended_keeps_finished_runs_and_leaves_no_worker(
     assert not (folder / "failures.json").exists()
 
 
-def runs_of(process: subprocess.Popen[str]) -> list[int]:
-    """The processes that simulate: each is a fork of a worker."""
-    return [run for worker in children(process.pid) for run in children(worker)]
+def hanging_runs_of(process: subprocess.Popen[str]) -> list[int]:
+    """The processes that simulate, each a fork of a worker, after 0.5 s of CPU time."""
+    runs = [run for worker in children(process.pid) for run in children(worker)]
+    return [run for run in runs if ticks_of(run) > 50]
+
+
+def ticks_of(pid: int) -> int:
+    """The CPU time of a process in hundredths of a second, 0 if it has ended."""
+    try:
+        return int(Path(f"/proc/{pid}/stat").read_text().split()[13])
+    except OSError:
+        return 0
 
 
 def is_there(pid: int) -> bool:
