@@ -16,6 +16,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from multiprocessing import forkserver
 from pathlib import Path
+from types import ModuleType
 
 # Of the server. Safe path: a random.py where this is called is not to shadow a module. A BLAS with
 # threads would not outlive a fork.
@@ -85,7 +86,12 @@ def fork_main(
         open(path, "a").close()  # it is there when this returns
     words = (name, module, tuple(arguments), out, err, os.getcwd(), dict(os.environ))
     process = multiprocessing.get_context("forkserver").Process(target=_run, args=words)
-    process.start()
+    main = sys.modules["__main__"]
+    sys.modules["__main__"] = ModuleType("__main__")  # else the fork runs the caller's again
+    try:
+        process.start()
+    finally:
+        sys.modules["__main__"] = main
     return ForkedProcess(process)
 
 

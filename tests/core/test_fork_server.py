@@ -20,11 +20,10 @@ import signal, sys
 from pathlib import Path
 sys.path.insert(0, {str(Path(__file__).parents[2])!r})
 from swarmd.core.fork_server import fork_main, start_server
-if __name__ == "__main__":
-    start_server(())
-    log = Path(sys.argv[1])
-    print(fork_main("child", "{MODULE}", ("wait", "tied"), stdout=None, stderr=log).pid, flush=True)
-    signal.pause()
+start_server(())  # of a script that runs all when it is imported
+log = Path(sys.argv[1])
+print(fork_main("child", "{MODULE}", ("wait", "tied"), stdout=None, stderr=log).pid, flush=True)
+signal.pause()
 """
 
 
