@@ -102,12 +102,28 @@ MAX_STEP, MAX_SPEED = 0.5, 10.0
 """m and m/s, rad and rad/s: two readings of odometry farther apart have no common frame."""
 
 
+MAX_COORDINATE = 1e9
+"""m, rad, m/s and rad/s: a reading of odometry beyond is garbage, and has no difference either."""
+
+
 class Odometry(Struct, frozen=True, array_like=True):
     """Pose in the odometry frame and measured twist in the base frame."""
 
     stamp: float
     pose: Pose
     twist: Twist
+
+    @property
+    def is_valid(self) -> bool:
+        """True if all numbers are finite, and pose and twist within MAX_COORDINATE."""
+        pose, twist = self.pose, self.twist
+        return (
+            self.stamp * 0.0 == 0.0
+            and pose.is_finite
+            and twist.is_finite
+            and max(abs(pose.x), abs(pose.y), abs(pose.yaw)) <= MAX_COORDINATE
+            and max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) <= MAX_COORDINATE
+        )
 
     def jumps_from(self, last: Odometry) -> bool:
         """True if no base gets here from the last reading: an estimator has moved the pose."""

@@ -131,12 +131,9 @@ class Sensors:
     def on_odometry(self, odometry: Odometry, now: float) -> None:
         """Take in a measured pose and twist.
 
-        A reading with an old stamp does not renew the age; one with a value that is not finite is
-        ignored.
+        A reading with an old stamp does not renew the age; one that is not valid is ignored.
         """
-        if not (odometry.pose.is_finite and odometry.twist.is_finite):
-            return
-        if not math.isfinite(odometry.stamp):
+        if not odometry.is_valid:
             return
         self._context = None
         if self.odometry is None or odometry.stamp != self.odometry.stamp:
@@ -259,7 +256,7 @@ class Sensors:
         times = self._scan_times
         if len(times) < 2 or now - times[-1] > 2.0 * self._stale_after:
             return 0.0
-        return (len(times) - 1) / max(times[-1] - times[0], 1e-6)
+        return (len(times) - 1) / max(times[-1] - times[0], 1e-4)
 
     def hold(self, now: float) -> Reason | None:
         """The reason why the sensors forbid motion; None if they do not."""

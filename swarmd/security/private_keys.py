@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives import serialization
 from cryptography.hazmat.primitives.asymmetric import ec
 
@@ -28,11 +29,11 @@ def load_key(path: Path, passphrase: bytes | None) -> ec.EllipticCurvePrivateKey
         key = serialization.load_pem_private_key(path.read_bytes(), passphrase)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from error
-    except (TypeError, ValueError) as error:
+    except (TypeError, ValueError, UnsupportedAlgorithm) as error:
         if passphrase:
             raise ConfigError(f"{path}: the passphrase is wrong, or the file is damaged") from None
         raise ConfigError(f"{path}: {error}") from error
-    if not isinstance(key, ec.EllipticCurvePrivateKey):
+    if not isinstance(key, ec.EllipticCurvePrivateKey) or key.curve.name != ec.SECP256R1.name:
         raise ConfigError(f"{path}: expected a key of the curve P-256")
     return key
 

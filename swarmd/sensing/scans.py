@@ -188,6 +188,8 @@ class _Layout:
         i: cython.Py_ssize_t
         self.n = bearings.shape[0]
         for i in range(self.n):
+            if not isfinite(bearings[i]):
+                raise ValueError(f"bearing {i} of a scan is {bearings[i]}; expected a finite angle")
             self.given[i] = bearings[i]
             self.wrapped[i] = _mod(bearings[i] + _PI) - _PI
         self.is_ordered, self.grazing, self.count = False, NAN, -1
@@ -324,6 +326,10 @@ def _known(scan):
     """The known ranges and their bearings."""
     ranges = np.ascontiguousarray(scan.ranges, np.float64)
     bearings = np.ascontiguousarray(scan.bearings, np.float64)
+    if ranges.shape != bearings.shape or ranges.ndim != 1:
+        raise ValueError(
+            f"ranges {ranges.shape} and bearings {bearings.shape} of a scan; expected both (n,)"
+        )
     if not cython.compiled:
         ranges, bearings = memoryview(ranges), memoryview(bearings)
     view: cython.const[cython.double][::1] = ranges
@@ -378,6 +384,8 @@ def unit_vectors(bearings):
 
 def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     """See `rays.closest_points`."""
+    if count < 1:  # C ends the process where it divides by zero
+        raise ValueError(f"count is {count}; expected at least 1 sector")
     known, bearings = _known(scan)
     ranges: cython.const[cython.double][::1] = known
     n: cython.Py_ssize_t = ranges.shape[0]

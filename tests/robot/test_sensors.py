@@ -8,8 +8,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from swarmd.core.codec import Decoder, encode
 from swarmd.core.events import DriverInput, OdometryInput
-from swarmd.core.messages import Reason, State
+from swarmd.core.messages import Health, Reason, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
 from swarmd.protection.compatibility import body_of
 from swarmd.protection.settings import Mode
@@ -153,14 +154,36 @@ def test_lost_rays_keep_their_obstacle_while_the_robot_turns(senses: Sensors) ->
         Odometry(1.0, Pose(yaw=-math.inf), Twist()),
         Odometry(math.nan, Pose(), Twist()),
         Odometry(-math.inf, Pose(), Twist()),
+        Odometry(1.0, Pose(yaw=1e308), Twist()),
+        Odometry(1.0, Pose(x=-1e308), Twist()),
+        Odometry(1.0, Pose(), Twist(linear=1e308)),
     ],
 )
-def test_non_finite_odometry_is_ignored(senses: Sensors, odometry: Odometry) -> None:
+def test_odometry_that_is_not_valid_is_ignored(senses: Sensors, odometry: Odometry) -> None:
     first = Odometry(0.0, Pose(), Twist())
     senses.on_odometry(first, 10.0)
     senses.on_odometry(odometry, 10.2)
     assert senses.odometry is first
     assert senses.context(10.2).odometry_age == pytest.approx(0.2)
+
+
+def test_yaws_without_a_difference_end_no_robot() -> None:
+    robot = RobotHarness("burger")
+    robot.advance(1.0)
+    for number, yaw in enumerate((1e308, -1e308, 1e308)):
+        stamp = robot.now + number
+        robot.robot.step(OdometryInput(Odometry(stamp, Pose(yaw=yaw), Twist())), stamp)
+    assert robot.robot.motion(robot.now) is not None
+
+
+def test_scans_of_one_instant_leave_a_rate_that_a_status_can_hold() -> None:
+    senses = Sensors(load_platform("waffle_pi"))
+    for number in range(12):
+        stamp = 10.0 + 0.1 * number
+        assert senses.on_scan(empty_scan(load_platform("waffle_pi"), number, stamp), 20.0)
+    decoder = Decoder(Health)
+    health = Health(scan_rate=senses.scan_rate(20.0))
+    assert decoder(encode(health)) == health
 
 
 def test_clocks_that_are_set_are_events() -> None:

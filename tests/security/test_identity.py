@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import base64
 from pathlib import Path
 
 import msgspec
 import pytest
+from cryptography.hazmat.primitives import serialization
+from cryptography.hazmat.primitives.asymmetric import ec
 
 from swarmd.core.errors import CodecError, ConfigError
 from swarmd.security.authority import Authority, IssueRecord, is_encrypted
 from swarmd.security.content_signature import Purpose, is_signed_by, sign
 from swarmd.security.identity import KEY, ROSTER, load_identity
-from swarmd.security.private_keys import load_private_key, public_bytes
+from swarmd.security.private_keys import load_private_key, pem_of, public_bytes
 from swarmd.security.roster import Role, SignedRoster, read_roster
 from tests.support.keys import flipped
 
@@ -171,6 +174,43 @@ def test_a_full_disk_keeps_the_keys_of_a_name_that_stays(
     assert Authority(authority.folder).change(add={"r09": Role.ROBOT}).operators == operators
     key = load_private_key(authority.folder / "names" / "alice.key")
     assert public_bytes(key.public_key()) == operators["alice"]
+
+
+_P256, _P239 = bytes.fromhex("06082a8648ce3d030107"), bytes.fromhex("06082a8648ce3d030106")
+_KEY = ec.generate_private_key(ec.SECP256R1())
+_DER = _KEY.private_bytes(
+    serialization.Encoding.DER,
+    serialization.PrivateFormat.PKCS8,
+    serialization.NoEncryption(),
+)
+
+
+def _pem(der: bytes) -> bytes:
+    body = base64.encodebytes(der).decode()
+    return f"-----BEGIN PRIVATE KEY-----\n{body}-----END PRIVATE KEY-----\n".encode()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"\xff\x00",
+        _pem(_DER)[:90],
+        _pem(_DER[:40]),
+        _pem(_DER.replace(_P256, _P239)),
+        pem_of(ec.generate_private_key(ec.SECP384R1()), None),
+        pem_of(_KEY, b"locked"),
+    ],
+    ids=["empty", "binary", "torn", "short", "unknown_curve", "P-384", "encrypted"],
+)
+def test_what_is_no_private_key_of_p256_is_refused_in_one_line(
+    content: bytes, tmp_path: Path
+) -> None:
+    (tmp_path / "key.pem").write_bytes(content)
+    with pytest.raises(ConfigError) as refused:
+        load_private_key(tmp_path / "key.pem")
+    assert "key.pem" in str(refused.value)
+    assert len(str(refused.value).splitlines()) == 1
 
 
 def test_a_passphrase_locks_all_private_keys(tmp_path: Path) -> None:

@@ -105,6 +105,38 @@ def test_features_are_as_recorded(module: Any) -> None:
 
 
 @pytest.mark.parametrize("module", PATHS)
+def test_malformed_scan_or_count_is_refused_and_ends_no_process(module: Any) -> None:
+    bearings = SPECS[0].bearings
+    n = len(bearings)
+
+    def scan(ranges: Array, bearings: Array) -> Scan:
+        return Scan(1, 1.0, ranges, bearings, 0.1, 3.5)
+
+    odd = np.array(bearings)
+    odd[n // 2] = math.nan
+    malformed = {
+        "both \\(n,\\)": [
+            scan(np.ones(n), bearings[:0]),
+            scan(np.ones(n), bearings[:3]),
+            scan(np.ones(n - 1), bearings),
+            scan(np.ones((2, n)), np.stack((bearings, bearings))),
+        ],
+        "a finite angle": [scan(np.ones(n), odd)],
+    }
+    for text, scans in malformed.items():
+        for one in scans:
+            with pytest.raises(ValueError, match=text):
+                module.nearest(one, 0.0, math.pi)
+            with pytest.raises(ValueError, match=text):
+                module.clusters(one, 2.0, 0.06, 0.2)
+            with pytest.raises(ValueError, match=text):
+                module.closest_points(one, 2.0, 24)
+    for count in (0, -1):
+        with pytest.raises(ValueError, match="at least 1 sector"):
+            module.closest_points(scan(np.ones(n), bearings), 2.0, count)
+
+
+@pytest.mark.parametrize("module", PATHS)
 def test_conditioning_is_as_recorded(module: Any) -> None:
     for case in recorded("memory"):
         platform, zero, guesses_near = case["spec"].tolist()
