@@ -14,8 +14,6 @@ import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from scipy import stats
-
 from benchmarks.table import SCALES, markdown
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -87,6 +85,8 @@ def medians(text: str) -> dict[str, float]:
 
 def ratios(runs: Mapping[str, Sequence[Mapping[str, float]]]) -> list[tuple[str, ...]]:
     """For each row of both: the medians over rounds, the ratio and its interval."""
+    from scipy import stats  # 1.1 s of CPU, which a collection of tests must not spend
+
     pairs = list(zip(runs["old"], runs["new"], strict=True))
     common = [what for what in pairs[0][0] if all(what in one for pair in pairs for one in pair)]
     rows = []
