@@ -137,7 +137,6 @@ class RosDriver:
             self._put(twist, self._options.cmd_vel_frame if self._gate.is_open else "")
 
     def _on_answer(self) -> None:
-        """The hub has answered."""
         now = asyncio.get_running_loop().time()
         self._credit.hear(now)
         self._release(now)

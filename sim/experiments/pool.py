@@ -278,7 +278,10 @@ class _Worker:
 def main(descriptor: int, parent: int) -> None:
     """Run jobs until the pipe is closed. This is the worker process."""
     die_with_parent(parent)
-    # Loaded once, for all the forks: what a job imports, and what metrics import lazily.
+    # Loaded once, for all the forks: what a job imports, and what metrics import lazily. A run of
+    # two robots and 2 s takes 0.07 s of CPU, and 0.32 s if its fork has to import scipy.
+    import scipy.sparse.csgraph
+    import scipy.spatial  # noqa: F401
 
     import swarmd.sim.experiments.pool  # noqa: F401
 

@@ -52,7 +52,6 @@ class LiveScenario:
         }
 
     def _platform_file(self, platform: Platform) -> dict[str, Any]:
-        """The content of the platform's file."""
         scan = configured(platform, self.scenario.realism).scan
         file = dict(self.scenario.effective["platforms"][platform.name])
         file["provides"] = sorted(platform.provides)

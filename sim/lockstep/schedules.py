@@ -20,7 +20,6 @@ from swarmd.sim.scenarios.scenario import ScheduledEvent
 if TYPE_CHECKING:
     from swarmd.sim.lockstep.lockstep import Lockstep
 
-
 _ROUNDING = 1e-9
 _AHEAD = 1.0  # s of times that are listed at once
 OPERATOR = "scenario"

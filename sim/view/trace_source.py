@@ -249,7 +249,6 @@ class _ShownRun:
         return row
 
     def _touched(self, now: float) -> dict[str, str]:
-        """What each robot has touched lately."""
         time = now + self._start + 1e-9
         found = {}
         for one in self._contacts:
@@ -350,6 +349,5 @@ def _experiment(folder: Path, seed: int | None, variant: str | None) -> Runs:
 
 
 def _platforms(effective: Mapping[str, Any]) -> dict[str, Platform]:
-    """The platforms of a scenario by name."""
     files = effective.get("platforms", {})
     return {name: platform_of(name, Layered((name, data))) for name, data in files.items()}

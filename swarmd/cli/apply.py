@@ -18,8 +18,7 @@ from swarmd.cli.send import known_members, show
 from swarmd.core.verbs import LabelRequest, ParamRequest
 from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL
 from swarmd.network.operator.outcome import Outcome, joined
-from swarmd.network.spread.next_goal import next_goal
-from swarmd.network.spread.signed_goals import signed_goals
+from swarmd.network.spread.operator_goals import next_goal, signed_goals
 
 if TYPE_CHECKING:
     from swarmd.network.operator.members_view import MembersView
@@ -121,7 +120,6 @@ def _carry_out(
 
 
 def _grouped(by_robot: Any, key: Callable[[Any], Any]) -> dict[Any, list[str]]:
-    """The robots by what is wanted of them."""
     found: dict[Any, list[str]] = defaultdict(list)
     for name, wanted in by_robot.items():
         found[key(wanted)].append(name)

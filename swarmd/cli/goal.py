@@ -16,8 +16,7 @@ from swarmd.cli.send import asking, known_members, report, stop_names, time_left
 from swarmd.core.verbs import ResumeRequest
 from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL, TIMEOUT
 from swarmd.network.operator.outcome import Outcome, joined
-from swarmd.network.spread.next_goal import next_goal
-from swarmd.network.spread.signed_goals import signed_goals
+from swarmd.network.spread.operator_goals import next_goal, signed_goals
 from swarmd.texts.goal import (
     Difference,
     content_of,

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from swarmd.network.settings import NetworkSettings
     from swarmd.security.identity import Identity
 
-
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -248,7 +247,6 @@ _LOCAL_OPTIONS = (
         "--timeout", type=Duration(), help="How long the verb may wait for answers, such as 3s."
     ),
 )
-
 
 recordings_argument = click.argument(
     "files", nargs=-1, required=True, metavar="FILE...", type=EXISTING

@@ -13,7 +13,7 @@ from swarmd.cli.run_start import goal_targets, run_with_canary, start, start_at
 from swarmd.cli.send import asking
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import MAX_AHEAD
-from swarmd.network.spread.next_goal import next_goal
+from swarmd.network.spread.operator_goals import next_goal
 from swarmd.texts.assignments import read_assignments
 
 _MIN_LEASE = 1.0

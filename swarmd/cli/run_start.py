@@ -19,7 +19,7 @@ from swarmd.network.exit_codes import FAILED, PARTIAL
 from swarmd.network.operator.clock_query import read_clocks, start_times
 from swarmd.network.operator.outcome import Outcome
 from swarmd.network.operator.request_sender import REQUEST_WAIT
-from swarmd.network.spread.next_goal import next_generation, resigned
+from swarmd.network.spread.operator_goals import next_generation, resigned
 from swarmd.texts.values import seconds as in_short
 
 if TYPE_CHECKING:

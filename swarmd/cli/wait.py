@@ -14,7 +14,7 @@ from swarmd.cli.output import print_json
 from swarmd.cli.send import unreachable
 from swarmd.core.clock import boottime
 from swarmd.network.exit_codes import APPLIED, TIMEOUT
-from swarmd.network.spread.signed_goals import signed_goals
+from swarmd.network.spread.operator_goals import signed_goals
 from swarmd.texts.awaited import meeting, read_awaited, unmet
 
 if TYPE_CHECKING:

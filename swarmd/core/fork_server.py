@@ -70,12 +70,7 @@ def start_server(modules: Iterable[str]) -> None:
 
 
 def fork_main(
-    name: str,
-    module: str,
-    arguments: Iterable[str],
-    *,
-    stdout: Path | None,
-    stderr: Path,
+    name: str, module: str, arguments: Iterable[str], *, stdout: Path | None, stderr: Path
 ) -> ForkedProcess:
     """Run `main()` of a module in a fork of the server, which was started.
 

@@ -66,7 +66,6 @@ DROPS_PERIOD = 10.0
 BUFFER = 1 << 20
 """Bytes that the socket is asked to hold while the disk is slow."""
 
-
 _LASTING = frozenset(
     {DriverInput, HazardsInput, NeighborsInput, PeersInput, ProvisionalInput, ReadingsInput}
 )

@@ -238,7 +238,6 @@ def check_spacing(params: FormationParams, platform: Platform) -> None:
 
 
 def _spacing(platform: Platform) -> float:
-    """The default spacing."""
     in_sight = min(2.2 * threshold(platform), 0.45 * platform.scan.range_max)
     return max(in_sight, 1.1 * _min_spacing(clear_distance(platform), platform))
 

@@ -32,13 +32,11 @@ from swarmd.plugins import Origin, check_single, installed_patterns, pattern_nam
 if TYPE_CHECKING:
     from swarmd.pattern_host.executor import PatternExecutor
 
-
 log = logging.getLogger(__name__)
 print_log = logging.getLogger("swarmd.pattern")
 
 MIN_RESPAWN_DELAY = 0.05
 MAX_RESPAWN_DELAY = 5.0
-
 
 Overlay = Callable[[Mapping[str, Origin], host_messages.Load, bool], Mapping[str, Origin]]
 """The robot's own patterns, a load and whether it is a trial, to all patterns for that load."""

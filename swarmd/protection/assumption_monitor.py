@@ -131,7 +131,6 @@ class _Brake:
         self._commands = deque([(-math.inf, self._commands[-1][1])], _MAX_COMMANDS)
 
     def _begin(self) -> None:
-        """Begin a sum of evidence."""
         self._sum, self._stops = 0.0, 0
         self._misfits = np.zeros(len(_SHARES))
 

@@ -68,7 +68,6 @@ from swarmd.protection.decision import Permit
 from swarmd.robot.actions import Effects, FailedCode
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import Latches, LatchRecord
-from swarmd.robot.outbox import Outbox
 from swarmd.robot.pattern_run import (
     FAULTS_BEFORE_QUARANTINE,
     LOAD_TIMEOUT,
@@ -79,6 +78,7 @@ from swarmd.robot.pattern_run import (
     Trial,
     Wish,
 )
+from swarmd.robot.rate_limits import Outbox
 from swarmd.robot.settings import RobotIdentity
 
 

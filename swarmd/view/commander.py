@@ -14,7 +14,7 @@ from swarmd.core.verbs import LabelRequest, ParamRequest, ResetRequest, RunReque
 from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.operator import Operator
 from swarmd.network.operator.outcome import Outcome, joined
-from swarmd.network.spread.next_goal import next_goal
+from swarmd.network.spread.operator_goals import next_goal
 from swarmd.texts.assignments import read_assignments
 from swarmd.texts.labels import changed, read_changes
 from swarmd.view.source import CommandProgress

@@ -127,7 +127,6 @@ class Controls:
         return None
 
     def _on_text(self, key: str) -> Command | None:
-        """Edit the text of a prompt."""
         if key == "escape":
             self.filter = "" if self.mode is Mode.FILTER else self.filter
             self.mode, self.text = Mode.LOOK, ""

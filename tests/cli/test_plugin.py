@@ -78,31 +78,33 @@ def faults(points: dict[str, Point]) -> dict[str, str]:
     return {name: point.text for name, point in points.items() if point.result == "fault"}
 
 
-@pytest.mark.parametrize("kind", ["movement", "voting", "pattern"])
-def test_a_new_plugin_passes_as_it_is(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str
+def test_a_new_plugin_of_each_kind_passes_as_it_is(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    folder = tmp_path / "mine"
-    assert swarmctl("plugin", "new", "my_own", "--dir", str(folder), "--kind", kind) == 0
-    said = capsys.readouterr().out
-    assert f"swarmctl plugin check {folder}/my_own.py" in said
-    assert sorted(path.name for path in folder.iterdir()) == ["my_own.py", "test_my_own.py"]
-    assert swarmctl("plugin", "check", str(folder / "my_own.py")) == 0
-    *lines, last = capsys.readouterr().out.splitlines()
-    assert [line[:4] for line in lines] == ["ok  "] * (3 + len(POINTS))
-    assert last.startswith(str(3 + len(POINTS)))
-    done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(folder)],
-        capture_output=True,
-        text=True,
-        cwd=folder,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout
-    command = [sys.executable, "-m", "ruff", "check", "--isolated", "--select", "E,F,I", "."]
-    ruff = subprocess.run(command, capture_output=True, text=True, cwd=folder, check=False)
-    assert ruff.returncode == 0, ruff.stdout
-    assert "my_own" in pattern_names(folder, {})
+    folder, kinds = tmp_path / "mine", ("movement", "voting", "pattern")
+    for kind in kinds:
+        assert swarmctl("plugin", "new", f"my_{kind}", "--dir", str(folder), "--kind", kind) == 0
+        file = folder / f"my_{kind}.py"
+        assert f"swarmctl plugin check {file}" in capsys.readouterr().out
+        assert swarmctl("plugin", "check", str(file)) == 0
+        *lines, last = capsys.readouterr().out.splitlines()
+        assert [line[:4] for line in lines] == ["ok  "] * (3 + len(POINTS))
+        assert last.startswith(str(3 + len(POINTS)))
+        assert f"my_{kind}" in pattern_names(folder, {})
+    files = {f"{before}my_{kind}.py" for before in ("", "test_") for kind in kinds}
+    assert {path.name for path in folder.iterdir()} == files
+    for command in (
+        ["pytest", "-q", "-p", "no:cacheprovider"],
+        ["ruff", "check", "--isolated", "--select", "E,F,I"],
+    ):
+        done = subprocess.run(
+            [sys.executable, "-m", *command, str(folder)],
+            capture_output=True,
+            text=True,
+            cwd=folder,
+            check=False,
+        )
+        assert done.returncode == 0, done.stdout
 
 
 @pytest.mark.parametrize(
@@ -271,20 +273,25 @@ def test_a_hang_is_reported_with_its_line_and_ends_the_check(tmp_path: Path, han
 
 
 @pytest.mark.parametrize(
-    ("lines", "point", "text"),
+    ("lines", "said", "effect"),
     [
-        ({"top": "print('loud')"}, NO_OUTPUT, "loud"),
-        ({"made": "import sys; sys.stderr.write('loud')"}, NO_OUTPUT, "loud"),
-        ({"top": "WEIGHTS = open('/etc/passwd').read()"}, NO_SIDE_EFFECTS, "(own.py:3)"),
-        ({"made": "import os; os.listdir('/etc')"}, NO_SIDE_EFFECTS, "'/etc' (own.py:11)"),
-        ({"made": "import os; os.system('true')"}, NO_SIDE_EFFECTS, "os.system"),
-        ({"made": "import subprocess; subprocess.run(['true'])"}, NO_SIDE_EFFECTS, "subprocess"),
+        ({"top": "print('loud'); open('/etc/passwd').read()"}, "loud", "(own.py:3)"),
+        (
+            {"made": "import os, sys; sys.stderr.write('loud'); os.listdir('/etc')"},
+            "loud",
+            "'/etc' (own.py:11)",
+        ),
+        ({"made": "import os; os.system('true')"}, "", "os.system"),
+        ({"made": "import subprocess; subprocess.run(['true'])"}, "", "subprocess"),
     ],
 )
 def test_a_side_effect_is_reported_wherever_it_happens(
-    tmp_path: Path, lines: dict[str, Any], point: str, text: str
+    tmp_path: Path, lines: dict[str, Any], said: str, effect: str
 ) -> None:
-    assert text in faults(checked(tmp_path, **lines))[point]
+    found = faults(checked(tmp_path, **lines))
+    assert (NO_OUTPUT in found) == bool(said)
+    assert said in found.get(NO_OUTPUT, "")
+    assert effect in found[NO_SIDE_EFFECTS]
 
 
 def test_reload_wants_a_pattern_and_targets(capsys: pytest.CaptureFixture[str]) -> None:

@@ -43,7 +43,7 @@ from swarmd.network.operator.outcome import Acks, Outcome, joined
 from swarmd.network.operator.repeat_timer import SOLICIT_PACE, RepeatTimer
 from swarmd.network.operator.request_sender import REPEAT_PERIOD, aged, request_timeout
 from swarmd.network.signature import Author
-from swarmd.network.spread.next_goal import next_goal
+from swarmd.network.spread.operator_goals import next_goal
 from swarmd.network.stops.stop_request import PendingStop
 from swarmd.network.stops.stop_sender import STOP_PACE
 from swarmd.security.roster import Role

@@ -20,7 +20,6 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, body_of
-from swarmd.robot.event_limit import BURST, PERIOD
 from swarmd.robot.peers import (
     ANGLE_ERROR,
     DISTANCE_ERROR,
@@ -28,6 +27,7 @@ from swarmd.robot.peers import (
     TOLD_TIMEOUT,
     Peers,
 )
+from swarmd.robot.rate_limits import EVENT_BURST, EVENT_PERIOD
 from swarmd.robot.state import MAX_HOLD_TIME
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import under_barrier
@@ -257,8 +257,8 @@ def test_a_peer_whose_body_flaps_leaves_room_for_other_events() -> None:
         robot.advance(0.5)
     texts = [event.text for event in robot.status.events]
     assert "the driver was replaced" in texts
-    assert sum("is faster than assumed" in text for text in texts) == BURST
-    robot.advance(PERIOD)
+    assert sum("is faster than assumed" in text for text in texts) == EVENT_BURST
+    robot.advance(EVENT_PERIOD)
     robot.step(PeersInput({"j": faster}))
     assert robot.status.events[-1].text == "peers faster: 37 more events"
 
@@ -270,7 +270,7 @@ def test_many_false_names_are_few_events() -> None:
     for number in range(1, 30):
         bodies = {**bodies, f"b{number}": BURGER}
         robot.step(PeersInput(bodies))
-    assert len(robot.status.events) <= before + BURST
+    assert len(robot.status.events) <= before + EVENT_BURST
 
 
 def test_a_robot_whose_peer_is_no_longer_told_stops_in_that_tick() -> None:

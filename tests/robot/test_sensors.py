@@ -14,7 +14,7 @@ from swarmd.core.messages import Health, Reason, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
 from swarmd.protection.compatibility import body_of
 from swarmd.protection.settings import Mode
-from swarmd.robot.event_limit import BURST
+from swarmd.robot.rate_limits import EVENT_BURST
 from swarmd.robot.sensors import (
     AGE_UPDATE_PERIOD,
     MAX_INBOX_BYTES,
@@ -196,7 +196,9 @@ def test_clocks_that_are_set_are_events() -> None:
         stamp = robot.now + 100.0 * number
         robot.robot.step(OdometryInput(Odometry(stamp, Pose(), Twist())), robot.now)
     texts = [event.text for event in robot.status.events[before:]]
-    assert texts == BURST * ["stamps of odometry or scan jumped: the scan delay is measured anew"]
+    assert texts == EVENT_BURST * [
+        "stamps of odometry or scan jumped: the scan delay is measured anew"
+    ]
 
 
 def test_missing_scan_holds_and_then_stops() -> None:

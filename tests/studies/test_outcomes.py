@@ -29,7 +29,14 @@ def missed(outcomes: Sequence[Outcome]) -> list[str]:
     return [f"{o.what}: {o.shown}; expected {o.wanted}" for o in outcomes if not o.is_reached]
 
 
-@pytest.mark.parametrize("pattern", MODULES)
+# test_paper.py, test_paper_exp2.py and tests/sim/lockstep/test_order.py run these three.
+ELSEWHERE = {"attraction", "discussed_dispersion", "voter_model"}
+
+
+@pytest.mark.parametrize(
+    "pattern",
+    [pytest.param(p, marks=[pytest.mark.evidence] * (p in ELSEWHERE)) for p in MODULES],
+)
 def test_one_run_reaches_every_outcome(pattern: str, monkeypatch: pytest.MonkeyPatch) -> None:
     if pattern in RUNS:
         monkeypatch.setattr(MODULES[pattern], "RUNS", RUNS[pattern])

@@ -51,7 +51,7 @@ from tests.daemon.test_daemon import RecordingDriver
 from tests.support.examples import examples
 from tests.support.garbage import KINDS, Garbage, hostile_message, packed
 from tests.support.keys import SwarmKeys
-from tests.support.processes import CAP, DaemonProcess, unique_swarm, wait_until
+from tests.support.processes import CAP, unique_swarm, wait_until
 from tests.support.viewer import Viewer
 
 if TYPE_CHECKING:
@@ -60,8 +60,8 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.integration
 
-PER_KIND = 10
-PER_KEY = 10
+PER_KIND = 40
+PER_KEY = 20
 MESH = ("control/", "state/")
 WRONG_HW = tuple(
     f"driver/hw/{sense}:key" for sense in ("scan", "odometry", "neighbors", "readings")
@@ -134,35 +134,17 @@ class Vandal:
         return sum(count for kind, count in counts.items() if kind.startswith(counters))
 
 
-@dataclass(frozen=True, slots=True)
-class Attacked:
-    """A robot that drives, whatever it hears."""
-
-    swarm: Swarm
-    body: Body
-    daemon: DaemonProcess
-
-
 def _ignore(reply: zenoh.Reply) -> None:
     pass
 
 
-@pytest.fixture(scope="module")
-def attacked(shared_swarm: Swarm) -> Attacked:
-    """`r1` with a body; each test leaves it alone."""
-    body = shared_swarm.body("r1")
-    return Attacked(shared_swarm, body, shared_swarm.start("r1", body))
-
-
 @pytest.fixture
-def vandal(attacked: Attacked) -> Iterator[Vandal]:
-    made = Vandal(attacked.swarm)
+def vandal(swarm: Swarm) -> Iterator[Vandal]:
+    made = Vandal(swarm)
     try:
-        made.connect()
         yield made
     finally:
         made.viewer.close()
-        attacked.swarm.ctl("reset", "--all", "--yes")
 
 
 def request(verb: str) -> AnyRequest:
@@ -209,11 +191,11 @@ def body_targets(swarm: str, body: Body) -> Iterator[Target]:
         yield Target(build(swarm, "r1", "hw", name), valid, limit, (f"driver/hw/{name}",))
 
 
-def test_malformed_messages_are_counted_and_disturb_no_robot(
-    attacked: Attacked, vandal: Vandal
-) -> None:
-    swarm, body = attacked.swarm, attacked.body
-    second = swarm.start("r2")
+def test_malformed_messages_are_counted_and_disturb_no_robot(swarm: Swarm, vandal: Vandal) -> None:
+    body = swarm.body("r1")
+    swarm.start("r1", body)
+    vandal.connect()
+    swarm.start("r2")
     swarm.run_drive("r1")
     moving = body.wait_stepped()
     before = swarm.status("r1")
@@ -228,15 +210,14 @@ def test_malformed_messages_are_counted_and_disturb_no_robot(
     after = swarm.status("r1")
     print(f"{vandal.sent} bad messages; {after.health.dropped}")
     print(f"loop p99 {after.health.loop_p99 * 1e3:.1f} ms")
-    assert vandal.sent >= 500
+    assert vandal.sent >= 2_000
     assert (after.state, after.epoch) == (State.RUNNING, before.epoch)
-    assert after.health.loop_stalls == before.health.loop_stalls
+    assert after.health.loop_stalls == 0
     body.wait_moving(boottime())
     assert body.ran_since(moving)
     listed = swarm.ctl("members", "-o", "json")
     assert {member["robot"] for member in listed.json["members"]} == {"r1", "r2"}
     assert swarm.ctl("estop").code == 0
-    second.kill()
 
 
 def say_on_wrong_keys(swarm: Swarm, vandal: Vandal, body: Body) -> None:
@@ -277,6 +258,34 @@ def ghost_beacon(number: int, sequence: int = 1) -> Beacon:
         state=0,
         revision=0,
     )
+
+
+def test_false_robots_do_not_hide_real_ones(swarm: Swarm, vandal: Vandal) -> None:
+    """Beacons of more robots than a daemon keeps."""
+    body = swarm.body("r1")
+    swarm.start("r1", body)
+    vandal.connect()
+    swarm.run_drive("r1")
+    before = swarm.status("r1")
+    sequence = itertools.count(1)
+
+    def is_full() -> bool:
+        for number in range(MAX_MEMBERS + 50):
+            vandal.viewer.send(ghost_beacon(number, next(sequence)))
+            if number % 20 == 0:
+                time.sleep(0.01)  # a source may send some hundred datagrams a second
+        return len(swarm.presences("r1")) >= MAX_MEMBERS // 4
+
+    wait_until(is_full, "the crowd is listed")
+    assert swarm.ctl("stop", "r1").outcome == (0, "1 targeted, 1 applied")
+    wait_until(
+        lambda: set(swarm.presences("r1").values()) == {Presence.FAILED}, "the crowd has gone"
+    )
+    swarm.start("r2")
+    swarm.await_presence("r1", "r2", Presence.ALIVE)
+    after = swarm.status("r1")
+    assert (after.state, after.epoch.instance) == (State.STOPPED, before.epoch.instance)
+    assert after.health.loop_stalls == 0
 
 
 # Messages that decode, at the ends of their bounds, and such with hostile fields
@@ -502,9 +511,11 @@ def test_nothing_that_is_pulled_raises(handlers: Handlers) -> None:
     check()
 
 
-def test_a_daemon_answers_after_hostile_messages(attacked: Attacked, vandal: Vandal) -> None:
+def test_a_daemon_answers_after_hostile_messages(swarm: Swarm, vandal: Vandal) -> None:
     """Some hundred questions, requests and datagrams by a plain session and a plain socket."""
-    swarm, body, daemon = attacked.swarm, attacked.body, attacked.daemon
+    body = swarm.body("r1")
+    daemon = swarm.start("r1", body)
+    vandal.connect()
     names = {"members", "fetch", "recordings", "audit", "logs", "links", "doctor", "plugins"}
     shared = {"roster", "behaviours", "behaviour"}
     keys = [build(swarm.name, "r1", CONTROL, name, "eve") for name in sorted(names)]
@@ -545,30 +556,3 @@ def test_a_daemon_answers_after_hostile_messages(attacked: Attacked, vandal: Van
         return False
 
     wait_until(is_driving, "r1 takes a run and drives")
-
-
-def test_false_robots_do_not_hide_real_ones(attacked: Attacked, vandal: Vandal) -> None:
-    """Beacons of more robots than a daemon keeps; the last test, since each answer lists them."""
-    swarm = attacked.swarm
-    swarm.run_drive("r1")
-    before = swarm.status("r1")
-    sequence = itertools.count(1)
-
-    def is_full() -> bool:
-        for number in range(MAX_MEMBERS + 50):
-            vandal.viewer.send(ghost_beacon(number, next(sequence)))
-            if number % 20 == 0:
-                time.sleep(0.01)  # a source may send some hundred datagrams a second
-        return len(swarm.presences("r1")) >= MAX_MEMBERS // 4
-
-    wait_until(is_full, "the crowd is listed")
-    assert swarm.ctl("stop", "r1").outcome == (0, "1 targeted, 1 applied")
-    wait_until(
-        lambda: set(swarm.presences("r1").values()) == {Presence.FAILED}, "the crowd has gone"
-    )
-    second = swarm.start("r2")
-    swarm.await_presence("r1", "r2", Presence.ALIVE)
-    second.kill()
-    after = swarm.status("r1")
-    assert (after.state, after.epoch.instance) == (State.STOPPED, before.epoch.instance)
-    assert after.health.loop_stalls == before.health.loop_stalls

@@ -185,7 +185,7 @@ def test_a_file_and_a_wheel_are_run_and_not_once_they_were_changed_on_the_disk(
     assert changed, kept
     done = swarm.ctl("run", name, "r1", "-o", "json")
     assert done.json["replies"]["r1"]["refusal"] == "changed_code", done
-    assert "changed" in pushing.daemon.text()[said:]
+    wait_until(lambda: "changed" in pushing.daemon.text()[said:], "the log tells of it")
     wait_until(lambda: pushing.listed("r1")[name]["hash"] == "", "the list shows no code")
     listed = pushing.listed("r1")[name]
     assert (listed["standing"], "changed" in listed["text"]) == ("missing", True)

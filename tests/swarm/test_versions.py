@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 
 import pytest
@@ -12,43 +13,58 @@ from tests.swarm.conftest import Swarm
 
 pytestmark = pytest.mark.integration
 
+OFFSETS = {"r2": 1, "r3": -1}
 
-@pytest.mark.parametrize("offset", [1, -1], ids=["newer", "older"])
-def test_a_robot_of_another_version_is_stopped_and_shown_and_refuses_the_rest_by_name(
-    swarm: Swarm, tmp_path: Path, offset: int
+
+def test_robots_of_other_versions_are_stopped_and_shown_and_refuse_the_rest_by_name(
+    swarm: Swarm, tmp_path: Path
 ) -> None:
+    """r2 is newer, r3 older."""
     swarm.spawn("r1")
-    with DaemonProcess(
-        tmp_path / "other",
-        swarm=swarm.name,
-        robot="r2",
-        endpoint="tcp/127.0.0.1:9",
-        module=("tests.support.other_version", str(offset)),
-    ) as other:
-        other.wait_ready()
+    with contextlib.ExitStack() as left:
+        others = {
+            robot: left.enter_context(
+                DaemonProcess(
+                    tmp_path / robot,
+                    swarm=swarm.name,
+                    robot=robot,
+                    endpoint="tcp/127.0.0.1:9",
+                    module=("tests.support.other_version", str(offset)),
+                )
+            )
+            for robot, offset in OFFSETS.items()
+        }
+        for other in others.values():
+            other.wait_ready()
         swarm.status("r1")
-        speaks = f"r2 speaks {codec.VERSION + offset}, this swarmctl {codec.VERSION}"
-
+        speaks = {
+            robot: f"speaks {codec.VERSION + offset}, this swarmctl {codec.VERSION}"
+            for robot, offset in OFFSETS.items()
+        }
         shown = swarm.ctl("members")
         assert shown.code == 0
-        assert f"# other version: {speaks}" in shown.out.splitlines()
-        (row,) = (line.split() for line in shown.out.splitlines() if line.startswith("r2 "))
-        assert row[:3] == ["r2", "idle", "never_asked"]
+        rows = [line.split() for line in shown.out.splitlines()]
+        for robot, text in speaks.items():
+            assert f"{robot} {text}" in shown.out
+            (row,) = (row for row in rows if row[:1] == [robot])
+            assert row[:3] == [robot, "idle", "never_asked"]
+        assert "# other version: " in shown.out
 
         ran = swarm.ctl("run", "drive", "--all")
-        assert ran.outcome == (3, "2 targeted, 1 applied, 1 refused (r2)")
-        assert speaks in ran.out
-        assert swarm.ctl("run", "drive", "r2").outcome == (
-            7,
-            "1 targeted, 0 applied, 1 refused (r2)",
-        )
-        assert other.text().count("refused (other_version)") == 2
+        assert ran.outcome == (3, "3 targeted, 1 applied, 2 refused (r2, r3)")
+        assert all(f"{robot} {text}" in ran.out for robot, text in speaks.items())
+        for robot, other in others.items():
+            done = swarm.ctl("run", "drive", robot)
+            assert done.outcome == (7, f"1 targeted, 0 applied, 1 refused ({robot})")
+            assert other.text().count("refused (other_version)") == 2
 
-        assert swarm.ctl("stop").outcome == (0, "2 targeted, 2 applied")
+        assert swarm.ctl("stop").outcome == (0, "3 targeted, 3 applied")
         assert swarm.ctl("estop", "r2").outcome == (0, "1 targeted, 1 applied")
-        assert swarm.ctl("estop").outcome == (0, "2 targeted, 2 applied")
-        states = {
-            one["robot"]: one["state"] for one in swarm.ctl("members", "-o", "json").json["members"]
+        assert swarm.ctl("estop").outcome == (0, "3 targeted, 3 applied")
+        listed = swarm.ctl("members", "-o", "json").json["members"]
+        assert {one["robot"]: one["state"] for one in listed} == {
+            "r1": "estopped",
+            "r2": "estopped",
+            "r3": "estopped",
         }
-        assert states == {"r1": "estopped", "r2": "estopped"}
-        assert speaks.removeprefix("r2 ") in swarm.ctl("describe", "r2").out
+        assert all(text in swarm.ctl("describe", robot).out for robot, text in speaks.items())

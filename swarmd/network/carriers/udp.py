@@ -523,7 +523,6 @@ class UdpCarrier:
                 sock.setsockopt(socket.IPPROTO_IPV6, _IPV6_UNICAST_IF, index)
 
     def _join(self, one: _Listener, ipv4: int, ipv6: int) -> None:
-        """Join or leave the group of a listener."""
         if one.socket.family == socket.AF_INET:
             group = socket.inet_aton(GROUP4)
             membership = struct.pack("4s4si", group, bytes(4), self._index)

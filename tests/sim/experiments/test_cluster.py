@@ -14,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from swarmd.sim.experiments.simulate import simulate
 from tests.sim.conftest import MAIN
 from tests.support.processes import children, wait_until
 
@@ -99,9 +100,11 @@ def is_running_one(worker: subprocess.Popen[bytes]) -> bool:
 def test_all_runs_are_there_though_one_worker_is_killed_and_one_hangs(
     tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
 ) -> None:
-    killed, hung = cluster.add_worker(), cluster.add_worker()
-    command = ("exp", "run", duo, "--seeds", 6, "--set", "duration=5")
+    command = ("exp", "run", duo, "--seeds", 4, "--set", "duration=1.2", "--set", f"{ENDS}=slow")
     where = ("--scheduler", cluster.address, "--timeout", 6, "--out", "far")
+    is_refused(swarmctl(*command, *where), 1, "no worker")
+    assert not (tmp_path / "far").exists()
+    killed, hung, _ = (cluster.add_worker() for _ in range(3))
     running = subprocess.Popen(
         [sys.executable, "-c", MAIN, *map(str, (*command, *where))],
         stdout=subprocess.PIPE,
@@ -112,19 +115,24 @@ def test_all_runs_are_there_though_one_worker_is_killed_and_one_hangs(
     wait_until(lambda: is_running_one(killed) and is_running_one(hung), "both work")
     killed.kill()
     hung.send_signal(signal.SIGSTOP)
-    cluster.add_worker()
     _, told = running.communicate(timeout=200)
     assert running.returncode == 0, told
     assert told.count("is repeated") >= 2, told
-    near = swarmctl(*command, "--out", "near")
-    assert near.returncode == 0, near.stderr
-    assert len(table(tmp_path / "far")) == 7
+    simulate(duo, 4, set={"duration": 1.2, ENDS: "slow"}, out=tmp_path / "near")
+    assert len(table(tmp_path / "far")) == 5
     assert table(tmp_path / "far") == table(tmp_path / "near")
     assert traces(tmp_path / "far") == traces(tmp_path / "near")
     hung.send_signal(signal.SIGCONT)
     wait_until(lambda: not is_running_one(hung), "what it did is cancelled")
     of_worker = cluster.folder / "worker-1"
     wait_until(lambda: not list(of_worker.rglob("swarmd-*")), "its files are removed")
+
+
+def is_refused(done: subprocess.CompletedProcess[str], code: int, subject: str) -> None:
+    """It ended in one line about the subject, and made nothing."""
+    assert (done.returncode, done.stdout) == (code, ""), done.stderr
+    assert subject in done.stderr
+    assert done.stderr.count("\n") == 1, done.stderr
 
 
 @pytest.mark.evidence
@@ -208,17 +216,10 @@ def test_other_software_of_a_worker_is_refused_by_its_name(
     assert made_with["blas"] == "Nehalem"  # of the worker, and not of this machine
 
 
-def test_a_cluster_that_is_not_there_or_has_no_worker_is_one_line(
-    tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
+@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x"])
+def test_a_cluster_that_is_not_there_is_one_line(
+    tmp_path: Path, duo: Path, swarmctl: Swarmctl, address: str
 ) -> None:
     words = ("exp", "run", duo, "--seeds", 1, "--out", "far", "--timeout", 1, "--scheduler")
-    for address, code, subject in (
-        (cluster.address, 1, "no worker"),
-        ("tcp://127.0.0.1:1", 2, "--scheduler tcp://127.0.0.1:1"),
-        ("nonsense://x", 2, "--scheduler nonsense://x"),
-    ):
-        done = swarmctl(*words, address)
-        assert (done.returncode, done.stdout) == (code, ""), done.stderr
-        assert subject in done.stderr
-        assert done.stderr.count("\n") == 1, done.stderr
-        assert not (tmp_path / "far").exists()
+    is_refused(swarmctl(*words, address), 2, f"--scheduler {address}")
+    assert not (tmp_path / "far").exists()

@@ -21,6 +21,7 @@ from swarmd.sim.experiments.plan import Plan, Variant
 from swarmd.sim.experiments.results import Results
 from swarmd.sim.experiments.simulate import plan_of
 from swarmd.sim.experiments.store import Row, open_store
+from tests.sim.conftest import write_duo
 
 SPEED = "groups.all.parameters.speed"
 
@@ -128,19 +129,27 @@ def test_an_unknown_metric_is_one_line() -> None:
         compare(side({0: 1.0}), side({0: 1.0}), ["minimum_gop"])
 
 
-@pytest.fixture
-def folders(duo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.fixture(scope="module")
+def conducted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """`one` and `two:points` without a sweep, `swept` and `other` with one, `empty` unfinished."""
-    monkeypatch.chdir(tmp_path)
+    folder = tmp_path_factory.mktemp("conducted")
+    duo = write_duo(folder)
     for name, speeds in (
         ("one", []), ("two:points", []), ("empty", []),
         ("swept", [0.1, 0.2]), ("again", [0.1, 0.2]), ("other", [0.1, 0.3]),
     ):  # fmt: skip
         plan = plan_of(duo, (0, 1), {}, {SPEED: speeds} if speeds else {})
         manifest = manifest_of(plan, traces=False, command=[])
-        with open_store(tmp_path / name, manifest, ("minimum_gap",)) as store:
+        with open_store(folder / name, manifest, ("minimum_gap",)) as store:
             for run in store.missing if name != "empty" else ():
                 store.add(run, {"minimum_gap": 1.0}, 0.1)
+    return folder
+
+
+@pytest.fixture
+def folders(conducted: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The folders of `conducted` are in the current one."""
+    monkeypatch.chdir(conducted)
 
 
 @pytest.mark.parametrize(

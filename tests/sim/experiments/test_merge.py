@@ -16,6 +16,7 @@ from swarmd.sim.experiments.manifest import read_manifest, write_json
 from swarmd.sim.experiments.merge import merge
 from swarmd.sim.experiments.rerun import rerun
 from swarmd.sim.experiments.simulate import simulate
+from tests.sim.conftest import write_duo
 
 SWEEP = {"groups.all.count": [2, 1]}
 
@@ -25,9 +26,32 @@ def run(duo: Path, out: Path, **more: Any) -> Path:
     return out
 
 
+@pytest.fixture(scope="module")
+def conducted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A scenario, its three parts and the folder of one machine, for reading alone."""
+    folder = tmp_path_factory.mktemp("conducted")
+    duo = write_duo(folder)
+    run(duo, folder / "whole")
+    for k in (1, 2, 3):
+        run(duo, folder / f"part-{k}", shard=f"{k}/3")
+    return folder
+
+
 @pytest.fixture
-def parts(duo: Path, tmp_path: Path) -> list[Path]:
-    return [run(duo, tmp_path / f"part-{k}", shard=f"{k}/3") for k in (1, 2, 3)]
+def duo(conducted: Path) -> Path:
+    return conducted / "duo" / "duo.yaml"
+
+
+@pytest.fixture
+def whole(conducted: Path) -> Path:
+    return conducted / "whole"
+
+
+@pytest.fixture
+def parts(conducted: Path, tmp_path: Path) -> list[Path]:
+    """The three parts, for a test's own use."""
+    names = [f"part-{k}" for k in (1, 2, 3)]
+    return [shutil.copytree(conducted / name, tmp_path / name) for name in names]
 
 
 def table(folder: Path) -> list[str]:
@@ -39,9 +63,8 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def test_all_parts_give_the_folder_of_one_machine(
-    duo: Path, parts: list[Path], tmp_path: Path
+    whole: Path, parts: list[Path], tmp_path: Path
 ) -> None:
-    whole = run(duo, tmp_path / "whole")
     results, lacking = merge([parts[2], parts[0], parts[1]], tmp_path / "m")
     assert lacking == []
     assert len(results.rows) == 4
@@ -50,11 +73,11 @@ def test_all_parts_give_the_folder_of_one_machine(
         assert (tmp_path / "m" / "traces" / path.name).read_bytes() == path.read_bytes()
     one, other = (read_manifest(folder) for folder in (whole, tmp_path / "m"))
     assert msgspec.structs.replace(one, created="") == msgspec.structs.replace(other, created="")
-    assert set(rerun(tmp_path / "m", None, 2).values()) == {""}
+    assert set(rerun(tmp_path / "m", None, 1).values()) == {""}
 
 
 def test_an_incomplete_merge_names_what_is_missing_and_goes_on(
-    duo: Path, parts: list[Path], tmp_path: Path
+    whole: Path, parts: list[Path], tmp_path: Path
 ) -> None:
     part = parts[2]
     kept = table(part)[1].split(",")[0]
@@ -68,7 +91,7 @@ def test_an_incomplete_merge_names_what_is_missing_and_goes_on(
     (part / "runs.csv").write_text("".join(lines))
     results, lacking = merge(parts, tmp_path / "m")
     assert (len(results.rows), lacking) == (4, [])
-    assert table(tmp_path / "m") == table(run(duo, tmp_path / "whole"))
+    assert table(tmp_path / "m") == table(whole)
 
 
 def test_only_parts_with_missing_runs_are_named(duo: Path, tmp_path: Path) -> None:
@@ -79,10 +102,10 @@ def test_only_parts_with_missing_runs_are_named(duo: Path, tmp_path: Path) -> No
     assert line.startswith("part 3/6, 4/6, in no folder: ")
 
 
-def test_parts_may_overlap_if_they_agree(parts: list[Path], tmp_path: Path) -> None:
+def test_parts_may_overlap_if_they_agree(duo: Path, parts: list[Path], tmp_path: Path) -> None:
     shutil.copytree(parts[0], tmp_path / "again")
     assert merge([*parts, tmp_path / "again"], tmp_path / "m")[1] == []
-    other = run(tmp_path / "duo" / "duo.yaml", tmp_path / "half", shard="1/2")
+    other = run(duo, tmp_path / "half", shard="1/2")
     assert merge([*parts, other], tmp_path / "m2")[1] == []
     name = table(parts[0])[1].split(",")[0]
     trace = tmp_path / "again" / "traces" / f"{name}.npz"

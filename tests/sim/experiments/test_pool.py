@@ -37,30 +37,22 @@ def done(jobs: list[Job], processes: int) -> dict[str, JobResult]:
     return {result.run: result for result in listed}
 
 
-@pytest.mark.parametrize(
-    "processes",
-    [pytest.param(1, marks=pytest.mark.evidence), 2, pytest.param(5, marks=pytest.mark.evidence)],
-)
+@pytest.mark.parametrize("processes", [pytest.param(1, marks=pytest.mark.evidence), 2])
 def test_every_job_is_done_once_though_workers_crash(duo: Path, processes: int) -> None:
     jobs = [
         job(duo, 0),
         job(duo, 1, None, {END: "exit"}),
         job(duo, 2, None, {END: "kill"}),
-        job(duo, 3),
+        job(duo, 3, None, {"arena.size": [0.2, 0.2]}),  # no room
+        job(duo, 4),
     ]
     found = done(jobs, processes)
-    assert [found[f"s{i}"].metrics is not None for i in range(4)] == [True, False, False, True]
+    assert [i for i in range(5) if found[f"s{i}"].metrics is not None] == [0, 4]
     assert found["s1"].reason == "its process ended with code 7: moody has had enough"
     assert found["s2"].reason.startswith("its process was killed by SIGKILL")
-
-
-def test_a_worker_survives_an_invalid_run(duo: Path) -> None:
-    crowded = job(duo, 0, None, {"groups.all.count": 300})
-    found = done([crowded, job(duo, 1)], 1)
-    assert found["s0"].metrics is None
-    assert found["s0"].reason
-    assert "\n" not in found["s0"].reason
-    assert found["s1"].metrics is not None
+    assert "start" in found["s3"].reason
+    assert not found["s3"].reason.startswith("its process")
+    assert "\n" not in found["s3"].reason
 
 
 def test_an_exception_becomes_a_reason_in_one_line(duo: Path) -> None:
@@ -95,8 +87,8 @@ def test_several_processes_for_a_run_give_its_metrics(duo: Path) -> None:
     before = set(children(os.getpid()))
     forking = job(duo, 2, None, {END: "fork"})
     several = {r.run: r for r in results(run_jobs([job(duo, 0), job(duo, 1), forking], 1, cores=2))}
-    for run, one in done([job(duo, 0), job(duo, 1)], 1).items():
-        assert several[run].metrics == one.metrics is not None
+    for seed in (0, 1):
+        assert several[f"s{seed}"].metrics == run_job(job(duo, seed)).metrics is not None
     assert several["s2"].metrics is not None
     assert set(children(os.getpid())) == before
 
@@ -136,23 +128,21 @@ def test_the_start_of_a_worker_does_not_count_as_a_step(duo: Path) -> None:
         worker.kill()
 
 
-def test_a_slow_run_that_goes_on_may_take_longer_than_the_limit(duo: Path) -> None:
+def test_a_slow_run_reports_progress_and_may_take_longer_than_the_limit(duo: Path) -> None:
     slow = job(duo, 0, None, {END: "slow", "duration": 1.2})
-    (result,) = results(run_jobs([slow], 1, timeout=3.0))
+    with closing(run_jobs([slow], 1, timeout=3.0)) as found:
+        *told, result = found
+    shares = [item["s0"] for item in told if not isinstance(item, JobResult)]
+    assert len(shares) == len(told)
+    assert shares == sorted(shares)
+    assert any(0.0 < share < 1.0 for share in shares)
+    assert isinstance(result, JobResult)
     assert result.metrics is not None, result.reason
     assert result.wall > 3.0
 
 
-def test_progress_of_running_runs_is_reported_before_the_first_ends(duo: Path) -> None:
-    slow = job(duo, 0, None, {END: "slow", "duration": 1})
-    with closing(run_jobs([slow, job(duo, 1)], 2)) as found:
-        shares = [item["s0"] for item in found if not isinstance(item, JobResult) and "s0" in item]
-    assert shares == sorted(shares)
-    assert any(0.0 < share < 1.0 for share in shares)
-
-
 def test_runs_do_not_share_process_state(duo: Path) -> None:
-    alone = done([job(duo, 1)], 1)["s1"]
+    alone = run_job(job(duo, 1))
     after = done([job(duo, 0, None, {END: "remember"}), job(duo, 1)], 1)["s1"]
     assert after.metrics == alone.metrics is not None
 

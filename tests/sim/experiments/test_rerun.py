@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import shutil
 from pathlib import Path
 
 import numpy as np
@@ -22,42 +21,35 @@ def results(duo: Path, tmp_path: Path) -> Results:
 
 
 def again(results: Results, tmp_path: Path) -> dict[str, str]:
-    return rerun(results.folder, tmp_path / "y", 2)
+    return rerun(results.folder, tmp_path / "y", 1)
 
 
-def test_every_run_is_identical_even_without_the_scenario(
-    results: Results, duo: Path, tmp_path: Path
-) -> None:
+def stamps(folder: Path) -> dict[Path, int]:
+    return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
+
+
+def test_each_other_bit_is_reported_even_without_the_scenario(duo: Path, tmp_path: Path) -> None:
+    results = simulate(duo, seeds=4, set={"duration": 1}, out=tmp_path / "x")
     duo.unlink()
-    before = {path: path.stat().st_mtime_ns for path in results.folder.rglob("*")}
     assert warnings(results.folder) == []
-    assert again(results, tmp_path) == {"s0000": "", "s0001": ""}
-    assert {path: path.stat().st_mtime_ns for path in results.folder.rglob("*")} == before
-
-
-def test_one_other_bit_is_reported(results: Results, tmp_path: Path) -> None:
-    path = results.folder / "traces" / "s0001.npz"
-    trace = load_trace(path)
+    traces, table = results.folder / "traces", results.folder / "runs.csv"
+    trace = load_trace(traces / "s0001.npz")
     pose = trace.pose.copy()
     pose[-1, 0, 2] = np.nextafter(pose[-1, 0, 2], np.inf)
-    dataclasses.replace(trace, pose=pose).save(path)
-    assert again(results, tmp_path) == {"s0000": "", "s0001": "trace: pose"}
-
-
-@pytest.mark.parametrize(
-    ("has_traces", "why"),
-    [(True, "metrics of the same trace: minimum_gap"), (False, "metrics: minimum_gap")],
-)
-def test_other_metrics_are_reported_with_and_without_traces(
-    results: Results, tmp_path: Path, has_traces: bool, why: str
-) -> None:
-    if not has_traces:
-        shutil.rmtree(results.folder / "traces")
-    table = results.folder / "runs.csv"
-    old = repr(results.rows[1]["minimum_gap"])
-    assert table.read_text().count(f",{old},") == 1
-    table.write_text(table.read_text().replace(f",{old},", f",{float(old) + 1e-12!r},"))
-    assert again(results, tmp_path) == {"s0000": "", "s0001": why}
+    dataclasses.replace(trace, pose=pose).save(traces / "s0001.npz")
+    for row in results.rows[2:]:
+        old = repr(row["minimum_gap"])
+        assert table.read_text().count(f",{old},") == 1
+        table.write_text(table.read_text().replace(f",{old},", f",{float(old) + 1e-12!r},"))
+    (traces / "s0003.npz").unlink()
+    before = stamps(results.folder)
+    assert again(results, tmp_path) == {
+        "s0000": "",
+        "s0001": "trace: pose",
+        "s0002": "metrics of the same trace: minimum_gap",
+        "s0003": "metrics: minimum_gap",
+    }
+    assert stamps(results.folder) == before
 
 
 def test_a_run_that_fails_now_is_reported(results: Results, duo: Path, tmp_path: Path) -> None:

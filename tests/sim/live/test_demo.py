@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import signal
 import subprocess
@@ -65,22 +64,6 @@ def named(name: str, folder: Path) -> list[int]:
         if log.parent == folder and name in ("", comm):
             found.append(int(path.parent.name))
     return found
-
-
-@pytest.mark.integration
-def test_a_demo_runs_to_the_end_and_leaves_its_results(tmp_path: Path) -> None:
-    (tmp_path / "my_bot.yaml").write_text("extends: burger")
-    done = demo(tmp_path, "-n", "3", "--seconds", "4", "--platform", "my_bot.yaml", "-o", "json")
-    assert done.returncode == 0, done.stderr
-    answer = json.loads(done.stdout)
-    assert answer["apiVersion"] == "swarm/v1"
-    assert answer["problems"] == []
-    assert answer["numbers"]["seconds"] == pytest.approx(4.0, abs=0.1)
-    assert answer["numbers"]["contacts"] == 0
-    assert answer["seconds_to_moving"] > 0.0
-    folder = tmp_path / answer["folder"]
-    assert json.loads((folder / "summary.json").read_text())["robots"] == answer["robots"]
-    assert (folder / "trajectories.png").read_bytes().startswith(b"\x89PNG")
 
 
 @pytest.mark.integration

@@ -20,6 +20,7 @@ from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 from swarmd.sim.scenarios.simulation import world_of
 from swarmd.sim.trace import load_trace
+from tests.sim.conftest import Swarmctl
 from tests.support.processes import run_command
 
 READY = Ready("tcp/127.0.0.1:1", "simulated", {"endpoint": "tcp/127.0.0.1:1"})
@@ -185,14 +186,22 @@ def test_a_wrong_scenario_or_option_is_one_line_and_starts_nothing(
 
 
 @pytest.mark.integration
-def test_a_demo_of_a_scenario_reports_readings_and_neighbors_and_is_measured(file: Path) -> None:
+def test_a_demo_of_a_scenario_leaves_its_results_and_is_measured(
+    file: Path, swarmctl: Swarmctl
+) -> None:
     words = ("light.yaml", "--seed", "3", "-o", "json")
     done = run_command("swarmctl", "demo", *words, cwd=file.parent)
     assert done.returncode == 0, done.stderr
     answer = json.loads(done.stdout)
     assert [event["action"] for event in answer["events"]] == ["run climb", "param"]
     assert (answer["scenario"], answer["seed"]) == ("light", 3)
+    assert (answer["apiVersion"], answer["problems"]) == ("swarm/v1", [])
+    assert answer["numbers"]["seconds"] == pytest.approx(4.0, abs=0.1)
+    assert answer["numbers"]["contacts"] == 0
+    assert answer["seconds_to_moving"] > 0.0
     folder = file.parent / answer["folder"]
+    assert json.loads((folder / "summary.json").read_text())["robots"] == answer["robots"]
+    assert (folder / "trajectories.png").read_bytes().startswith(b"\x89PNG")
     trace = load_trace(folder / "trace.npz")
     start = load_scenario(file).starts(3)
     # The first sample is up to 0.1 s after the start, at less than 0.05 m/s.
@@ -206,7 +215,7 @@ def test_a_demo_of_a_scenario_reports_readings_and_neighbors_and_is_measured(fil
     assert 0.15 < trace.report["share"][-1].mean() < 0.85
     path = str(folder / "trace.npz")
     metrics = ("--metrics", "mean_speed,report:seen", "-o", "json")
-    measured = run_command("swarmctl", "exp", "measure", path, *metrics, cwd=file.parent)
+    measured = swarmctl("exp", "measure", path, *metrics)
     assert measured.returncode == 0, measured.stderr
     found = json.loads(measured.stdout)["traces"][path]
     assert found["mean_speed"] > 0.0

@@ -31,29 +31,43 @@ def warnings(caplog: pytest.LogCaptureFixture) -> list[str]:
     return [record.getMessage() for record in caplog.records]
 
 
-def test_draws_each_variant_and_all_of_them_together(
+def test_all_is_drawn_and_a_damaged_and_a_missing_trace_are_one_line_each(
     experiment: Path, tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    caplog.set_level("INFO")
+    traces = experiment / "traces"
+    (traces / "law=paper_s0000.npz").write_bytes(b"PK\x03\x04 no longer a trace")
+    (traces / "law=paper_s0001.npz").unlink()
     made = draw_experiment(experiment, tmp_path / "out")
-    assert BOTH | {"intervals.png", "over_time_mean_distance_to_centroid.png"} <= names(made)
+    left = {f"law=paper_{name}" for name in OF_A_VARIANT if name.startswith("least")}
+    assert BOTH - names(made) == left  # one run of that variant is left, the typical one
+    assert {"intervals.png", "over_time_mean_distance_to_centroid.png"} <= names(made)
     assert len(names(made)) == len(made)
     assert {path.parent for path in made} == {tmp_path / "out"}
     assert all(path.read_bytes().startswith(b"\x89PNG") for path in made)
-    assert warnings(caplog) == []
+    told = sorted(warnings(caplog))
+    assert len(told) == 2
+    assert "law=paper_s0000.npz: not a trace" in told[0] + told[1]
+    assert all(line.endswith("; the run is left out") for line in told)
+    assert any(str(traces / "law=paper_s0001.npz") in line for line in told)
 
 
-def test_of_one_run_there_is_no_worst(experiment: Path) -> None:
-    made = draw_experiment(experiment, seeds=[1], metrics=["minimum_gap"], look=Look(suffix=".svg"))
+def test_one_run_has_no_worst_and_a_metric_of_one_value_is_not_drawn_and_named(
+    experiment: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    metrics = ["minimum_gap", "failed_patterns"]
+    made = draw_experiment(experiment, seeds=[1], metrics=metrics, look=Look(suffix=".svg"))
     assert {path.parent for path in made} == {experiment / "plots"}
     assert names(made) == {
         f"law={law}_{name}.svg"
         for law in ("settling", "paper")
         for name in ("runs", "typical_trajectories", "typical_start_and_end")
     } | {"intervals.svg", "over_time_minimum_gap.svg"}
+    assert warnings(caplog) == ["failed_patterns is 0 in all runs; it is not drawn"]
 
 
-def test_pictures_name_scenario_variant_seed_and_value(experiment: Path) -> None:
+def test_pictures_name_scenario_variant_seed_and_value(
+    experiment: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     made = draw_experiment(
         experiment, metrics=["minimum_gap"], seeds=[0, 2],
         look=Look(targets={"minimum_gap": 0.25}, suffix=".svg"),
@@ -69,30 +83,16 @@ def test_pictures_name_scenario_variant_seed_and_value(experiment: Path) -> None
     assert "m, target 0.25" in texts["intervals.svg"]
     assert "law=settling (n = 2)" in texts["intervals.svg"]
     assert f"seed 2: {gaps['law=paper_s0002']:.3g} m" in texts["law=paper_runs.svg"]
-
-
-def test_a_damaged_and_a_missing_trace_are_one_line_each_and_the_rest_is_drawn(
-    experiment: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    traces = experiment / "traces"
-    (traces / "law=paper_s0000.npz").write_bytes(b"PK\x03\x04 no longer a trace")
-    (traces / "law=paper_s0001.npz").unlink()
-    made = names(draw_experiment(experiment))
-    left = {f"law=paper_{name}" for name in OF_A_VARIANT if name.startswith("least")}
-    assert BOTH - made == left  # one run of that variant is left, and it is the typical one
-    assert "over_time_minimum_gap.png" in made
-    told = sorted(warnings(caplog))
-    assert len(told) == 2
-    assert "law=paper_s0000.npz: not a trace" in told[0] + told[1]
-    assert all(line.endswith("; the run is left out") for line in told)
-    assert any(str(traces / "law=paper_s0001.npz") in line for line in told)
+    assert warnings(caplog) == []
 
 
 def test_without_traces_values_are_drawn_and_one_line_gives_the_reason(
     experiment: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     shutil.rmtree(experiment / "traces")
-    assert names(draw_experiment(experiment)) == {"intervals.png", "differences.png"}
+    intervals, differences = sorted(draw_experiment(experiment, look=Look(suffix=".svg")))[::-1]
+    assert (intervals.name, differences.name) == ("intervals.svg", "differences.svg")
+    assert "law=paper - law=settling" in differences.read_text()
     assert len(warnings(caplog)) == 1
     assert f"{experiment}: no traces were kept" in warnings(caplog)[0]
 
@@ -133,22 +133,6 @@ def test_a_figure_of_a_paper_has_its_width_and_no_title(experiment: Path, tmp_pa
     assert "law=settling" in over_time
     assert "law=paper" in over_time
     assert not any("gathering" in text and "line: median" in text for text in texts.values())
-
-
-def test_differences_are_from_the_first_variant(experiment: Path, tmp_path: Path) -> None:
-    made = draw_experiment(
-        experiment, tmp_path / "out", metrics=["minimum_gap"], look=Look(suffix=".svg")
-    )
-    (path,) = (path for path in made if path.name == "differences.svg")
-    assert "law=paper - law=settling" in path.read_text()
-
-
-def test_a_metric_of_one_value_is_not_drawn_and_named(
-    experiment: Path, caplog: pytest.LogCaptureFixture
-) -> None:
-    made = names(draw_experiment(experiment, metrics=["failed_patterns"], seeds=[0]))
-    assert not {"intervals.png", "differences.png", "over_time_failed_patterns.png"} & made
-    assert warnings(caplog) == ["failed_patterns is 0 in all runs; it is not drawn"]
 
 
 def test_a_facet_that_was_not_swept_is_named(experiment: Path) -> None:

@@ -16,9 +16,8 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.sim.view.trace_source import source_of
-from tests.sim.conftest import DUO, MOODY
+from tests.sim.conftest import swarmctl_in, write_duo
 from tests.support.chromium import Page
-from tests.support.processes import run_command
 
 pytestmark = pytest.mark.integration
 
@@ -68,11 +67,8 @@ def seek(page: Page, time: float) -> None:
 def results(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of an experiment with seeds 0 and 1."""
     home = tmp_path_factory.mktemp("experiment")
-    (home / "plugins").mkdir()
-    (home / "plugins" / "moody.py").write_text(MOODY)
-    (home / "duo.yaml").write_text(DUO)
-    words = ("exp", "run", "duo.yaml", "--seeds", "2", "-j", "1", "--out", "results")
-    done = run_command("swarmctl", *words, cwd=home)
+    words = ("exp", "run", write_duo(home), "--seeds", "2", "-j", "1", "--out", "results")
+    done = swarmctl_in(home)(*words)
     assert done.returncode == 0, done.stderr
     return home / "results"
 

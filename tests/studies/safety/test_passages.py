@@ -44,7 +44,9 @@ def test_a_robot_passes_the_narrowest_door_and_none_much_narrower(
     assert (crossings(door, 2) > 0) == is_passed
 
 
-@pytest.mark.parametrize(("width", "is_passed"), [(1.0, True), (0.85, False)])
+@pytest.mark.parametrize(
+    ("width", "is_passed"), [(1.0, True), pytest.param(0.85, False, marks=pytest.mark.evidence)]
+)
 def test_a_robot_passes_the_narrowest_corridor_and_none_much_narrower(
     width: float, is_passed: bool
 ) -> None:

@@ -23,13 +23,21 @@ from swarmd.sim.lockstep.lockstep import Lockstep, simulate_run
 from swarmd.sim.metrics.contacts import count_of
 from swarmd.sim.trace import Trace
 
+ATTACKING = ("ram", "lead", "behind", "corner", "flank", "spin")
+
 
 def run(scene: Scene, seed: int = 1) -> Trace:
     return simulate_run(scenario(scene), seed)
 
 
 @pytest.mark.parametrize(
-    ("family", "platform"), [(f, p) for f, family in FAMILIES.items() for p in family.platforms]
+    ("family", "platform"),
+    [
+        pytest.param(name, platform, marks=[pytest.mark.evidence] * (platform != largest))
+        for name, family in FAMILIES.items()
+        for *_, largest in [family.platforms]
+        for platform in family.platforms
+    ],
 )
 def test_every_scene_can_start(family: str, platform: str) -> None:
     scene = Scene(family, platform, FAMILIES[family].visibilities[0])
@@ -115,6 +123,7 @@ def test_a_family_changes_the_realism_of_its_scenes() -> None:
     assert weak.actuation.linear_acceleration == 0.7
 
 
+@pytest.mark.evidence
 def test_ghosts_reach_goals_and_never_touch_a_wall() -> None:
     trace = run(Scene("goals", "burger", mode="ghost", duration=40.0))
     assert (trace.report["goals"][-1] >= 1).all()
@@ -181,9 +190,16 @@ def test_attackers_move_at_the_speed_of_their_cell(family: str, platform: str) -
         assert (fastest >= 0.99 * speed).all()
 
 
-@pytest.mark.parametrize("family", ["ram", "lead", "behind", "corner", "flank", "spin"])
-def test_attackers_drive_into_unprotected_robots(family: str) -> None:
-    trace = run(Scene(family, "burger", mode="off", duration=8.0))
+@pytest.mark.parametrize(
+    ("family", "duration"),
+    [
+        ("ram", 4.0),  # the first hits of all families but spin are the same
+        ("spin", 4.0),
+        *(pytest.param(f, 20.0, marks=pytest.mark.evidence) for f in ATTACKING),
+    ],
+)
+def test_attackers_drive_into_unprotected_robots(family: str, duration: float) -> None:
+    trace = run(Scene(family, "burger", mode="off", duration=duration))
     attack = {trace.ids.index(robot) for robot in attackers(trace)}
     hits = [
         speed

@@ -1,15 +1,17 @@
-"""The goal that an operator sets next: greater than every goal seen, and signed in its name."""
+"""The goals of a look that count, and the goal that an operator sets next."""
 
 from __future__ import annotations
 
 import os
+from functools import cache
 from typing import TYPE_CHECKING, Any
 
+import msgspec
 from msgspec.structs import replace
 
 from swarmd.core.errors import CodecError, ConfigError
-from swarmd.core.goal import MAX_UNSIGNED, Goal, encode_goal, signed_part
-from swarmd.network.spread.signed_goals import signed_goals
+from swarmd.core.goal import MAX_UNSIGNED, Goal, GoalStatus, KnownGoal, encode_goal, signed_part
+from swarmd.network.spread.goal_sync import is_signed_goal
 from swarmd.security.content_signature import Purpose, sign
 
 if TYPE_CHECKING:
@@ -76,3 +78,36 @@ def sign_goal(goal: Goal, identity: Identity) -> Goal:
 
     key = load_private_key(identity.key)
     return replace(goal, signature=sign(key, Purpose.GOAL, signed_part(goal)))
+
+
+def signed_goals(view: MembersView, identity: Identity | None) -> MembersView:
+    """The look without goals that do not count: in a secured swarm those without a signature.
+
+    A robot tells its goals in its status. A stolen robot may tell false goals, which an operator
+    must not show as those of the swarm, and never sign anew. Each signature takes some 4 ms. Pure.
+    """
+    if identity is None:
+        return view
+    key_of = identity.roster.operators.get
+
+    @cache
+    def counts(content: bytes) -> bool:
+        return is_signed_goal(msgspec.msgpack.decode(content, type=Goal), key_of)
+
+    def goal(one: Goal | None) -> Goal | None:
+        return one if one is not None and counts(msgspec.msgpack.encode(one)) else None
+
+    def known(one: KnownGoal | None) -> KnownGoal | None:
+        return one if one is not None and goal(one.goal) is not None else None
+
+    def checked(goals: GoalStatus) -> GoalStatus:
+        held, own, before = known(goals.held), known(goals.own), goal(goals.before)
+        return replace(goals, held=held, own=own, before=before)
+
+    members = {
+        name: one
+        if one.status is None or one.status.goal is None
+        else replace(one, status=replace(one.status, goal=checked(one.status.goal)))
+        for name, one in view.members.items()
+    }
+    return replace(view, members=members)

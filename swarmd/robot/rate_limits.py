@@ -1,8 +1,9 @@
-"""What a robot's pattern may say: a limit for each channel, and a budget for the robot. Pure."""
+"""Rate limits of one robot: the messages of its pattern, and repeated events. Pure."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Mapping
 
 from swarmd.core.codec import encode_value
 from swarmd.core.errors import CodecError
@@ -16,10 +17,15 @@ ROBOT_RATE, ROBOT_BURST = 100.0, 25.0
 BYTE_RATE, BYTE_BURST = 32_000.0, 16_000.0
 """Encoded bytes per second of one robot: 31 messages of the largest size, or 320 bytes each at
 ROBOT_RATE. The shipped patterns say less than 1 kB/s."""
+EVENT_BURST = 3
+"""Events of one kind that pass at once."""
+EVENT_PERIOD = 60.0
+"""Seconds after which one more passes."""
 
 
 class Outbox:
-    """Passes the messages on declared channels within the limits; `dropped` counts the others."""
+    """Passes the messages of a pattern on declared channels within the limits of each channel and
+    of the robot; `dropped` counts the others."""
 
     def __init__(self) -> None:
         self._channels: dict[str, TokenBucket] = {}
@@ -48,3 +54,35 @@ class Outbox:
         except CodecError:
             size = 0  # the shell cannot send it either, and counts it
         return self._bytes.take(size, now) and self._messages.take(1.0, now)
+
+
+class EventLimit:
+    """Hands events to `log(text, now)`; of those beyond the limit of their kind, their number.
+
+    So `describe` keeps room for other events.
+    """
+
+    def __init__(self, log: Callable[[str, float], None]) -> None:
+        self._log = log
+        self._budgets: dict[str, TokenBucket] = {}
+        self._left_out: Counter[str] = Counter()
+
+    def log(self, kind: str, text: str, now: float) -> None:
+        """Log an event, or count it."""
+        if self._passes(kind, now):
+            self._log(text, now)
+        else:
+            self._left_out[kind] += 1
+
+    def advance(self, now: float) -> None:
+        """Log how many events were left out, of each kind of which one more passes."""
+        for kind, count in list(self._left_out.items()):
+            if self._passes(kind, now):
+                del self._left_out[kind]
+                self._log(f"{kind}: {count} more events", now)
+
+    def _passes(self, kind: str, now: float) -> bool:
+        budget = self._budgets.get(kind)
+        if budget is None:
+            budget = self._budgets[kind] = TokenBucket(1.0 / EVENT_PERIOD, EVENT_BURST)
+        return budget.take(1.0, now)
