@@ -403,7 +403,7 @@ class Status(Struct, frozen=True, kw_only=True):
     stale_readings: tuple[Word, ...] = ()
     events: tuple[LoggedEvent, ...] = ()
     version: Word = ""
-    kernels: Word = ""
+    kernels: Line = ""
     scan_delay: ScanDelaySummary | None = None
     body: Body | None = None
     peers: tuple[PeerFinding, ...] = ()

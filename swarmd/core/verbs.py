@@ -503,7 +503,7 @@ class DoctorReply(Struct, frozen=True, kw_only=True):
 
     robot: Name
     version: Word
-    kernels: Word
+    kernels: Line
     profile: Word
     machine: MachineFacts
     network: NetworkFacts

@@ -9,9 +9,13 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 from swarmd.core import clock, kernels
+from swarmd.core.codec import Decoder, encode
 from swarmd.core.kernels import KERNELS, describe_kernels, load_kernel
+from swarmd.core.messages import Status
+from tests.support.fake_daemon import light_status
 
 
 def test_no_library_is_loaded_where_it_is_not_wanted(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -30,6 +34,15 @@ def test_a_kernel_that_was_not_built_is_interpreted(monkeypatch: pytest.MonkeyPa
     monkeypatch.setattr(kernels, "KERNELS", (*KERNELS, "swarmd.protection.absent"))
     monkeypatch.setattr(kernels, "_fault_of", lambda name: "gone" if "absent" in name else "")
     assert describe_kernels() == "compiled, but absent is gone"
+
+
+def test_any_text_about_kernels_fits_into_a_status(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("SWARMD_COMPILED", raising=False)
+    monkeypatch.setattr(kernels, "_fault_of", lambda n: "" if n == KERNELS[0] else kernels._STALE)
+    told = describe_kernels()
+    assert all(name.rpartition(".")[2] in told for name in KERNELS[1:])
+    told_of = replace(light_status("r1", "i1"), kernels=told)
+    assert Decoder(Status)(encode(told_of)).kernels == told
 
 
 def test_a_description_imports_no_kernel() -> None:
