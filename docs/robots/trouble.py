@@ -15,9 +15,9 @@ import numpy as np
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Scan
 from swarmd.drivers.ros.diagnosis import (
+    DriverCheck,
     Graph,
     Middleware,
-    Report,
     driven,
     driven_by_others,
     unconnected,
@@ -76,7 +76,7 @@ def check(subject: str, subscriptions: Subscriptions, foreign_commands: int = 0)
     """The line of a check with the ROS 2 bridge."""
     foreign = ForeignCommands(TopicOptions(), ROS2_ACTIONS)
     foreign.counts["/cmd_vel"] += foreign_commands
-    report = Report(
+    report = DriverCheck(
         graph=Graph(middleware=Ros2Dds()),
         endpoint=ENDPOINT,
         subscriptions=subscriptions,

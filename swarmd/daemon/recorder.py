@@ -76,7 +76,9 @@ MAX_FILES = 500
 
 
 class _Process:
-    """One recorder process and the daemon's end of its socket."""
+    """One recorder process and the daemon's end of its socket; `has_failed`: it has said why."""
+
+    has_failed = False
 
     def __init__(self) -> None:
         ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
@@ -286,6 +288,7 @@ class Recorder:
             return
         self.report = report
         if report.fault:
+            one.has_failed = True
             self._fail(f"{report.path or 'no file'}: {report.fault}")
 
     def _on_end(self, one: _Process) -> None:
@@ -299,7 +302,7 @@ class Recorder:
             self._on_report(one)
         if one is self._open:
             self._fail(f"its process {how_it_ended(code)}")
-        elif code:  # after a stop, such as a disk that is full only now
+        elif code and not one.has_failed:  # after a stop, such as a disk that is full only now
             self._tell_fault(f"its file is not whole: its process {how_it_ended(code)}")
         self._ending.remove(one)
 

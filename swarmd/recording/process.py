@@ -140,7 +140,10 @@ def _said(sender: str, channel: str, value: Value) -> dict[str, Value]:
 
 
 def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
-    """Take batches until the other end is closed, and finish the file."""
+    """Take batches until the other end is closed, and finish the file.
+
+    An OSError of the file is reported and raised: the daemon may read no report any more.
+    """
     converter: Converter | None = None
     reported = -REPORT_PERIOD
     link.settimeout(CHUNK_TIME)
@@ -167,6 +170,7 @@ def run(link: socket.socket, now: Callable[[], float] = boottime) -> None:
         if converter is not None:
             converter.writer.abandon()
             converter = None
+        raise
     finally:
         if converter is not None:
             converter.writer.close()
@@ -196,7 +200,7 @@ def main() -> None:
     with socket.socket(fileno=int(sys.argv[1])) as link:
         try:
             run(link)
-        except OSError as error:  # the daemon has closed the socket already
+        except OSError as error:
             sys.exit(f"the recording could not be finished: {error.strerror or error}")
 
 

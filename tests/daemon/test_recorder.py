@@ -149,6 +149,19 @@ def test_a_frozen_recorder_process_drops_entries_and_delays_nothing(tmp_path: Pa
     assert found.messages.index(scans[-1]) == found.messages.index(last) + 2  # and its input
 
 
+def test_a_fault_after_a_stop_ends_the_process_with_an_error(tmp_path: Path) -> None:
+    """The daemon has closed its end, and reads no report."""
+    (tmp_path / "folder").write_text("a file")
+    ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    begin = frames.Begin(1.0, str(tmp_path / "folder"), "a", {}, 1.7e9, FileLimits())
+    event = frames.EventEntry(1.0, "a line")
+    with theirs:
+        ours.send(frames.batch([frames.encode_entry(begin), frames.encode_entry(event)]))
+        ours.close()
+        with pytest.raises(FileExistsError):
+            process.run(theirs)
+
+
 def test_a_recorder_process_that_is_killed_is_reported_once(tmp_path: Path) -> None:
     events: list[str] = []
 
