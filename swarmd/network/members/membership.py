@@ -377,7 +377,11 @@ class Membership:
     @property
     def heard(self) -> frozenset[str]:
         """The robots that were heard and did not leave."""
-        return frozenset(name for name in self._robots if self.lives(name))
+        return frozenset(
+            name
+            for name, robot in self._robots.items()
+            if any(one.left is None for one in robot.lives.values())
+        )
 
     def was_heard(self, robot: str) -> bool:
         """True if a life of the robot was heard, also if it left."""

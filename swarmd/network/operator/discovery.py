@@ -299,7 +299,7 @@ class Discovery:
         """When to stop waiting for the robots in `lacking`, as far as is known now."""
         if not self._mentioned:
             return self.started + self._nobody_wait
-        trip = self.round_trip
+        trip, loss = self.round_trip, self._loss(now)
         ends = [self._prolonging_news + self.quiet_time]
         prolonging = {robot for robot in self._mentioned if self._prolongs(robot)}
         found_at = max((self._mentioned[robot] for robot in prolonging), default=self.started)
@@ -309,7 +309,7 @@ class Discovery:
             since = self._mentioned.get(robot, self.started)
             best = most_certain(self._all_reports(robot))
             if self._is_fresh(robot, now):
-                wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * self._loss(now)
+                wait = max(self._answer_wait, ANSWER_TRIPS * trip) + LOSS_WAIT * loss
                 since = max(since, found_at)
             elif best is not None and best.presence is Presence.ALIVE:
                 wait = UNREACHABLE_WAIT + UNREACHABLE_TRIPS * trip
