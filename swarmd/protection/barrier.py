@@ -101,6 +101,7 @@ _PASSAGE_SLACK = 0.03  # m per side by which a passage must be wider: noise, a t
 _CORRIDOR_SPEED = 0.08  # m/s: what counts as passing a corridor
 _PLACES_BESIDE = 33  # along each wall of a corridor, odd: one lies beside a lidar in the middle
 _STEPS = cython.declare(cython.Py_ssize_t, 4)  # poses of a simulated stop
+_CHUNK = cython.declare(cython.Py_ssize_t, 64)  # points of a chunk
 
 _tick = cython.declare(cython.double, TICK)
 _side_cos = cython.declare(cython.double, math.cos(SIDE_ANGLE))
@@ -156,10 +157,21 @@ _NO_AGES = _view(np.empty(0))
 
 @cython.cfunc
 @cython.inline
+def _first(values: cython.double[::1], count: cython.Py_ssize_t) -> cython.p_double:
+    """The values, of which a loop reads the first `count`: checked here, and not at each."""
+    if len(values) < count:
+        raise IndexError(f"{len(values)} values; expected {count}")
+    if not cython.compiled:
+        return values
+    return cython.address(values[0])
+
+
+@cython.cfunc
+@cython.inline
 @cython.exceptval(check=False)
 def _maximum(a: cython.double, b: cython.double) -> cython.double:
     """The greater; NaN if one is."""
-    return a if a > b or a != a else b
+    return a if (a > b) | (a != a) else b
 
 
 @cython.cfunc
@@ -188,6 +200,63 @@ def _mean(
     if ramp >= seconds:
         return now + copysign(0.5 * rate * seconds, change)
     return now + change * (1.0 - 0.5 * ramp / seconds)
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _cap(
+    room: cython.double,
+    braking: cython.double,
+    unseen: cython.double,
+    others: cython.double,
+    is_passive: cython.bint,
+) -> cython.double:
+    """The cap in m/s on the closing speed, for an obstacle that approaches at `others` m/s.
+
+    From the cap the robot can still stop before the two use up `room` m, the gap less what
+    stays free. `braking` m/s2 is the rate at which the closing speed can fall, `unseen` s the
+    time since the obstacle was seen. Solves
+    s tick + s^2 / 2b + V (unseen + tick + s / b) = room. After the dynamic window with moving
+    obstacles and "passive safety" (Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017).
+    """
+    if not is_passive:
+        return _reciprocal_cap(room, braking, unseen)
+    left: cython.double = room - others * (unseen + _tick)
+    first: cython.double = braking * _tick + others
+    root: cython.double = sqrt(first * first + 2.0 * braking * _maximum(left, 0.0))
+    return _maximum(root - first, 0.0)
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _reciprocal_cap(
+    room: cython.double, braking: cython.double, unseen: cython.double
+) -> cython.double:
+    """The cap in m/s towards robots with the same rule: each may use half of the room.
+
+    As `_cap`, with others at rest and a reaction of two ticks plus the time unseen. After
+    barrier certificates that share the distance (Wang, Ames and Egerstedt, IEEE T-RO 2017).
+    """
+    half: cython.double = 0.5 * _maximum(room, 0.0)
+    first: cython.double = braking * (2.0 * _tick + unseen)
+    return _maximum(sqrt(first * first + 2.0 * braking * half) - first, 0.0)
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _braking(
+    linear: cython.double, lever: cython.double, slowing: cython.double, turning: cython.double
+) -> cython.double:
+    """m/s2: the rate at which the closing speed of a constraint can fall.
+
+    `slowing` m/s2 and `turning` rad/s2 are the rates at which the two speeds can fall.
+    """
+    braking: cython.double = fabs(linear) * slowing
+    braking += fabs(lever) * turning
+    return _maximum(braking, MIN_BRAKING)
 
 
 @cython.final
@@ -237,11 +306,31 @@ class Barrier:
     _axis_y: cython.double[::1]
     _origin: cython.double[::1]
     _length: cython.double[::1]
-    # The separation found last.
-    _gap_found: cython.double
-    _nx: cython.double
-    _ny: cython.double
-    _lever: cython.double
+    # A chunk of points, for loops that a compiler vectorises: places, what must stay free, age and
+    # radius; what separates them from the outline; and a row of each.
+    _at_x: cython.double[64]
+    _at_y: cython.double[64]
+    _at_free: cython.double[64]
+    _at_age: cython.double[64]
+    _at_radius: cython.double[64]
+    _at_least: cython.double[64]
+    _at_highest: cython.double[64]
+    _at_far: cython.double[64]
+    _at_high: cython.double[64]
+    _edge_x: cython.double[64]
+    _edge_y: cython.double[64]
+    _foot_x: cython.double[64]
+    _foot_y: cython.double[64]
+    _at_gap: cython.double[64]
+    _at_nx: cython.double[64]
+    _at_ny: cython.double[64]
+    _at_lever: cython.double[64]
+    _at_hidden: cython.double[64]
+    _at_cap: cython.double[64]
+    _new_x: cython.double[64]
+    _new_y: cython.double[64]
+    _new_cap: cython.double[64]
+    _new_gap: cython.double[64]
     # Readings of odometry, seven numbers each, the last at `_last`.
     _readings: cython.double[::1]
     _last: cython.Py_ssize_t
@@ -453,10 +542,11 @@ class Barrier:
     ) -> cython.double:
         """The speed ahead that an obstacle at a distance from the axle allows."""
         room: cython.double = distance - front - self._margin - self._unseen_extent
-        cap: cython.double = self._cap(room, self._braking_linear, age)
+        braking: cython.double = self._braking_linear
+        cap: cython.double = _cap(room, braking, age, self._others, self._is_passive)
         if self._keep_out == self._keep_out:
             room = distance - self._offset_x - self._keep_out
-            cap = min(cap, self._reciprocal_cap(room, self._braking_linear, age))
+            cap = min(cap, _reciprocal_cap(room, braking, age))
         return cap
 
     def narrowest_passage(self) -> NarrowestPassage:
@@ -492,8 +582,9 @@ class Barrier:
         hidden: cython.double = 0.0
         for x in np.linspace(corners.min(), corners.max(), _PLACES_BESIDE).tolist():
             for y in (-2.0 * self._outer, 2.0 * self._outer):
-                self._separate(x, y)
-                hidden = _maximum(hidden, self._hidden_gap(x, y))
+                self._at_x[0], self._at_y[0] = x, y
+                self._separate(1, self._blind)
+                hidden = _maximum(hidden, self._at_hidden[0])
         return self._margin + self._unseen_extent + hidden
 
     # What an arbiter is given, and its decisions.
@@ -1032,45 +1123,86 @@ class Barrier:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _separate(self, x: cython.double, y: cython.double) -> cython.int:
-        """Gap, direction and lever of a point."""
+    def _separate(self, count: cython.Py_ssize_t, blind: cython.double) -> cython.int:
+        """Gap, direction, lever and hidden gap of the first `count` points of the chunk.
+
+        The hidden gap is how far a blind zone of radius `blind` m reaches beyond the outline
+        towards the point. An obstacle that is seen at the point continues unseen only within that
+        circle around the lidar. It is left at this gap on the shortest line from the outline to
+        the point.
+        """
+        j: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        edges: cython.Py_ssize_t = self._edges
-        edge: cython.Py_ssize_t = 0
-        least: cython.double = _inf
-        highest: cython.double = -_inf
-        far: cython.double = 0.0
-        high: cython.double = 0.0
-        share: cython.double = 0.0
-        for k in range(edges):
-            along: cython.double = self._axis_x[k] * x + self._axis_y[k] * y - self._origin[k]
-            above: cython.double = (
-                self._axis_x[edges + k] * x + self._axis_y[edges + k] * y - self._origin[edges + k]
-            )
-            on: cython.double = along if along > 0.0 else 0.0
-            if on > self._length[k]:
-                on = self._length[k]
-            beyond: cython.double = along - on
-            square: cython.double = beyond * beyond + above * above
-            if square < least or square != square:
-                least, edge, far, high, share = square, k, beyond, above, on
-            if above > highest:
-                highest = above
-        gap: cython.double = 0.0 if highest <= 0.0 and least == least else sqrt(least)
-        if gap < 1e-9:
-            far, high = 0.0, 1.0
-        else:
-            inverse: cython.double = 1.0 / gap
-            far *= inverse
-            high *= inverse
-        ax: cython.double = self._axis_x[edge]
-        ay: cython.double = self._axis_y[edge]
-        nx: cython.double = far * ax + high * ay
-        ny: cython.double = far * ay - high * ax
-        self._lever = (self._corner_x[edge] + share * ax) * ny - (
-            self._corner_y[edge] + share * ay
-        ) * nx
-        self._gap_found, self._nx, self._ny = gap, nx, ny
+        x: cython.p_double = self._at_x
+        y: cython.p_double = self._at_y
+        least: cython.p_double = self._at_least
+        highest: cython.p_double = self._at_highest
+        far: cython.p_double = self._at_far
+        high: cython.p_double = self._at_high
+        edge_x: cython.p_double = self._edge_x
+        edge_y: cython.p_double = self._edge_y
+        foot_x: cython.p_double = self._foot_x
+        foot_y: cython.p_double = self._foot_y
+        for j in range(count):
+            least[j], highest[j], far[j], high[j] = _inf, -_inf, 0.0, 0.0
+            edge_x[j] = edge_y[j] = foot_x[j] = foot_y[j] = 0.0
+        for k in range(self._edges):
+            ax: cython.double = self._axis_x[k]
+            ay: cython.double = self._axis_y[k]
+            bx: cython.double = self._axis_x[self._edges + k]
+            by: cython.double = self._axis_y[self._edges + k]
+            start: cython.double = self._origin[k]
+            base: cython.double = self._origin[self._edges + k]
+            length: cython.double = self._length[k]
+            corner_x: cython.double = self._corner_x[k]
+            corner_y: cython.double = self._corner_y[k]
+            for j in range(count):
+                along: cython.double = ax * x[j] + ay * y[j] - start
+                above: cython.double = bx * x[j] + by * y[j] - base
+                on: cython.double = along if along > 0.0 else 0.0
+                on = length if on > length else on
+                beyond: cython.double = along - on
+                square: cython.double = beyond * beyond + above * above
+                is_nearer: cython.bint = (square < least[j]) | (square != square)
+                # A choice between values that are known before is one that a compiler vectorises.
+                was_far: cython.double = far[j]
+                was_high: cython.double = high[j]
+                was_edge_x: cython.double = edge_x[j]
+                was_edge_y: cython.double = edge_y[j]
+                was_foot_x: cython.double = foot_x[j]
+                was_foot_y: cython.double = foot_y[j]
+                was_least: cython.double = least[j]
+                was_highest: cython.double = highest[j]
+                far[j] = beyond if is_nearer else was_far
+                high[j] = above if is_nearer else was_high
+                edge_x[j] = ax if is_nearer else was_edge_x
+                edge_y[j] = ay if is_nearer else was_edge_y
+                foot_x[j] = corner_x + on * ax if is_nearer else was_foot_x
+                foot_y[j] = corner_y + on * ay if is_nearer else was_foot_y
+                least[j] = square if is_nearer else was_least
+                highest[j] = above if above > was_highest else was_highest
+        offset_x: cython.double = self._offset_x
+        offset_y: cython.double = self._offset_y
+        for j in range(count):
+            is_inside: cython.bint = (highest[j] <= 0.0) & (least[j] == least[j])
+            gap: cython.double = sqrt(least[j])
+            gap = 0.0 if is_inside else gap
+            is_on: cython.bint = gap < 1e-9
+            inverse: cython.double = 1.0 / (1.0 if is_on else gap)
+            out: cython.double = far[j] * inverse
+            up: cython.double = high[j] * inverse
+            out = 0.0 if is_on else out
+            up = 1.0 if is_on else up
+            nx: cython.double = out * edge_x[j] + up * edge_y[j]
+            ny: cython.double = out * edge_y[j] - up * edge_x[j]
+            dx: cython.double = x[j] - offset_x
+            dy: cython.double = y[j] - offset_y
+            across: cython.double = dx * ny - dy * nx
+            half: cython.double = blind * blind - across * across  # square of half of the chord
+            hidden: cython.double = sqrt(half) - (dx * nx + dy * ny - gap)
+            hidden = hidden if (half > 0.0) & (hidden > 0.0) else 0.0
+            self._at_gap[j], self._at_nx[j], self._at_ny[j] = gap, nx, ny
+            self._at_lever[j], self._at_hidden[j] = foot_x[j] * ny - foot_y[j] * nx, hidden
         return 0
 
     @cython.cfunc
@@ -1215,27 +1347,27 @@ class Barrier:
         )
         self._rows = 0
         i: cython.Py_ssize_t
-        for i in range(count):
-            self._placed_free[i], self._placed_age[i] = self._free, age + self._age[i]
-            self._add_point(
-                i,
-                frame_x + c * self._x[i] - s * self._y[i],
-                frame_y + s * self._x[i] + c * self._y[i],
-                0.0,
-            )
-            hidden: cython.double = self._hidden_gap(self._placed_x[i], self._placed_y[i])
-            self._placed_contact[i] = self._free + hidden
-        self._add_sides(0, count)
-        if self._unseen_extent > 0.0:
-            self._add_corners(contacts, count)
+        first: cython.Py_ssize_t
+        for first in range(0, count, _CHUNK):
+            n: cython.Py_ssize_t = min(_CHUNK, count - first)
+            for i in range(n):
+                x: cython.double = self._x[first + i]
+                y: cython.double = self._y[first + i]
+                self._at_x[i] = frame_x + c * x - s * y
+                self._at_y[i] = frame_y + s * x + c * y
+                self._at_free[i], self._at_age[i] = self._free, age + self._age[first + i]
+                self._at_radius[i] = 0.0
+            self._add_points(first, n, self._blind)
+            if self._unseen_extent > 0.0:
+                self._add_corners(first, max(contacts - first, 0), n)
+            if self._keep_out == self._keep_out:
+                self._add_keep_out(first, n)
         for i in range(contacts):
-            self._row_cap[i] = 0.0
+            self._row_cap[self._first_row[i]] = 0.0
             nx: cython.double = c * self._ray_x[i] - s * self._ray_y[i]
             ny: cython.double = s * self._ray_x[i] + c * self._ray_y[i]
             lever: cython.double = self._placed_x[i] * ny - self._placed_y[i] * nx
             self._add(nx * self._along_x + ny * self._along_y, lever, 0.0, 0.0, i)
-        if self._keep_out == self._keep_out:
-            self._add_keep_out(count)
         if self._has_touch:
             self._grant_touch(count)
         if self._discs:
@@ -1255,39 +1387,48 @@ class Barrier:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _add_point(
-        self, i: cython.Py_ssize_t, x: cython.double, y: cython.double, radius: cython.double
+    def _add_points(
+        self, first: cython.Py_ssize_t, count: cython.Py_ssize_t, blind: cython.double
     ) -> cython.int:
-        """A row for a placed point, the centre of a disc of that radius."""
-        self._placed_x[i], self._placed_y[i], self._radius_of[i] = x, y, radius
-        self._separate(x, y)
-        self._normal_x[i], self._normal_y[i] = self._nx, self._ny
-        self._placed_gap[i], self._first_row[i] = self._gap_found, self._rows
-        linear: cython.double = self._nx * self._along_x + self._ny * self._along_y
-        cap: cython.double = self._cap(
-            self._gap_found - self._placed_free[i],
-            self._braking(linear, self._lever),
-            self._placed_age[i],
-        )
-        self._add(linear, self._lever, cap, self._gap_found - radius, i)
-        return 0
-
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    def _hidden_gap(self, x: cython.double, y: cython.double) -> cython.double:
-        """m by which the blind zone reaches beyond the outline towards the point separated last.
-
-        An obstacle that is seen at the point continues unseen only within the blind zone, a circle
-        around the lidar. It is left at this gap on the shortest line from the outline to the point.
-        """
-        dx: cython.double = x - self._offset_x
-        dy: cython.double = y - self._offset_y
-        across: cython.double = dx * self._ny - dy * self._nx
-        half: cython.double = self._blind * self._blind - across * across
-        if not half > 0.0:  # square of half of the chord on the line
-            return 0.0
-        ahead: cython.double = dx * self._nx + dy * self._ny - self._gap_found
-        return _maximum(sqrt(half) - ahead, 0.0)
+        """Rows for the points of the chunk, which become those from `first` on."""
+        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
+        at: cython.Py_ssize_t = self._rows
+        nx: cython.p_double = self._at_nx
+        ny: cython.p_double = self._at_ny
+        lever: cython.p_double = self._at_lever
+        gap: cython.p_double = self._at_gap
+        free: cython.p_double = self._at_free
+        age: cython.p_double = self._at_age
+        cap: cython.p_double = self._at_cap
+        new_x: cython.p_double = self._new_x
+        new_y: cython.p_double = self._new_y
+        along_x: cython.double = self._along_x
+        along_y: cython.double = self._along_y
+        limit: cython.double = self._limit
+        angular_limit: cython.double = self._angular_limit
+        slowing: cython.double = self._braking_linear
+        turning: cython.double = self._braking_angular
+        others: cython.double = self._others
+        is_passive: cython.bint = self._is_passive
+        self._separate(count, blind)
+        for j in range(count):
+            linear: cython.double = nx[j] * along_x + ny[j] * along_y
+            braking: cython.double = _braking(linear, lever[j], slowing, turning)
+            cap[j] = _cap(gap[j] - free[j], braking, age[j], others, is_passive)
+            new_x[j], new_y[j] = linear * limit, lever[j] * angular_limit
+        for j in range(count):
+            i = first + j
+            self._placed_x[i], self._placed_y[i] = self._at_x[j], self._at_y[j]
+            self._placed_free[i], self._placed_age[i] = free[j], age[j]
+            self._placed_contact[i] = free[j] + self._at_hidden[j]
+            self._normal_x[i], self._normal_y[i], self._placed_gap[i] = nx[j], ny[j], gap[j]
+            self._radius_of[i], self._first_row[i] = self._at_radius[j], at
+            self._row_x[at], self._row_y[at], self._row_cap[at] = new_x[j], new_y[j], cap[j]
+            self._row_gap[at], self._source[at] = gap[j] - self._at_radius[j], i
+            at += 1
+        self._rows = at
+        return self._add_sides(first, count)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -1315,12 +1456,11 @@ class Barrier:
             x: cython.double = cos(turn) * told[n, 0] - sin(turn) * told[n, 1]
             y: cython.double = sin(turn) * told[n, 0] + cos(turn) * told[n, 1]
             least: cython.double = self._margin + radius
-            self._placed_free[i] = least + late * self._surface_speed
-            self._placed_age[i] = told[n, 3] + _reaction
-            self._add_point(i, c * dx + s * dy + x, c * dy - s * dx + y, radius)
-            self._placed_contact[i] = self._placed_free[i]
-            self._add_sides(i, i + 1)
-            self._add_corners(i, i + 1)
+            self._at_x[0], self._at_y[0] = c * dx + s * dy + x, c * dy - s * dx + y
+            self._at_free[0] = least + late * self._surface_speed
+            self._at_age[0], self._at_radius[0] = told[n, 3] + _reaction, radius
+            self._add_points(i, 1, 0.0)
+            self._add_corners(i, 0, 1)
         return 0
 
     @cython.cfunc
@@ -1334,51 +1474,6 @@ class Barrier:
         half: cython.double = speed * (2.0 * _tick + age + 0.5 * speed / self._braking_linear)
         other: cython.double = self._keep_out + 2.0 * half + speed * age
         return other if other > gap else gap
-
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def _cap(
-        self, room: cython.double, braking: cython.double, unseen: cython.double
-    ) -> cython.double:
-        """The cap in m/s on the closing speed, for an obstacle that approaches at `others_speed`.
-
-        From the cap the robot can still stop before the two use up `room` m, the gap less what
-        stays free. `braking` m/s2 is the rate at which the closing speed can fall, `unseen` s the
-        time since the obstacle was seen. Solves
-        s tick + s^2 / 2b + V (unseen + tick + s / b) = room. After the dynamic window with moving
-        obstacles and "passive safety" (Mitsch, Ghorbal, Vogelbacher and Platzer, IJRR 2017).
-        """
-        if not self._is_passive:
-            return self._reciprocal_cap(room, braking, unseen)
-        left: cython.double = room - self._others * (unseen + _tick)
-        first: cython.double = braking * _tick + self._others
-        root: cython.double = sqrt(first * first + 2.0 * braking * _maximum(left, 0.0))
-        return _maximum(root - first, 0.0)
-
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def _reciprocal_cap(
-        self, room: cython.double, braking: cython.double, unseen: cython.double
-    ) -> cython.double:
-        """The cap in m/s towards robots with the same rule: each may use half of the room.
-
-        As `_cap`, with others at rest and a reaction of two ticks plus the time unseen. After
-        barrier certificates that share the distance (Wang, Ames and Egerstedt, IEEE T-RO 2017).
-        """
-        half: cython.double = 0.5 * _maximum(room, 0.0)
-        first: cython.double = braking * (2.0 * _tick + unseen)
-        return _maximum(sqrt(first * first + 2.0 * braking * half) - first, 0.0)
-
-    @cython.cfunc
-    @cython.inline
-    @cython.exceptval(check=False)
-    def _braking(self, linear: cython.double, lever: cython.double) -> cython.double:
-        """m/s2: the rate at which the closing speed of a constraint can fall."""
-        braking: cython.double = fabs(linear) * self._braking_linear
-        braking += fabs(lever) * self._braking_angular
-        return _maximum(braking, MIN_BRAKING)
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -1399,8 +1494,8 @@ class Barrier:
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _add_sides(self, first: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
-        """Two rows for each point whose cap is 0: obstacles that are passed sideways.
+    def _add_sides(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
+        """Two rows for each point of the chunk whose cap is 0: obstacles that are passed sideways.
 
         A robot that slides along a face does not close on it, as long as the face stands still. Two
         robots that slide towards the same place each pass what they saw there last, until their
@@ -1409,104 +1504,130 @@ class Barrier:
         robots do not touch before both have a new scan. The creep speed is always allowed. Moving
         away stays free.
         """
-        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
         k: cython.Py_ssize_t
         side: cython.Py_ssize_t
+        nx: cython.p_double = self._at_nx
+        ny: cython.p_double = self._at_ny
+        gap: cython.p_double = self._at_gap
+        cap: cython.p_double = self._at_cap
+        most: cython.p_double = self._at_least
+        lever: cython.p_double = self._at_highest
+        ax: cython.p_double = self._edge_x
+        ay: cython.p_double = self._edge_y
+        while count > 0 and not (cap[count - 1] <= 0.0):
+            count -= 1
         for side in range(2):
             turn: cython.double = _side_sin if side == 0 else -_side_sin
-            for i in range(first, end):
-                if not (self._row_cap[self._first_row[i]] <= 0.0):
-                    continue
-                nx: cython.double = self._normal_x[i]
-                ny: cython.double = self._normal_y[i]
-                ax: cython.double = _side_cos * nx - turn * ny
-                ay: cython.double = turn * nx + _side_cos * ny
-                foremost: cython.Py_ssize_t = 0
-                most: cython.double = self._corner_x[0] * ax + self._corner_y[0] * ay
-                for k in range(1, self._edges):
-                    ahead: cython.double = self._corner_x[k] * ax + self._corner_y[k] * ay
-                    if ahead > most:
-                        most, foremost = ahead, k
-                lever: cython.double = self._corner_x[foremost] * ay - self._corner_y[foremost] * ax
-                gap: cython.double = self._placed_gap[i]
-                rest: cython.double = 0.5 * (gap - self._placed_contact[i])
-                rest /= self._placed_age[i] + _tick
-                rest -= self._side_reserve
-                linear: cython.double = ax * self._along_x + ay * self._along_y
-                self._add(linear, lever, _maximum(rest, CREEP_SPEED), gap - self._radius_of[i], i)
+            for j in range(count):
+                ax[j] = _side_cos * nx[j] - turn * ny[j]
+                ay[j] = turn * nx[j] + _side_cos * ny[j]
+                most[j], lever[j] = -_inf, 0.0
+            for k in range(self._edges):
+                own_x: cython.double = self._corner_x[k]
+                own_y: cython.double = self._corner_y[k]
+                for j in range(count):
+                    ahead: cython.double = own_x * ax[j] + own_y * ay[j]
+                    swung: cython.double = own_x * ay[j] - own_y * ax[j]
+                    was_most: cython.double = most[j]
+                    was_lever: cython.double = lever[j]
+                    lever[j] = swung if ahead > was_most else was_lever
+                    most[j] = ahead if ahead > was_most else was_most
+            for j in range(count):
+                if cap[j] <= 0.0:
+                    rest: cython.double = 0.5 * (gap[j] - (self._at_free[j] + self._at_hidden[j]))
+                    rest /= self._at_age[j] + _tick
+                    rest -= self._side_reserve
+                    linear: cython.double = ax[j] * self._along_x + ay[j] * self._along_y
+                    least: cython.double = _maximum(rest, CREEP_SPEED)
+                    self._add(linear, lever[j], least, gap[j] - self._at_radius[j], first + j)
         return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _add_corners(self, first: cython.Py_ssize_t, end: cython.Py_ssize_t) -> cython.int:
+    def _add_corners(
+        self, first: cython.Py_ssize_t, begin: cython.Py_ssize_t, end: cython.Py_ssize_t
+    ) -> cython.int:
         """A row of each own corner for each near point, which extends beyond its visible part.
 
         Then the nearest place of the outline is not the only one that can touch the obstacle: a
-        corner that swings past it can, too.
+        corner that swings past it can, too. The points are those of the chunk from `begin` to
+        `end`; its first one is point `first`.
         """
-        i: cython.Py_ssize_t
+        j: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        at: cython.Py_ssize_t = self._rows
-        x: cython.double[::1] = self._placed_x
-        y: cython.double[::1] = self._placed_y
-        gap: cython.double[::1] = self._placed_gap
-        frees: cython.double[::1] = self._placed_free
-        ages: cython.double[::1] = self._placed_age
-        row_x: cython.double[::1] = self._row_x
-        row_y: cython.double[::1] = self._row_y
-        row_cap: cython.double[::1] = self._row_cap
-        row_gap: cython.double[::1] = self._row_gap
+        x: cython.p_double = self._at_x
+        y: cython.p_double = self._at_y
+        gap: cython.p_double = self._at_gap
+        free: cython.p_double = self._at_free
+        age: cython.p_double = self._at_age
+        new_x: cython.p_double = self._new_x
+        new_y: cython.p_double = self._new_y
+        new_cap: cython.p_double = self._new_cap
+        new_gap: cython.p_double = self._new_gap
         along_x: cython.double = self._along_x
         along_y: cython.double = self._along_y
         limit: cython.double = self._limit
         angular_limit: cython.double = self._angular_limit
-        # A row that no twist within the limits violates is left out.
+        slowing: cython.double = self._braking_linear
+        turning: cython.double = self._braking_angular
+        others: cython.double = self._others
+        is_passive: cython.bint = self._is_passive
+        while end > begin and not (
+            gap[end - 1] <= 2.0 * free[end - 1] + others * (age[end - 1] + _tick)
+        ):
+            end -= 1
         for k in range(self._edges):
             own_x: cython.double = self._corner_x[k]
             own_y: cython.double = self._corner_y[k]
-            for i in range(first, end):
-                if not (gap[i] <= 2.0 * frees[i] + self._others * (ages[i] + _tick)):
-                    continue
-                dx: cython.double = x[i] - own_x
-                dy: cython.double = y[i] - own_y
-                away: cython.double = _maximum(hypot(dx, dy), 1e-9)
+            for j in range(begin, end):
+                dx: cython.double = x[j] - own_x
+                dy: cython.double = y[j] - own_y
+                away: cython.double = _maximum(sqrt(dx * dx + dy * dy), 1e-9)
                 dx /= away
                 dy /= away
                 linear: cython.double = dx * along_x + dy * along_y
                 lever: cython.double = own_x * dy - own_y * dx
-                cap: cython.double = self._cap(
-                    away - frees[i], self._braking(linear, lever), ages[i]
-                )
-                linear *= limit
-                lever *= angular_limit
-                if cap > fabs(linear) + fabs(lever) + _SLACK:
+                braking: cython.double = _braking(linear, lever, slowing, turning)
+                new_cap[j] = _cap(away - free[j], braking, age[j], others, is_passive)
+                new_x[j], new_y[j], new_gap[j] = linear * limit, lever * angular_limit, away
+            at: cython.Py_ssize_t = self._rows
+            for j in range(begin, end):
+                # A row that no twist within the limits violates is left out.
+                if new_cap[j] > fabs(new_x[j]) + fabs(new_y[j]) + _SLACK:
                     continue
-                row_x[at], row_y[at], row_cap[at] = linear, lever, cap
-                row_gap[at], self._source[at] = away - self._radius_of[i], i
-                at += 1
-        self._rows = at
+                if gap[j] <= 2.0 * free[j] + others * (age[j] + _tick):
+                    self._row_x[at], self._row_y[at] = new_x[j], new_y[j]
+                    self._row_cap[at], self._row_gap[at] = (
+                        new_cap[j],
+                        new_gap[j] - self._at_radius[j],
+                    )
+                    self._source[at] = first + j
+                    at += 1
+            self._rows = at
         return 0
 
     @cython.cfunc
     @cython.exceptval(-1)
-    def _add_keep_out(self, count: cython.Py_ssize_t) -> cython.int:
-        """A second row for each point: the circle around a sensor with a blind zone stays free.
+    def _add_keep_out(self, first: cython.Py_ssize_t, count: cython.Py_ssize_t) -> cython.int:
+        """A second row for each point of the chunk: the circle around a sensor with a blind zone.
 
-        Each of two robots keeps out of the circle by half of the distance.
+        The circle stays free: each of two robots keeps out of it by half of the distance.
         """
-        i: cython.Py_ssize_t
-        for i in range(count):
-            dx: cython.double = self._placed_x[i] - self._offset_x
-            dy: cython.double = self._placed_y[i] - self._offset_y
-            away: cython.double = _maximum(hypot(dx, dy), 1e-9)
+        j: cython.Py_ssize_t
+        for j in range(count):
+            dx: cython.double = self._at_x[j] - self._offset_x
+            dy: cython.double = self._at_y[j] - self._offset_y
+            away: cython.double = _maximum(sqrt(dx * dx + dy * dy), 1e-9)
             dx /= away
             dy /= away
             linear: cython.double = dx * self._along_x + dy * self._along_y
             lever: cython.double = self._offset_x * dy - self._offset_y * dx
-            cap: cython.double = self._reciprocal_cap(
-                away - self._keep_out, self._braking(linear, lever), self._placed_age[i]
+            braking: cython.double = _braking(
+                linear, lever, self._braking_linear, self._braking_angular
             )
-            self._add(linear, lever, cap, self._row_gap[i], i)
+            cap: cython.double = _reciprocal_cap(away - self._keep_out, braking, self._at_age[j])
+            self._add(linear, lever, cap, self._at_gap[j] - self._at_radius[j], first + j)
         return 0
 
     @cython.cfunc
@@ -1629,39 +1750,37 @@ class Barrier:
         violates no other is nearest within all. Each polygon contains the origin.
         """
         i: cython.Py_ssize_t
+        first: cython.Py_ssize_t
         worst: cython.Py_ssize_t
         self._poly_x[0] = self._poly_x[1] = self._poly_y[1] = self._poly_y[2] = 1.0
         self._poly_x[2] = self._poly_x[3] = self._poly_y[0] = self._poly_y[3] = -1.0
         self._sides = 4
-        row_x: cython.double[::1] = self._row_x
-        row_y: cython.double[::1] = self._row_y
-        row_cap: cython.double[::1] = self._row_cap
+        row_x: cython.p_double = _first(self._row_x, self._all)
+        row_y: cython.p_double = _first(self._row_y, self._all)
+        row_cap: cython.p_double = _first(self._row_cap, self._all)
+        over: cython.p_double = self._new_gap
         self._nearest(x, y)
         for _ in range(self._all):
             worst = 0
             most: cython.double = -_inf
             px: cython.double = self._point_x
             py: cython.double = self._point_y
-            for i in range(self._all):
-                excess: cython.double = row_x[i] * px + row_y[i] * py - row_cap[i]
-                if not (excess <= most):
-                    most, worst = excess, i
-                    if excess != excess:
-                        break
+            for first in range(0, self._all, _CHUNK):
+                count: cython.Py_ssize_t = min(_CHUNK, self._all - first)
+                for i in range(count):
+                    over[i] = row_x[first + i] * px + row_y[first + i] * py - row_cap[first + i]
+                for i in range(count):
+                    if not (over[i] <= most):
+                        most, worst = over[i], first + i
+                        if most != most:
+                            break
+                if most != most:
+                    break
             if most <= TOLERANCE:
                 break
             self._clip(self._row_x[worst], self._row_y[worst], self._row_cap[worst])
             self._nearest(x, y)
         return 0
-
-    @cython.cfunc
-    @cython.exceptval(-1.0, check=True)
-    @cython.inline
-    def _excess(self, row: cython.Py_ssize_t) -> cython.double:
-        """By how much the point violates a row."""
-        return (
-            self._row_x[row] * self._point_x + self._row_y[row] * self._point_y - self._row_cap[row]
-        )
 
     @cython.cfunc
     @cython.exceptval(-1)
@@ -1811,6 +1930,8 @@ class Barrier:
             last: cython.double = _tick + (until if until > slow else slow)
             step: cython.double = last / _STEPS
             way: cython.double = self._simulate(k, s, w, v, turning, step)
+            if self._poses == 0:  # the outline closes on nothing
+                continue
             if self._forbids(self._near[self._forbidding], way, step, others):
                 return 0
             for i in range(self._beside):
@@ -1913,10 +2034,12 @@ class Barrier:
         """1 if a turn moves a place of the outline outwards within a distance of a point.
 
         Along an edge the outward speed is linear, so it is greatest where the circle around the
-        point, or the edge, begins or ends.
+        point, or the edge, begins or ends. A turn moves no place faster than the outermost one.
         """
         k: cython.Py_ssize_t
         edges: cython.Py_ssize_t = self._edges
+        if fabs(w) * self._radius + _ROUNDING <= FAULT_SPEED:
+            return 0
         for k in range(edges):
             nx: cython.double = self._axis_x[edges + k]
             ny: cython.double = self._axis_y[edges + k]
@@ -1934,7 +2057,7 @@ class Barrier:
                 past: cython.double = -along if along < 0.0 else along - length
                 if not past > 0.0:
                     continue
-                left: cython.double = within - hypot(past, above)
+                left: cython.double = within - sqrt(past * past + above * above)
                 if not left > 0.0:
                     continue
                 first = 0.0 if along < 0.0 else length - left
@@ -1964,8 +2087,13 @@ class Barrier:
         i: cython.Py_ssize_t
         tight: cython.Py_ssize_t = 0
         found: list = []
+        row_x: cython.p_double = _first(self._row_x, self._all)
+        row_y: cython.p_double = _first(self._row_y, self._all)
+        row_cap: cython.p_double = _first(self._row_cap, self._all)
+        x: cython.double = self._point_x
+        y: cython.double = self._point_y
         for i in range(self._all):
-            if self._excess(i) >= -BINDING_TOLERANCE:
+            if row_x[i] * x + row_y[i] * y - row_cap[i] >= -BINDING_TOLERANCE:
                 tight += 1
                 if i < self._rows:
                     self._rank(found, i)
@@ -1980,8 +2108,8 @@ class Barrier:
         for i in found:
             point: cython.Py_ssize_t = self._source[i]
             radius: cython.double = self._radius_of[point]
-            x: cython.double = self._placed_x[point] - radius * self._normal_x[point]
-            y: cython.double = self._placed_y[point] - radius * self._normal_y[point]
+            x = self._placed_x[point] - radius * self._normal_x[point]
+            y = self._placed_y[point] - radius * self._normal_y[point]
             bearing: cython.double = 0.0 if hypot(x, y) < _AT_AXLE else atan2(y, x)
             shown.append(LimitingObstacle(bearing, self._gap_of(x, y), self._row_cap[i]))
         return tuple(shown)

@@ -22,8 +22,9 @@ from swarmd.protection.footprint import ScanGeometry
 from swarmd.settings.platforms import load_platform
 from swarmd.testing.scans import scan_from
 from tests.support.barrier_parts import (
+    braking,
     envelope,
-    interpreted,
+    hidden_gap,
     nearest,
     nearest_feasible,
     passive_cap,
@@ -253,9 +254,8 @@ def test_reported_constraints_bind_and_have_a_return() -> None:
 
 def test_constraint_across_the_motion_brakes_by_its_lever_only() -> None:
     """The stop check hides a wrong brake from tests of decisions."""
-    barrier = interpreted(load_platform("burger"))  # brakes: 1 m/s2 and 3 rad/s2
     rows = (0.0, -0.1), (1.0, 0.0), (-0.6, 0.1), (0.0, 0.0)
-    assert [barrier._braking(*row) for row in rows] == pytest.approx([0.3, 1.0, 0.9, 0.02])
+    assert [braking(*row, 1.0, 3.0) for row in rows] == pytest.approx([0.3, 1.0, 0.9, 0.02])
 
 
 @pytest.mark.parametrize("speed", [0.1, 0.2])
@@ -340,7 +340,7 @@ def test_what_is_farther_than_the_hidden_gap_is_beyond_range_min(
     for way in (0.0, 0.02, 0.1, 0.5, 2.0):
         place = np.array(lidar) + (blind + way) * towards
         gap, nx, ny = separation(robot, *place.tolist())
-        hidden = robot._hidden_gap(*place.tolist())
+        hidden = hidden_gap(robot, *place.tolist())
         if gap == 0.0:
             continue
         if way == 0.0:  # where an obstacle enters the blind zone, it may be in contact
@@ -361,5 +361,4 @@ def test_hidden_gap_of_a_burger(ahead: float, left: float, hidden: float) -> Non
     corner = burger.footprint.max(axis=0)
     place = (corner * (ahead, left) + (0.04 * ahead, 0.04 * left)).tolist()
     robot = with_outline(burger.footprint, burger.scan.offset, burger.scan.range_min)
-    separation(robot, *place)
-    assert robot._hidden_gap(*place) == pytest.approx(hidden, abs=1e-3)
+    assert hidden_gap(robot, *place) == pytest.approx(hidden, abs=1e-3)

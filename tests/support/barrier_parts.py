@@ -31,15 +31,20 @@ _ANY = interpreted()
 
 def passive_cap(room: float, braking: float, others_speed: float, unseen: float) -> float:
     """The cap in m/s for obstacles that approach."""
-    _ANY._others, _ANY._is_passive = others_speed, True
-    cap: float = _ANY._cap(room, braking, unseen)
+    cap: float = barrier._cap(room, braking, unseen, others_speed, True)
     return cap
 
 
 def reciprocal_cap(room: float, braking: float, unseen: float) -> float:
     """The cap in m/s towards robots with the same rule."""
-    cap: float = _ANY._reciprocal_cap(room, braking, unseen)
+    cap: float = barrier._reciprocal_cap(room, braking, unseen)
     return cap
+
+
+def braking(linear: float, lever: float, slowing: float, turning: float) -> float:
+    """The m/s2 at which the closing speed of a constraint can fall."""
+    rate: float = barrier._braking(linear, lever, slowing, turning)
+    return rate
 
 
 def nearest(polygon: Sequence[Point], requested: Point) -> Point:
@@ -73,8 +78,9 @@ def nearest_feasible(requested: Point, normals: Array, caps: Array) -> tuple[Poi
     (one._row_x, one._row_y), one._row_cap = normals.T.tolist(), caps.tolist()
     one._all = len(caps)
     one._project(*requested)
-    tight = [i for i in range(len(caps)) if one._excess(i) >= -barrier.BINDING_TOLERANCE]
-    return (one._point_x, one._point_y), tight
+    point = one._point_x, one._point_y
+    tight = np.flatnonzero(normals @ point - caps >= -barrier.BINDING_TOLERANCE)
+    return point, tight.tolist()
 
 
 def envelope(platform: Platform, speed: float, along: Point) -> tuple[Array, Array, Array]:
@@ -89,8 +95,16 @@ def envelope(platform: Platform, speed: float, along: Point) -> tuple[Array, Arr
 
 def separation(one: Any, x: float, y: float) -> tuple[float, float, float]:
     """The gap in m from the outline to a point, and the unit vector there."""
-    one._separate(x, y)
-    return one._gap_found, one._nx, one._ny
+    hidden_gap(one, x, y)
+    return one._at_gap[0], one._at_nx[0], one._at_ny[0]
+
+
+def hidden_gap(one: Any, x: float, y: float) -> float:
+    """The m by which the blind zone reaches beyond the outline towards a point."""
+    one._at_x[0], one._at_y[0] = x, y
+    one._separate(1, one._blind)
+    hidden: float = one._at_hidden[0]
+    return hidden
 
 
 def with_outline(corners: Array, lidar: Point = (0.0, 0.0), blind: float = 0.0) -> Any:
