@@ -64,12 +64,24 @@ class _Axis:
             commands.popleft()
         # Commands have the stamp of the reading before, and hold from the end of a period on.
         begin = stamp - DELAY - 2.0 * period
-        late = next((c for at, c in reversed(commands) if at <= begin), commands[0][1])
+        late = commands[0][1]
+        for at, command in reversed(commands):
+            if at <= begin:
+                late = command
+                break
         step = self._acceleration * period
         self._slow += min(max(late - self._slow, -step), step)
+        # Mostly the speed is near the last command and the slow base: the bounds are no narrower.
+        low, high, least = self._slow, commands[-1][1], self._least
+        if low > high:
+            low, high = high, low
+        one, other = speeds
+        if low - least <= one <= high + least or low - least <= other <= high + least:
+            self._off_since, self._readings, self.text = math.inf, 0, ""
+            return
         values = [self._slow, *(command for _, command in commands)]
         low, high = min(values), max(values)
-        allowed = max(self._least, SLIP * max(abs(low), abs(high)))
+        allowed = max(least, SLIP * max(abs(low), abs(high)))
         measured = min(speeds, key=lambda speed: max(low - speed, speed - high))
         is_off = not low - allowed <= measured <= high + allowed
         if not is_off or stamp - self._begun < WINDOW:
