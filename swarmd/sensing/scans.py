@@ -1,6 +1,7 @@
 """The arithmetic on the rays of a scan: conditioning, motion and features.
 
-A kernel (see `core/kernels.py`): `conditioning.py`, `deskew.py` and `rays.py` use it.
+A kernel (see `core/kernels.py`): `conditioning.py`, `scan_delay.py`, `deskew.py` and
+`rays.py` use it.
 """
 
 from __future__ import annotations
@@ -21,12 +22,15 @@ if cython.compiled:
         NAN,
         asin,
         atan2,
+        ceil,
         cos,
         fabs,
+        floor,
         fmod,
         hypot,
         isfinite,
         isnan,
+        remainder,
         rint,
         sin,
         sqrt,
@@ -39,12 +43,15 @@ else:
         NAN,
         asin,
         atan2,
+        ceil,
         cos,
         fabs,
+        floor,
         fmod,
         hypot,
         isfinite,
         isnan,
+        remainder,
         rint,
         sin,
         sqrt,
@@ -69,6 +76,41 @@ _NEAR_MEMORY = cython.declare(cython.double, 1.0)
 # rad beside a near ray in which zeros may mean near.
 _NEAR_SECTOR = cython.declare(cython.double, math.radians(3.0) + 1e-9)
 _PACKET_RAYS = cython.declare(cython.Py_ssize_t, PACKET_RAYS)
+
+# Delay by turns.
+_CANDIDATES = cython.declare(cython.Py_ssize_t, 49)
+_LONGEST = cython.declare(cython.double, 1.2)  # s, of the last candidate
+_STEP = cython.declare(cython.double, 1.2 / 48)
+_HISTORY = cython.declare(cython.Py_ssize_t, 96)  # headings
+_SPACING = cython.declare(cython.double, 0.02)  # s between two of them, at least
+_MIN_RATE_CHANGE = cython.declare(cython.double, 0.15)  # rad/s
+# rad by which candidates must differ for a pair of scans to tell anything
+_MIN_TURN_SPREAD = cython.declare(cython.double, 0.06)
+# rad by which the search for the turn goes beyond the turns of all candidates
+_SEARCHED = cython.declare(cython.double, 0.25)
+# rad; beyond it a square room looks like itself
+_MAX_SEARCHED = cython.declare(cython.double, 1.2)
+# m between two scans: a shift of near things looks like a turn
+_MAX_SHIFT = cython.declare(cython.double, 0.03)
+_MIN_RAYS = cython.declare(cython.Py_ssize_t, 90)
+# m; farther returns count as if they were there
+_MAX_RANGE = cython.declare(cython.double, 6.0)
+# m, standard deviation of ranges below which a scene has no features
+_MIN_RELIEF = cython.declare(cython.double, 0.1)
+# correlation of two scans at the turn found
+_MIN_LIKENESS = cython.declare(cython.double, 0.6)
+# of earlier pairs, for each new one: some 50 count
+_FORGETTING = cython.declare(cython.double, 0.98)
+_MIN_PAIRS = cython.declare(cython.double, 8.0)
+_MIN_SPREAD = cython.declare(cython.double, 0.015)  # rad of one measured turn
+# factor on the spread, as errors of pairs are not independent: 1.7 in simulation
+_ALIKE = cython.declare(cython.double, 2.0)
+# s of candidates within three deviations: a wider one is no figure
+_MAX_INTERVAL = cython.declare(cython.double, 0.2)
+_LOWEST_SCALE = cython.declare(cython.double, 0.85)  # of odometry
+_HIGHEST_SCALE = cython.declare(cython.double, 1.15)
+# after which only each fourth scan is compared with the one before it
+_ENOUGH_PAIRS = cython.declare(cython.Py_ssize_t, 20)
 
 
 @cython.cfunc
@@ -1071,3 +1113,286 @@ class RayMemory:
         for k in range(last + 1, end):
             out[k % out.shape[0]] = min(edge, other)
         return True
+
+
+@cython.cclass
+class Turns:
+    """Delay by turns, see `scan_delay.py`: `delay` and `spread` in s, from `pairs` of scans.
+
+    `at`: the time of the last one. `delay`: NaN while it is not known, and `why` it is not.
+    `pose`: the last one by odometry.
+    """
+
+    delay = cython.declare(cython.double, visibility="readonly")
+    spread = cython.declare(cython.double, visibility="readonly")
+    at = cython.declare(cython.double, visibility="readonly")
+    pairs = cython.declare(cython.Py_ssize_t, visibility="readonly")
+    why = cython.declare(object, visibility="readonly")
+    pose = cython.declare(object, visibility="readonly")
+    _headings: object
+    _times: cython.double[::1]
+    _yaws: cython.double[::1]
+    _first: cython.Py_ssize_t  # of the headings kept
+    _end: cython.Py_ssize_t
+    _stamp: cython.double
+    _yaw: cython.double
+    _slow_rate: cython.double
+    _changed_at: cython.double
+    _total: cython.double  # turned so far
+    _bearings: object
+    _n: cython.Py_ssize_t
+    _ray: cython.double  # the angle from one to the next; 0: they do not cover a full turn evenly
+    # The last scan: when it arrived on the clock of odometry, where, and its ranges about their
+    # mean, twice in a row, with their norm. Then the same of the one before.
+    _scans: cython.Py_ssize_t
+    _has_last: cython.bint
+    _scan_at: cython.double
+    _x: cython.double
+    _y: cython.double
+    _relief: cython.double[::1]
+    _norm: cython.double
+    _old_relief: cython.double[::1]
+    _old_norm: cython.double
+    # Turns by candidate delay, and sums over pairs: of measured turns m, and of those p.
+    _turn_of: cython.double[49]
+    _error_of: cython.double[49]
+    _mm: cython.double
+    _mp: cython.double[49]
+    _pp: cython.double[49]
+    _weight: cython.double
+
+    def __init__(self):
+        self.delay, self.why = NAN, "it has not turned at a changing rate yet"
+        self._headings = np.empty((2, 4 * _HISTORY))
+        self._times, self._yaws = map(memoryview, self._headings)
+        self._stamp = self._changed_at = -INFINITY
+        self._relief = self._old_relief = memoryview(np.empty(0))
+
+    def forget(self):
+        """Measure anew."""
+        k: cython.Py_ssize_t
+        self.delay, self.pairs, self._mm, self._weight = NAN, 0, 0.0, 0.0
+        for k in range(_CANDIDATES):
+            self._mp[k] = self._pp[k] = 0.0
+        self.why = "its last figure was older than a minute"
+
+    def forget_headings(self):
+        """The clock of odometry was set."""
+        self._first = self._end = 0
+        self._stamp, self._has_last = -INFINITY, False
+
+    def headings(self):
+        """A copy (2, k) of the headings kept: times and yaws, see `measured_sweep.Headings`."""
+        return self._headings[:, self._first : self._end].copy()
+
+    def on_odometry(self, odometry):
+        """Keep a heading."""
+        rate: cython.double = odometry.twist.angular
+        stamp: cython.double = odometry.stamp
+        k: cython.Py_ssize_t
+        self._slow_rate += 0.1 * (rate - self._slow_rate)
+        if fabs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
+            self._changed_at = stamp
+        self.pose = odometry.pose
+        if stamp - self._stamp < _SPACING:
+            return
+        yaw: cython.double = self.pose.yaw
+        if self._end == 4 * _HISTORY:
+            for k in range(_HISTORY):
+                self._times[k], self._yaws[k] = (
+                    self._times[3 * _HISTORY + k],
+                    self._yaws[3 * _HISTORY + k],
+                )
+            self._first, self._end = 0, _HISTORY
+        if self._end > self._first:
+            self._total += remainder(yaw - self._yaw, _TURN)
+        self._times[self._end], self._yaws[self._end] = stamp, self._total
+        self._yaw, self._stamp, self._end = yaw, stamp, self._end + 1
+        self._first = max(self._first, self._end - _HISTORY)
+
+    def on_scan(self, scan, at: cython.double, now: cython.double):
+        """Compare a scan with the last one; `at` is its arrival on the clock of odometry."""
+        had_last: cython.bint = self._has_last
+        self._has_last = False
+        if at - self._changed_at > _LONGEST + 0.5:
+            return
+        if scan.bearings is not self._bearings:
+            self._set_bearings(scan.bearings)
+            had_last = False
+        if self._ray == 0.0:
+            return
+        self._scans += 1
+        if self.pairs >= _ENOUGH_PAIRS and self._scans % 4 > 1:
+            return
+        before: cython.double = self._scan_at
+        x: cython.double = self._x
+        y: cython.double = self._y
+        self._keep(scan)
+        self._scan_at, self._has_last = at, True
+        self._x, self._y = self.pose.x, self.pose.y
+        if not had_last or (self.pairs >= _ENOUGH_PAIRS and self._scans % 4 == 0):
+            return
+        if at - before > 0.5 or self._end == self._first:
+            return
+        if before - _LONGEST < self._times[self._first]:
+            return
+        if hypot(self._x - x, self._y - y) > _MAX_SHIFT:
+            return
+        k: cython.Py_ssize_t
+        low: cython.double = INFINITY
+        high: cython.double = -INFINITY
+        end: cython.Py_ssize_t = self._end - 1
+        begin: cython.Py_ssize_t = end
+        for k in range(_CANDIDATES):
+            while end > self._first and self._times[end] > at - _STEP * k:
+                end -= 1
+            while begin > self._first and self._times[begin] > before - _STEP * k:
+                begin -= 1
+            self._turn_of[k] = self._heading(end, at - _STEP * k) - self._heading(
+                begin, before - _STEP * k
+            )
+            low, high = min(low, self._turn_of[k]), max(high, self._turn_of[k])
+        if high - low < _MIN_TURN_SPREAD or max(-low, high) + _SEARCHED > _MAX_SEARCHED:
+            return
+        turn: cython.double = self._measured(low - _SEARCHED, high + _SEARCHED)
+        if not isnan(turn):
+            self._add(turn)
+            self.at = now
+
+    @cython.cfunc
+    def _set_bearings(self, bearings):
+        self._bearings, self._ray, self._n = bearings, 0.0, len(bearings)
+        steps = np.diff(np.unwrap(bearings))
+        if self._n >= _MIN_RAYS:
+            step: cython.double = steps.mean()
+            is_even: cython.bint = np.abs(steps - step).max() < 0.1 * fabs(step)
+            if is_even and fabs(fabs(step) * self._n - _TURN) < 1.5 * fabs(step):
+                self._ray = step
+        if self._ray == 0.0:
+            self.why = "its rays do not cover a full turn evenly"
+        self._relief, self._old_relief = (memoryview(np.empty(2 * self._n)) for _ in range(2))
+
+    @cython.cfunc
+    def _keep(self, scan):
+        """Keep the ranges of a scan; no return counts as far away."""
+        table = np.ascontiguousarray(scan.ranges, np.float64)
+        ranges: cython.const[cython.double][::1] = table if cython.compiled else memoryview(table)
+        least: cython.double = scan.range_min
+        farthest: cython.double = min(scan.range_max, _MAX_RANGE)
+        n: cython.Py_ssize_t = self._n
+        i: cython.Py_ssize_t
+        mean: cython.double = 0.0
+        square: cython.double = 0.0
+        self._relief, self._old_relief = self._old_relief, self._relief
+        self._old_norm = self._norm
+        relief: cython.double[::1] = self._relief
+        for i in range(n):
+            relief[i] = ranges[i] if least <= ranges[i] <= farthest else farthest
+            mean += relief[i]
+        mean /= n
+        for i in range(n):
+            relief[i] -= mean
+            relief[n + i] = relief[i]
+            square += relief[i] * relief[i]
+        self._norm = sqrt(square)
+
+    @cython.cfunc
+    def _heading(self, k: cython.Py_ssize_t, at: cython.double) -> cython.double:
+        """The heading at a time, which is not before that of heading k and before the next one."""
+        before: cython.double = self._times[k]
+        if at <= before or k == self._end - 1:
+            return self._yaws[k]
+        slope: cython.double = (self._yaws[k + 1] - self._yaws[k]) / (self._times[k + 1] - before)
+        return slope * (at - before) + self._yaws[k]
+
+    @cython.cfunc
+    def _measured(self, low: cython.double, high: cython.double) -> cython.double:
+        """The turn in rad from one scan to the next, between `low` and `high`; NaN: unclear.
+
+        A turn by k rays to the left moves all that is seen k rays to the right.
+        """
+        least: cython.double = _MIN_RELIEF * sqrt(self._n)
+        if min(self._norm, self._old_norm) < least:
+            self.why = "it sees no features to tell a turn by"
+            return NAN
+        ray: cython.double = fabs(self._ray)
+        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(low / ray))
+        last: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, ceil(high / ray))
+        shift: cython.Py_ssize_t
+        best: cython.Py_ssize_t = first
+        likeness: cython.double
+        most: cython.double = -INFINITY
+        for shift in range(first, last + 1):
+            likeness = self._likeness(shift)
+            if likeness > most:
+                most, best = likeness, shift
+        if not first < best < last or most < _MIN_LIKENESS * self._old_norm * self._norm:
+            return NAN
+        a: cython.double = self._likeness(best - 1)
+        c: cython.double = self._likeness(best + 1)
+        return (best + 0.5 * (a - c) / (a - 2.0 * most + c)) * ray
+
+    @cython.cfunc
+    @cython.boundscheck(False)
+    def _likeness(self, shift: cython.Py_ssize_t) -> cython.double:
+        """The correlation of the last two scans at a turn by so many rays, at most n."""
+        n: cython.Py_ssize_t = self._n
+        first: cython.Py_ssize_t = shift if self._ray > 0.0 else -shift
+        if first < 0:
+            first += n
+        one: cython.double[::1] = self._old_relief
+        other: cython.double[::1] = self._relief
+        i: cython.Py_ssize_t
+        a: cython.double = 0.0
+        b: cython.double = 0.0
+        c: cython.double = 0.0
+        d: cython.double = 0.0
+        for i in range(0, n - 3, 4):  # four sums: a processor adds to them at the same time
+            a += one[first + i] * other[i]
+            b += one[first + i + 1] * other[i + 1]
+            c += one[first + i + 2] * other[i + 2]
+            d += one[first + i + 3] * other[i + 3]
+        for i in range(n - n % 4, n):
+            a += one[first + i] * other[i]
+        return (a + b) + (c + d)
+
+    @cython.cfunc
+    def _add(self, turn: cython.double):
+        """Add a measured turn, and what odometry says of it for each candidate."""
+        k: cython.Py_ssize_t
+        best: cython.Py_ssize_t = 0
+        scale: cython.double
+        self._mm = _FORGETTING * self._mm + turn * turn
+        self._weight = _FORGETTING * self._weight + 1.0
+        for k in range(_CANDIDATES):
+            self._mp[k] = _FORGETTING * self._mp[k] + turn * self._turn_of[k]
+            self._pp[k] = _FORGETTING * self._pp[k] + self._turn_of[k] * self._turn_of[k]
+            scale = self._mp[k] / max(self._pp[k], 1e-12)
+            scale = min(max(scale, _LOWEST_SCALE), _HIGHEST_SCALE)
+            self._error_of[k] = self._mm - 2.0 * scale * self._mp[k] + scale * scale * self._pp[k]
+            if self._error_of[k] < self._error_of[best]:
+                best = k
+        self.pairs += 1
+        self.delay = NAN
+        if self._weight < _MIN_PAIRS:
+            self.why = "too few turns yet"
+            return
+        self.why = "its turns do not tell one delay from another"
+        variance: cython.double = self._error_of[best] / (self._weight - 2.0)
+        variance = max(variance, _MIN_SPREAD * _MIN_SPREAD)
+        limit: cython.double = self._error_of[best] + 9.0 * variance
+        low: cython.Py_ssize_t = 0
+        high: cython.Py_ssize_t = _CANDIDATES - 1
+        while self._error_of[low] > limit:
+            low += 1
+        while self._error_of[high] > limit:
+            high -= 1
+        if high == _CANDIDATES - 1 or (high - low) * _STEP > _MAX_INTERVAL:
+            return
+        best = max(best, 1)
+        a: cython.double = self._error_of[best - 1]
+        c: cython.double = self._error_of[best + 1]
+        bend: cython.double = a - 2.0 * self._error_of[best] + c
+        if bend > 0.0:
+            self.delay = max(_STEP * best + 0.5 * _STEP * (a - c) / bend, 0.0)
+            self.spread = max(_ALIKE * _STEP * sqrt(2.0 * variance / bend), 0.005)
