@@ -12,6 +12,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from swarmd.core.values import MAX_SPEED, MAX_STEP
+from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
+
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
 else:
@@ -77,6 +80,15 @@ _NEAR_MEMORY = cython.declare(cython.double, 1.0)
 _NEAR_SECTOR = cython.declare(cython.double, math.radians(3.0) + 1e-9)
 _PACKET_RAYS = cython.declare(cython.Py_ssize_t, PACKET_RAYS)
 
+# De-skew.
+_READINGS = cython.declare(cython.Py_ssize_t, HISTORY)
+_MAX_EXTRAPOLATION = cython.declare(cython.double, MAX_EXTRAPOLATION)
+_MAX_STEP = cython.declare(cython.double, MAX_STEP)
+_MAX_SPEED = cython.declare(cython.double, MAX_SPEED)
+_MIN_STEP = cython.declare(cython.double, 1e-9)  # s between two poses of a path
+# m and rad during one scan: a robot that moves less is at rest, and its scan is not changed.
+_AT_REST = cython.declare(cython.double, 5e-4)
+
 # Delay by turns.
 _CANDIDATES = cython.declare(cython.Py_ssize_t, 49)
 _LONGEST = cython.declare(cython.double, 1.2)  # s, of the last candidate
@@ -128,6 +140,12 @@ def _mod(angle: cython.double) -> cython.double:
     if rest < 0.0:
         rest += _TURN
     return rest
+
+
+@cython.cfunc
+def _view(values):
+    """What a view of an array is made of; CPython indexes memory faster than arrays."""
+    return values if cython.compiled else memoryview(values)
 
 
 @cython.cfunc
@@ -599,31 +617,29 @@ def _move(
     return 0
 
 
+@cython.ccall
 def move_rays(
     ranges: cython.const[cython.double][::1],
     bearings: cython.const[cython.double][::1],
     cosines: cython.const[cython.double][::1],
     sines: cython.const[cython.double][::1],
     ages: cython.const[cython.double][::1],
-    path: cython.const[cython.double][:, ::1],
-    limits: tuple,
-):
-    """The ranges and bearings (n,) at the end of a path, of rays measured `ages` s before it.
+    path: cython.double[:, ::1],
+    rows: cython.Py_ssize_t,
+    limits: cython.double[::1],
+    distances: cython.double[::1],
+    angles: cython.double[::1],
+) -> cython.int:
+    """Set ranges and bearings (n,) at the end of a path, of rays measured `ages` s before it.
 
-    `cosines` and `sines` (n,) of the bearings; `path` (m, 4) as of `OdometryHistory.path`, m >= 2;
-    `limits`: the sensor's x and y in the base frame, range_min and range_max in m. A ray without a
-    distance turns and keeps its class. A return that is nearer than range_min at the end of the
-    path is -inf, too close to measure. The new bearings are within [-pi, pi).
+    `cosines` and `sines` (n,) of the bearings. `path`: 2 or more `rows` of s before its end, x and
+    y in m and yaw in rad relative to it; between two the pose changes linearly. `limits`: the
+    sensor's x and y in the base frame, range_min and range_max in m. A ray without a distance turns
+    and keeps its class. A return that is nearer than range_min at the end of the path is -inf, too
+    close to measure. The new bearings are within [-pi, pi).
     """
-    if not cython.compiled:
-        ranges, bearings, ages, path = map(memoryview, (ranges, bearings, ages, path))
-        cosines, sines = memoryview(cosines), memoryview(sines)
     n: cython.Py_ssize_t = ranges.shape[0]
-    bounds: cython.double[::1] = array("d", limits)
-    moved, turned = np.empty(n), np.empty(n)
-    distances: cython.double[::1] = memoryview(moved)
-    angles: cython.double[::1] = memoryview(turned)
-    last: cython.Py_ssize_t = path.shape[0] - 1
+    last: cython.Py_ssize_t = rows - 1
     k: cython.Py_ssize_t = 1  # the row at the end of the ray's stretch of the path
     i: cython.Py_ssize_t
     age: cython.double
@@ -663,33 +679,34 @@ def move_rays(
             continue
         x, y = x_begin + share * x_way, y_begin + share * y_way
         c, s = cos(turn), sin(turn)
-        x += (c - 1.0) * bounds[0] - s * bounds[1]
-        y += s * bounds[0] + (c - 1.0) * bounds[1]
+        x += (c - 1.0) * limits[0] - s * limits[1]
+        y += s * limits[0] + (c - 1.0) * limits[1]
         ahead = c * cosines[i] - s * sines[i]
         left = s * cosines[i] + c * sines[i]
-        _move(distances, angles, i, distance, bearings[i], ahead, left, x, y, turn, bounds)
-    return moved, turned
+        _move(distances, angles, i, distance, bearings[i], ahead, left, x, y, turn, limits)
+    return 0
 
 
+@cython.ccall
 def rays_in_sector(
     ranges: cython.const[cython.double][::1],
     bearings: cython.const[cython.double][::1],
     ages: cython.const[cython.double][::1],
     first: cython.Py_ssize_t,
-    way: tuple,
-    sector: tuple,
-    limits: tuple,
-):
-    """Ranges, bearings and ages (k,) of the rays that lie in a sector, from ray `first` on.
+    way: cython.double[::1],
+    sector: cython.double[::1],
+    limits: cython.double[::1],
+    distances: cython.double[::1],
+    angles: cython.double[::1],
+    kept_ages: cython.double[::1],
+) -> cython.Py_ssize_t:
+    """Set ranges, bearings and ages of the rays in a sector, from ray `first` on; their number.
 
     `way`: x and y in m and yaw in rad of the place where all were measured, relative to the one for
-    which ranges and bearings are returned; a ray counts if it lies in the sector as seen from one
-    of the two. `sector`: the bearing of its start, 1.0 if it lies counter-clockwise of that or else
-    -1.0, and its width in rad. `limits` as of `move_rays`.
+    which ranges and bearings are set; a ray counts if it lies in the sector as seen from one of the
+    two. `sector`: the bearing of its start, 1.0 if it lies counter-clockwise of that or else -1.0,
+    and its width in rad. `limits` as of `move_rays`.
     """
-    if not cython.compiled:
-        ranges, bearings, ages = map(memoryview, (ranges, bearings, ages))
-    bounds: cython.double[::1] = array("d", limits)
     x: cython.double = way[0]
     y: cython.double = way[1]
     turn: cython.double = way[2]
@@ -698,18 +715,14 @@ def rays_in_sector(
     width: cython.double = sector[2]
     c: cython.double = cos(turn)
     s: cython.double = sin(turn)
-    x += (c - 1.0) * bounds[0] - s * bounds[1]
-    y += s * bounds[0] + (c - 1.0) * bounds[1]
+    x += (c - 1.0) * limits[0] - s * limits[1]
+    y += s * limits[0] + (c - 1.0) * limits[1]
     # Nothing changes its direction by more than this; farther rays need no look.
     most: cython.double = _PI
     away: cython.double = sqrt(x * x + y * y)
-    if away < 0.9 * bounds[2]:
-        most = asin(away / bounds[2]) + 1e-9
+    if away < 0.9 * limits[2]:
+        most = asin(away / limits[2]) + 1e-9
     n: cython.Py_ssize_t = ranges.shape[0]
-    moved = np.empty((3, n))
-    distances: cython.double[::1] = memoryview(moved[0])
-    angles: cython.double[::1] = memoryview(moved[1])
-    kept_ages: cython.double[::1] = memoryview(moved[2])
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
     before: cython.double
@@ -721,13 +734,266 @@ def rays_in_sector(
             continue
         if isfinite(ranges[i]):
             ahead, left = cos(bearings[i] + turn), sin(bearings[i] + turn)
-            _move(distances, angles, count, ranges[i], bearings[i], ahead, left, x, y, turn, bounds)
+            _move(distances, angles, count, ranges[i], bearings[i], ahead, left, x, y, turn, limits)
         else:
             distances[count], angles[count] = ranges[i], _mod(bearings[i] + turn + _PI) - _PI
         if _mod(before) < width or _mod(direction * (angles[count] - start)) < width:
             kept_ages[count] = ages[i]
             count += 1
-    return moved[0, :count], moved[1, :count], moved[2, :count]
+    return count
+
+
+@cython.cclass
+class RayMotion:
+    """Moves the rays of a scan to where a robot was at the time of the newest one, by odometry.
+
+    See `deskew.py`. `latest`: the stamp in s of the last reading; NaN without one.
+    """
+
+    latest = cython.declare(cython.double, visibility="readonly")
+    _stale_after: cython.double
+    _limits: cython.double[::1]
+    # The last readings: stamp, x, y, yaw, linear, angular, lateral.
+    _readings: cython.double[::1]
+    _last: cython.Py_ssize_t
+    _known: cython.Py_ssize_t
+    _x: cython.double  # the pose that `_find` found
+    _y: cython.double
+    _yaw: cython.double
+    _path: cython.double[:, ::1]
+    _sector: cython.double[::1]
+    _way: cython.double[::1]
+    _rays: object  # and what they hold
+    _bearings: cython.const[cython.double][::1]
+    _cos: cython.const[cython.double][::1]
+    _sin: cython.const[cython.double][::1]
+    _ages: cython.const[cython.double][::1]
+
+    def __init__(self, spec):
+        self._stale_after = spec.stale_after
+        self._limits = array("d", (*spec.offset, spec.range_min, spec.range_max))
+        self.latest, self._readings = NAN, array("d", (7 * _READINGS) * [0.0])
+        self._path = memoryview(np.empty((_READINGS + 2, 4)))
+        self._sector, self._way = array("d", 3 * [0.0]), array("d", 3 * [0.0])
+
+    def update(self, odometry):
+        """Record a reading if it is new.
+
+        A new reading whose stamp does not rise, or whose pose jumps, ends the history before it.
+        """
+        pose, twist = odometry.pose, odometry.twist
+        stamp: cython.double = odometry.stamp
+        x: cython.double = pose.x
+        y: cython.double = pose.y
+        yaw: cython.double = pose.yaw
+        linear: cython.double = twist.linear
+        angular: cython.double = twist.angular
+        lateral: cython.double = twist.lateral
+        r: cython.double[::1] = self._readings
+        at: cython.Py_ssize_t = 7 * self._last
+        if self._known:
+            if (
+                r[at] == stamp
+                and r[at + 1] == x
+                and r[at + 2] == y
+                and r[at + 3] == yaw
+                and r[at + 4] == linear
+                and r[at + 5] == angular
+                and r[at + 6] == lateral
+            ):
+                return
+            apart: cython.double = hypot(x - r[at + 1], y - r[at + 2])
+            apart = max(apart, fabs(remainder(yaw - r[at + 3], _TURN)))
+            if stamp <= r[at] or apart > _MAX_STEP + _MAX_SPEED * (stamp - r[at]):
+                self._known = 0
+        self._last = (self._last + 1) % _READINGS
+        self._known = min(self._known + 1, _READINGS)
+        at = 7 * self._last
+        r[at], r[at + 1], r[at + 2], r[at + 3] = stamp, x, y, yaw
+        r[at + 4], r[at + 5], r[at + 6] = linear, angular, lateral
+        self.latest = stamp
+
+    def set_rays(self, rays):
+        """Take the rays of the next scans, a `deskew.Rays`."""
+        self._rays = rays
+        self._bearings, self._ages = _view(rays.bearings), _view(rays.ages)
+        self._cos, self._sin = _view(rays.cos), _view(rays.sin)
+
+    def move(
+        self,
+        scan,
+        stamp: cython.double,
+        before,
+        seconds: cython.double,
+        filled: cython.Py_ssize_t,
+    ):
+        """Ranges, bearings and ages (k,) of a scan, as seen at the `stamp` of its newest ray.
+
+        None at rest, without odometry that reaches back over the scan, if all rays are of one
+        instant, and if nothing fills a sector that was not measured. `before`: the scan whose
+        newest ray is `seconds` older; its first `filled` rays are of earlier scans.
+        """
+        rays = self._rays
+        rows: cython.Py_ssize_t = self._set_path(stamp, rays.span)
+        if rows == 0:
+            return None
+        n: cython.Py_ssize_t = self._ages.shape[0]
+        k: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        direction: cython.double = rays.direction
+        spacing: cython.double = rays.spacing
+        unmeasured: cython.double = direction * self._path[rows - 1, 3]
+        is_filled: cython.bint = unmeasured > 0.5 * spacing
+        room: cython.Py_ssize_t = n
+        ages = rays.ages
+        if is_filled:
+            if before is None or before.ages is None or not 0.0 < seconds <= self._stale_after:
+                return None
+            if not self._covers(stamp - seconds):
+                return None
+            room += len(before.ranges)
+        ranges, bearings = np.empty(room), np.empty(room)
+        distances: cython.double[::1] = _view(ranges)
+        angles: cython.double[::1] = _view(bearings)
+        if is_filled:
+            self._set_way(stamp - seconds, stamp)
+            self._sector[0] = rays.oldest - 0.5 * direction * spacing
+            self._sector[1], self._sector[2] = direction, unmeasured
+            ages = np.empty(room)
+            kept: cython.double[::1] = _view(ages)
+            k = rays_in_sector(
+                _view(before.ranges),
+                _view(before.bearings),
+                _view(before.ages),
+                filled,  # or a ray could be passed on for ever
+                self._way,
+                self._sector,
+                self._limits,
+                distances,
+                angles,
+                kept,
+            )
+            for i in range(k):
+                kept[i] += seconds
+            for i in range(n):
+                kept[k + i] = self._ages[i]
+            ranges, bearings, ages = ranges[: k + n], bearings[: k + n], ages[: k + n]
+        move_rays(
+            _view(scan.ranges),
+            self._bearings,
+            self._cos,
+            self._sin,
+            self._ages,
+            self._path,
+            rows,
+            self._limits,
+            distances[k:],
+            angles[k:],
+        )
+        for values in (ranges, bearings, ages):
+            values.setflags(write=False)
+        return ranges, bearings, ages
+
+    @cython.cfunc
+    def _covers(self, at: cython.double) -> cython.bint:
+        """True if the readings reach back to a time."""
+        first: cython.Py_ssize_t = (self._last + 1 - self._known + _READINGS) % _READINGS
+        return self._known > 0 and at >= self._readings[7 * first] - _MAX_EXTRAPOLATION
+
+    @cython.cfunc
+    def _find(self, at: cython.double) -> cython.int:
+        """Find the pose at a time, of one reading at least: between two, or extrapolated."""
+        r: cython.double[::1] = self._readings
+        k: cython.Py_ssize_t
+        early: cython.Py_ssize_t
+        late: cython.Py_ssize_t = 7 * self._last
+        share: cython.double
+        for k in range(self._known):
+            early = 7 * ((self._last - k + _READINGS) % _READINGS)
+            if r[early] <= at:
+                if k == 0:
+                    break
+                share = (at - r[early]) / (r[late] - r[early])
+                self._x = r[early + 1] + share * (r[late + 1] - r[early + 1])
+                self._y = r[early + 2] + share * (r[late + 2] - r[early + 2])
+                self._yaw = r[early + 3] + share * remainder(r[late + 3] - r[early + 3], _TURN)
+                return 0
+            late = early
+        # At a constant twist, along the chord of its arc.
+        share = min(at - r[late], _MAX_EXTRAPOLATION)
+        turn: cython.double = r[late + 5] * share
+        c: cython.double = cos(r[late + 3] + 0.5 * turn)
+        s: cython.double = sin(r[late + 3] + 0.5 * turn)
+        ahead: cython.double = r[late + 4] * share
+        left: cython.double = r[late + 6] * share
+        self._x = r[late + 1] + c * ahead - s * left
+        self._y = r[late + 2] + s * ahead + c * left
+        self._yaw = r[late + 3] + turn
+        return 0
+
+    @cython.cfunc
+    def _set_path(self, at: cython.double, seconds: cython.double) -> cython.Py_ssize_t:
+        """Set the path from the pose at a time back to that `seconds` earlier; its rows.
+
+        0 at rest, without readings that reach back that far, and for no time.
+        """
+        if seconds == 0.0 or not self._covers(at - seconds):
+            return 0
+        r: cython.double[::1] = self._readings
+        p: cython.double[:, ::1] = self._path
+        rows: cython.Py_ssize_t = 1
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        self._find(at)
+        p[0, 1], p[0, 2], p[0, 3] = self._x, self._y, self._yaw
+        for i in range(self._known):
+            k = 7 * ((self._last - i + _READINGS) % _READINGS)
+            if at - r[k] >= seconds - _MIN_STEP:
+                break
+            if at - r[k] > _MIN_STEP:
+                p[rows, 0], p[rows, 1], p[rows, 2], p[rows, 3] = (
+                    at - r[k],
+                    r[k + 1],
+                    r[k + 2],
+                    r[k + 3],
+                )
+                rows += 1
+        self._find(at - seconds)
+        p[rows, 0], p[rows, 1], p[rows, 2], p[rows, 3] = seconds, self._x, self._y, self._yaw
+        rows += 1
+        x: cython.double = p[0, 1]
+        y: cython.double = p[0, 2]
+        yaw: cython.double = p[0, 3]
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        dx: cython.double
+        dy: cython.double
+        turned: cython.double = 0.0
+        moves: cython.bint = False
+        p[0, 0] = 0.0
+        for i in range(rows):
+            dx, dy = p[i, 1] - x, p[i, 2] - y
+            turned += remainder(p[i, 3] - yaw - turned, _TURN)
+            p[i, 1], p[i, 2], p[i, 3] = c * dx + s * dy, c * dy - s * dx, turned
+            if max(fabs(p[i, 1]), fabs(p[i, 2]), fabs(turned)) > _AT_REST:
+                moves = True
+        return rows if moves else 0
+
+    @cython.cfunc
+    def _set_way(self, at: cython.double, end: cython.double) -> cython.int:
+        """Set the way to the pose at a time from that at its `end`."""
+        self._find(end)
+        x: cython.double = self._x
+        y: cython.double = self._y
+        yaw: cython.double = self._yaw
+        self._find(at)
+        dx: cython.double = self._x - x
+        dy: cython.double = self._y - y
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        self._way[0], self._way[1] = c * dx + s * dy, c * dy - s * dx
+        self._way[2] = self._yaw - yaw
+        return 0
 
 
 _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": NAN}
@@ -1275,8 +1541,9 @@ class Turns:
     @cython.cfunc
     def _keep(self, scan):
         """Keep the ranges of a scan; no return counts as far away."""
-        table = np.ascontiguousarray(scan.ranges, np.float64)
-        ranges: cython.const[cython.double][::1] = table if cython.compiled else memoryview(table)
+        ranges: cython.const[cython.double][::1] = _view(
+            np.ascontiguousarray(scan.ranges, np.float64)
+        )
         least: cython.double = scan.range_min
         farthest: cython.double = min(scan.range_max, _MAX_RANGE)
         n: cython.Py_ssize_t = self._n
