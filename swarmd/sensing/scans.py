@@ -143,6 +143,14 @@ def _mod(angle: cython.double) -> cython.double:
 
 
 @cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _wrapped(i: cython.Py_ssize_t, n: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """i modulo n, for i below 2 n: to divide is slow."""
+    return i - n if i >= n else i
+
+
+@cython.cfunc
 def _view(values):
     """What a view of an array is made of; CPython indexes memory faster than arrays."""
     return values if cython.compiled else memoryview(values)
@@ -313,7 +321,7 @@ class _Layout:
             self.rising[k], self.order[k] = angle, ray
             if moves < 0 or not isfinite(angle):
                 return False
-            ray = (ray + step) % n
+            ray = _wrapped(ray + step, n)
         return True
 
     @cython.cfunc
@@ -1033,6 +1041,7 @@ class RayMemory:
     _is_zero: cython.uchar[::1]
     _is_lost: cython.uchar[::1]
     _place: cython.longlong[::1]
+    _is_even: cython.bint  # rays cover a full turn, one each `_step`
 
     def __init__(self, spec, *, guesses_near):
         self.known_at = -INFINITY
@@ -1062,10 +1071,10 @@ class RayMemory:
         if bearings is not self._given:
             self._set_bearings(bearings, turned)
         elif turned != 0.0:
-            self._old_ranges[:] = self._ranges
-            self._old_seen_at[:] = self._seen_at
-            self._old_near_at[:] = self._near_at
-            self._recall(self._order, self._rising, turned)
+            self._ranges, self._old_ranges = self._old_ranges, self._ranges
+            self._seen_at, self._old_seen_at = self._old_seen_at, self._seen_at
+            self._near_at, self._old_near_at = self._old_near_at, self._near_at
+            self._recall(self._order, self._rising, turned, self._is_even)
         if self._interpret(out):
             self._interpret_zeros(out, now)
         unknown: cython.Py_ssize_t = self._remember(out, now)
@@ -1169,32 +1178,47 @@ class RayMemory:
         self._ranges, self._seen_at = memoryview(np.full(n, NAN)), memoryview(np.full(n, -INFINITY))
         self._near_at = memoryview(np.full(n, -INFINITY))
         if had:
-            self._recall(old_order, old_rising, turned)
+            self._recall(old_order, old_rising, turned, False)
         self._old_ranges, self._old_seen_at = (memoryview(np.empty(n)) for _ in range(2))
         self._old_near_at = memoryview(np.empty(n))
         self._is_zero, self._is_lost = (memoryview(np.empty(n, np.uint8)) for _ in range(2))
         self._place = memoryview(np.argsort(order))
+        i: cython.Py_ssize_t
+        self._is_even = fabs(n * self._step - _TURN) < 0.5 * self._step
+        for i in range(n):
+            if fabs(self._rising[i] - self._rising[0] - i * self._step) > 0.2 * self._step:
+                self._is_even = False
 
     @cython.cfunc
     def _recall(
-        self, order: cython.longlong[::1], rising: cython.double[::1], turned: cython.double
+        self,
+        order: cython.longlong[::1],
+        rising: cython.double[::1],
+        turned: cython.double,
+        is_even: cython.bint,
     ) -> cython.int:
         """Give each ray the old memory of the ray that was nearest to it before the turn."""
+        steps: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, rint(turned / self._step))
         had: cython.Py_ssize_t = rising.shape[0]
         too_far: cython.double = 2.0 * _TURN / had
         place: cython.Py_ssize_t = 0
         ray: cython.Py_ssize_t
         i: cython.Py_ssize_t
+        is_far: cython.bint
         wanted: cython.double
         for i in range(self._n):
-            wanted = _mod(self._bearings[i] + turned)
-            place = _nearest(rising, had, wanted, place)
+            is_far = False
+            if is_even:
+                place = self._place[i] + steps
+                place += had if place < 0 else -had if place >= had else 0
+            else:
+                wanted = _mod(self._bearings[i] + turned)
+                place = _nearest(rising, had, wanted, place)
+                is_far = _apart(rising[place], wanted) > too_far
             ray = order[place]
             self._ranges[i] = self._old_ranges[ray]
-            if _apart(rising[place], wanted) > too_far:
-                self._seen_at[i] = self._near_at[i] = -INFINITY
-            else:
-                self._seen_at[i], self._near_at[i] = self._old_seen_at[ray], self._old_near_at[ray]
+            self._seen_at[i] = -INFINITY if is_far else self._old_seen_at[ray]
+            self._near_at[i] = -INFINITY if is_far else self._old_near_at[ray]
         return 0
 
     @cython.cfunc
@@ -1235,14 +1259,14 @@ class RayMemory:
         i: cython.Py_ssize_t
         run: cython.Py_ssize_t
         while begin < end:  # runs of zeros, the one around the end of the array last
-            if first < n and out[begin % n] != 0.0:
+            if first < n and out[_wrapped(begin, n)] != 0.0:
                 begin += 1
                 continue
             run = 0
-            while run < n and begin + run < end and out[(begin + run) % n] == 0.0:
+            while run < n and begin + run < end and out[_wrapped(begin + run, n)] == 0.0:
                 run += 1
             for k in range(begin, begin + run):
-                i = k % n
+                i = _wrapped(k, n)
                 out[i] = self._meaning(i, run, now)
             begin += run
         return 0
@@ -1306,18 +1330,17 @@ class RayMemory:
         if first == n:
             return INFINITY
         widest: cython.double = 0.0
+        step: cython.double
         last: cython.Py_ssize_t = first
         k: cython.Py_ssize_t
         i: cython.Py_ssize_t
         for k in range(first + 1, first + n + 1):
-            i = k % n
+            i = _wrapped(k, n)
             if self._is_lost[i] and self._seen_at[i] < before:
                 continue
             if k - last > 1:
-                widest = max(
-                    widest,
-                    _TURN - _mod(self._direction * (self._bearings[last % n] - self._bearings[i])),
-                )
+                step = self._bearings[_wrapped(last, n)] - self._bearings[i]
+                widest = max(widest, _TURN - _mod(self._direction * step))
             last = k
         return widest
 
@@ -1341,20 +1364,22 @@ class RayMemory:
         step: cython.double
         wrapped_step: cython.double
         k: cython.Py_ssize_t
+        i: cython.Py_ssize_t
         is_filled: cython.bint = True
         for k in range(first + 1, first + n):
-            step = self._bearings[k % n] - self._bearings[(k - 1) % n]
+            i = _wrapped(k, n)
+            step = self._bearings[i] - self._bearings[_wrapped(k - 1, n)]
             if fabs(step) >= _PI:
                 wrapped_step = _mod(step + _PI) - _PI
                 if wrapped_step == -_PI and step > 0.0:
                     wrapped_step = _PI
                 shift += wrapped_step - step
-            angle = self._bearings[k % n] + shift
-            if isnan(out[k % n]):
+            angle = self._bearings[i] + shift
+            if isnan(out[i]):
                 continue
-            if k - last > 1 and not self._fill(out, last, k, before, angle, edge, out[k % n]):
+            if k - last > 1 and not self._fill(out, last, k, before, angle, edge, out[i]):
                 is_filled = False
-            last, before, edge = k, angle, out[k % n]
+            last, before, edge = k, angle, out[i]
         if last < first + n - 1:
             after = start + math.copysign(_TURN, angle - start)
             if not self._fill(out, last, first + n, before, after, edge, out[first]):
@@ -1377,7 +1402,7 @@ class RayMemory:
             return False
         k: cython.Py_ssize_t
         for k in range(last + 1, end):
-            out[k % out.shape[0]] = min(edge, other)
+            out[_wrapped(k, out.shape[0])] = min(edge, other)
         return True
 
 
