@@ -1,7 +1,7 @@
 """The arithmetic on the rays of a scan: conditioning, motion and features.
 
-A kernel (see `core/kernels.py`): `conditioning.py`, `scan_delay.py`, `deskew.py` and
-`rays.py` use it.
+A kernel (see `core/kernels.py`): `conditioning.py`, `blind_sector.py`,
+`scan_delay.py`, `deskew.py` and `rays.py` use it.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from swarmd.core.values import MAX_SPEED, MAX_STEP
+from swarmd.sensing.blind_sector import SECTORS
 from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
@@ -88,6 +89,20 @@ _MAX_SPEED = cython.declare(cython.double, MAX_SPEED)
 _MIN_STEP = cython.declare(cython.double, 1e-9)  # s between two poses of a path
 # m and rad during one scan: a robot that moves less is at rest, and its scan is not changed.
 _AT_REST = cython.declare(cython.double, 5e-4)
+
+# Blind sectors.
+_SECTORS = cython.declare(cython.Py_ssize_t, SECTORS)
+# directions, each a sector wide, in which a blind sector has missed something
+_MISSED = cython.declare(cython.Py_ssize_t, 8)
+_MAX_TIME = cython.declare(cython.double, 15.0)  # s for which what is seen counts as static
+# of the range by which the robot may move: things change their direction
+_MAX_MOTION = cython.declare(cython.double, 0.25)
+_LIKE = cython.declare(cython.double, 0.25)  # of the range by which a thing may seem to move, and
+_LIKE_M = cython.declare(cython.double, 0.1)  # m
+# looks in a row in which a static thing is seen, before and after it is missed
+_STREAK = cython.declare(cython.int, 3)
+# scans in a row with a return, after which a blind sector is trusted again
+_CLEARING = cython.declare(cython.int, 3)
 
 # Delay by turns.
 _CANDIDATES = cython.declare(cython.Py_ssize_t, 49)
@@ -1404,6 +1419,167 @@ class RayMemory:
         for k in range(last + 1, end):
             out[_wrapped(k, out.shape[0])] = min(edge, other)
         return True
+
+
+@cython.cclass
+class SectorMemory:
+    """What the sectors of a sensor return and miss, see `blind_sector.py`; times in s.
+
+    `is_blind` and `returned_at` (90,) by sector. `has_changed`: what is blind, with the last scan.
+    """
+
+    is_blind = cython.declare(object, visibility="readonly")
+    returned_at = cython.declare(object, visibility="readonly")
+    has_changed = cython.declare(cython.bint, visibility="readonly")
+    _range_min: cython.double
+    _range_max: cython.double
+    _is_zero_near: cython.bint
+    _given: object
+    _bearings: cython.const[cython.double][::1]
+    _sector: cython.longlong[::1]  # of each ray
+    _direction: cython.longlong[::1]
+    _is_return: cython.uchar[::1]
+    _blind: cython.uchar[::1]
+    _returned_at: cython.double[::1]
+    _returns: cython.longlong[90]  # scans in a row with a return
+    # By direction: the thing last seen there, for how many looks in a row, and the sectors that
+    # have missed it since. By sector: the directions in which it has missed something.
+    _range: cython.double[90]
+    _x: cython.double[90]
+    _y: cython.double[90]
+    _streak: cython.int[90]
+    _seen_at: cython.double[90]
+    _pending: cython.uchar[8100]
+    _missed: cython.uchar[8100]
+    # Of one look, by direction.
+    _rays: cython.int[90]
+    _hits: cython.int[90]
+    _sums: cython.double[90]
+    _is_known: cython.uchar[90]
+
+    def __init__(self, spec):
+        k: cython.Py_ssize_t
+        self._range_min, self._range_max = spec.range_min, spec.range_max
+        self._is_zero_near = spec.zero == "too_close"
+        self.is_blind, self.returned_at = np.zeros(SECTORS, np.bool_), np.full(SECTORS, NAN)
+        self._blind = memoryview(self.is_blind.view(np.uint8))
+        self._returned_at = memoryview(self.returned_at)
+        for k in range(_SECTORS):
+            self._seen_at[k] = -INFINITY
+
+    def take(self, ranges, bearings, pose, now: cython.double):
+        """The raw ranges (n,), with NaN for rays of blind sectors without a return.
+
+        It looks for blind sectors from a `pose`, unless that is None.
+        """
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        n: cython.Py_ssize_t = len(bearings)
+        if bearings is not self._given:
+            self._given, self._bearings = bearings, _view(bearings)
+            self._sector, self._direction = (memoryview(np.empty(n, np.int64)) for _ in range(2))
+            self._is_return = memoryview(np.empty(n, np.uint8))
+            for i in range(n):
+                self._sector[i] = _sector_of(self._bearings[i])
+        out = np.array(ranges, np.float64)
+        given: cython.double[::1] = _view(out)
+        is_return: cython.uchar[::1] = self._is_return
+        for k in range(_SECTORS):
+            self._hits[k] = 0
+        for i in range(n):
+            is_return[i] = (0.0 < given[i] <= self._range_max) or given[i] == -INFINITY
+            if self._is_zero_near and given[i] == 0.0:
+                is_return[i] = True
+            self._hits[self._sector[i]] += is_return[i]
+        self.has_changed = False
+        for k in range(_SECTORS):
+            self._returns[k] = self._returns[k] + 1 if self._hits[k] else 0
+            if self._hits[k] or isnan(self._returned_at[k]):
+                self._returned_at[k] = now
+            if self._blind[k] and self._returns[k] >= _CLEARING:
+                self._blind[k], self.has_changed = False, True
+        if pose is not None:
+            self._look(given, pose.x, pose.y, pose.yaw, now)
+        is_clear: cython.bint = True
+        for i in range(n):
+            if self._blind[self._sector[i]] and not is_return[i]:
+                given[i], is_clear = NAN, False
+        return ranges if is_clear else out
+
+    @cython.cfunc
+    def _look(
+        self,
+        ranges: cython.double[::1],
+        x: cython.double,
+        y: cython.double,
+        yaw: cython.double,
+        now: cython.double,
+    ) -> cython.int:
+        """Compare what each ray returns with what others returned in its direction."""
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        d: cython.Py_ssize_t
+        count: cython.Py_ssize_t
+        distance: cython.double
+        is_seen: cython.bint
+        is_like: cython.bint
+        is_static: cython.bint
+        is_over: cython.bint
+        n: cython.Py_ssize_t = ranges.shape[0]
+        for d in range(_SECTORS):
+            self._rays[d] = self._hits[d] = 0
+            self._sums[d] = 0.0
+        for i in range(n):
+            d = self._direction[i] = _sector_of(self._bearings[i] + yaw)
+            self._rays[d] += 1
+            if self._is_return[i]:
+                self._hits[d] += 1
+                self._sums[d] += max(ranges[i], self._range_min)
+        for d in range(_SECTORS):
+            self._is_known[d] = now - self._seen_at[d] <= _MAX_TIME and (
+                hypot(x - self._x[d], y - self._y[d]) <= _MAX_MOTION * self._range[d]
+            )
+            is_seen = 0 < self._rays[d] == self._hits[d]
+            distance = self._sums[d] / max(self._hits[d], 1)
+            is_like = is_seen and (
+                fabs(distance - self._range[d]) <= _LIKE_M + _LIKE * self._range[d]
+            )
+            self._streak[d] = self._streak[d] + 1 if is_like else is_seen
+            is_static = self._is_known[d] and self._streak[d] >= _STREAK
+            is_over = is_static or not self._is_known[d] or (is_seen and not is_like)
+            for k in range(_SECTORS):
+                if self._returns[k]:
+                    self._pending[_SECTORS * d + k] = self._missed[_SECTORS * k + d] = False
+                elif is_over and self._pending[_SECTORS * d + k]:
+                    self._pending[_SECTORS * d + k] = False
+                    self._missed[_SECTORS * k + d] |= is_static
+            if self._streak[d] >= _STREAK:
+                self._seen_at[d] = now
+            if is_seen and not is_like:
+                self._seen_at[d] = -INFINITY
+            if is_seen and (not is_like or self._streak[d] >= _STREAK):
+                self._range[d], self._x[d], self._y[d] = distance, x, y
+        for i in range(n):
+            d, k = self._direction[i], self._sector[i]
+            if self._is_known[d] and not self._hits[d] and not self._returns[k]:
+                self._pending[_SECTORS * d + k] = True
+        for k in range(_SECTORS):
+            count = 0
+            for d in range(_SECTORS):
+                count += self._missed[_SECTORS * k + d]
+            if count >= _MISSED and not self._blind[k]:
+                self._blind[k] = self.has_changed = True
+        return 0
+
+
+@cython.cfunc
+@cython.inline
+def _sector_of(angle: cython.double) -> cython.longlong:
+    sector: cython.longlong = cython.cast(
+        cython.longlong, floor(angle * (1.0 / (_TURN / _SECTORS)) + 1e-6)
+    )
+    sector %= _SECTORS
+    return sector + _SECTORS if sector < 0 else sector
 
 
 @cython.cclass
