@@ -257,7 +257,6 @@ class BlindZoneMemory:
         left: cython.double = geometry.offset[1]
         i: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        distance: cython.double
         for i in range(n):
             ray = self._order[i]
             distance = self._range[i] = given[ray]
@@ -306,7 +305,6 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        angle: cython.double
         for i in range(1, n):
             rises += 1 if values[i] > values[i - 1] else -1
             if self._turned[i] < self._turned[first]:
@@ -465,7 +463,6 @@ class BlindZoneMemory:
             return self._range[ray] <= self._blind + _MAX_SLOPE
         first: cython.double = self._finite(ray)
         last: cython.double = first
-        after: cython.double
         count: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t = ray
         while count < _EDGE_RAYS:
@@ -499,11 +496,6 @@ class BlindZoneMemory:
         """Add the earlier returns that may have crossed the rim and are not seen any more."""
         stride: cython.Py_ssize_t = 1 + self._points // _MAX_POINTS
         limit: cython.double = step + _SHAPE_CHANGE
-        x: cython.double
-        y: cython.double
-        x_here: cython.double
-        y_here: cython.double
-        bearing: cython.double
         is_gone: cython.bint
         start: cython.Py_ssize_t = 0  # neighbours are seen again beside one another
         count: cython.Py_ssize_t = (self._points + stride - 1) // stride
@@ -544,7 +536,6 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        off: cython.double
         shift: cython.double = min(step / (_MIN_HIDDEN_RANGE * self._blind), 0.25 * _PI)
         is_here: cython.bint = (
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._blind
@@ -608,7 +599,6 @@ class BlindZoneMemory:
         first: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        angle: cython.double
         for i in range(1, count):  # they rise but for one place
             if _mod(self._empty_bearing[i] - turned) < _mod(self._empty_bearing[i - 1] - turned):
                 first = i
@@ -630,9 +620,6 @@ class BlindZoneMemory:
         k: cython.Py_ssize_t
         first: cython.Py_ssize_t
         end: cython.Py_ssize_t
-        width: cython.double
-        youngest: cython.double
-        nearest: cython.double
         for k in range(self._sectors):
             first, end = self._first[k], self._first[k] + self._width[k]
             youngest = nearest = INFINITY

@@ -317,7 +317,6 @@ class _Layout:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t = 0
-        angle: cython.double
         for i in range(n):
             if self.wrapped[i] < self.wrapped[ray]:
                 ray = i
@@ -367,7 +366,6 @@ def _smallest(
     high: cython.Py_ssize_t = n - 1
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
-    middle: cython.double
     while low < high:
         middle, i, j = values[k], low, high
         while i <= j:
@@ -438,7 +436,6 @@ def nearest(scan, bearing: cython.double, half_width: cython.double):
     index: cython.Py_ssize_t = -1
     is_sector: cython.bint = half_width < _PI
     i: cython.Py_ssize_t
-    distance: cython.double
     for i in range(n):
         distance = ranges[i]
         if distance < least:
@@ -458,7 +455,6 @@ def unit_vectors(bearings):
     if not cython.compiled:
         given, out = memoryview(given), memoryview(vectors)
     i: cython.Py_ssize_t
-    angle: cython.double
     for i in range(given.shape[0]):
         angle = given[i]
         out[i, 0], out[i, 1] = cos(angle), sin(angle)
@@ -479,7 +475,6 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     least: cython.double = scan.range_min
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    distance: cython.double
     lowest: cython.double[::1] = layout.lowest
     is_seen: cython.bint = False
     for k in range(count):
@@ -497,7 +492,6 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
         return np.empty((0, 2))
     found: cython.Py_ssize_t = 0
     before: cython.double = lowest[count - 1]
-    after: cython.double
     if count >= 3:
         for k in range(count):
             after = lowest[k + 1] if k + 1 < count else lowest[0]
@@ -532,7 +526,6 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     is_seen: cython.bint = False
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    distance: cython.double
     order: cython.longlong[::1] = layout.order
     slopes: cython.double[::1] = layout.slopes
     is_apart: cython.uchar[::1] = layout.is_apart
@@ -549,7 +542,6 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     if not is_seen:
         return None
     shift: cython.Py_ssize_t = 0
-    after: cython.double
     for i in range(n):
         distance, after = ranges[i], ranges[i + 1] if i + 1 < n else ranges[0]
         is_last[i] = is_apart[i] or (
@@ -626,8 +618,6 @@ def _move(
     """
     along: cython.double = distance + (cosine * x + sine * y)
     across: cython.double = cosine * y - sine * x
-    tangent: cython.double
-    square: cython.double
     distance = min(sqrt(along * along + across * across), limits[3])
     distances[i] = -INFINITY if distance < limits[2] else distance
     if fabs(across) < 0.03 * along:  # the series to 3e-15, faster than atan2
@@ -665,16 +655,6 @@ def move_rays(
     last: cython.Py_ssize_t = rows - 1
     k: cython.Py_ssize_t = 1  # the row at the end of the ray's stretch of the path
     i: cython.Py_ssize_t
-    age: cython.double
-    distance: cython.double
-    share: cython.double
-    turn: cython.double
-    c: cython.double
-    s: cython.double
-    x: cython.double
-    y: cython.double
-    ahead: cython.double
-    left: cython.double
     # The stretch: its begin and how long it is, in time, x, y and turn.
     begin: cython.double = INFINITY
     end: cython.double = -INFINITY
@@ -748,9 +728,6 @@ def rays_in_sector(
     n: cython.Py_ssize_t = ranges.shape[0]
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
-    before: cython.double
-    ahead: cython.double
-    left: cython.double
     for i in range(first, n):
         before = direction * (bearings[i] + turn - start)
         if _mod(before + most) > width + 2.0 * most:
@@ -930,7 +907,6 @@ class RayMotion:
         k: cython.Py_ssize_t
         early: cython.Py_ssize_t
         late: cython.Py_ssize_t = 7 * self._last
-        share: cython.double
         for k in range(self._known):
             early = 7 * ((self._last - k + _READINGS) % _READINGS)
             if r[early] <= at:
@@ -989,8 +965,6 @@ class RayMotion:
         yaw: cython.double = p[0, 3]
         c: cython.double = cos(yaw)
         s: cython.double = sin(yaw)
-        dx: cython.double
-        dy: cython.double
         turned: cython.double = 0.0
         moves: cython.bint = False
         p[0, 0] = 0.0
@@ -1115,7 +1089,6 @@ class RayMemory:
         """Store the known rays; the number of unknown rays, which keep their memory."""
         i: cython.Py_ssize_t
         unknown: cython.Py_ssize_t = 0
-        distance: cython.double
         near_below: cython.double = self._near_below
         known: cython.double[::1] = self._ranges
         seen_at: cython.double[::1] = self._seen_at
@@ -1144,7 +1117,6 @@ class RayMemory:
         i: cython.Py_ssize_t
         far: cython.Py_ssize_t = 0
         has_return: cython.bint = False
-        distance: cython.double
         near_below: cython.double = self._near_below
         range_max: cython.double = self._range_max
         far_below: cython.double = 0.8 * self._range_max
@@ -1220,7 +1192,6 @@ class RayMemory:
         ray: cython.Py_ssize_t
         i: cython.Py_ssize_t
         is_far: cython.bint
-        wanted: cython.double
         for i in range(self._n):
             is_far = False
             if is_even:
@@ -1240,7 +1211,6 @@ class RayMemory:
     def _interpret(self, out: cython.double[::1]) -> cython.bint:
         """Each ray as +inf, -inf, NaN or a distance; true if zeros of an LDS are left."""
         i: cython.Py_ssize_t
-        value: cython.double
         range_min: cython.double = self._range_min
         range_max: cython.double = self._range_max
         is_zero: cython.uchar[::1] = self._is_zero
@@ -1324,7 +1294,6 @@ class RayMemory:
         if self._widest(INFINITY) <= self._max_gap:
             return now
         before: cython.double = INFINITY
-        latest: cython.double
         i: cython.Py_ssize_t
         while True:
             latest = -INFINITY
@@ -1345,7 +1314,6 @@ class RayMemory:
         if first == n:
             return INFINITY
         widest: cython.double = 0.0
-        step: cython.double
         last: cython.Py_ssize_t = first
         k: cython.Py_ssize_t
         i: cython.Py_ssize_t
@@ -1375,9 +1343,6 @@ class RayMemory:
         edge: cython.double = out[first]
         last: cython.Py_ssize_t = first
         shift: cython.double = 0.0
-        after: cython.double
-        step: cython.double
-        wrapped_step: cython.double
         k: cython.Py_ssize_t
         i: cython.Py_ssize_t
         is_filled: cython.bint = True
@@ -1520,7 +1485,6 @@ class SectorMemory:
         k: cython.Py_ssize_t
         d: cython.Py_ssize_t
         count: cython.Py_ssize_t
-        distance: cython.double
         is_seen: cython.bint
         is_like: cython.bint
         is_static: cython.bint
@@ -1788,7 +1752,6 @@ class Turns:
         last: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, ceil(high / ray))
         shift: cython.Py_ssize_t
         best: cython.Py_ssize_t = first
-        likeness: cython.double
         most: cython.double = -INFINITY
         for shift in range(first, last + 1):
             likeness = self._likeness(shift)
@@ -1829,7 +1792,6 @@ class Turns:
         """Add a measured turn, and what odometry says of it for each candidate."""
         k: cython.Py_ssize_t
         best: cython.Py_ssize_t = 0
-        scale: cython.double
         self._mm = _FORGETTING * self._mm + turn * turn
         self._weight = _FORGETTING * self._weight + 1.0
         for k in range(_CANDIDATES):
