@@ -11,6 +11,7 @@ before fill it. A robot that turns with the sensor measures a sector twice, and 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -37,14 +38,12 @@ class Deskewer:
     def __init__(self, spec: ScanSpec, measured: MeasuredSweep | None = None) -> None:
         self._spec, self._measured = spec, measured
         self._motion = load_kernel("swarmd.sensing.scans").RayMotion(spec)
+        self.on_odometry: Callable[[Odometry], None] = self._motion.update
+        """Takes in a measured pose."""
         self._rays: Rays | None = None
         self._last: Scan | None = None
         self._last_at = -math.inf  # the time of its newest ray
         self._filled = 0  # its first rays, which are those of the scan before it
-
-    def on_odometry(self, odometry: Odometry) -> None:
-        """Take in a measured pose."""
-        self._motion.update(odometry)
 
     def deskew(
         self, scan: Scan, now: float, odometry_age: float | None, delay: float = 0.0
