@@ -102,6 +102,9 @@ def exceptval(value: Any = None, *, check: bool = False) -> Callable[[_Function]
     return cfunc
 
 
+boundscheck = exceptval
+
+
 def cclass(kind: type) -> Any:
     """The extension type: a class with its declared attributes alone, each at its zero."""
     declared = inspect.get_annotations(kind, eval_str=True)

@@ -116,13 +116,15 @@ class Odometry(Struct, frozen=True, array_like=True):
     @property
     def is_valid(self) -> bool:
         """True if all numbers are finite, and pose and twist within MAX_COORDINATE."""
-        pose, twist = self.pose, self.twist
+        pose, twist, most = self.pose, self.twist, MAX_COORDINATE
         return (
             self.stamp * 0.0 == 0.0
-            and pose.is_finite
-            and twist.is_finite
-            and max(abs(pose.x), abs(pose.y), abs(pose.yaw)) <= MAX_COORDINATE
-            and max(abs(twist.linear), abs(twist.angular), abs(twist.lateral)) <= MAX_COORDINATE
+            and -most <= pose.x <= most
+            and -most <= pose.y <= most
+            and -most <= pose.yaw <= most
+            and -most <= twist.linear <= most
+            and -most <= twist.angular <= most
+            and -most <= twist.lateral <= most
         )
 
     def jumps_from(self, last: Odometry) -> bool:

@@ -110,6 +110,14 @@ def _apart(one: cython.double, other: cython.double) -> cython.double:
 
 
 @cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _wrapped(i: cython.Py_ssize_t, n: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """i modulo n, for i below 2 n: to divide is slow."""
+    return i - n if i >= n else i
+
+
+@cython.cfunc
 def _nearest(
     rising: cython.double[::1], n: cython.Py_ssize_t, wanted: cython.double
 ) -> cython.Py_ssize_t:
@@ -129,6 +137,16 @@ def _nearest(
     if _apart(rising[before], wanted) < _apart(rising[after], wanted):
         return before
     return after
+
+
+@cython.cfunc
+def _has_near(ranges: cython.const[cython.double][::1], limit: cython.double) -> cython.bint:
+    """True if a ray has a return up to a limit."""
+    i: cython.Py_ssize_t
+    for i in range(ranges.shape[0] if cython.compiled else len(ranges)):
+        if -INFINITY < ranges[i] <= limit:
+            return True
+    return False
 
 
 _NOTHING = np.empty(0)
@@ -165,8 +183,7 @@ class BlindZoneMemory:
     _order: cython.longlong[::1]
     _bearing: cython.double[::1]
     _rising: cython.double[::1]
-    _cos: cython.double[::1]
-    _sin: cython.double[::1]
+    _ways: cython.const[cython.double][:, ::1]  # in the order of the scan
     _range: cython.double[::1]
     _is_empty: cython.uchar[::1]
     _inside: cython.uchar[::1]
@@ -223,31 +240,32 @@ class BlindZoneMemory:
 
     def update(self, scan: Scan, geometry: ScanGeometry, moved: Pose, seconds: float) -> None:
         """Take in a scan, taken `seconds` after the last one; `moved` is the motion since then."""
-        if scan.bearings is not self._given:
-            self._set_bearings(scan.bearings, geometry.directions(scan))
         table = np.ascontiguousarray(scan.ranges, np.float64)
         given: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
-        n: cython.Py_ssize_t = self._n
         step: cython.double = self._speed * min(seconds, 5.0 * self._period) + _RANGE_NOISE
         limit: cython.double = self._blind + 2.0 * step
+        self._x, self._old_x = self._old_x, self._x
+        self._y, self._old_y = self._old_y, self._y
+        self._old_points, self._points = self._points, 0
+        if not (self._old_points or self._hidden or _has_near(given, limit)):
+            return  # as mostly; what was not seen in this scan matters to hidden obstacles alone
+        if scan.bearings is not self._given:
+            self._set_bearings(scan.bearings, geometry.directions(scan))
+        n: cython.Py_ssize_t = self._n
         least: cython.double = scan.range_min
         ahead: cython.double = geometry.offset[0]
         left: cython.double = geometry.offset[1]
         i: cython.Py_ssize_t
-        distance: cython.double
-        self._x, self._old_x = self._old_x, self._x
-        self._y, self._old_y = self._old_y, self._y
-        self._old_points, self._points = self._points, 0
+        ray: cython.Py_ssize_t
         for i in range(n):
-            distance = given[self._order[i]]
-            self._range[i] = distance
+            ray = self._order[i]
+            distance = self._range[i] = given[ray]
             if -INFINITY < distance <= limit:
                 distance = max(distance, least)
-                self._x[self._points] = ahead + distance * self._cos[i]
-                self._y[self._points] = left + distance * self._sin[i]
+                self._x[self._points] = ahead + distance * self._ways[ray, 0]
+                self._y[self._points] = left + distance * self._ways[ray, 1]
                 self._points += 1
-        if self._points or self._old_points or self._hidden:
-            self._find(moved.x, moved.y, moved.yaw, ahead, left, seconds, step)
+        self._find(moved.x, moved.y, moved.yaw, ahead, left, seconds, step)
         self._were_empty = 0
         for i in range(n):
             if isinf(self._range[i]):
@@ -259,22 +277,20 @@ class BlindZoneMemory:
         """Take the rays of other bearings; those of a robot that moves differ with each scan."""
         table = np.ascontiguousarray(bearings, np.float64)
         values: cython.const[cython.double][::1] = table if cython.compiled else table.tolist()
-        ways: cython.const[cython.double][:, ::1] = (
-            directions if cython.compiled else memoryview(directions)
-        )
+        self._ways = directions if cython.compiled else memoryview(directions)
         n: cython.Py_ssize_t = len(values)
         if n > self._reserved:
             self._reserve(n + n // 4)
         self._given, self._n = bearings, n
+        i: cython.Py_ssize_t
+        for i in range(n):
+            self._turned[i] = _mod(values[i])
         if not self._sort(values):
             sorted_rays: cython.longlong[::1] = np.argsort(table % _TURN, kind="stable")
             self._order[:n] = sorted_rays
-        i: cython.Py_ssize_t
-        ray: cython.Py_ssize_t
         for i in range(n):
-            ray = self._order[i]
-            self._bearing[i], self._rising[i] = values[ray], _mod(values[ray])
-            self._cos[i], self._sin[i] = ways[ray, 0], ways[ray, 1]
+            self._bearing[i] = values[self._order[i]]
+            self._rising[i] = self._turned[self._order[i]]
 
     @cython.cfunc
     def _sort(self, values: cython.const[cython.double][::1]) -> cython.bint:
@@ -289,14 +305,13 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        angle: cython.double
         for i in range(1, n):
             rises += 1 if values[i] > values[i - 1] else -1
-            if _mod(values[i]) < _mod(values[first]):
+            if self._turned[i] < self._turned[first]:
                 first = i
         for i in range(n):
-            ray = (first + i) % n if rises >= 0 else (first - i + n) % n
-            angle, k = _mod(values[ray]), i
+            ray = _wrapped(first + i if rises >= 0 else first - i + n, n)
+            angle, k = self._turned[ray], i
             while k > 0 and (
                 self._rising[k - 1] > angle
                 or (self._rising[k - 1] == angle and self._order[k - 1] > ray)
@@ -315,7 +330,6 @@ class BlindZoneMemory:
         self._reserved = size
         self._order = _zeros(size, np.int64)
         self._bearing, self._rising = _zeros(size), _zeros(size)
-        self._cos, self._sin = _zeros(size), _zeros(size)
         self._range, self._exact, self._corner = _zeros(size), _zeros(size), _zeros(size)
         self._age_of, self._nearest_of = _zeros(size), _zeros(size)
         self._is_empty, self._inside = _zeros(size, np.uint8), _zeros(size, np.uint8)
@@ -363,7 +377,7 @@ class BlindZoneMemory:
             if self._crossings[k]:
                 is_entered = True
                 for i in range(self._first[k], self._first[k] + self._width[k]):
-                    self._inside[i % n] = True
+                    self._inside[_wrapped(i, n)] = True
         for i in range(self._hidden):
             self._hidden_at[i] -= turned
             self._near[i] = max(self._near[i] - self._speed * seconds, 0.0)
@@ -371,6 +385,9 @@ class BlindZoneMemory:
                 self._is_face[i] = 0.0
         self._candidates = self._hidden
         self._vanish(moved_x, moved_y, c, s, ahead, left, step, is_entered)
+        if not (self._candidates or is_entered):
+            self._keep(0)
+            return
         if self._candidates > self._hidden or is_entered:
             self._entered_x = self._entered_y = 0.0
         self._place(turned, step)
@@ -410,10 +427,10 @@ class BlindZoneMemory:
         i = first
         while i < last:
             end = i
-            while end < last and isinf(self._range[end % n]):
+            while end < last and isinf(self._range[_wrapped(end, n)]):
                 end += 1
             if end - i >= _MIN_EMPTY_RUN:
-                self._add_sector(i % n, end - i)
+                self._add_sector(_wrapped(i, n), end - i)
             i = end + 1
         return 0
 
@@ -423,7 +440,7 @@ class BlindZoneMemory:
         k: cython.Py_ssize_t = self._sectors
         i: cython.Py_ssize_t
         for i in range(first, first + width):
-            self._is_empty[i % n] = True
+            self._is_empty[_wrapped(i, n)] = True
         half: cython.double = width * _PI / n
         is_flat: cython.bint = half < _FLAT
         self._first[k], self._width[k] = first, width
@@ -446,7 +463,6 @@ class BlindZoneMemory:
             return self._range[ray] <= self._blind + _MAX_SLOPE
         first: cython.double = self._finite(ray)
         last: cython.double = first
-        after: cython.double
         count: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t = ray
         while count < _EDGE_RAYS:
@@ -480,11 +496,6 @@ class BlindZoneMemory:
         """Add the earlier returns that may have crossed the rim and are not seen any more."""
         stride: cython.Py_ssize_t = 1 + self._points // _MAX_POINTS
         limit: cython.double = step + _SHAPE_CHANGE
-        x: cython.double
-        y: cython.double
-        x_here: cython.double
-        y_here: cython.double
-        bearing: cython.double
         is_gone: cython.bint
         start: cython.Py_ssize_t = 0  # neighbours are seen again beside one another
         count: cython.Py_ssize_t = (self._points + stride - 1) // stride
@@ -525,7 +536,6 @@ class BlindZoneMemory:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t
-        off: cython.double
         shift: cython.double = min(step / (_MIN_HIDDEN_RANGE * self._blind), 0.25 * _PI)
         is_here: cython.bint = (
             hypot(self._entered_x, self._entered_y) < _FORGET_DISTANCE * self._blind
@@ -589,7 +599,6 @@ class BlindZoneMemory:
         first: cython.Py_ssize_t = 0
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
-        angle: cython.double
         for i in range(1, count):  # they rise but for one place
             if _mod(self._empty_bearing[i] - turned) < _mod(self._empty_bearing[i - 1] - turned):
                 first = i
@@ -611,26 +620,26 @@ class BlindZoneMemory:
         k: cython.Py_ssize_t
         first: cython.Py_ssize_t
         end: cython.Py_ssize_t
-        width: cython.double
-        youngest: cython.double
-        nearest: cython.double
         for k in range(self._sectors):
             first, end = self._first[k], self._first[k] + self._width[k]
             youngest = nearest = INFINITY
             for i in range(first, end):
-                youngest = min(youngest, self._age_of[i % n])
-                nearest = min(nearest, self._nearest_of[i % n])
+                youngest = min(youngest, self._age_of[_wrapped(i, n)])
+                nearest = min(nearest, self._nearest_of[_wrapped(i, n)])
             width = self._width[k] * 2.0 * _PI / n
             if self._crossings[k] == 2 and width < _MAX_FACE:
                 for i in range(first, end):
-                    self._age_of[i % n] = 0.0
-                    if self._face_of[i % n]:
-                        self._nearest_of[i % n] = self._corner[k]
+                    self._age_of[_wrapped(i, n)] = 0.0
+                    if self._face_of[_wrapped(i, n)]:
+                        self._nearest_of[_wrapped(i, n)] = self._corner[k]
             elif youngest < INFINITY and width <= _MAX_SECTOR:
                 if self._crossings[k] or width >= self._narrow:
                     youngest = 0.0
                 else:
                     youngest += seconds
                 for i in range(first, end):
-                    self._age_of[i % n], self._nearest_of[i % n] = youngest, nearest
+                    self._age_of[_wrapped(i, n)], self._nearest_of[_wrapped(i, n)] = (
+                        youngest,
+                        nearest,
+                    )
         return 0

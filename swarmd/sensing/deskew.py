@@ -11,6 +11,7 @@ before fill it. A robot that turns with the sensor measures a sector twice, and 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -18,10 +19,6 @@ import numpy as np
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Scan, ScanSpec, Sweep
 from swarmd.sensing.measured_sweep import MeasuredSweep
-from swarmd.sensing.odometry_history import OdometryHistory, relative
-
-AT_REST = 5e-4
-"""m and rad during one scan: a robot that moves less is at rest, and its scan is not changed."""
 
 _TURN = 2.0 * math.pi
 
@@ -40,17 +37,13 @@ class Deskewer:
 
     def __init__(self, spec: ScanSpec, measured: MeasuredSweep | None = None) -> None:
         self._spec, self._measured = spec, measured
-        self._limits = *spec.offset, spec.range_min, spec.range_max
-        self._history = OdometryHistory()
-        self._rays: _Rays | None = None
+        self._motion = load_kernel("swarmd.sensing.scans").RayMotion(spec)
+        self.on_odometry: Callable[[Odometry], None] = self._motion.update
+        """Takes in a measured pose."""
+        self._rays: Rays | None = None
         self._last: Scan | None = None
         self._last_at = -math.inf  # the time of its newest ray
         self._filled = 0  # its first rays, which are those of the scan before it
-        self._kernel = load_kernel("swarmd.sensing.scans")
-
-    def on_odometry(self, odometry: Odometry) -> None:
-        """Take in a measured pose."""
-        self._history.update(odometry)
 
     def deskew(
         self, scan: Scan, now: float, odometry_age: float | None, delay: float = 0.0
@@ -71,81 +64,31 @@ class Deskewer:
         if rays is None:
             return scan
         ago = rays.newest_age + delay
-        result, latest = None, self._history.latest
-        if odometry_age is not None and latest is not None:
-            stamp = latest.stamp + odometry_age - ago
-            result = self._moved(scan, rays, stamp, now - ago)
-        if result is None:
-            result = rays.scan(scan, scan.ranges, scan.bearings, rays.ages)
+        arrays = None
+        if odometry_age is not None:
+            stamp = self._motion.latest + odometry_age - ago
+            seconds = now - ago - self._last_at
+            arrays = self._motion.move(scan, stamp, self._last, seconds, self._filled)
+        ranges, bearings, ages = arrays or (scan.ranges, scan.bearings, rays.ages)
+        limits = scan.range_min, scan.range_max
+        result = Scan(scan.seq, scan.stamp, ranges, bearings, *limits, ages, rays.newest_age)
         self._filled = len(result.ranges) - len(scan.ranges)
         self._last, self._last_at = result, now - ago
         return result
 
-    def _rays_of(self, scan: Scan) -> _Rays | None:
+    def _rays_of(self, scan: Scan) -> Rays | None:
         """The rays of the scan; the same object for the same bearings and ages."""
         sweep = self._spec.sweep
         if scan.ages is None and sweep is None:
             return None
         rays = self._rays
         if rays is None or rays.bearings is not scan.bearings or rays.given is not scan.ages:
-            rays = self._rays = _Rays(scan, sweep, self._spec.latency)
+            rays = self._rays = Rays(scan, sweep, self._spec.latency)
+            self._motion.set_rays(rays)
         return rays
 
-    def _moved(self, scan: Scan, rays: _Rays, stamp: float, at: float) -> Scan | None:
-        """The scan with each return moved to the time of the newest ray: `stamp` of odometry, `at`.
 
-        None at rest, without odometry, if all rays are of one instant, and if nothing fills an
-        unmeasured sector.
-        """
-        path = self._history.path(stamp, rays.span) if rays.span else None
-        if path is None or _is_at_rest(path):
-            return None
-        ages, way = rays.ages, np.array(path)
-        ranges, bearings = self._kernel.move_rays(
-            scan.ranges, rays.bearings, rays.cos, rays.sin, ages, way, self._limits
-        )
-        unmeasured = rays.direction * path[-1][3]
-        if unmeasured > 0.5 * rays.spacing:
-            before = self._before(rays, unmeasured, stamp, at)
-            if before is None:
-                return None
-            ranges = np.concatenate((before[0], ranges))
-            bearings = np.concatenate((before[1], bearings))
-            ages = np.concatenate((before[2], ages))
-        for array in ranges, bearings, ages:
-            array.flags.writeable = False
-        return rays.scan(scan, ranges, bearings, ages)
-
-    def _before(
-        self, rays: _Rays, unmeasured: float, stamp: float, at: float
-    ) -> tuple[Array, Array, Array] | None:
-        """Ranges, bearings and ages of the last scan's rays in the sector that this scan lacks.
-
-        The sector begins at the bearing of the oldest ray and is `unmeasured` rad wide.
-        """
-        last, elapsed = self._last, at - self._last_at
-        if last is None or last.ages is None or not 0.0 < elapsed <= self._spec.stale_after:
-            return None
-        if not self._history.covers(stamp - elapsed):
-            return None
-        way = relative(self._history.pose(stamp - elapsed), self._history.pose(stamp))
-        sector = rays.oldest - 0.5 * rays.direction * rays.spacing, rays.direction, unmeasured
-        ranges, bearings, ages = self._kernel.rays_in_sector(
-            *(last.ranges, last.bearings, last.ages),
-            self._filled,  # or a ray could be passed on for ever
-            *((way.x, way.y, way.yaw), sector, self._limits),
-        )
-        return ranges, bearings, ages + elapsed
-
-
-def _is_at_rest(path: list[tuple[float, float, float, float]]) -> bool:
-    return all(
-        -AT_REST <= x <= AT_REST and -AT_REST <= y <= AT_REST and -AT_REST <= yaw <= AT_REST
-        for _, x, y, yaw in path
-    )
-
-
-class _Rays:
+class Rays:
     """The bearings of a scan with the ages (n,) of its rays in s, and what derives from them.
 
     `given`: the driver's ages. `span`: the age of the oldest ray, whose bearing is `oldest`.
@@ -168,11 +111,6 @@ class _Rays:
         rising = np.sort(scan.bearings % _TURN)
         self.spacing = float(np.median(np.diff(rising))) if len(rising) > 1 else _TURN
         self.direction, self.oldest = self._direction()
-
-    def scan(self, raw: Scan, ranges: Array, bearings: Array, ages: Array) -> Scan:
-        """The scan with other rays, at the time of its newest ray."""
-        limits = raw.range_min, raw.range_max
-        return Scan(raw.seq, raw.stamp, ranges, bearings, *limits, ages, self.newest_age)
 
     def _direction(self) -> tuple[float, float]:
         """The direction, and the bearing of the oldest ray."""

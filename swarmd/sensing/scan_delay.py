@@ -19,12 +19,10 @@ from collections import deque
 from collections.abc import Collection, Iterable
 from dataclasses import replace
 from itertools import pairwise
-from typing import NamedTuple
 
-import numpy as np
-
+from swarmd.core.kernels import load_kernel
 from swarmd.core.messages import DelayFigure, ScanDelaySummary
-from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Twist
+from swarmd.core.values import Array, Odometry, Scan, ScanSpec
 from swarmd.sensing.measured_sweep import Headings, MeasuredSweep
 
 TOLERANCE = 0.01
@@ -42,27 +40,7 @@ _MAX_AGE = 5.0  # s: a scan that seems older has another clock
 _LONGEST = 1000.0  # s: what a clock that was set shows at most, so that a status can tell it
 _MAX_LEAD = -0.05  # s: as one that seems to come from the future
 
-_CANDIDATES = np.linspace(0.0, 1.2, 49)  # s
-_STEP = float(_CANDIDATES[1])
-_HISTORY = 96  # headings
-_SPACING = 0.02  # s between two of them, at least
-_MIN_RATE_CHANGE = 0.15  # rad/s
-_MIN_TURN_SPREAD = 0.06  # rad by which candidates must differ for a pair of scans to tell anything
-_SEARCHED = 0.25  # rad by which the search for the turn goes beyond the turns of all candidates
-_MAX_SEARCHED = 1.2  # rad; beyond it a square room looks like itself
-_MAX_SHIFT = 0.03  # m between two scans: a shift of near things looks like a turn
-_MIN_RAYS = 90
-_MAX_RANGE = 6.0  # m; farther returns count as if they were there
-_MIN_RELIEF = 0.1  # m, standard deviation of ranges below which a scene has no features
-_MIN_LIKENESS = 0.6  # correlation of two scans at the turn found
-_FORGETTING = 0.98  # of earlier pairs, for each new one: some 50 count
-_MIN_PAIRS = 8
-_MIN_SPREAD = 0.015  # rad of one measured turn
-_ALIKE = 2.0  # factor on the spread, as errors of pairs are not independent: 1.7 in simulation
 _CERTAIN = 2.5  # spreads by which turns must exceed declaration and stamps
-_MAX_INTERVAL = 0.2  # s of candidates within three deviations: a wider one is no figure
-_SCALES = 0.85, 1.15  # of odometry
-_ENOUGH_PAIRS = 20  # after which only each fourth scan is compared with the one before it
 _EXPIRES = 60.0  # s after which turns no longer say that scans are late
 
 
@@ -79,7 +57,8 @@ class ScanDelay:
 
     def __init__(self, spec: ScanSpec) -> None:
         self._latency, self._bound = spec.latency, spec.max_scan_delay
-        self._stamps, self._turns = _Stamps(spec), _Turns()
+        self._stamps = _Stamps(spec)
+        self._turns = load_kernel("swarmd.sensing.scans").Turns()
         self.sweep = MeasuredSweep(spec) if spec.measures_sweep else None
         self.added = self._added_before = 0.0
         self.is_late = False
@@ -106,7 +85,7 @@ class ScanDelay:
         if self._stamps.is_restarting:
             added = max(added, self._added_before)
         known = max(latency, stamps) + TOLERANCE
-        if turns.delay is not None and turns.delay - _CERTAIN * turns.spread > known:
+        if turns.delay - _CERTAIN * turns.spread > known:  # false of NaN: there is no figure
             upper = turns.delay + turns.spread - latency
             if upper > bound and now - turns.at > _EXPIRES:
                 turns.forget()  # a robot that is held cannot turn to measure anew
@@ -119,9 +98,10 @@ class ScanDelay:
         """The scan with the ages that turns tell, if they do."""
         sweep, turns = self.sweep, self._turns
         assert sweep is not None
-        headings = turns.headings()
+        headings = Headings(*turns.headings())
         if offset < math.inf and len(headings.times):
-            measured = self._stamps.figure(now).delay if turns.delay is None else turns.delay
+            has_turns = not math.isnan(turns.delay)
+            measured = turns.delay if has_turns else self._stamps.figure(now).delay
             delay = self._latency if measured is None else measured
             before = sweep.order
             sweep.on_scan(scan, now - offset, delay, headings, turns.pose)
@@ -142,8 +122,20 @@ class ScanDelay:
             declared=self._latency,
             added=self.added,
             bound=self._bound,
-            figures=(self._stamps.figure(now), self._turns.figure(now)),
+            figures=(self._stamps.figure(now), self._figure_of_turns(now)),
             sweep=None if self.sweep is None else self.sweep.figure(),
+        )
+
+    def _figure_of_turns(self, now: float) -> DelayFigure:
+        turns = self._turns
+        if math.isnan(turns.delay):
+            return DelayFigure(method="turns", text=turns.why)
+        return DelayFigure(
+            method="turns",
+            delay=turns.delay,
+            spread=turns.spread,
+            samples=turns.pairs,
+            age=max(now - turns.at, 0.0),
         )
 
 
@@ -288,216 +280,3 @@ class _Stamps:
     def _forget(self, why: str) -> None:
         self._ages.clear()
         self._is_shared, self._why = False, why
-
-
-_Spectrum = np.ndarray[tuple[int], np.dtype[np.complex128]]
-
-
-class _Candidates(NamedTuple):
-    """Sums over pairs of scans: of measured turns m, and of turns p (c,) by candidate delay."""
-
-    mm: float
-    mp: Array
-    pp: Array
-    pairs: float
-
-
-def _no_pairs() -> _Candidates:
-    return _Candidates(0.0, np.zeros(len(_CANDIDATES)), np.zeros(len(_CANDIDATES)), 0.0)
-
-
-class _Seen:
-    """A scan of `rays` that arrived `at` on the clock of odometry, and the pose then."""
-
-    def __init__(self, at: float, pose: Pose, scan: Scan) -> None:
-        self.at, self.pose = at, pose
-        self.rays = len(scan.ranges)
-        self._least, self._farthest = scan.range_min, min(scan.range_max, _MAX_RANGE)
-        self._ranges = np.array(scan.ranges, np.float64)  # a driver may write to its own
-        self._spectrum: tuple[_Spectrum, float] | None = None
-
-    def spectrum(self) -> tuple[_Spectrum, float]:
-        """The spectrum of the ranges about their mean, no return as far away, and their norm."""
-        if self._spectrum is None:
-            ranges, farthest = self._ranges, self._farthest
-            is_return = (ranges >= self._least) & (ranges <= farthest)
-            relief = np.where(is_return, ranges, farthest)
-            relief -= relief.mean()
-            self._spectrum = np.fft.rfft(relief), float(np.linalg.norm(relief))
-        return self._spectrum
-
-
-class _Turns:
-    """Delay by turns: `delay` and `spread` in s (None: not known), of pairs of scans up to `at`."""
-
-    def __init__(self) -> None:
-        self.delay: float | None = None
-        self.spread = 0.0
-        self.at = 0.0
-        self._times, self._yaws = np.empty(4 * _HISTORY), np.empty(4 * _HISTORY)
-        self._first = self._end = 0  # of the headings kept
-        self._stamp = -math.inf
-        self._yaw = 0.0
-        self._slow_rate = 0.0
-        self._changed_at = -math.inf
-        self._total = 0.0  # turned so far
-        self._odometry = Odometry(0.0, Pose(), Twist())
-        self._last: _Seen | None = None
-        self._sums, self._pairs, self._scans = _no_pairs(), 0, 0
-        self._bearings: Array | None = None
-        self._ray = 0.0
-        self._why = "it has not turned at a changing rate yet"
-
-    def forget(self) -> None:
-        """Measure anew."""
-        self.delay, self._sums, self._pairs = None, _no_pairs(), 0
-        self._why = "its last figure was older than a minute"
-
-    def forget_headings(self) -> None:
-        """The clock of odometry was set."""
-        self._first = self._end = 0
-        self._stamp, self._last = -math.inf, None
-
-    @property
-    def pose(self) -> Pose:
-        """The last pose by odometry."""
-        return self._odometry.pose
-
-    def headings(self) -> Headings:
-        """A copy of the headings kept."""
-        kept = slice(self._first, self._end)
-        return Headings(self._times[kept].copy(), self._yaws[kept].copy())
-
-    def on_odometry(self, odometry: Odometry) -> None:
-        """Keep a heading."""
-        rate = odometry.twist.angular
-        self._slow_rate += 0.1 * (rate - self._slow_rate)
-        if abs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
-            self._changed_at = odometry.stamp
-        self._odometry = odometry
-        if odometry.stamp - self._stamp < _SPACING:
-            return
-        end, yaw = self._end, odometry.pose.yaw
-        if end == len(self._times):
-            kept = slice(end - _HISTORY, end)
-            self._times[:_HISTORY], self._yaws[:_HISTORY] = self._times[kept], self._yaws[kept]
-            self._first, end = 0, _HISTORY
-        if end > self._first:
-            self._total += math.remainder(yaw - self._yaw, 2.0 * math.pi)
-        self._times[end], self._yaws[end] = odometry.stamp, self._total
-        self._yaw, self._stamp, self._end = yaw, odometry.stamp, end + 1
-        self._first = max(self._first, end + 1 - _HISTORY)
-
-    def on_scan(self, scan: Scan, at: float, now: float) -> None:
-        """Compare a scan with the last one; `at` is its arrival on the clock of odometry."""
-        longest = _CANDIDATES[-1] + 0.5
-        if at - self._changed_at > longest or not self._can_correlate(scan):
-            self._last = None
-            return
-        last, self._last = self._last, None
-        self._scans += 1
-        if self._pairs >= _ENOUGH_PAIRS and self._scans % 4 > 1:
-            return
-        seen = self._last = _Seen(at, self._odometry.pose, scan)
-        if last is None or (self._pairs >= _ENOUGH_PAIRS and self._scans % 4 == 0):
-            return
-        if at - last.at > 0.5 or self._end == self._first:
-            return
-        if math.hypot(seen.pose.x - last.pose.x, seen.pose.y - last.pose.y) > _MAX_SHIFT:
-            return
-        kept = slice(self._first, self._end)
-        times, yaws = self._times[kept], self._yaws[kept]
-        if last.at - _CANDIDATES[-1] < times[0]:
-            return
-        turns = np.interp(at - _CANDIDATES, times, yaws)
-        turns -= np.interp(last.at - _CANDIDATES, times, yaws)
-        low, high = float(turns.min()), float(turns.max())
-        if high - low < _MIN_TURN_SPREAD or max(-low, high) + _SEARCHED > _MAX_SEARCHED:
-            return
-        turn = self._measured(last, seen, low - _SEARCHED, high + _SEARCHED)
-        if turn is not None:
-            self._add(turn, turns)
-            self.at = now
-
-    def figure(self, now: float) -> DelayFigure:
-        """The delay with its deviation."""
-        if self.delay is None:
-            return DelayFigure(method="turns", text=self._why)
-        return DelayFigure(
-            method="turns",
-            delay=self.delay,
-            spread=self.spread,
-            samples=self._pairs,
-            age=max(now - self.at, 0.0),
-        )
-
-    def _can_correlate(self, scan: Scan) -> bool:
-        """True if the rays cover a full turn evenly. `_ray`: the angle from one to the next."""
-        if scan.bearings is not self._bearings:
-            self._bearings, self._ray = scan.bearings, 0.0
-            self._last = None
-            steps = np.diff(np.unwrap(scan.bearings))
-            if len(steps) + 1 >= _MIN_RAYS:
-                step = float(steps.mean())
-                is_even = float(np.abs(steps - step).max()) < 0.1 * abs(step)
-                is_full = abs(abs(step) * (len(steps) + 1) - 2.0 * math.pi) < 1.5 * abs(step)
-                self._ray = step if is_even and is_full else 0.0
-            if self._ray == 0.0:
-                self._why = "its rays do not cover a full turn evenly"
-        return self._ray != 0.0
-
-    def _measured(self, before: _Seen, after: _Seen, low: float, high: float) -> float | None:
-        """The turn in rad from one scan to the next, between `low` and `high`; None: unclear.
-
-        A turn by k rays to the left moves all that is seen k rays to the right.
-        """
-        one, size_one = before.spectrum()
-        other, size_other = after.spectrum()
-        n, ray = after.rays, abs(self._ray)
-        least = _MIN_RELIEF * math.sqrt(n)
-        if min(size_one, size_other) < least:
-            self._why = "it sees no features to tell a turn by"
-            return None
-        likeness = np.fft.irfft(one * np.conj(other), n)
-        if self._ray < 0.0:
-            likeness = np.roll(likeness[::-1], 1)
-        shifts = np.arange(math.floor(low / ray), math.ceil(high / ray) + 1)
-        found = likeness[shifts % n]
-        best = int(found.argmax())
-        if not 0 < best < len(found) - 1 or found[best] < _MIN_LIKENESS * size_one * size_other:
-            return None
-        a, b, c = found[best - 1 : best + 2]
-        return float(shifts[best] + 0.5 * (a - c) / (a - 2.0 * b + c)) * ray
-
-    def _add(self, turn: float, turns: Array) -> None:
-        """Add a measured turn, and what odometry says of it for each candidate (c,)."""
-        keep, sums = _FORGETTING, self._sums
-        sums = self._sums = _Candidates(
-            keep * sums.mm + turn * turn,
-            keep * sums.mp + turn * turns,
-            keep * sums.pp + turns * turns,
-            keep * sums.pairs + 1.0,
-        )
-        self._pairs += 1
-        self.delay = None
-        if sums.pairs < _MIN_PAIRS:
-            self._why = "too few turns yet"
-            return
-        self._why = "its turns do not tell one delay from another"
-        lowest, highest = _SCALES
-        # np.clip takes several times as long.
-        scales = np.minimum(np.maximum(sums.mp / np.maximum(sums.pp, 1e-12), lowest), highest)
-        errors = sums.mm - 2.0 * scales * sums.mp + scales * scales * sums.pp
-        best = int(errors.argmin())
-        variance = max(float(errors[best]) / (sums.pairs - 2.0), _MIN_SPREAD**2)
-        likely = np.flatnonzero(errors <= errors[best] + 9.0 * variance)
-        low, high = int(likely[0]), int(likely[-1])
-        if high == len(errors) - 1 or (high - low) * _STEP > _MAX_INTERVAL:
-            return
-        i = max(best, 1)
-        a, b, c = (float(error) for error in errors[i - 1 : i + 2])
-        bend = a - 2.0 * b + c
-        if bend <= 0.0:
-            return
-        self.delay = max(float(_CANDIDATES[i]) + 0.5 * _STEP * (a - c) / bend, 0.0)
-        self.spread = max(_ALIKE * _STEP * math.sqrt(2.0 * variance / bend), 0.005)

@@ -1,6 +1,7 @@
 """The arithmetic on the rays of a scan: conditioning, motion and features.
 
-A kernel (see `core/kernels.py`): `conditioning.py`, `deskew.py` and `rays.py` use it.
+A kernel (see `core/kernels.py`): `conditioning.py`, `blind_sector.py`,
+`scan_delay.py`, `deskew.py` and `rays.py` use it.
 """
 
 from __future__ import annotations
@@ -10,6 +11,10 @@ from array import array
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from swarmd.core.values import MAX_SPEED, MAX_STEP
+from swarmd.sensing.blind_sector import SECTORS
+from swarmd.sensing.odometry_history import HISTORY, MAX_EXTRAPOLATION
 
 if TYPE_CHECKING:  # Cython reads this import, CPython the other
     import cython
@@ -21,12 +26,15 @@ if cython.compiled:
         NAN,
         asin,
         atan2,
+        ceil,
         cos,
         fabs,
+        floor,
         fmod,
         hypot,
         isfinite,
         isnan,
+        remainder,
         rint,
         sin,
         sqrt,
@@ -39,12 +47,15 @@ else:
         NAN,
         asin,
         atan2,
+        ceil,
         cos,
         fabs,
+        floor,
         fmod,
         hypot,
         isfinite,
         isnan,
+        remainder,
         rint,
         sin,
         sqrt,
@@ -70,6 +81,64 @@ _NEAR_MEMORY = cython.declare(cython.double, 1.0)
 _NEAR_SECTOR = cython.declare(cython.double, math.radians(3.0) + 1e-9)
 _PACKET_RAYS = cython.declare(cython.Py_ssize_t, PACKET_RAYS)
 
+# De-skew.
+_READINGS = cython.declare(cython.Py_ssize_t, HISTORY)
+_MAX_EXTRAPOLATION = cython.declare(cython.double, MAX_EXTRAPOLATION)
+_MAX_STEP = cython.declare(cython.double, MAX_STEP)
+_MAX_SPEED = cython.declare(cython.double, MAX_SPEED)
+_MIN_STEP = cython.declare(cython.double, 1e-9)  # s between two poses of a path
+# m and rad during one scan: a robot that moves less is at rest, and its scan is not changed.
+_AT_REST = cython.declare(cython.double, 5e-4)
+
+# Blind sectors.
+_SECTORS = cython.declare(cython.Py_ssize_t, SECTORS)
+# directions, each a sector wide, in which a blind sector has missed something
+_MISSED = cython.declare(cython.Py_ssize_t, 8)
+_MAX_TIME = cython.declare(cython.double, 15.0)  # s for which what is seen counts as static
+# of the range by which the robot may move: things change their direction
+_MAX_MOTION = cython.declare(cython.double, 0.25)
+_LIKE = cython.declare(cython.double, 0.25)  # of the range by which a thing may seem to move, and
+_LIKE_M = cython.declare(cython.double, 0.1)  # m
+# looks in a row in which a static thing is seen, before and after it is missed
+_STREAK = cython.declare(cython.int, 3)
+# scans in a row with a return, after which a blind sector is trusted again
+_CLEARING = cython.declare(cython.int, 3)
+
+# Delay by turns.
+_CANDIDATES = cython.declare(cython.Py_ssize_t, 49)
+_LONGEST = cython.declare(cython.double, 1.2)  # s, of the last candidate
+_STEP = cython.declare(cython.double, 1.2 / 48)
+_HISTORY = cython.declare(cython.Py_ssize_t, 96)  # headings
+_SPACING = cython.declare(cython.double, 0.02)  # s between two of them, at least
+_MIN_RATE_CHANGE = cython.declare(cython.double, 0.15)  # rad/s
+# rad by which candidates must differ for a pair of scans to tell anything
+_MIN_TURN_SPREAD = cython.declare(cython.double, 0.06)
+# rad by which the search for the turn goes beyond the turns of all candidates
+_SEARCHED = cython.declare(cython.double, 0.25)
+# rad; beyond it a square room looks like itself
+_MAX_SEARCHED = cython.declare(cython.double, 1.2)
+# m between two scans: a shift of near things looks like a turn
+_MAX_SHIFT = cython.declare(cython.double, 0.03)
+_MIN_RAYS = cython.declare(cython.Py_ssize_t, 90)
+# m; farther returns count as if they were there
+_MAX_RANGE = cython.declare(cython.double, 6.0)
+# m, standard deviation of ranges below which a scene has no features
+_MIN_RELIEF = cython.declare(cython.double, 0.1)
+# correlation of two scans at the turn found
+_MIN_LIKENESS = cython.declare(cython.double, 0.6)
+# of earlier pairs, for each new one: some 50 count
+_FORGETTING = cython.declare(cython.double, 0.98)
+_MIN_PAIRS = cython.declare(cython.double, 8.0)
+_MIN_SPREAD = cython.declare(cython.double, 0.015)  # rad of one measured turn
+# factor on the spread, as errors of pairs are not independent: 1.7 in simulation
+_ALIKE = cython.declare(cython.double, 2.0)
+# s of candidates within three deviations: a wider one is no figure
+_MAX_INTERVAL = cython.declare(cython.double, 0.2)
+_LOWEST_SCALE = cython.declare(cython.double, 0.85)  # of odometry
+_HIGHEST_SCALE = cython.declare(cython.double, 1.15)
+# after which only each fourth scan is compared with the one before it
+_ENOUGH_PAIRS = cython.declare(cython.Py_ssize_t, 20)
+
 
 @cython.cfunc
 @cython.inline
@@ -86,6 +155,20 @@ def _mod(angle: cython.double) -> cython.double:
     if rest < 0.0:
         rest += _TURN
     return rest
+
+
+@cython.cfunc
+@cython.inline
+@cython.exceptval(check=False)
+def _wrapped(i: cython.Py_ssize_t, n: cython.Py_ssize_t) -> cython.Py_ssize_t:
+    """i modulo n, for i below 2 n: to divide is slow."""
+    return i - n if i >= n else i
+
+
+@cython.cfunc
+def _view(values):
+    """What a view of an array is made of; CPython indexes memory faster than arrays."""
+    return values if cython.compiled else memoryview(values)
 
 
 @cython.cfunc
@@ -234,7 +317,6 @@ class _Layout:
         i: cython.Py_ssize_t
         k: cython.Py_ssize_t
         ray: cython.Py_ssize_t = 0
-        angle: cython.double
         for i in range(n):
             if self.wrapped[i] < self.wrapped[ray]:
                 ray = i
@@ -253,7 +335,7 @@ class _Layout:
             self.rising[k], self.order[k] = angle, ray
             if moves < 0 or not isfinite(angle):
                 return False
-            ray = (ray + step) % n
+            ray = _wrapped(ray + step, n)
         return True
 
     @cython.cfunc
@@ -284,7 +366,6 @@ def _smallest(
     high: cython.Py_ssize_t = n - 1
     i: cython.Py_ssize_t
     j: cython.Py_ssize_t
-    middle: cython.double
     while low < high:
         middle, i, j = values[k], low, high
         while i <= j:
@@ -355,7 +436,6 @@ def nearest(scan, bearing: cython.double, half_width: cython.double):
     index: cython.Py_ssize_t = -1
     is_sector: cython.bint = half_width < _PI
     i: cython.Py_ssize_t
-    distance: cython.double
     for i in range(n):
         distance = ranges[i]
         if distance < least:
@@ -375,7 +455,6 @@ def unit_vectors(bearings):
     if not cython.compiled:
         given, out = memoryview(given), memoryview(vectors)
     i: cython.Py_ssize_t
-    angle: cython.double
     for i in range(given.shape[0]):
         angle = given[i]
         out[i, 0], out[i, 1] = cos(angle), sin(angle)
@@ -396,7 +475,6 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
     least: cython.double = scan.range_min
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    distance: cython.double
     lowest: cython.double[::1] = layout.lowest
     is_seen: cython.bint = False
     for k in range(count):
@@ -414,7 +492,6 @@ def closest_points(scan, within: cython.double, count: cython.Py_ssize_t):
         return np.empty((0, 2))
     found: cython.Py_ssize_t = 0
     before: cython.double = lowest[count - 1]
-    after: cython.double
     if count >= 3:
         for k in range(count):
             after = lowest[k + 1] if k + 1 < count else lowest[0]
@@ -449,7 +526,6 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     is_seen: cython.bint = False
     i: cython.Py_ssize_t
     k: cython.Py_ssize_t
-    distance: cython.double
     order: cython.longlong[::1] = layout.order
     slopes: cython.double[::1] = layout.slopes
     is_apart: cython.uchar[::1] = layout.is_apart
@@ -466,7 +542,6 @@ def clusters(scan, within: cython.double, jump: cython.double, grazing: cython.d
     if not is_seen:
         return None
     shift: cython.Py_ssize_t = 0
-    after: cython.double
     for i in range(n):
         distance, after = ranges[i], ranges[i + 1] if i + 1 < n else ranges[0]
         is_last[i] = is_apart[i] or (
@@ -543,8 +618,6 @@ def _move(
     """
     along: cython.double = distance + (cosine * x + sine * y)
     across: cython.double = cosine * y - sine * x
-    tangent: cython.double
-    square: cython.double
     distance = min(sqrt(along * along + across * across), limits[3])
     distances[i] = -INFINITY if distance < limits[2] else distance
     if fabs(across) < 0.03 * along:  # the series to 3e-15, faster than atan2
@@ -557,43 +630,31 @@ def _move(
     return 0
 
 
+@cython.ccall
 def move_rays(
     ranges: cython.const[cython.double][::1],
     bearings: cython.const[cython.double][::1],
     cosines: cython.const[cython.double][::1],
     sines: cython.const[cython.double][::1],
     ages: cython.const[cython.double][::1],
-    path: cython.const[cython.double][:, ::1],
-    limits: tuple,
-):
-    """The ranges and bearings (n,) at the end of a path, of rays measured `ages` s before it.
+    path: cython.double[:, ::1],
+    rows: cython.Py_ssize_t,
+    limits: cython.double[::1],
+    distances: cython.double[::1],
+    angles: cython.double[::1],
+) -> cython.int:
+    """Set ranges and bearings (n,) at the end of a path, of rays measured `ages` s before it.
 
-    `cosines` and `sines` (n,) of the bearings; `path` (m, 4) as of `OdometryHistory.path`, m >= 2;
-    `limits`: the sensor's x and y in the base frame, range_min and range_max in m. A ray without a
-    distance turns and keeps its class. A return that is nearer than range_min at the end of the
-    path is -inf, too close to measure. The new bearings are within [-pi, pi).
+    `cosines` and `sines` (n,) of the bearings. `path`: 2 or more `rows` of s before its end, x and
+    y in m and yaw in rad relative to it; between two the pose changes linearly. `limits`: the
+    sensor's x and y in the base frame, range_min and range_max in m. A ray without a distance turns
+    and keeps its class. A return that is nearer than range_min at the end of the path is -inf, too
+    close to measure. The new bearings are within [-pi, pi).
     """
-    if not cython.compiled:
-        ranges, bearings, ages, path = map(memoryview, (ranges, bearings, ages, path))
-        cosines, sines = memoryview(cosines), memoryview(sines)
     n: cython.Py_ssize_t = ranges.shape[0]
-    bounds: cython.double[::1] = array("d", limits)
-    moved, turned = np.empty(n), np.empty(n)
-    distances: cython.double[::1] = memoryview(moved)
-    angles: cython.double[::1] = memoryview(turned)
-    last: cython.Py_ssize_t = path.shape[0] - 1
+    last: cython.Py_ssize_t = rows - 1
     k: cython.Py_ssize_t = 1  # the row at the end of the ray's stretch of the path
     i: cython.Py_ssize_t
-    age: cython.double
-    distance: cython.double
-    share: cython.double
-    turn: cython.double
-    c: cython.double
-    s: cython.double
-    x: cython.double
-    y: cython.double
-    ahead: cython.double
-    left: cython.double
     # The stretch: its begin and how long it is, in time, x, y and turn.
     begin: cython.double = INFINITY
     end: cython.double = -INFINITY
@@ -621,33 +682,34 @@ def move_rays(
             continue
         x, y = x_begin + share * x_way, y_begin + share * y_way
         c, s = cos(turn), sin(turn)
-        x += (c - 1.0) * bounds[0] - s * bounds[1]
-        y += s * bounds[0] + (c - 1.0) * bounds[1]
+        x += (c - 1.0) * limits[0] - s * limits[1]
+        y += s * limits[0] + (c - 1.0) * limits[1]
         ahead = c * cosines[i] - s * sines[i]
         left = s * cosines[i] + c * sines[i]
-        _move(distances, angles, i, distance, bearings[i], ahead, left, x, y, turn, bounds)
-    return moved, turned
+        _move(distances, angles, i, distance, bearings[i], ahead, left, x, y, turn, limits)
+    return 0
 
 
+@cython.ccall
 def rays_in_sector(
     ranges: cython.const[cython.double][::1],
     bearings: cython.const[cython.double][::1],
     ages: cython.const[cython.double][::1],
     first: cython.Py_ssize_t,
-    way: tuple,
-    sector: tuple,
-    limits: tuple,
-):
-    """Ranges, bearings and ages (k,) of the rays that lie in a sector, from ray `first` on.
+    way: cython.double[::1],
+    sector: cython.double[::1],
+    limits: cython.double[::1],
+    distances: cython.double[::1],
+    angles: cython.double[::1],
+    kept_ages: cython.double[::1],
+) -> cython.Py_ssize_t:
+    """Set ranges, bearings and ages of the rays in a sector, from ray `first` on; their number.
 
     `way`: x and y in m and yaw in rad of the place where all were measured, relative to the one for
-    which ranges and bearings are returned; a ray counts if it lies in the sector as seen from one
-    of the two. `sector`: the bearing of its start, 1.0 if it lies counter-clockwise of that or else
-    -1.0, and its width in rad. `limits` as of `move_rays`.
+    which ranges and bearings are set; a ray counts if it lies in the sector as seen from one of the
+    two. `sector`: the bearing of its start, 1.0 if it lies counter-clockwise of that or else -1.0,
+    and its width in rad. `limits` as of `move_rays`.
     """
-    if not cython.compiled:
-        ranges, bearings, ages = map(memoryview, (ranges, bearings, ages))
-    bounds: cython.double[::1] = array("d", limits)
     x: cython.double = way[0]
     y: cython.double = way[1]
     turn: cython.double = way[2]
@@ -656,36 +718,279 @@ def rays_in_sector(
     width: cython.double = sector[2]
     c: cython.double = cos(turn)
     s: cython.double = sin(turn)
-    x += (c - 1.0) * bounds[0] - s * bounds[1]
-    y += s * bounds[0] + (c - 1.0) * bounds[1]
+    x += (c - 1.0) * limits[0] - s * limits[1]
+    y += s * limits[0] + (c - 1.0) * limits[1]
     # Nothing changes its direction by more than this; farther rays need no look.
     most: cython.double = _PI
     away: cython.double = sqrt(x * x + y * y)
-    if away < 0.9 * bounds[2]:
-        most = asin(away / bounds[2]) + 1e-9
+    if away < 0.9 * limits[2]:
+        most = asin(away / limits[2]) + 1e-9
     n: cython.Py_ssize_t = ranges.shape[0]
-    moved = np.empty((3, n))
-    distances: cython.double[::1] = memoryview(moved[0])
-    angles: cython.double[::1] = memoryview(moved[1])
-    kept_ages: cython.double[::1] = memoryview(moved[2])
     count: cython.Py_ssize_t = 0
     i: cython.Py_ssize_t
-    before: cython.double
-    ahead: cython.double
-    left: cython.double
     for i in range(first, n):
         before = direction * (bearings[i] + turn - start)
         if _mod(before + most) > width + 2.0 * most:
             continue
         if isfinite(ranges[i]):
             ahead, left = cos(bearings[i] + turn), sin(bearings[i] + turn)
-            _move(distances, angles, count, ranges[i], bearings[i], ahead, left, x, y, turn, bounds)
+            _move(distances, angles, count, ranges[i], bearings[i], ahead, left, x, y, turn, limits)
         else:
             distances[count], angles[count] = ranges[i], _mod(bearings[i] + turn + _PI) - _PI
         if _mod(before) < width or _mod(direction * (angles[count] - start)) < width:
             kept_ages[count] = ages[i]
             count += 1
-    return moved[0, :count], moved[1, :count], moved[2, :count]
+    return count
+
+
+@cython.cclass
+class RayMotion:
+    """Moves the rays of a scan to where a robot was at the time of the newest one, by odometry.
+
+    See `deskew.py`. `latest`: the stamp in s of the last reading; NaN without one.
+    """
+
+    latest = cython.declare(cython.double, visibility="readonly")
+    _stale_after: cython.double
+    _limits: cython.double[::1]
+    # The last readings: stamp, x, y, yaw, linear, angular, lateral.
+    _readings: cython.double[::1]
+    _last: cython.Py_ssize_t
+    _known: cython.Py_ssize_t
+    _x: cython.double  # the pose that `_find` found
+    _y: cython.double
+    _yaw: cython.double
+    _path: cython.double[:, ::1]
+    _sector: cython.double[::1]
+    _way: cython.double[::1]
+    _rays: object  # and what they hold
+    _bearings: cython.const[cython.double][::1]
+    _cos: cython.const[cython.double][::1]
+    _sin: cython.const[cython.double][::1]
+    _ages: cython.const[cython.double][::1]
+
+    def __init__(self, spec):
+        self._stale_after = spec.stale_after
+        self._limits = array("d", (*spec.offset, spec.range_min, spec.range_max))
+        self.latest, self._readings = NAN, array("d", (7 * _READINGS) * [0.0])
+        self._path = memoryview(np.empty((_READINGS + 2, 4)))
+        self._sector, self._way = array("d", 3 * [0.0]), array("d", 3 * [0.0])
+
+    def update(self, odometry):
+        """Record a reading if it is new.
+
+        A new reading whose stamp does not rise, or whose pose jumps, ends the history before it.
+        """
+        pose, twist = odometry.pose, odometry.twist
+        stamp: cython.double = odometry.stamp
+        x: cython.double = pose.x
+        y: cython.double = pose.y
+        yaw: cython.double = pose.yaw
+        linear: cython.double = twist.linear
+        angular: cython.double = twist.angular
+        lateral: cython.double = twist.lateral
+        r: cython.double[::1] = self._readings
+        at: cython.Py_ssize_t = 7 * self._last
+        if self._known:
+            if (
+                r[at] == stamp
+                and r[at + 1] == x
+                and r[at + 2] == y
+                and r[at + 3] == yaw
+                and r[at + 4] == linear
+                and r[at + 5] == angular
+                and r[at + 6] == lateral
+            ):
+                return
+            apart: cython.double = hypot(x - r[at + 1], y - r[at + 2])
+            apart = max(apart, fabs(remainder(yaw - r[at + 3], _TURN)))
+            if stamp <= r[at] or apart > _MAX_STEP + _MAX_SPEED * (stamp - r[at]):
+                self._known = 0
+        self._last = (self._last + 1) % _READINGS
+        self._known = min(self._known + 1, _READINGS)
+        at = 7 * self._last
+        r[at], r[at + 1], r[at + 2], r[at + 3] = stamp, x, y, yaw
+        r[at + 4], r[at + 5], r[at + 6] = linear, angular, lateral
+        self.latest = stamp
+
+    def set_rays(self, rays):
+        """Take the rays of the next scans, a `deskew.Rays`."""
+        self._rays = rays
+        self._bearings, self._ages = _view(rays.bearings), _view(rays.ages)
+        self._cos, self._sin = _view(rays.cos), _view(rays.sin)
+
+    def move(
+        self,
+        scan,
+        stamp: cython.double,
+        before,
+        seconds: cython.double,
+        filled: cython.Py_ssize_t,
+    ):
+        """Ranges, bearings and ages (k,) of a scan, as seen at the `stamp` of its newest ray.
+
+        None at rest, without odometry that reaches back over the scan, if all rays are of one
+        instant, and if nothing fills a sector that was not measured. `before`: the scan whose
+        newest ray is `seconds` older; its first `filled` rays are of earlier scans.
+        """
+        rays = self._rays
+        rows: cython.Py_ssize_t = self._set_path(stamp, rays.span)
+        if rows == 0:
+            return None
+        n: cython.Py_ssize_t = self._ages.shape[0]
+        k: cython.Py_ssize_t = 0
+        i: cython.Py_ssize_t
+        direction: cython.double = rays.direction
+        spacing: cython.double = rays.spacing
+        unmeasured: cython.double = direction * self._path[rows - 1, 3]
+        is_filled: cython.bint = unmeasured > 0.5 * spacing
+        room: cython.Py_ssize_t = n
+        ages = rays.ages
+        if is_filled:
+            if before is None or before.ages is None or not 0.0 < seconds <= self._stale_after:
+                return None
+            if not self._covers(stamp - seconds):
+                return None
+            room += len(before.ranges)
+        ranges, bearings = np.empty(room), np.empty(room)
+        distances: cython.double[::1] = _view(ranges)
+        angles: cython.double[::1] = _view(bearings)
+        if is_filled:
+            self._set_way(stamp - seconds, stamp)
+            self._sector[0] = rays.oldest - 0.5 * direction * spacing
+            self._sector[1], self._sector[2] = direction, unmeasured
+            ages = np.empty(room)
+            kept: cython.double[::1] = _view(ages)
+            k = rays_in_sector(
+                _view(before.ranges),
+                _view(before.bearings),
+                _view(before.ages),
+                filled,  # or a ray could be passed on for ever
+                self._way,
+                self._sector,
+                self._limits,
+                distances,
+                angles,
+                kept,
+            )
+            for i in range(k):
+                kept[i] += seconds
+            for i in range(n):
+                kept[k + i] = self._ages[i]
+            ranges, bearings, ages = ranges[: k + n], bearings[: k + n], ages[: k + n]
+        move_rays(
+            _view(scan.ranges),
+            self._bearings,
+            self._cos,
+            self._sin,
+            self._ages,
+            self._path,
+            rows,
+            self._limits,
+            distances[k:],
+            angles[k:],
+        )
+        for values in (ranges, bearings, ages):
+            values.setflags(write=False)
+        return ranges, bearings, ages
+
+    @cython.cfunc
+    def _covers(self, at: cython.double) -> cython.bint:
+        """True if the readings reach back to a time."""
+        first: cython.Py_ssize_t = (self._last + 1 - self._known + _READINGS) % _READINGS
+        return self._known > 0 and at >= self._readings[7 * first] - _MAX_EXTRAPOLATION
+
+    @cython.cfunc
+    def _find(self, at: cython.double) -> cython.int:
+        """Find the pose at a time, of one reading at least: between two, or extrapolated."""
+        r: cython.double[::1] = self._readings
+        k: cython.Py_ssize_t
+        early: cython.Py_ssize_t
+        late: cython.Py_ssize_t = 7 * self._last
+        for k in range(self._known):
+            early = 7 * ((self._last - k + _READINGS) % _READINGS)
+            if r[early] <= at:
+                if k == 0:
+                    break
+                share = (at - r[early]) / (r[late] - r[early])
+                self._x = r[early + 1] + share * (r[late + 1] - r[early + 1])
+                self._y = r[early + 2] + share * (r[late + 2] - r[early + 2])
+                self._yaw = r[early + 3] + share * remainder(r[late + 3] - r[early + 3], _TURN)
+                return 0
+            late = early
+        # At a constant twist, along the chord of its arc.
+        share = min(at - r[late], _MAX_EXTRAPOLATION)
+        turn: cython.double = r[late + 5] * share
+        c: cython.double = cos(r[late + 3] + 0.5 * turn)
+        s: cython.double = sin(r[late + 3] + 0.5 * turn)
+        ahead: cython.double = r[late + 4] * share
+        left: cython.double = r[late + 6] * share
+        self._x = r[late + 1] + c * ahead - s * left
+        self._y = r[late + 2] + s * ahead + c * left
+        self._yaw = r[late + 3] + turn
+        return 0
+
+    @cython.cfunc
+    def _set_path(self, at: cython.double, seconds: cython.double) -> cython.Py_ssize_t:
+        """Set the path from the pose at a time back to that `seconds` earlier; its rows.
+
+        0 at rest, without readings that reach back that far, and for no time.
+        """
+        if seconds == 0.0 or not self._covers(at - seconds):
+            return 0
+        r: cython.double[::1] = self._readings
+        p: cython.double[:, ::1] = self._path
+        rows: cython.Py_ssize_t = 1
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        self._find(at)
+        p[0, 1], p[0, 2], p[0, 3] = self._x, self._y, self._yaw
+        for i in range(self._known):
+            k = 7 * ((self._last - i + _READINGS) % _READINGS)
+            if at - r[k] >= seconds - _MIN_STEP:
+                break
+            if at - r[k] > _MIN_STEP:
+                p[rows, 0], p[rows, 1], p[rows, 2], p[rows, 3] = (
+                    at - r[k],
+                    r[k + 1],
+                    r[k + 2],
+                    r[k + 3],
+                )
+                rows += 1
+        self._find(at - seconds)
+        p[rows, 0], p[rows, 1], p[rows, 2], p[rows, 3] = seconds, self._x, self._y, self._yaw
+        rows += 1
+        x: cython.double = p[0, 1]
+        y: cython.double = p[0, 2]
+        yaw: cython.double = p[0, 3]
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        turned: cython.double = 0.0
+        moves: cython.bint = False
+        p[0, 0] = 0.0
+        for i in range(rows):
+            dx, dy = p[i, 1] - x, p[i, 2] - y
+            turned += remainder(p[i, 3] - yaw - turned, _TURN)
+            p[i, 1], p[i, 2], p[i, 3] = c * dx + s * dy, c * dy - s * dx, turned
+            if max(fabs(p[i, 1]), fabs(p[i, 2]), fabs(turned)) > _AT_REST:
+                moves = True
+        return rows if moves else 0
+
+    @cython.cfunc
+    def _set_way(self, at: cython.double, end: cython.double) -> cython.int:
+        """Set the way to the pose at a time from that at its `end`."""
+        self._find(end)
+        x: cython.double = self._x
+        y: cython.double = self._y
+        yaw: cython.double = self._yaw
+        self._find(at)
+        dx: cython.double = self._x - x
+        dy: cython.double = self._y - y
+        c: cython.double = cos(yaw)
+        s: cython.double = sin(yaw)
+        self._way[0], self._way[1] = c * dx + s * dy, c * dy - s * dx
+        self._way[2] = self._yaw - yaw
+        return 0
 
 
 _ZEROS = {"no_return": INFINITY, "too_close": -INFINITY, "unknown": NAN, "lds": NAN}
@@ -725,6 +1030,7 @@ class RayMemory:
     _is_zero: cython.uchar[::1]
     _is_lost: cython.uchar[::1]
     _place: cython.longlong[::1]
+    _is_even: cython.bint  # rays cover a full turn, one each `_step`
 
     def __init__(self, spec, *, guesses_near):
         self.known_at = -INFINITY
@@ -754,10 +1060,10 @@ class RayMemory:
         if bearings is not self._given:
             self._set_bearings(bearings, turned)
         elif turned != 0.0:
-            self._old_ranges[:] = self._ranges
-            self._old_seen_at[:] = self._seen_at
-            self._old_near_at[:] = self._near_at
-            self._recall(self._order, self._rising, turned)
+            self._ranges, self._old_ranges = self._old_ranges, self._ranges
+            self._seen_at, self._old_seen_at = self._old_seen_at, self._seen_at
+            self._near_at, self._old_near_at = self._old_near_at, self._near_at
+            self._recall(self._order, self._rising, turned, self._is_even)
         if self._interpret(out):
             self._interpret_zeros(out, now)
         unknown: cython.Py_ssize_t = self._remember(out, now)
@@ -783,7 +1089,6 @@ class RayMemory:
         """Store the known rays; the number of unknown rays, which keep their memory."""
         i: cython.Py_ssize_t
         unknown: cython.Py_ssize_t = 0
-        distance: cython.double
         near_below: cython.double = self._near_below
         known: cython.double[::1] = self._ranges
         seen_at: cython.double[::1] = self._seen_at
@@ -812,7 +1117,6 @@ class RayMemory:
         i: cython.Py_ssize_t
         far: cython.Py_ssize_t = 0
         has_return: cython.bint = False
-        distance: cython.double
         near_below: cython.double = self._near_below
         range_max: cython.double = self._range_max
         far_below: cython.double = 0.8 * self._range_max
@@ -861,39 +1165,52 @@ class RayMemory:
         self._ranges, self._seen_at = memoryview(np.full(n, NAN)), memoryview(np.full(n, -INFINITY))
         self._near_at = memoryview(np.full(n, -INFINITY))
         if had:
-            self._recall(old_order, old_rising, turned)
+            self._recall(old_order, old_rising, turned, False)
         self._old_ranges, self._old_seen_at = (memoryview(np.empty(n)) for _ in range(2))
         self._old_near_at = memoryview(np.empty(n))
         self._is_zero, self._is_lost = (memoryview(np.empty(n, np.uint8)) for _ in range(2))
         self._place = memoryview(np.argsort(order))
+        i: cython.Py_ssize_t
+        self._is_even = fabs(n * self._step - _TURN) < 0.5 * self._step
+        for i in range(n):
+            if fabs(self._rising[i] - self._rising[0] - i * self._step) > 0.2 * self._step:
+                self._is_even = False
 
     @cython.cfunc
     def _recall(
-        self, order: cython.longlong[::1], rising: cython.double[::1], turned: cython.double
+        self,
+        order: cython.longlong[::1],
+        rising: cython.double[::1],
+        turned: cython.double,
+        is_even: cython.bint,
     ) -> cython.int:
         """Give each ray the old memory of the ray that was nearest to it before the turn."""
+        steps: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, rint(turned / self._step))
         had: cython.Py_ssize_t = rising.shape[0]
         too_far: cython.double = 2.0 * _TURN / had
         place: cython.Py_ssize_t = 0
         ray: cython.Py_ssize_t
         i: cython.Py_ssize_t
-        wanted: cython.double
+        is_far: cython.bint
         for i in range(self._n):
-            wanted = _mod(self._bearings[i] + turned)
-            place = _nearest(rising, had, wanted, place)
+            is_far = False
+            if is_even:
+                place = self._place[i] + steps
+                place += had if place < 0 else -had if place >= had else 0
+            else:
+                wanted = _mod(self._bearings[i] + turned)
+                place = _nearest(rising, had, wanted, place)
+                is_far = _apart(rising[place], wanted) > too_far
             ray = order[place]
             self._ranges[i] = self._old_ranges[ray]
-            if _apart(rising[place], wanted) > too_far:
-                self._seen_at[i] = self._near_at[i] = -INFINITY
-            else:
-                self._seen_at[i], self._near_at[i] = self._old_seen_at[ray], self._old_near_at[ray]
+            self._seen_at[i] = -INFINITY if is_far else self._old_seen_at[ray]
+            self._near_at[i] = -INFINITY if is_far else self._old_near_at[ray]
         return 0
 
     @cython.cfunc
     def _interpret(self, out: cython.double[::1]) -> cython.bint:
         """Each ray as +inf, -inf, NaN or a distance; true if zeros of an LDS are left."""
         i: cython.Py_ssize_t
-        value: cython.double
         range_min: cython.double = self._range_min
         range_max: cython.double = self._range_max
         is_zero: cython.uchar[::1] = self._is_zero
@@ -927,14 +1244,14 @@ class RayMemory:
         i: cython.Py_ssize_t
         run: cython.Py_ssize_t
         while begin < end:  # runs of zeros, the one around the end of the array last
-            if first < n and out[begin % n] != 0.0:
+            if first < n and out[_wrapped(begin, n)] != 0.0:
                 begin += 1
                 continue
             run = 0
-            while run < n and begin + run < end and out[(begin + run) % n] == 0.0:
+            while run < n and begin + run < end and out[_wrapped(begin + run, n)] == 0.0:
                 run += 1
             for k in range(begin, begin + run):
-                i = k % n
+                i = _wrapped(k, n)
                 out[i] = self._meaning(i, run, now)
             begin += run
         return 0
@@ -977,7 +1294,6 @@ class RayMemory:
         if self._widest(INFINITY) <= self._max_gap:
             return now
         before: cython.double = INFINITY
-        latest: cython.double
         i: cython.Py_ssize_t
         while True:
             latest = -INFINITY
@@ -1002,14 +1318,12 @@ class RayMemory:
         k: cython.Py_ssize_t
         i: cython.Py_ssize_t
         for k in range(first + 1, first + n + 1):
-            i = k % n
+            i = _wrapped(k, n)
             if self._is_lost[i] and self._seen_at[i] < before:
                 continue
             if k - last > 1:
-                widest = max(
-                    widest,
-                    _TURN - _mod(self._direction * (self._bearings[last % n] - self._bearings[i])),
-                )
+                step = self._bearings[_wrapped(last, n)] - self._bearings[i]
+                widest = max(widest, _TURN - _mod(self._direction * step))
             last = k
         return widest
 
@@ -1029,24 +1343,23 @@ class RayMemory:
         edge: cython.double = out[first]
         last: cython.Py_ssize_t = first
         shift: cython.double = 0.0
-        after: cython.double
-        step: cython.double
-        wrapped_step: cython.double
         k: cython.Py_ssize_t
+        i: cython.Py_ssize_t
         is_filled: cython.bint = True
         for k in range(first + 1, first + n):
-            step = self._bearings[k % n] - self._bearings[(k - 1) % n]
+            i = _wrapped(k, n)
+            step = self._bearings[i] - self._bearings[_wrapped(k - 1, n)]
             if fabs(step) >= _PI:
                 wrapped_step = _mod(step + _PI) - _PI
                 if wrapped_step == -_PI and step > 0.0:
                     wrapped_step = _PI
                 shift += wrapped_step - step
-            angle = self._bearings[k % n] + shift
-            if isnan(out[k % n]):
+            angle = self._bearings[i] + shift
+            if isnan(out[i]):
                 continue
-            if k - last > 1 and not self._fill(out, last, k, before, angle, edge, out[k % n]):
+            if k - last > 1 and not self._fill(out, last, k, before, angle, edge, out[i]):
                 is_filled = False
-            last, before, edge = k, angle, out[k % n]
+            last, before, edge = k, angle, out[i]
         if last < first + n - 1:
             after = start + math.copysign(_TURN, angle - start)
             if not self._fill(out, last, first + n, before, after, edge, out[first]):
@@ -1069,5 +1382,447 @@ class RayMemory:
             return False
         k: cython.Py_ssize_t
         for k in range(last + 1, end):
-            out[k % out.shape[0]] = min(edge, other)
+            out[_wrapped(k, out.shape[0])] = min(edge, other)
         return True
+
+
+@cython.cclass
+class SectorMemory:
+    """What the sectors of a sensor return and miss, see `blind_sector.py`; times in s.
+
+    `is_blind` and `returned_at` (90,) by sector. `has_changed`: what is blind, with the last scan.
+    """
+
+    is_blind = cython.declare(object, visibility="readonly")
+    returned_at = cython.declare(object, visibility="readonly")
+    has_changed = cython.declare(cython.bint, visibility="readonly")
+    _range_min: cython.double
+    _range_max: cython.double
+    _is_zero_near: cython.bint
+    _given: object
+    _bearings: cython.const[cython.double][::1]
+    _sector: cython.longlong[::1]  # of each ray
+    _direction: cython.longlong[::1]
+    _is_return: cython.uchar[::1]
+    _blind: cython.uchar[::1]
+    _returned_at: cython.double[::1]
+    _returns: cython.longlong[90]  # scans in a row with a return
+    # By direction: the thing last seen there, for how many looks in a row, and the sectors that
+    # have missed it since. By sector: the directions in which it has missed something.
+    _range: cython.double[90]
+    _x: cython.double[90]
+    _y: cython.double[90]
+    _streak: cython.int[90]
+    _seen_at: cython.double[90]
+    _pending: cython.uchar[8100]
+    _missed: cython.uchar[8100]
+    # Of one look, by direction.
+    _rays: cython.int[90]
+    _hits: cython.int[90]
+    _sums: cython.double[90]
+    _is_known: cython.uchar[90]
+
+    def __init__(self, spec):
+        k: cython.Py_ssize_t
+        self._range_min, self._range_max = spec.range_min, spec.range_max
+        self._is_zero_near = spec.zero == "too_close"
+        self.is_blind, self.returned_at = np.zeros(SECTORS, np.bool_), np.full(SECTORS, NAN)
+        self._blind = memoryview(self.is_blind.view(np.uint8))
+        self._returned_at = memoryview(self.returned_at)
+        for k in range(_SECTORS):
+            self._seen_at[k] = -INFINITY
+
+    def take(self, ranges, bearings, pose, now: cython.double):
+        """The raw ranges (n,), with NaN for rays of blind sectors without a return.
+
+        It looks for blind sectors from a `pose`, unless that is None.
+        """
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        n: cython.Py_ssize_t = len(bearings)
+        if bearings is not self._given:
+            self._given, self._bearings = bearings, _view(bearings)
+            self._sector, self._direction = (memoryview(np.empty(n, np.int64)) for _ in range(2))
+            self._is_return = memoryview(np.empty(n, np.uint8))
+            for i in range(n):
+                self._sector[i] = _sector_of(self._bearings[i])
+        out = np.array(ranges, np.float64)
+        given: cython.double[::1] = _view(out)
+        is_return: cython.uchar[::1] = self._is_return
+        for k in range(_SECTORS):
+            self._hits[k] = 0
+        for i in range(n):
+            is_return[i] = (0.0 < given[i] <= self._range_max) or given[i] == -INFINITY
+            if self._is_zero_near and given[i] == 0.0:
+                is_return[i] = True
+            self._hits[self._sector[i]] += is_return[i]
+        self.has_changed = False
+        for k in range(_SECTORS):
+            self._returns[k] = self._returns[k] + 1 if self._hits[k] else 0
+            if self._hits[k] or isnan(self._returned_at[k]):
+                self._returned_at[k] = now
+            if self._blind[k] and self._returns[k] >= _CLEARING:
+                self._blind[k], self.has_changed = False, True
+        if pose is not None:
+            self._look(given, pose.x, pose.y, pose.yaw, now)
+        is_clear: cython.bint = True
+        for i in range(n):
+            if self._blind[self._sector[i]] and not is_return[i]:
+                given[i], is_clear = NAN, False
+        return ranges if is_clear else out
+
+    @cython.cfunc
+    def _look(
+        self,
+        ranges: cython.double[::1],
+        x: cython.double,
+        y: cython.double,
+        yaw: cython.double,
+        now: cython.double,
+    ) -> cython.int:
+        """Compare what each ray returns with what others returned in its direction."""
+        i: cython.Py_ssize_t
+        k: cython.Py_ssize_t
+        d: cython.Py_ssize_t
+        count: cython.Py_ssize_t
+        is_seen: cython.bint
+        is_like: cython.bint
+        is_static: cython.bint
+        is_over: cython.bint
+        n: cython.Py_ssize_t = ranges.shape[0]
+        for d in range(_SECTORS):
+            self._rays[d] = self._hits[d] = 0
+            self._sums[d] = 0.0
+        for i in range(n):
+            d = self._direction[i] = _sector_of(self._bearings[i] + yaw)
+            self._rays[d] += 1
+            if self._is_return[i]:
+                self._hits[d] += 1
+                self._sums[d] += max(ranges[i], self._range_min)
+        for d in range(_SECTORS):
+            self._is_known[d] = now - self._seen_at[d] <= _MAX_TIME and (
+                hypot(x - self._x[d], y - self._y[d]) <= _MAX_MOTION * self._range[d]
+            )
+            is_seen = 0 < self._rays[d] == self._hits[d]
+            distance = self._sums[d] / max(self._hits[d], 1)
+            is_like = is_seen and (
+                fabs(distance - self._range[d]) <= _LIKE_M + _LIKE * self._range[d]
+            )
+            self._streak[d] = self._streak[d] + 1 if is_like else is_seen
+            is_static = self._is_known[d] and self._streak[d] >= _STREAK
+            is_over = is_static or not self._is_known[d] or (is_seen and not is_like)
+            for k in range(_SECTORS):
+                if self._returns[k]:
+                    self._pending[_SECTORS * d + k] = self._missed[_SECTORS * k + d] = False
+                elif is_over and self._pending[_SECTORS * d + k]:
+                    self._pending[_SECTORS * d + k] = False
+                    self._missed[_SECTORS * k + d] |= is_static
+            if self._streak[d] >= _STREAK:
+                self._seen_at[d] = now
+            if is_seen and not is_like:
+                self._seen_at[d] = -INFINITY
+            if is_seen and (not is_like or self._streak[d] >= _STREAK):
+                self._range[d], self._x[d], self._y[d] = distance, x, y
+        for i in range(n):
+            d, k = self._direction[i], self._sector[i]
+            if self._is_known[d] and not self._hits[d] and not self._returns[k]:
+                self._pending[_SECTORS * d + k] = True
+        for k in range(_SECTORS):
+            count = 0
+            for d in range(_SECTORS):
+                count += self._missed[_SECTORS * k + d]
+            if count >= _MISSED and not self._blind[k]:
+                self._blind[k] = self.has_changed = True
+        return 0
+
+
+@cython.cfunc
+@cython.inline
+def _sector_of(angle: cython.double) -> cython.longlong:
+    sector: cython.longlong = cython.cast(
+        cython.longlong, floor(angle * (1.0 / (_TURN / _SECTORS)) + 1e-6)
+    )
+    sector %= _SECTORS
+    return sector + _SECTORS if sector < 0 else sector
+
+
+@cython.cclass
+class Turns:
+    """Delay by turns, see `scan_delay.py`: `delay` and `spread` in s, from `pairs` of scans.
+
+    `at`: the time of the last one. `delay`: NaN while it is not known, and `why` it is not.
+    `pose`: the last one by odometry.
+    """
+
+    delay = cython.declare(cython.double, visibility="readonly")
+    spread = cython.declare(cython.double, visibility="readonly")
+    at = cython.declare(cython.double, visibility="readonly")
+    pairs = cython.declare(cython.Py_ssize_t, visibility="readonly")
+    why = cython.declare(object, visibility="readonly")
+    pose = cython.declare(object, visibility="readonly")
+    _headings: object
+    _times: cython.double[::1]
+    _yaws: cython.double[::1]
+    _first: cython.Py_ssize_t  # of the headings kept
+    _end: cython.Py_ssize_t
+    _stamp: cython.double
+    _yaw: cython.double
+    _slow_rate: cython.double
+    _changed_at: cython.double
+    _total: cython.double  # turned so far
+    _bearings: object
+    _n: cython.Py_ssize_t
+    _ray: cython.double  # the angle from one to the next; 0: they do not cover a full turn evenly
+    # The last scan: when it arrived on the clock of odometry, where, and its ranges about their
+    # mean, twice in a row, with their norm. Then the same of the one before.
+    _scans: cython.Py_ssize_t
+    _has_last: cython.bint
+    _scan_at: cython.double
+    _x: cython.double
+    _y: cython.double
+    _relief: cython.double[::1]
+    _norm: cython.double
+    _old_relief: cython.double[::1]
+    _old_norm: cython.double
+    # Turns by candidate delay, and sums over pairs: of measured turns m, and of those p.
+    _turn_of: cython.double[49]
+    _error_of: cython.double[49]
+    _mm: cython.double
+    _mp: cython.double[49]
+    _pp: cython.double[49]
+    _weight: cython.double
+
+    def __init__(self):
+        self.delay, self.why = NAN, "it has not turned at a changing rate yet"
+        self._headings = np.empty((2, 4 * _HISTORY))
+        self._times, self._yaws = map(memoryview, self._headings)
+        self._stamp = self._changed_at = -INFINITY
+        self._relief = self._old_relief = memoryview(np.empty(0))
+
+    def forget(self):
+        """Measure anew."""
+        k: cython.Py_ssize_t
+        self.delay, self.pairs, self._mm, self._weight = NAN, 0, 0.0, 0.0
+        for k in range(_CANDIDATES):
+            self._mp[k] = self._pp[k] = 0.0
+        self.why = "its last figure was older than a minute"
+
+    def forget_headings(self):
+        """The clock of odometry was set."""
+        self._first = self._end = 0
+        self._stamp, self._has_last = -INFINITY, False
+
+    def headings(self):
+        """A copy (2, k) of the headings kept: times and yaws, see `measured_sweep.Headings`."""
+        return self._headings[:, self._first : self._end].copy()
+
+    def on_odometry(self, odometry):
+        """Keep a heading."""
+        rate: cython.double = odometry.twist.angular
+        stamp: cython.double = odometry.stamp
+        k: cython.Py_ssize_t
+        self._slow_rate += 0.1 * (rate - self._slow_rate)
+        if fabs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
+            self._changed_at = stamp
+        self.pose = odometry.pose
+        if stamp - self._stamp < _SPACING:
+            return
+        yaw: cython.double = self.pose.yaw
+        if self._end == 4 * _HISTORY:
+            for k in range(_HISTORY):
+                self._times[k], self._yaws[k] = (
+                    self._times[3 * _HISTORY + k],
+                    self._yaws[3 * _HISTORY + k],
+                )
+            self._first, self._end = 0, _HISTORY
+        if self._end > self._first:
+            self._total += remainder(yaw - self._yaw, _TURN)
+        self._times[self._end], self._yaws[self._end] = stamp, self._total
+        self._yaw, self._stamp, self._end = yaw, stamp, self._end + 1
+        self._first = max(self._first, self._end - _HISTORY)
+
+    def on_scan(self, scan, at: cython.double, now: cython.double):
+        """Compare a scan with the last one; `at` is its arrival on the clock of odometry."""
+        had_last: cython.bint = self._has_last
+        self._has_last = False
+        if at - self._changed_at > _LONGEST + 0.5:
+            return
+        if scan.bearings is not self._bearings:
+            self._set_bearings(scan.bearings)
+            had_last = False
+        if self._ray == 0.0:
+            return
+        self._scans += 1
+        if self.pairs >= _ENOUGH_PAIRS and self._scans % 4 > 1:
+            return
+        before: cython.double = self._scan_at
+        x: cython.double = self._x
+        y: cython.double = self._y
+        self._keep(scan)
+        self._scan_at, self._has_last = at, True
+        self._x, self._y = self.pose.x, self.pose.y
+        if not had_last or (self.pairs >= _ENOUGH_PAIRS and self._scans % 4 == 0):
+            return
+        if at - before > 0.5 or self._end == self._first:
+            return
+        if before - _LONGEST < self._times[self._first]:
+            return
+        if hypot(self._x - x, self._y - y) > _MAX_SHIFT:
+            return
+        k: cython.Py_ssize_t
+        low: cython.double = INFINITY
+        high: cython.double = -INFINITY
+        end: cython.Py_ssize_t = self._end - 1
+        begin: cython.Py_ssize_t = end
+        for k in range(_CANDIDATES):
+            while end > self._first and self._times[end] > at - _STEP * k:
+                end -= 1
+            while begin > self._first and self._times[begin] > before - _STEP * k:
+                begin -= 1
+            self._turn_of[k] = self._heading(end, at - _STEP * k) - self._heading(
+                begin, before - _STEP * k
+            )
+            low, high = min(low, self._turn_of[k]), max(high, self._turn_of[k])
+        if high - low < _MIN_TURN_SPREAD or max(-low, high) + _SEARCHED > _MAX_SEARCHED:
+            return
+        turn: cython.double = self._measured(low - _SEARCHED, high + _SEARCHED)
+        if not isnan(turn):
+            self._add(turn)
+            self.at = now
+
+    @cython.cfunc
+    def _set_bearings(self, bearings):
+        self._bearings, self._ray, self._n = bearings, 0.0, len(bearings)
+        steps = np.diff(np.unwrap(bearings))
+        if self._n >= _MIN_RAYS:
+            step: cython.double = steps.mean()
+            is_even: cython.bint = np.abs(steps - step).max() < 0.1 * fabs(step)
+            if is_even and fabs(fabs(step) * self._n - _TURN) < 1.5 * fabs(step):
+                self._ray = step
+        if self._ray == 0.0:
+            self.why = "its rays do not cover a full turn evenly"
+        self._relief, self._old_relief = (memoryview(np.empty(2 * self._n)) for _ in range(2))
+
+    @cython.cfunc
+    def _keep(self, scan):
+        """Keep the ranges of a scan; no return counts as far away."""
+        ranges: cython.const[cython.double][::1] = _view(
+            np.ascontiguousarray(scan.ranges, np.float64)
+        )
+        least: cython.double = scan.range_min
+        farthest: cython.double = min(scan.range_max, _MAX_RANGE)
+        n: cython.Py_ssize_t = self._n
+        i: cython.Py_ssize_t
+        mean: cython.double = 0.0
+        square: cython.double = 0.0
+        self._relief, self._old_relief = self._old_relief, self._relief
+        self._old_norm = self._norm
+        relief: cython.double[::1] = self._relief
+        for i in range(n):
+            relief[i] = ranges[i] if least <= ranges[i] <= farthest else farthest
+            mean += relief[i]
+        mean /= n
+        for i in range(n):
+            relief[i] -= mean
+            relief[n + i] = relief[i]
+            square += relief[i] * relief[i]
+        self._norm = sqrt(square)
+
+    @cython.cfunc
+    def _heading(self, k: cython.Py_ssize_t, at: cython.double) -> cython.double:
+        """The heading at a time, which is not before that of heading k and before the next one."""
+        before: cython.double = self._times[k]
+        if at <= before or k == self._end - 1:
+            return self._yaws[k]
+        slope: cython.double = (self._yaws[k + 1] - self._yaws[k]) / (self._times[k + 1] - before)
+        return slope * (at - before) + self._yaws[k]
+
+    @cython.cfunc
+    def _measured(self, low: cython.double, high: cython.double) -> cython.double:
+        """The turn in rad from one scan to the next, between `low` and `high`; NaN: unclear.
+
+        A turn by k rays to the left moves all that is seen k rays to the right.
+        """
+        least: cython.double = _MIN_RELIEF * sqrt(self._n)
+        if min(self._norm, self._old_norm) < least:
+            self.why = "it sees no features to tell a turn by"
+            return NAN
+        ray: cython.double = fabs(self._ray)
+        first: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, floor(low / ray))
+        last: cython.Py_ssize_t = cython.cast(cython.Py_ssize_t, ceil(high / ray))
+        shift: cython.Py_ssize_t
+        best: cython.Py_ssize_t = first
+        most: cython.double = -INFINITY
+        for shift in range(first, last + 1):
+            likeness = self._likeness(shift)
+            if likeness > most:
+                most, best = likeness, shift
+        if not first < best < last or most < _MIN_LIKENESS * self._old_norm * self._norm:
+            return NAN
+        a: cython.double = self._likeness(best - 1)
+        c: cython.double = self._likeness(best + 1)
+        return (best + 0.5 * (a - c) / (a - 2.0 * most + c)) * ray
+
+    @cython.cfunc
+    @cython.boundscheck(False)
+    def _likeness(self, shift: cython.Py_ssize_t) -> cython.double:
+        """The correlation of the last two scans at a turn by so many rays, at most n."""
+        n: cython.Py_ssize_t = self._n
+        first: cython.Py_ssize_t = shift if self._ray > 0.0 else -shift
+        if first < 0:
+            first += n
+        one: cython.double[::1] = self._old_relief
+        other: cython.double[::1] = self._relief
+        i: cython.Py_ssize_t
+        a: cython.double = 0.0
+        b: cython.double = 0.0
+        c: cython.double = 0.0
+        d: cython.double = 0.0
+        for i in range(0, n - 3, 4):  # four sums: a processor adds to them at the same time
+            a += one[first + i] * other[i]
+            b += one[first + i + 1] * other[i + 1]
+            c += one[first + i + 2] * other[i + 2]
+            d += one[first + i + 3] * other[i + 3]
+        for i in range(n - n % 4, n):
+            a += one[first + i] * other[i]
+        return (a + b) + (c + d)
+
+    @cython.cfunc
+    def _add(self, turn: cython.double):
+        """Add a measured turn, and what odometry says of it for each candidate."""
+        k: cython.Py_ssize_t
+        best: cython.Py_ssize_t = 0
+        self._mm = _FORGETTING * self._mm + turn * turn
+        self._weight = _FORGETTING * self._weight + 1.0
+        for k in range(_CANDIDATES):
+            self._mp[k] = _FORGETTING * self._mp[k] + turn * self._turn_of[k]
+            self._pp[k] = _FORGETTING * self._pp[k] + self._turn_of[k] * self._turn_of[k]
+            scale = self._mp[k] / max(self._pp[k], 1e-12)
+            scale = min(max(scale, _LOWEST_SCALE), _HIGHEST_SCALE)
+            self._error_of[k] = self._mm - 2.0 * scale * self._mp[k] + scale * scale * self._pp[k]
+            if self._error_of[k] < self._error_of[best]:
+                best = k
+        self.pairs += 1
+        self.delay = NAN
+        if self._weight < _MIN_PAIRS:
+            self.why = "too few turns yet"
+            return
+        self.why = "its turns do not tell one delay from another"
+        variance: cython.double = self._error_of[best] / (self._weight - 2.0)
+        variance = max(variance, _MIN_SPREAD * _MIN_SPREAD)
+        limit: cython.double = self._error_of[best] + 9.0 * variance
+        low: cython.Py_ssize_t = 0
+        high: cython.Py_ssize_t = _CANDIDATES - 1
+        while self._error_of[low] > limit:
+            low += 1
+        while self._error_of[high] > limit:
+            high -= 1
+        if high == _CANDIDATES - 1 or (high - low) * _STEP > _MAX_INTERVAL:
+            return
+        best = max(best, 1)
+        a: cython.double = self._error_of[best - 1]
+        c: cython.double = self._error_of[best + 1]
+        bend: cython.double = a - 2.0 * self._error_of[best] + c
+        if bend > 0.0:
+            self.delay = max(_STEP * best + 0.5 * _STEP * (a - c) / bend, 0.0)
+            self.spread = max(_ALIKE * _STEP * sqrt(2.0 * variance / bend), 0.005)

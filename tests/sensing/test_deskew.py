@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Odometry, Pose, Scan, ScanSpec, Sweep, Twist
 from swarmd.sensing.deskew import Deskewer
-from swarmd.sensing.odometry_history import OdometryHistory
 
 N, PERIOD = 360, 0.2
 BEARINGS = np.arange(N) * 2.0 * np.pi / N
@@ -53,8 +52,7 @@ class Ride:
         newest, arrival = PERIOD * seq, PERIOD * seq + 0.13 - float(self.ages.mean())
         last = math.floor(arrival / 0.02) * 0.02
         for k in range(12, -1, -1):
-            latest = self.deskewer._history.latest
-            if latest is None or last - 0.02 * k > latest.stamp + 1e-6:
+            if not last - 0.02 * k <= self.deskewer._motion.latest + 1e-6:
                 self.deskewer.on_odometry(self.odometry(last - 0.02 * k))
         ranges = self.ranges(newest - self.ages, BEARINGS)
         raw = Scan(seq, newest, ranges, BEARINGS, 0.12, 3.5, ages, self.spec.latency)
@@ -123,8 +121,9 @@ def test_ages_of_the_driver_count_more_than_the_sweep_of_the_platform() -> None:
 def test_rays_without_a_distance_turn_and_keep_their_class() -> None:
     ranges = np.array([np.inf, -np.inf, np.nan, 0.13, 3.49])
     bearings, turn = np.zeros(5), np.array(((0.0, 0.0, 0.0, 0.0), (0.2, -0.04, 0.0, 0.3)))
-    args = (bearings, np.ones(5), np.zeros(5), np.full(5, 0.2), turn, (0.0, 0.0, 0.12, 3.5))
-    moved, turned = load_kernel("swarmd.sensing.scans").move_rays(ranges, *args)
+    limits, (moved, turned) = np.array((0.0, 0.0, 0.12, 3.5)), np.empty((2, 5))
+    args = (bearings, np.ones(5), np.zeros(5), np.full(5, 0.2), turn, 2, limits, moved, turned)
+    load_kernel("swarmd.sensing.scans").move_rays(ranges, *args)
     np.testing.assert_array_equal(moved[:3], ranges[:3])
     np.testing.assert_allclose(turned[:3], 0.3)
     assert moved[3] == -np.inf  # 4 cm nearer, too close to measure
@@ -132,8 +131,12 @@ def test_rays_without_a_distance_turn_and_keep_their_class() -> None:
 
 
 def test_a_pose_that_jumps_ends_the_history() -> None:
-    history = OdometryHistory()
-    for tick, x in enumerate((0.0, 0.01, 5.0, 5.01)):
-        history.update(Odometry(0.05 * tick, Pose(x), Twist(0.2)))
-    assert history.resets == 1
-    assert [reading.pose.x for reading in history.readings] == [5.0, 5.01]
+    """The scan moves again once the readings after the jump reach back over all of it."""
+    ride = Ride(Sweep(0.0, 1.0, PERIOD), Twist(0.2, 1.0))
+    raw = Scan(1, 0.2, np.full(N, 1.0), BEARINGS, 0.12, 3.5, None, 0.13)
+    moves = []
+    for tick in range(20):
+        x = 0.01 * tick + (5.0 if tick >= 8 else 0.0)
+        ride.deskewer.on_odometry(Odometry(0.05 * tick, Pose(x, 0.0, 0.05 * tick), ride.twist))
+        moves.append(ride.deskewer.deskew(raw, 0.05 * tick, 0.0).bearings is not BEARINGS)
+    assert moves == [2 <= tick < 8 or tick >= 10 for tick in range(20)]

@@ -29,7 +29,7 @@ SPECS = [load_platform(name).scan for name in platform_names()]
 SPECS = [spec for spec in SPECS if len(spec.bearings)]
 ZEROS = ("no_return", "too_close", "unknown", "lds")
 SEEDS = st.integers(0, 2**32 - 1)
-LIMITS = (-0.03, 0.01, 0.12, 3.5)
+LIMITS = np.array((-0.03, 0.01, 0.12, 3.5))
 
 
 @st.composite
@@ -155,14 +155,10 @@ def test_conditioning_is_as_recorded(module: Any) -> None:
 def test_moved_rays_are_as_recorded(module: Any) -> None:
     for case in recorded("motion"):
         ranges, bearings, ages = case["rays"].astype(np.float64)
-        limits = tuple(case["limits"].tolist())
-        directions = np.cos(bearings), np.sin(bearings)
-        moved = module.move_rays(ranges, bearings, *directions, ages, case["path"], limits)
-        assert_same(case["moved"], moved)
-        way, sector = case["way"].tolist(), case["sector"].tolist()
-        inside = module.rays_in_sector(
-            *(ranges, bearings, ages, 5, tuple(way), tuple(sector), limits)
-        )
+        path, limits = case["path"], case["limits"]
+        assert_same(case["moved"], moved(module, (ranges, bearings, ages), path, limits))
+        way, sector = case["way"], case["sector"]
+        inside = in_sector(module, (ranges, bearings, ages), 5, way, sector, limits)
         assert_same(case["inside"], inside)
 
 
@@ -266,8 +262,8 @@ def test_rays_are_moved_as_by_the_interpreted_file(seed: int, n: int, steps: int
     ranges, bearings, ages = drawn_rays(rng, n, 3.5)
     path = rng.normal(0.0, 0.1, (steps, 4))
     path[:, 0] = np.linspace(0.0, 0.25, steps)
-    args = (ranges, bearings, np.cos(bearings), np.sin(bearings), ages, path, LIMITS)
-    assert_same(compiled.move_rays(*args), interpreted.move_rays(*args))
+    args = (ranges, bearings, ages), path, LIMITS
+    assert_same(moved(compiled, *args), moved(interpreted, *args))
 
 
 @needs_compiled
@@ -276,14 +272,33 @@ def test_rays_of_a_sector_are_those_of_the_interpreted_file(
     seed: int, n: int, motion: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    rays = drawn_rays(rng, n, 0.5)
-    moved = tuple(rng.normal(0.0, motion, 3).tolist())
-    sector = rng.uniform(-4.0, 4.0), float(rng.choice((-1.0, 1.0))), 0.8
-    args = (*rays, n // 4, moved, sector, LIMITS)
-    assert_same(compiled.rays_in_sector(*args), interpreted.rays_in_sector(*args))
+    rays, way = drawn_rays(rng, n, 0.5), rng.normal(0.0, motion, 3)
+    sector = np.array((rng.uniform(-4.0, 4.0), rng.choice((-1.0, 1.0)), 0.8))
+    args = rays, n // 4, way, sector, LIMITS
+    assert_same(in_sector(compiled, *args), in_sector(interpreted, *args))
 
 
-def drawn_rays(rng: np.random.Generator, n: int, farthest: float) -> tuple[Array, Array, Array]:
+Rays = tuple[Array, Array, Array]
+
+
+def moved(module: Any, rays: Rays, path: Array, limits: Array) -> Array:
+    """Ranges and bearings (2, n) at the end of a path."""
+    ranges, bearings, ages = rays
+    found = np.empty((2, len(ranges)))
+    directions = np.cos(bearings), np.sin(bearings)
+    module.move_rays(ranges, bearings, *directions, ages, path, len(path), limits, *found)
+    return found
+
+
+def in_sector(
+    module: Any, rays: Rays, first: int, way: Array, sector: Array, limits: Array
+) -> Array:
+    """Ranges, bearings and ages (3, k) of the rays in a sector."""
+    found = np.empty((3, len(rays[0])))
+    return found[:, : module.rays_in_sector(*rays, first, way, sector, limits, *found)]
+
+
+def drawn_rays(rng: np.random.Generator, n: int, farthest: float) -> Rays:
     """Ranges, a third of them odd, bearings and ages (n,) of rays."""
     odd = rng.choice((np.nan, np.inf, -np.inf, 0.12, 3.5, 1.0), n)
     ranges = np.where(rng.random(n) < 0.3, odd, rng.uniform(0.12, farthest, n))
