@@ -24,6 +24,7 @@ if sys.version_info < (3, 11):  # noqa: UP036
     )
 
 KERNELS = {
+    "swarmd.kit.points": "swarmd/kit/points.py",
     "swarmd.protection.barrier": "swarmd/protection/barrier.py",
     "swarmd.protection.blind_zone": "swarmd/protection/blind_zone.py",
     "swarmd.sensing.scans": "swarmd/sensing/scans.py",

@@ -24,8 +24,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import dataclass
-from typing import Annotated, TypeAlias
+from typing import Annotated, NamedTuple, TypeAlias
 
 from swarmd.api import (
     ZERO,
@@ -130,8 +129,7 @@ class AttractionParams(FieldParams, frozen=True, kw_only=True):
     object_width: ObjectWidth
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Surroundings:
+class _Surroundings(NamedTuple):
     """The robots and near surfaces in one scan, in the base frame.
 
     `points` of near surfaces; the range and bearing of each of the `robots`. `seen` counts the
@@ -211,10 +209,12 @@ class Attraction(FieldPattern[AttractionParams]):
         robots, seen = self._robots(scan)
         robots = polar_from_base(robots, offset)
         near = _ADJACENT_SPACINGS * params.spacing
-        adjacent = sum(distance < near for distance, _ in robots)
+        adjacent, axis = 0, 0j
+        for distance, bearing in robots:
+            adjacent += distance < near
+            axis += cmath.rect(1.0, 2.0 * bearing)
         pull = self._pull(robots)
         free = math.hypot(*points.keep_clear(*pull, spacing=spacing, brake=params.brake))
-        axis = sum(cmath.exp(2j * bearing) for _, bearing in robots)
         is_line = abs(axis) > _MIN_ALIGNMENT * len(robots)
         return _Surroundings(scan, points, robots, seen, adjacent, pull, free, is_line)
 
@@ -250,11 +250,13 @@ class Attraction(FieldPattern[AttractionParams]):
 
     def _pull(self, robots: list[tuple[float, float]]) -> Vector:
         """The sum over the robots, each 0 at `spacing` and growing with its range; at most 1."""
+        spacing, brake = self.params.spacing, self.params.brake
         x = y = 0.0
         for distance, bearing in robots:
-            weight = max((distance - self.params.spacing) / self.params.brake, 0.0)
-            x += weight * math.cos(bearing)
-            y += weight * math.sin(bearing)
+            if distance > spacing:
+                weight = (distance - spacing) / brake
+                x += weight * math.cos(bearing)
+                y += weight * math.sin(bearing)
         length = max(1.0, math.hypot(x, y))
         return x / length, y / length
 

@@ -287,11 +287,14 @@ class Flocking(MovementPattern[FlockingParams]):
                 if is_free:
                     robots.append((distance, bearing))
         # A partly hidden robot is not counted, but it is not a wall either.
-        walls = [
-            (distance, bearing)
-            for distance, bearing in closest_points(scan, within=params.wall).tolist()
-            if all(abs(cmath.rect(distance, bearing) - other) > _ROBOT_RADIUS for other in narrow)
-        ]
+        walls = []
+        for distance, bearing in closest_points(scan, within=params.wall).tolist():
+            point = cmath.rect(distance, bearing)
+            for other in narrow:
+                if abs(point - other) <= _ROBOT_RADIUS:
+                    break
+            else:
+                walls.append((distance, bearing))
         return robots, walls
 
     def _springs(self, robots: Sequence[Polar]) -> complex:

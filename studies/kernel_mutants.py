@@ -21,6 +21,7 @@ ROOT = Path(__file__).resolve().parent.parent
 COPY = ROOT / "build" / "kernel-mutants"
 FOLDERS = ("swarmd", "patterns", "drivers", "sim", "config", "tests", "studies", "benchmarks")
 TESTS = {
+    "swarmd/kit/points.py": ("tests/kit",),
     "swarmd/protection/barrier.py": ("tests/protection",),
     "swarmd/protection/blind_zone.py": ("tests/protection",),
     "swarmd/sensing/scans.py": ("tests/sensing",),

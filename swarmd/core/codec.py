@@ -8,6 +8,7 @@ Decoding raises nothing but `CodecError`. No numpy here, since swarmctl imports 
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any, Generic, TypeVar
 
 import msgspec
@@ -20,6 +21,9 @@ MAX_SENSOR_PAYLOAD = 128 * 1024
 MAX_MESSAGE = 1024
 MAX_DEPTH = 16
 
+_PREFIX = bytes((VERSION,))
+_NESTED = (dict, list, tuple)
+_PLAIN = frozenset({type(None), bool, int, float, str, bytes})
 _encoder = msgspec.msgpack.Encoder()
 
 T = TypeVar("T")
@@ -27,7 +31,7 @@ T = TypeVar("T")
 
 def encode(message: msgspec.Struct) -> bytes:
     """The bytes of a struct."""
-    return _prefix() + _encoder.encode(message)
+    return _PREFIX + _encoder.encode(message)
 
 
 def version_of(payload: bytes) -> int | None:
@@ -64,10 +68,8 @@ class Decoder(Generic[T]):
 
 def encode_value(value: Any) -> bytes:
     """Encode a pattern's message. Raises CodecError if it cannot be sent."""
-    import msgpack  # swarmctl does without; importing it takes 2 ms
-
     try:
-        payload: bytes = _prefix() + msgpack.packb(value, use_bin_type=True)
+        payload: bytes = _PREFIX + _msgpack().packb(value, use_bin_type=True)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise CodecError(f"a message must be made of MessagePack's types: {error}") from error
     if _is_deeper(value, MAX_DEPTH):
@@ -79,9 +81,8 @@ def encode_value(value: Any) -> bytes:
 
 def decode_value(payload: bytes) -> Any:
     """Decode a pattern's message. Raises CodecError if it is too large or malformed."""
-    import msgpack
-
     body = _body(payload, MAX_MESSAGE)
+    msgpack = _msgpack()
     try:
         value = msgpack.unpackb(body, raw=False, strict_map_key=True)
     except (ValueError, TypeError, RecursionError, msgpack.UnpackException) as error:
@@ -95,23 +96,30 @@ def decode_value(payload: bytes) -> Any:
 
 def _is_plain(value: Any) -> bool:
     """True without extension types, timestamps among them: no pattern host could be sent them."""
+    if type(value) in _PLAIN:
+        return True
     if isinstance(value, dict):
-        value = list(value.values())
-    if isinstance(value, list):
-        return all(map(_is_plain, value))
-    return value is None or isinstance(value, bool | int | float | str | bytes)
+        value = value.values()
+    elif not isinstance(value, list):
+        return False
+    return all(type(inner) in _PLAIN or _is_plain(inner) for inner in value)
 
 
 def _is_deeper(value: Any, depth: int) -> bool:
     if isinstance(value, dict):
-        value = list(value.values())
-    if not isinstance(value, list | tuple):
+        value = value.values()
+    elif not isinstance(value, _NESTED):
         return False
-    return depth == 0 or any(_is_deeper(inner, depth - 1) for inner in value)
+    return depth == 0 or any(
+        isinstance(inner, _NESTED) and _is_deeper(inner, depth - 1) for inner in value
+    )
 
 
-def _prefix() -> bytes:
-    return bytes((VERSION,))
+@cache
+def _msgpack() -> Any:
+    import msgpack  # swarmctl does without; importing it takes 2 ms
+
+    return msgpack
 
 
 def _body(payload: bytes, limit: int, *, any_version: bool = False) -> memoryview:

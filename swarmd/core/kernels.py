@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any
 
 KERNELS = (
+    "swarmd.kit.points",
     "swarmd.protection.barrier",
     "swarmd.protection.blind_zone",
     "swarmd.sensing.scans",

@@ -112,8 +112,9 @@ class MovementPattern(Pattern[P]):
 
     def step(self, inputs: Inputs) -> Outputs:
         """The command of `drive`; no command while a scan or reading that it needs is missing."""
-        if any(_is_missing(word, inputs) for word in self.needs):
-            return Outputs(report=self.report())
+        for word in self.needs:
+            if _is_missing(word, inputs):
+                return Outputs(report=self.report())
         twist = self.drive(inputs)
         if twist is None:  # valid outputs, but the author forgot something; any other type is not
             raise PluginError("drive gave None; is a return missing? expected a Twist")

@@ -67,6 +67,7 @@ class FieldPattern(MovementPattern[F]):
 
     field_kind: ClassVar[FieldKind]
     state: str
+    _followed: tuple[Scan, F, Twist] | None = None  # the command of law "paper" for a scan
 
     @abstractmethod
     def settle(self, inputs: Inputs, scan: Scan) -> Twist:
@@ -83,6 +84,13 @@ class FieldPattern(MovementPattern[F]):
             return ZERO
         if params.law != "paper":
             return self.settle(inputs, scan)
+        followed = self._followed
+        if followed is None or followed[0] is not scan or followed[1] is not params:
+            followed = self._followed = scan, params, self._follow_field(scan)
+        return followed[2]
+
+    def _follow_field(self, scan: Scan) -> Twist:
+        params = self.params
         field = potential_field(
             scan.ranges,
             scan.bearings,

@@ -19,20 +19,16 @@ import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from statistics import median
 
 import numpy as np
 
+from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array, Neighbor, Pose, Scan
-from swarmd.kit.steering import from_base
-from swarmd.sensing.rays import RayClusters, clusters
+from swarmd.sensing.rays import clusters
 
+_kernel = load_kernel("swarmd.kit.points")
 # Beyond this share of its range a lidar sees only parts of an object.
 _MAX_RANGE_SHARE = 0.95
-# rad: the largest angle between two objects of which one hides a part of the other.
-_MAX_OCCLUSION_ANGLE = math.radians(3.0)
-# Centers nearer to each other than this share of the largest width belong to one robot.
-_MERGE_SHARE = 0.45
 # A position is the mean of at most so many measurements. A measurement farther from it than so many
 # m plus this share of its distance means that the robot has moved.
 _MAX_AVERAGED = 20
@@ -48,14 +44,16 @@ def place_on_line(others: Array, spacing: float) -> Array:
     their order, `spacing` m apart.
     """
     points = _with_itself(others)
-    middle = points.sum(axis=0) / len(points)
-    x, y = (points - middle).T
-    angle = 0.5 * math.atan2(2.0 * float(x @ y), float(x @ x) - float(y @ y))
-    ahead = np.array([math.cos(angle), math.sin(angle)])
-    rank = _rank(x * ahead[0] + y * ahead[1])
-    along = (rank - 0.5 * (len(points) - 1)) * spacing
-    place: Array = middle + along * ahead
-    return place
+    middle = _middle(points)
+    away = [point - middle for point in points]
+    xy = xx_yy = 0.0
+    for one in away:
+        xy += one.real * one.imag
+        xx_yy += one.real * one.real - one.imag * one.imag
+    ahead = cmath.rect(1.0, 0.5 * math.atan2(2.0 * xy, xx_yy))
+    rank = _rank([one.real * ahead.real + one.imag * ahead.imag for one in away])
+    place = middle + (rank - 0.5 * (len(points) - 1)) * spacing * ahead
+    return np.array((place.real, place.imag))
 
 
 def place_on_circle(others: Array, radius: float) -> Array:
@@ -64,18 +62,15 @@ def place_on_circle(others: Array, radius: float) -> Array:
     The center is the mean of all positions; around it the robots keep their order at equal angles.
     """
     points = _with_itself(others)
-    count = len(points)
-    middle: Array = points.sum(axis=0) / count
-    if count < 2:
-        return middle
-    x, y = (points - middle).T
-    angles = np.arctan2(y, x)
-    order = np.argsort(angles, kind="stable")
-    off = angles[order] - 2.0 * math.pi / count * np.arange(count)
-    first = math.atan2(float(np.sin(off).sum()), float(np.cos(off).sum()))
-    own = first + 2.0 * math.pi / count * _rank(angles)
-    place: Array = middle + radius * np.array([math.cos(own), math.sin(own)])
-    return place
+    middle, turn = _middle(points), 2.0 * math.pi / len(points)
+    if len(points) < 2:
+        return np.zeros(2)
+    angles = [math.atan2((point - middle).imag, (point - middle).real) for point in points]
+    off = 0j
+    for number, angle in enumerate(sorted(angles)):
+        off += cmath.rect(1.0, angle - turn * number)
+    place = middle + cmath.rect(radius, cmath.phase(off) + turn * _rank(angles))
+    return np.array((place.real, place.imag))
 
 
 def radius_of(spacing: float, count: int) -> float:
@@ -91,55 +86,10 @@ def robot_centers(scan: Scan, *, reach: float, width: float, offset: tuple[float
     its visible side. An object hidden on both sides may be a wall behind two robots: it is ignored.
     """
     seen = clusters(scan, within=reach)
-    halves, bearings = 0.5 * seen.widths, seen.bearings.copy()
-    is_chosen = (seen.widths <= width) & (seen.ranges <= _MAX_RANGE_SHARE * reach)
-    is_whole = is_chosen & seen.is_free
-    usual = median(halves[is_whole].tolist()) if is_whole.any() else 0.0
-    for index in (is_chosen & ~seen.is_free).nonzero()[0].tolist():
-        sides = _hidden_sides(seen, index)
-        if len(sides) > 1:
-            is_chosen[index] = False
-        elif sides:
-            half = max(float(halves[index]), usual)
-            shown = float(halves[index] / max(seen.ranges[index], 1e-3))
-            whole = math.asin(half / (float(seen.ranges[index]) + half))
-            bearings[index] += sides[0] * max(whole - shown, 0.0)
-            halves[index] = half
-    found = np.array((seen.ranges[is_chosen] + halves[is_chosen], bearings[is_chosen])).T
-    found = from_base(found, offset)
-    centers = found[:, :1] * np.stack((np.cos(found[:, 1]), np.sin(found[:, 1])), axis=-1)
-    return _merged(centers, seen.counts[is_chosen].tolist(), _MERGE_SHARE * width)
-
-
-def _merged(centers: Array, counts: Sequence[int], least: float) -> Array:
-    """Centers (k, 2) with those nearer than `least` m to each other merged, nearest pair first.
-
-    One robot appears in pieces where rays are lost, or old while the lidar turns. `counts` weighs
-    them.
-    """
-    if len(centers) < 2:
-        return centers
-    points, weights = centers[:, 0] + 1j * centers[:, 1], np.array(counts, float)
-    apart = np.abs(points[:, None] - points)
-    np.fill_diagonal(apart, np.inf)
-    while len(points) > 1 and apart.min() < least:
-        i, j = sorted(divmod(int(apart.argmin()), len(points)))
-        points[i] += (points[j] - points[i]) * weights[j] / (weights[i] + weights[j])
-        weights[i] += weights[j]
-        points, weights = np.delete(points, j), np.delete(weights, j)
-        apart = np.delete(np.delete(apart, j, axis=0), j, axis=1)
-        apart[i] = apart[:, i] = np.abs(points - points[i])
-        apart[i, i] = np.inf
-    return np.stack((points.real, points.imag), axis=-1)
-
-
-def _hidden_sides(seen: RayClusters, index: int) -> list[float]:
-    """The sides on which a nearer object hides a part of it: 1 left, -1 right."""
-    away = (seen.bearings - seen.bearings[index] + math.pi) % (2.0 * math.pi) - math.pi
-    spreads = 0.5 * seen.widths / np.maximum(seen.ranges, 1e-3)
-    room = np.abs(away) - spreads - spreads[index]
-    is_before = (seen.ranges < seen.ranges[index]) & (room < _MAX_OCCLUSION_ANGLE)
-    return [side for side in (1.0, -1.0) if (is_before & (side * away > 0.0)).any()]
+    lists = (seen.ranges, seen.bearings, seen.widths, seen.counts, seen.is_free)
+    most = _MAX_RANGE_SHARE * reach
+    found = _kernel.robot_centers(*(one.tolist() for one in lists), most, width, offset)
+    return np.array(found, dtype=np.float64).reshape(-1, 2)
 
 
 def to_base_frame(point: Sequence[float], pose: Pose) -> tuple[float, float]:
@@ -205,10 +155,18 @@ def _again(old: _Track | None, sensed: tuple[float, float], place: complex, now:
     return _Track(sensed, old.place + (place - old.place) / count, now, count)
 
 
-def _with_itself(others: Array) -> Array:
-    return np.concatenate((np.zeros((1, 2)), others.reshape(-1, 2)))
+def _with_itself(others: Array) -> list[complex]:
+    """The robot and the others, as x + iy."""
+    return [0j, *(complex(x, y) for x, y in others.reshape(-1, 2).tolist())]
 
 
-def _rank(values: Array) -> int:
+def _middle(points: Sequence[complex]) -> complex:
+    whole = 0j
+    for point in points:  # sum() of newer Pythons rounds otherwise
+        whole += point
+    return whole / len(points)
+
+
+def _rank(values: Sequence[float]) -> int:
     """The rank of the first value among all values."""
-    return int(np.argsort(values, kind="stable").argmin())
+    return sum(value < values[0] for value in values)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-
-import numpy as np
+from operator import itemgetter
 
 from swarmd.core.angles import difference
 from swarmd.core.values import Platform, Scan
@@ -30,7 +29,13 @@ def robots_near(
     width = object_width(platform)
     # Of a wall, less than that would seem narrow if the scan were cut off at `within`.
     found = clusters(scan, within=within + width)
-    kept = (found.ranges <= within) & (found.widths <= width) & found.is_free
-    order = np.argsort(found.ranges, kind="stable")
-    rays = (Ray(float(found.ranges[i]), float(found.bearings[i])) for i in order if kept[i])
-    return [ray for ray in rays if abs(difference(ray.bearing, bearing)) <= half_width]
+    objects = (found.ranges, found.bearings, found.widths, found.is_free)
+    rays = [
+        Ray(distance, direction)
+        for distance, direction, across, is_free in zip(*(o.tolist() for o in objects), strict=True)
+        if distance <= within
+        and across <= width
+        and is_free
+        and abs(difference(direction, bearing)) <= half_width
+    ]
+    return sorted(rays, key=itemgetter(0))

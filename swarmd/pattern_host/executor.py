@@ -25,6 +25,9 @@ from swarmd.kit.params import Params, build, schema
 
 T = TypeVar("T")
 
+# A value of one of these types that has its channel's type needs no copy.
+_IMMUTABLE = frozenset({bool, int, float, str, bytes})
+
 
 class PatternExecutor:
     """Holds at most one pattern. A refused load leaves the one before in place."""
@@ -212,10 +215,12 @@ def _typed(inputs: Inputs, channels: Mapping[str, type]) -> tuple[Inputs, int]:
         kind = channels.get(message.channel)
         if kind is None:
             continue
-        try:
-            kept.append(replace(message, value=msgspec.convert(message.value, kind)))
-        except msgspec.ValidationError:
-            continue
+        if type(message.value) is not kind or kind not in _IMMUTABLE:
+            try:
+                message = replace(message, value=msgspec.convert(message.value, kind))
+            except msgspec.ValidationError:
+                continue
+        kept.append(message)
     return replace(inputs, messages=tuple(kept)), len(inputs.messages) - len(kept)
 
 

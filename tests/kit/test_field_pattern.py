@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from swarmd.core.values import Inputs, Twist
 from swarmd.kit.field_pattern import FieldPattern
@@ -57,3 +58,14 @@ def test_too_near_and_single_returns_count_as_alone(
 ) -> None:
     assert requested(kind, [-math.inf] * 3, [0.1, 0.2, 0.3]) == alone
     assert requested(kind, [1.0, math.inf], [0.0, 1.0]) == alone
+
+
+def test_a_new_scan_and_new_parameters_change_the_command() -> None:
+    pattern = Subject(Attraction, WAFFLE, {"law": "paper"}).make()
+    ahead, aside = (
+        scan_from(WAFFLE, np.full(3, 1.0), np.array([0.4, 0.5, 0.6]) + turn) for turn in (0.0, 1.0)
+    )
+    first, second = (pattern.step(Inputs(0.0, 0.0, scan)).twist for scan in (ahead, aside))
+    pattern.update(replace(pattern.params, bias=1.0))
+    third = pattern.step(Inputs(0.1, 0.1, aside)).twist
+    assert len({first, second, third}) == 3

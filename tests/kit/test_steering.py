@@ -92,6 +92,16 @@ def test_no_direction_is_no_motion(vector: tuple[float, float]) -> None:
     assert command(*vector) == Twist()
 
 
+def test_no_distance_to_brake_and_an_infinite_bearing_are_errors() -> None:
+    near = NearPoints([(0.4, 0.0)])
+    with pytest.raises(ZeroDivisionError):
+        near.keep_clear(1.0, 0.0, spacing=0.5, brake=0.0)
+    with pytest.raises(ZeroDivisionError):
+        near.steer(1.0, 0.0, 0.2, 2.0, spacing=0.5, brake=0.0)
+    with pytest.raises(ValueError, match="infinite"):
+        NearPoints([(0.4, math.inf)])
+
+
 def test_near_points_know_the_nearest_range() -> None:
     assert NearPoints(()).nearest == math.inf
     assert NearPoints([(0.4, 1.0), (0.3, 2.0), (0.5, 0.0)]).nearest == 0.3

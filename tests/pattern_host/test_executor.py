@@ -16,7 +16,7 @@ from swarmd.core.host_messages import (
     Step,
     Stepped,
 )
-from swarmd.core.values import Inputs, Outputs, Twist
+from swarmd.core.values import Inputs, Message, Outputs, Twist
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.params import Params
 from swarmd.pattern_host.executor import PatternExecutor
@@ -67,6 +67,31 @@ def test_a_message_of_another_type_than_its_channel_is_a_fault(kind: type, value
     assert isinstance(answer, PatternFailed)
     assert "'word'" in answer.text
     assert kind.__name__ in answer.text
+
+
+@pytest.mark.parametrize(("kind", "value"), [(list, [1, 2]), (int, 3), (float, 4)])
+def test_a_pattern_gets_messages_of_its_own_in_the_type_of_their_channel(
+    kind: type, value: Any
+) -> None:
+    heard: list[Any] = []
+
+    class Hearer(Pattern[Params]):
+        needs = frozenset[str]()
+        channels: Mapping[str, type] = {"word": kind}
+
+        def step(self, inputs: Inputs) -> Outputs:
+            heard.extend(message.value for message in inputs.messages)
+            return Outputs()
+
+    executor = PatternExecutor(lambda name: Hearer)
+    executor.handle(Load(1, "hearer", (), "r1", load_platform("burger"), 1))
+    words = tuple(Message("r2", "word", said, 0.0) for said in (value, "another"))
+    answer = executor.handle(Step(1, Inputs(now=0.0, dt=0.0, messages=words)))
+    assert isinstance(answer, Stepped)
+    assert (heard, answer.dropped) == ([value], 1)
+    assert type(heard[0]) is kind
+    if kind is list:
+        assert heard[0] is not value
 
 
 @pytest.mark.parametrize("outputs", [None, Twist(0.1), Outputs(twist=(0.1, 0.0))])  # type: ignore[arg-type]  # the mistake

@@ -1,0 +1,249 @@
+"""The arithmetic on points around the base: steering, and robots among the objects of a scan.
+
+A kernel (see `core/kernels.py`): `steering.py` and `formation_geometry.py` use it.
+"""
+
+from __future__ import annotations
+
+import math
+from statistics import median
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:  # Cython reads this import, CPython the other
+    from collections.abc import Iterable, Sequence
+    from typing import TypeAlias
+
+    import cython
+
+    Pair: TypeAlias = tuple[float, float]
+else:
+    from swarmd.core import cython_shadow as cython
+if cython.compiled:
+    from cython.cimports.libc.math import INFINITY, asin, atan2, cos, fabs, hypot, isinf, sin
+else:
+    from swarmd.core.cython_shadow import INFINITY, asin, atan2, cos, fabs, hypot, isinf, sin
+
+from swarmd.core.values import ZERO, Twist
+
+_PI = cython.declare(cython.double, math.pi)
+# A shorter vector is rounding noise: its direction means nothing.
+_MIN_LENGTH = cython.declare(cython.double, 1e-9)
+# Share of full speed in reverse: people beside a robot do not expect it to back up.
+_MAX_REVERSE_SHARE = cython.declare(cython.double, 0.5)
+# 1/s: at 5 scans a second the heading settles without overshoot.
+_HEADING_GAIN = cython.declare(cython.double, 2.0)
+# rad: the largest angle between two objects of which one hides a part of the other.
+_MAX_OCCLUSION_ANGLE = cython.declare(cython.double, math.radians(3.0))
+# Centers nearer to each other than this share of the largest width belong to one robot.
+_MERGE_SHARE = cython.declare(cython.double, 0.45)
+# m: a nearer object counts as one at this range where its range divides.
+_MIN_RANGE = cython.declare(cython.double, 1e-3)
+
+
+def polar_from_base(points: Iterable[Sequence[float]], offset: Pair) -> list[Pair]:
+    """Range (m) and bearing of each point from the base.
+
+    `points`: range and bearing of each from a sensor at `offset` (m).
+    """
+    distance: cython.double
+    bearing: cython.double
+    x: cython.double
+    y: cython.double
+    forward: cython.double = offset[0]
+    left: cython.double = offset[1]
+    found = []
+    for distance, bearing in points:
+        _check(bearing)
+        x = distance * cos(bearing) + forward
+        y = distance * sin(bearing) + left
+        found.append((hypot(x, y), atan2(y, x)))
+    return found
+
+
+@cython.cfunc
+def _check(bearing: cython.double) -> cython.int:
+    if isinf(bearing):
+        raise ValueError("a bearing is infinite; expected an angle")
+    return 0
+
+
+@cython.cclass
+class NearPoints:
+    """Points around the base, prepared for several steps.
+
+    `nearest` is the smallest range in m, +inf without points.
+    """
+
+    nearest = cython.declare(cython.double, visibility="readonly")
+    _farthest_first: list
+
+    def __init__(self, points: Iterable[Sequence[float]]) -> None:
+        """`points`: range in m and bearing in rad of each."""
+        distance: cython.double = INFINITY
+        bearing: cython.double
+        self._farthest_first = []
+        for distance, bearing in sorted(map(tuple, points), reverse=True):
+            _check(bearing)
+            self._farthest_first.append((distance, cos(bearing), sin(bearing)))
+        self.nearest = distance
+
+    def keep_clear(
+        self, x: cython.double, y: cython.double, *, spacing: cython.double, brake: cython.double
+    ) -> Pair:
+        """The vector x, y limited as by the function `keep_clear`."""
+        distance: cython.double
+        toward_x: cython.double
+        toward_y: cython.double
+        excess: cython.double
+        # The nearest come last, so that their limits hold exactly.
+        for distance, toward_x, toward_y in self._farthest_first:
+            if brake == 0.0:
+                raise ZeroDivisionError("brake is 0 m")
+            excess = x * toward_x + y * toward_y - (distance - spacing) / brake
+            if excess > 0.0:
+                x, y = x - excess * toward_x, y - excess * toward_y
+        return x, y
+
+    def steer(
+        self,
+        x: cython.double,
+        y: cython.double,
+        linear_max: cython.double,
+        angular_max: cython.double,
+        *,
+        spacing: cython.double,
+        brake: cython.double,
+        may_back: cython.bint = False,
+    ) -> Twist:
+        """The command along the vector x, y as by the function `steer`."""
+        distance: cython.double
+        toward_x: cython.double
+        ahead: cython.double
+        length: cython.double = math.hypot(x, y)
+        if not _MIN_LENGTH < length < INFINITY:
+            return ZERO
+        side: cython.double = -1.0 if may_back and x < 0.0 else 1.0
+        error: cython.double = atan2(side * y, side * x)
+        share: cython.double = min(length, _MAX_REVERSE_SHARE if side < 0.0 else 1.0)
+        share *= math.pow(max(cos(error), 0.0), 2.0)
+        for distance, toward_x, _ in self._farthest_first:
+            ahead = side * toward_x
+            if ahead > 0.0:
+                if brake == 0.0:
+                    raise ZeroDivisionError("brake is 0 m")
+                share = min(share, max(distance - spacing, 0.0) / (brake * ahead))
+        turn: cython.double = min(max(_HEADING_GAIN * error, -angular_max), angular_max)
+        return Twist(side * share * linear_max, turn)
+
+
+def robot_centers(
+    ranges: list,
+    bearings: list,
+    widths: list,
+    counts: list,
+    is_free: list,
+    reach: cython.double,
+    width: cython.double,
+    offset,
+):
+    """The centers x, y of the objects of `RayClusters` up to `reach` m away, at most `width` wide.
+
+    See `robot_centers` in `formation_geometry.py`.
+    """
+    i: cython.Py_ssize_t
+    side: cython.int
+    half: cython.double
+    away: cython.double
+    bearing: cython.double
+    chosen = [i for i in range(len(ranges)) if widths[i] <= width and ranges[i] <= reach]
+    whole = [0.5 * widths[i] for i in chosen if is_free[i]]
+    usual: cython.double = median(whole) if whole else 0.0
+    found, weights = [], []
+    for i in chosen:
+        away, bearing, half = ranges[i], bearings[i], 0.5 * widths[i]
+        if not is_free[i]:
+            side = _hidden_side(ranges, bearings, widths, i)
+            if side == _BOTH:
+                continue
+            if side:
+                shown: cython.double = half / max(away, _MIN_RANGE)
+                half = max(half, usual)
+                hidden: cython.double = asin(half / max(away + half, _MIN_RANGE)) - shown
+                bearing += side * max(hidden, 0.0)
+        found.append((away + half, bearing))
+        weights.append(counts[i])
+    xs, ys = [], []
+    for away, bearing in polar_from_base(found, offset):
+        xs.append(away * cos(bearing))
+        ys.append(away * sin(bearing))
+    _merge(xs, ys, weights, _MERGE_SHARE * width)
+    return list(zip(xs, ys))  # noqa: B905
+
+
+_BOTH = cython.declare(cython.int, 2)
+
+
+@cython.cfunc
+def _hidden_side(
+    ranges: list, bearings: list, widths: list, index: cython.Py_ssize_t
+) -> cython.int:
+    """The side on which nearer objects hide a part of one: 1 left, -1 right, 0 none, or `_BOTH`."""
+    i: cython.Py_ssize_t
+    own_range: cython.double = ranges[index]
+    own_bearing: cython.double = bearings[index]
+    reach: cython.double = _spread(own_range, widths[index]) + _MAX_OCCLUSION_ANGLE
+    near: cython.double
+    angle: cython.double
+    side: cython.int = 0
+    for i in range(len(ranges)):
+        near = ranges[i]
+        if near < own_range:
+            angle = bearings[i] - own_bearing
+            if angle >= _PI:
+                angle -= 2.0 * _PI
+            elif angle < -_PI:
+                angle += 2.0 * _PI
+            if angle != 0.0 and fabs(angle) - _spread(near, widths[i]) < reach:
+                if side * angle < 0.0:
+                    return _BOTH
+                side = 1 if angle > 0.0 else -1
+    return side
+
+
+@cython.cfunc
+@cython.exceptval(check=False)
+def _spread(distance: cython.double, width: cython.double) -> cython.double:
+    """Half the angle in rad under which an object is seen."""
+    return 0.5 * width / max(distance, _MIN_RANGE)
+
+
+@cython.cfunc
+def _merge(xs: list, ys: list, weights: list, least: cython.double) -> cython.int:
+    """Merge points nearer than `least` m to each other, the nearest pair first.
+
+    One robot appears in pieces where rays are lost, or old while the lidar turns.
+    """
+    i: cython.Py_ssize_t
+    j: cython.Py_ssize_t
+    first: cython.Py_ssize_t = 0
+    second: cython.Py_ssize_t
+    x: cython.double
+    y: cython.double
+    apart: cython.double
+    best: cython.double
+    share: cython.double
+    while True:
+        best, second = least, 0
+        for i in range(len(xs)):
+            x, y = xs[i], ys[i]
+            for j in range(i + 1, len(xs)):
+                apart = hypot(xs[j] - x, ys[j] - y)
+                if apart < best:
+                    best, first, second = apart, i, j
+        if not second:
+            return 0
+        share = weights[second] / (weights[first] + weights[second])
+        xs[first] += (xs[second] - xs[first]) * share
+        ys[first] += (ys[second] - ys[first]) * share
+        weights[first] += weights[second]
+        del xs[second], ys[second], weights[second]
