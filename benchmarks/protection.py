@@ -41,7 +41,6 @@ from swarmd.robot.robot import Robot
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.settings import RobotSettings
 from swarmd.sensing.conditioning import ScanConditioner
-from swarmd.sensing.odometry_history import moved
 from swarmd.settings.settings import load_platform
 from swarmd.testing.scans import Disc, scan_of, trembling
 from tests.support.platforms import with_mode
@@ -176,7 +175,10 @@ class Moving:
         now, self._seq = PERIOD * self._seq, self._seq + 1
         for _ in range(4):
             now += PERIOD / 4
-            self._pose = moved(self._pose, self._twist, PERIOD / 4)
+            way, turn = PERIOD / 4 * self._twist.linear, PERIOD / 4 * self._twist.angular
+            x, y, yaw = self._pose.x, self._pose.y, self._pose.yaw + 0.5 * turn
+            x, y = x + way * math.cos(yaw), y + way * math.sin(yaw)
+            self._pose = Pose(x, y, yaw + 0.5 * turn)
             odometry = Odometry(now, self._pose, self._twist)
             self._sensors.on_odometry(odometry, now)
             self._protection.on_odometry(odometry)

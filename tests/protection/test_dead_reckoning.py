@@ -2,20 +2,16 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from swarmd.core.values import ZERO, Odometry, Pose, Twist
 from swarmd.protection.binding_range import REACTION_TIME
-from swarmd.sensing.odometry_history import MAX_EXTRAPOLATION, relative
+from swarmd.sensing.odometry_history import MAX_EXTRAPOLATION
 from tests.support.barrier_parts import DeadReckoning
-from tests.support.filter_sim import placed
 
 SPEED = st.floats(-1, 1)
-PLACE = st.floats(-5, 5)
-POSE = st.builds(Pose, PLACE, PLACE, st.floats(-3, 3))
 PERIOD = 0.05
 
 
@@ -53,14 +49,6 @@ def test_pose_is_interpolated_and_extrapolated(v: float, w: float, ago: float, a
 def test_pose_before_the_first_reading_is_extrapolated_back() -> None:
     motion, _ = driven(Twist(0.2), until=0.1)
     assert near(motion.pose(0.0, 0.3), Pose(-0.04), 1e-9)
-
-
-@given(POSE, POSE, st.tuples(PLACE, PLACE))
-def test_relative_pose_maps_points_between_frames(
-    pose: Pose, frame: Pose, point: tuple[float, float]
-) -> None:
-    here = placed(np.array([point]), relative(pose, frame))
-    assert placed(here, frame) == pytest.approx(placed(np.array([point]), pose), abs=1e-9)
 
 
 @pytest.mark.parametrize(
