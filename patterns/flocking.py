@@ -46,7 +46,6 @@ from swarmd.api import (
     clusters,
     of_threshold,
     threshold,
-    wrap,
 )
 
 # m: a wall point nearer than this to a robot belongs to the robot.
@@ -326,7 +325,7 @@ class Flocking(MovementPattern[FlockingParams]):
         """The next state, and whether the robot drives on meanwhile."""
         params = self.params
         ranges = np.where(np.isnan(scan.ranges), math.inf, np.maximum(scan.ranges, scan.range_min))
-        bearings = np.array([wrap(bearing) for bearing in scan.bearings.tolist()])
+        bearings = (scan.bearings + math.pi) % (2.0 * math.pi) - math.pi
         sector = np.rint(bearings / _SECTOR).astype(np.int64) % 4
         ahead, left, behind, right = _filled(sector, ranges < params.near)
         if ahead > _NEAR_WIDTH:
@@ -367,4 +366,4 @@ def _range(robot: Polar) -> float:
 def _filled(sector: NDArray[np.int64], is_counted: NDArray[np.bool_]) -> list[float]:
     """The rad of the sectors ahead, left, behind and right that these rays fill."""
     ray = 2.0 * math.pi / max(len(sector), 1)
-    return [ray * float(np.count_nonzero(is_counted & (sector == which))) for which in range(4)]
+    return [ray * count for count in np.bincount(sector[is_counted], minlength=4).tolist()]

@@ -60,15 +60,19 @@ class CombinedPattern(Pattern[P]):
     def step_part(self, name: str, inputs: Inputs) -> Outputs:
         """Step one part with its own messages and dt; the messages it sends get outer names."""
         part = self.parts[name]
-        inner = {outer_name(part, channel): channel for channel in part.channels}
-        heard = tuple(
-            Message(m.sender, inner[m.channel], m.value, m.age)
-            for m in inputs.messages
-            if m.channel in inner
-        )
+        heard: tuple[Message, ...] = ()
+        if inputs.messages:
+            inner = {outer_name(part, channel): channel for channel in part.channels}
+            heard = tuple(
+                Message(m.sender, inner[m.channel], m.value, m.age)
+                for m in inputs.messages
+                if m.channel in inner
+            )
         dt = inputs.now - self._stepped_at.get(name, inputs.now)
         self._stepped_at[name] = inputs.now
         outputs = part.step(msgspec.structs.replace(inputs, messages=heard, dt=dt))
+        if not outputs.messages:
+            return outputs
         messages = {outer_name(part, channel): value for channel, value in outputs.messages.items()}
         return msgspec.structs.replace(outputs, messages=messages)
 
