@@ -31,7 +31,7 @@ from swarmd.sim.cli.options import (
     scenarios,
     set_option,
 )
-from swarmd.sim.experiments.cores import MAX_PROCESSES, usable_cores
+from swarmd.sim.experiments.cores import MAX_PROCESSES, cores_of_a_run, usable_cores
 
 if TYPE_CHECKING:
     from swarmd.sim.experiments.compare import Difference, Side
@@ -89,8 +89,8 @@ def exp() -> None:
 @click.option(
     "--cores",
     type=click.IntRange(1, MAX_PROCESSES),
-    help="Processes that share the robots of each run, for large ones; results do not depend on it"
-    " [1].",
+    help="Processes that share the robots of each run; results do not depend on it [1; from 100"
+    " robots on, those that no other run uses].",
 )
 @_timeout
 @out_option(
@@ -154,6 +154,10 @@ def run(
         plan = replace(plan, shard=parse_shard(shard))
         if out is None:
             raise ConfigError("--shard needs --out DIR, so that the same command resumes the part")
+    if scheduler is None and cores is None and plan.runs:
+        at_once = min(len(plan.runs), jobs or MAX_PROCESSES)
+        shared = cores_of_a_run(usable_cores(), at_once, max(run.robots for run in plan.runs))
+        cores = shared if shared > 1 else None
     stem = Path(scenario).stem
     folder = out or new_folder(Path("experiments"), (f"{stem}-{n}" for n in itertools.count(1)))
     command = ["swarmctl", "exp", "run", scenario, "--seeds", seeds]

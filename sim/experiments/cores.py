@@ -8,6 +8,8 @@ from contextlib import suppress
 from pathlib import Path
 
 MAX_PROCESSES = 256
+LARGE_RUN = 100
+"""Robots from which a run is shared among cores that no other run uses."""
 
 
 def usable_cores(root: Path = Path("/")) -> int:
@@ -19,6 +21,14 @@ def usable_cores(root: Path = Path("/")) -> int:
     quotas = [_quota(folder) for folder in _groups(root)]
     limits = [math.ceil(quota) for quota in quotas if quota < math.inf]
     return max(1, min(len(os.sched_getaffinity(0)), *limits, MAX_PROCESSES))
+
+
+def cores_of_a_run(cores: int, runs: int, robots: int) -> int:
+    """The cores that share each of `runs` runs of `robots` robots, at least 1.
+
+    Each run has a core first: that takes less than to share one.
+    """
+    return max(1, cores // max(runs, 1)) if robots >= LARGE_RUN else 1
 
 
 def _groups(root: Path) -> list[Path]:

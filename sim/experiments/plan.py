@@ -64,11 +64,15 @@ class Run:
         return f"{name}, seed {self.seed}" if name else f"seed {self.seed}"
 
     @property
+    def robots(self) -> int:
+        """The number of robots, at least 1."""
+        groups = self.variant.effective.get("groups", {}).values()
+        return max(sum(len(g.get("robots") or ()) or g.get("count") or 1 for g in groups), 1)
+
+    @property
     def robot_seconds(self) -> float:
         """Robots times simulated seconds, to which the time that a run takes is proportional."""
-        groups = self.variant.effective.get("groups", {}).values()
-        robots = sum(len(g.get("robots") or ()) or g.get("count") or 1 for g in groups)
-        return float(self.variant.effective.get("duration", 1.0)) * max(robots, 1)
+        return float(self.variant.effective.get("duration", 1.0)) * self.robots
 
 
 @dataclass(frozen=True, slots=True)

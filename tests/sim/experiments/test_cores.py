@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from swarmd.sim.experiments.cores import usable_cores
+from swarmd.sim.experiments.cores import cores_of_a_run, usable_cores
 
 V1 = {"cpu.cfs_quota_us": "250000", "cpu.cfs_period_us": "100000"}
 
@@ -49,3 +49,20 @@ def test_the_affinity_limits_the_cores_of_a_machine_without_groups(
     monkeypatch.setattr(os, "sched_getaffinity", lambda pid: {3})
     assert usable_cores(tmp_path) == 1
     assert usable_cores() == 1
+
+
+@pytest.mark.parametrize(
+    ("cores", "runs", "robots", "share"),
+    [
+        (8, 1, 100, 8),
+        (8, 1, 99, 1),
+        (8, 3, 500, 2),
+        (2, 2, 1000, 1),
+        (1, 1, 1000, 1),
+        (2, 20, 99, 1),
+    ],
+)
+def test_a_large_run_takes_the_cores_that_no_other_run_uses(
+    cores: int, runs: int, robots: int, share: int
+) -> None:
+    assert cores_of_a_run(cores, runs, robots) == share
