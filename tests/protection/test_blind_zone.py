@@ -121,6 +121,11 @@ def test_wide_face_continues_between_its_visible_ends(speed: float) -> None:
     assert look(memory) == []
 
 
+def test_face_in_which_a_robot_begins_continues_between_its_visible_ends() -> None:
+    memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
+    assert {*range(-50, 51)} <= {*face(memory, 0.5)}
+
+
 def test_end_of_a_face_is_hidden_as_far_as_it_was_seen() -> None:
     memory = BlindZoneMemory(JACKAL.scan.range_min, SPEED, PERIOD)
     for distance in np.arange(1.0, 0.45, -0.03):

@@ -255,6 +255,24 @@ def test_two_rays_in_one_direction_keep_a_memory_each(module: Any) -> None:
     assert got.tolist() == np.where(is_known, 1.5, first).tolist()
 
 
+@pytest.mark.parametrize("module", PATHS)
+@pytest.mark.parametrize("unevenness", [0.0, 0.3])
+@pytest.mark.parametrize("turned", [0.3, -1.0])
+def test_lost_rays_have_the_range_that_was_measured_nearest_to_their_direction(
+    module: Any, unevenness: float, turned: float
+) -> None:
+    grid = np.arange(360) * math.tau / 360
+    bearings = grid + unevenness * np.sin(grid)
+    memory = module.RayMemory(replace(load_platform("burger").scan, bearings=grid),
+                              guesses_near=False)  # fmt: skip
+    first, is_lost = np.linspace(1.0, 2.0, 360), np.arange(360) % 9 == 0
+    memory.condition(first, bearings, 0.0, 1.0)
+    got = memory.condition(np.where(is_lost, np.nan, 1.5), bearings, turned, 1.1)
+    turned = round(turned / (math.tau / 360)) * math.tau / 360
+    apart = (bearings + turned - bearings[:, None] + math.pi) % math.tau - math.pi
+    np.testing.assert_array_equal(got, np.where(is_lost, first[np.abs(apart).argmin(axis=0)], 1.5))
+
+
 @needs_compiled
 @given(seed=SEEDS, n=st.integers(1, 60), steps=st.integers(2, 12))
 def test_rays_are_moved_as_by_the_interpreted_file(seed: int, n: int, steps: int) -> None:
