@@ -69,7 +69,7 @@ class Decoder(Generic[T]):
 def encode_value(value: Any) -> bytes:
     """Encode a pattern's message. Raises CodecError if it cannot be sent."""
     try:
-        payload: bytes = _PREFIX + _msgpack().packb(value, use_bin_type=True)
+        payload: bytes = _PREFIX + _packer().pack(value)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise CodecError(f"a message must be made of MessagePack's types: {error}") from error
     if _is_deeper(value, MAX_DEPTH):
@@ -120,6 +120,11 @@ def _msgpack() -> Any:
     import msgpack  # swarmctl does without; importing it takes 2 ms
 
     return msgpack
+
+
+@cache
+def _packer() -> Any:
+    return _msgpack().Packer(use_bin_type=True)
 
 
 def _body(payload: bytes, limit: int, *, any_version: bool = False) -> memoryview:

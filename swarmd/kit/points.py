@@ -47,8 +47,6 @@ def polar_from_base(points: Iterable[Sequence[float]], offset: Pair) -> list[Pai
     """
     distance: cython.double
     bearing: cython.double
-    x: cython.double
-    y: cython.double
     forward: cython.double = offset[0]
     left: cython.double = offset[1]
     found = []
@@ -94,7 +92,6 @@ class NearPoints:
         distance: cython.double
         toward_x: cython.double
         toward_y: cython.double
-        excess: cython.double
         # The nearest come last, so that their limits hold exactly.
         for distance, toward_x, toward_y in self._farthest_first:
             if brake == 0.0:
@@ -118,12 +115,11 @@ class NearPoints:
         """The command along the vector x, y as by the function `steer`."""
         distance: cython.double
         toward_x: cython.double
-        ahead: cython.double
         length: cython.double = math.hypot(x, y)
         if not _MIN_LENGTH < length < INFINITY:
             return ZERO
-        side: cython.double = -1.0 if may_back and x < 0.0 else 1.0
-        error: cython.double = atan2(side * y, side * x)
+        side = -1.0 if may_back and x < 0.0 else 1.0
+        error = atan2(side * y, side * x)
         share: cython.double = min(length, _MAX_REVERSE_SHARE if side < 0.0 else 1.0)
         share *= math.pow(max(cos(error), 0.0), 2.0)
         for distance, toward_x, _ in self._farthest_first:
@@ -132,7 +128,7 @@ class NearPoints:
                 if brake == 0.0:
                     raise ZeroDivisionError("brake is 0 m")
                 share = min(share, max(distance - spacing, 0.0) / (brake * ahead))
-        turn: cython.double = min(max(_HEADING_GAIN * error, -angular_max), angular_max)
+        turn = min(max(_HEADING_GAIN * error, -angular_max), angular_max)
         return Twist(side * share * linear_max, turn)
 
 
@@ -166,9 +162,9 @@ def robot_centers(
             if side == _BOTH:
                 continue
             if side:
-                shown: cython.double = half / max(away, _MIN_RANGE)
+                shown = half / max(away, _MIN_RANGE)
                 half = max(half, usual)
-                hidden: cython.double = asin(half / max(away + half, _MIN_RANGE)) - shown
+                hidden = asin(half / max(away + half, _MIN_RANGE)) - shown
                 bearing += side * max(hidden, 0.0)
         found.append((away + half, bearing))
         weights.append(counts[i])
@@ -191,7 +187,7 @@ def _hidden_side(
     i: cython.Py_ssize_t
     own_range: cython.double = ranges[index]
     own_bearing: cython.double = bearings[index]
-    reach: cython.double = _spread(own_range, widths[index]) + _MAX_OCCLUSION_ANGLE
+    reach = _spread(own_range, widths[index]) + _MAX_OCCLUSION_ANGLE
     near: cython.double
     angle: cython.double
     side: cython.int = 0
@@ -229,9 +225,6 @@ def _merge(xs: list, ys: list, weights: list, least: cython.double) -> cython.in
     second: cython.Py_ssize_t
     x: cython.double
     y: cython.double
-    apart: cython.double
-    best: cython.double
-    share: cython.double
     while True:
         best, second = least, 0
         for i in range(len(xs)):

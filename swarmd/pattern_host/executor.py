@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from swarmd.core import host_messages
 from swarmd.core.errors import ParameterError, PluginError, SwarmError, named
 from swarmd.core.messages import Refusal
-from swarmd.core.values import Inputs, Message, Outputs, Platform, Twist
+from swarmd.core.values import Inputs, Message, Outputs, Platform, Scan, Twist
 from swarmd.kit.condition_state import UntilConditions, until_conditions
 from swarmd.kit.factory import Assembled, Find, assemble, full_layers
 from swarmd.kit.params import Params, build, schema
@@ -37,6 +37,7 @@ class PatternExecutor:
         self._load: host_messages.Load | None = None
         self._assembled: Assembled | None = None
         self._until: UntilConditions | None = None
+        self._scan: Scan | None = None  # of the last step
 
     def handle(self, command: host_messages.SentCommand) -> host_messages.SentEvent | None:
         """Carry a command out; None if it belongs to another generation."""
@@ -85,6 +86,11 @@ class PatternExecutor:
         assert self._assembled is not None
         pattern = self._assembled.pattern
         inputs, dropped = _typed(step.inputs, pattern.channels)
+        scan, last = inputs.scan, self._scan
+        # Each frame holds its own copy of a scan, and patterns look once at each.
+        if scan is not last and scan and last and scan.seq == last.seq and not inputs.is_new_scan:
+            inputs = replace(inputs, scan=last)
+        self._scan = inputs.scan
         try:
             outputs = checked_outputs(pattern.step(inputs), pattern.channels)
         except MemoryError:
@@ -93,7 +99,7 @@ class PatternExecutor:
             return host_messages.PatternFailed(step.generation, _fault_of(error).text)
         if self._until is not None:
             outputs = self._until.apply(inputs, outputs)
-        scan_seq = -1 if inputs.scan is None else inputs.scan.seq
+        scan_seq = -1 if scan is None else scan.seq
         return host_messages.Stepped(step.generation, outputs, scan_seq, dropped)
 
     def _on_set(self, command: host_messages.SetParams) -> host_messages.SentEvent:

@@ -52,9 +52,10 @@ def test_extension_types_are_unreadable(value: object) -> None:
 
 
 @pytest.mark.parametrize("value", [object(), "x" * MAX_MESSAGE, {1, 2}, 2**70])
-def test_an_unsendable_value_is_an_error(value: object) -> None:
+def test_an_unsendable_value_is_an_error_and_leaves_nothing_behind(value: object) -> None:
     with pytest.raises(CodecError):
-        encode_value(value)
+        encode_value([1, value])
+    assert encode_value(3) == b"\x01\x03"
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,9 @@ from swarmd.core.values import Inputs, Message, Outputs, Twist
 from swarmd.kit.behavior import Pattern
 from swarmd.kit.params import Params
 from swarmd.pattern_host.executor import PatternExecutor
+from swarmd.pattern_host.wire import decode_command, encode_command
 from swarmd.settings.settings import load_platform
+from swarmd.testing.scans import scan_of
 
 
 def step_giving(outputs: Any, channels: Mapping[str, type]) -> SentEvent | None:
@@ -92,6 +94,24 @@ def test_a_pattern_gets_messages_of_its_own_in_the_type_of_their_channel(
     assert type(heard[0]) is kind
     if kind is list:
         assert heard[0] is not value
+
+
+def test_a_scan_is_one_object_in_all_its_steps() -> None:
+    seen: list[Any] = []
+
+    class Looker(Pattern[Params]):
+        def step(self, inputs: Inputs) -> Outputs:
+            seen.append(inputs.scan)
+            return Outputs()
+
+    platform = load_platform("burger")
+    executor = PatternExecutor(lambda name: Looker)
+    executor.handle(Load(1, "looker", (), "r1", platform, 1))
+    for seq, is_new in ((1, True), (1, False), (2, True), (1, True), (2, False), (2, True)):
+        scan = scan_of(platform, seq=seq)
+        frame = encode_command(Step(1, Inputs(0.0, 0.0, scan, is_new_scan=is_new)))
+        executor.handle(decode_command(frame))
+    assert [seen.index(one) for one in seen] == [0, 0, 2, 3, 4, 5]
 
 
 @pytest.mark.parametrize("outputs", [None, Twist(0.1), Outputs(twist=(0.1, 0.0))])  # type: ignore[arg-type]  # the mistake
