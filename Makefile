@@ -25,7 +25,7 @@ help:
 	@echo "make docs      the site of the documentation, in build/site; open index.html, no network needed"
 	@echo "make format    formats the code and applies the fixes of the linter"
 	@echo "make bench     the measurements, beside their budgets (ARGS=latency picks one)"
-	@echo "make budget    each budget beside a short measurement, in a minute and a half"
+	@echo "make budget    each budget beside a short measurement, in two minutes"
 	@echo "make network   are the answers of swarmctl true on a bad radio; as root, half an hour"
 	@echo "make network-scale  packets, bytes, CPU and memory of 10, 20 and 40 robots; as root"
 	@echo "make evidence  long tests, then the four studies below; hours on two cores"
@@ -98,7 +98,7 @@ format: $(VENV)/tools
 bench: $(VENV)/tools
 	@$(BIN)/python -m benchmarks $(ARGS)
 
-# Every row of the budgets in a minute and a half.
+# Every row of the budgets in two minutes.
 budget: $(VENV)/tools
 	@$(BIN)/python -m benchmarks.budget
 

@@ -20,7 +20,7 @@ from benchmarks.table import Row, print_table
 from swarmd.core.messages import State
 
 ROBOTS = 7
-REFLEX_BUDGET, FULL_BUDGET = "p50 1.3 ms, p99 4 ms", "p50 1.8 ms, p99 6 ms"
+REFLEX_BUDGET, FULL_BUDGET = "p50 1.2 ms, p99 4 ms", "p50 1.8 ms, p99 6 ms"
 SECONDS = 62.0  # 5 Hz: over 300 scans of each robot
 CYCLES = 10  # of run, endless loops, quarantine, reset
 KILL_TIME = 1.5  # s after which the last looping host has been killed

@@ -48,6 +48,9 @@ from tests.support.platforms import with_mode
 MODES: tuple[Mode, ...] = ("barrier", "potential_field", "stop_zone")
 REQUESTED = Twist(0.2, 0.1)
 PERIOD = 0.2
+SCAN_BUDGET, MOVING_BUDGET = "p99 0.1 ms", "p99 0.2 ms"
+DECISION_BUDGETS = {1: "p50 15 us", 8: "p50 30 us"}
+"""By neighbours."""
 MOTIONS = {
     "at rest": Twist(),
     "turning with the sweep": Twist(0.1, -1.0),
@@ -202,7 +205,8 @@ def moving_rows(platform: Platform) -> Iterator[Row]:
         for what, twist in MOTIONS.items():
             moving = Moving(platform, among(platform, neighbors), twist)
             name = f"scan with de-skew and decision, {what}, {neighbors} neighbours"
-            yield Row(name, measure_each(moving.prepare), "p99 0.25 ms")
+            budget = SCAN_BUDGET if what == "at rest" else MOVING_BUDGET
+            yield Row(name, measure_each(moving.prepare), budget)
 
 
 def mode_rows(platform: Platform) -> Iterator[Row]:
@@ -213,9 +217,9 @@ def mode_rows(platform: Platform) -> Iterator[Row]:
             decider = Decider(one, among(one, neighbors))
             what = f"{mode}, {neighbors} neighbours"
             is_barrier = mode == "barrier"
-            budget = "p99 0.25 ms" if is_barrier else "p99 1 ms"
+            budget = SCAN_BUDGET if is_barrier else "p99 1 ms"
             yield Row(f"scan and decision, {what}", measure(decider.scan), budget)
-            budget = "p50 30 us" if is_barrier else ""
+            budget = DECISION_BUDGETS.get(neighbors, "") if is_barrier else ""
             yield Row(f"decision alone, {what}", measure(decider.requested), budget)
 
 

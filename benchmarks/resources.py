@@ -21,6 +21,8 @@ ROBOTS = 7
 SECONDS = 25.0
 GATHERING = 15.0  # s until the robots are near each other
 KINDS = "Rss", "Pss"
+MEMORY_BUDGETS = {"Rss": "90 MB", "Pss": "45 MB"}
+IDLE_BUDGET, CPU_BUDGET = "1.2 %", "2.2 %"
 TICK = os.sysconf("SC_CLK_TCK")
 
 
@@ -50,13 +52,14 @@ def rows(seconds: float = SECONDS) -> Iterator[Row]:
         passed = time.monotonic() - start
         used = {pid: 100.0 * (cpu_seconds(pid) - before[pid]) / passed for pid in pids}
         rss, pss = ([[memory(pid, kind) for pid in pair] for pair in pairs] for kind in KINDS)
-    for kind, both, budget in (("RSS", rss, "95 MB"), ("PSS", pss, "50 MB")):
-        yield Row(f"{kind}, daemon + host", [sum(pair) for pair in both], budget, unit="MB")
-        yield Row(f"{kind}, daemon", [daemon for daemon, _ in both], unit="MB")
-        yield Row(f"{kind}, host", [host for _, host in both], unit="MB")
+    for kind, both in zip(KINDS, (rss, pss), strict=True):
+        sums, budget = [sum(pair) for pair in both], MEMORY_BUDGETS[kind]
+        yield Row(f"{kind.upper()}, daemon + host", sums, budget, unit="MB")
+        yield Row(f"{kind.upper()}, daemon", [daemon for daemon, _ in both], unit="MB")
+        yield Row(f"{kind.upper()}, host", [host for _, host in both], unit="MB")
     note = f"of one core, over {passed:.0f} s"
     cpu = [(used[daemon], used[host]) for daemon, host in pairs]
-    yield Row("CPU, daemon + host", [sum(pair) for pair in cpu], "2.5 %", note, "%")
+    yield Row("CPU, daemon + host", [sum(pair) for pair in cpu], CPU_BUDGET, note, "%")
     yield Row("CPU, daemon", [daemon for daemon, _ in cpu], unit="%")
     yield Row("CPU, host", [host for _, host in cpu], unit="%")
     yield Row("CPU, world of 7", [used[swarm.world.pid]], unit="%")

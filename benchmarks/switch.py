@@ -44,7 +44,7 @@ def rows(robots: int = ROBOTS, runs: int = RUNS) -> Iterator[Row]:
         requests = [swarm.run(next(patterns)).seconds for _ in range(runs)]
         stops = [timed(swarm, "stop") for _ in range(runs)]
     note = "process start to answer"
-    yield Row(f"swarmctl run --all, {robots} daemons", switches, "0.3 s", f"{note}, all acked")
+    yield Row(f"swarmctl run --all, {robots} daemons", switches, "0.25 s", f"{note}, all acked")
     yield Row(f"its request alone, {robots} daemons", requests, note="in an open session")
     yield Row(f"swarmctl stop, {robots} daemons", stops, note=note)
 
