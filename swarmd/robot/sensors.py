@@ -266,10 +266,9 @@ class Sensors:
             return self.driver_hold
         if self.hazards.holds(now):
             return Reason.HAZARD
-        age = self.scan_age(now)
-        if age is None:
+        if self._scan_at is None:
             return self._problem or Reason.NO_SCAN
-        delay = self.scan_delay
+        age, delay = now - self._scan_at, self.scan_delay
         is_late = delay.is_late and delay.added > self.permitted_delay
         if is_late and age <= self._stale_after:
             return Reason.LATE_SCAN

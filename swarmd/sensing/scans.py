@@ -753,6 +753,7 @@ class RayMotion:
     latest = cython.declare(cython.double, visibility="readonly")
     _stale_after: cython.double
     _limits: cython.double[::1]
+    _odometry: object
     # The last readings: stamp, x, y, yaw, linear, angular, lateral.
     _readings: cython.double[::1]
     _last: cython.Py_ssize_t
@@ -781,27 +782,16 @@ class RayMotion:
 
         A new reading whose stamp does not rise, or whose pose jumps, ends the history before it.
         """
-        pose, twist = odometry.pose, odometry.twist
+        if odometry == self._odometry:
+            return
+        self._odometry, pose, twist = odometry, odometry.pose, odometry.twist
         stamp: cython.double = odometry.stamp
         x: cython.double = pose.x
         y: cython.double = pose.y
         yaw: cython.double = pose.yaw
-        linear: cython.double = twist.linear
-        angular: cython.double = twist.angular
-        lateral: cython.double = twist.lateral
         r: cython.double[::1] = self._readings
         at: cython.Py_ssize_t = 7 * self._last
         if self._known:
-            if (
-                r[at] == stamp
-                and r[at + 1] == x
-                and r[at + 2] == y
-                and r[at + 3] == yaw
-                and r[at + 4] == linear
-                and r[at + 5] == angular
-                and r[at + 6] == lateral
-            ):
-                return
             apart: cython.double = hypot(x - r[at + 1], y - r[at + 2])
             apart = max(apart, fabs(remainder(yaw - r[at + 3], _TURN)))
             if stamp <= r[at] or apart > _MAX_STEP + _MAX_SPEED * (stamp - r[at]):
@@ -810,7 +800,7 @@ class RayMotion:
         self._known = min(self._known + 1, _READINGS)
         at = 7 * self._last
         r[at], r[at + 1], r[at + 2], r[at + 3] = stamp, x, y, yaw
-        r[at + 4], r[at + 5], r[at + 6] = linear, angular, lateral
+        r[at + 4], r[at + 5], r[at + 6] = twist.linear, twist.angular, twist.lateral
         self.latest = stamp
 
     def set_rays(self, rays):
@@ -1620,7 +1610,6 @@ class Turns:
         """Keep a heading."""
         rate: cython.double = odometry.twist.angular
         stamp: cython.double = odometry.stamp
-        k: cython.Py_ssize_t
         self._slow_rate += 0.1 * (rate - self._slow_rate)
         if fabs(rate - self._slow_rate) > _MIN_RATE_CHANGE:
             self._changed_at = stamp
@@ -1629,11 +1618,8 @@ class Turns:
             return
         yaw: cython.double = self.pose.yaw
         if self._end == 4 * _HISTORY:
-            for k in range(_HISTORY):
-                self._times[k], self._yaws[k] = (
-                    self._times[3 * _HISTORY + k],
-                    self._yaws[3 * _HISTORY + k],
-                )
+            self._times[:_HISTORY] = self._times[3 * _HISTORY :]
+            self._yaws[:_HISTORY] = self._yaws[3 * _HISTORY :]
             self._first, self._end = 0, _HISTORY
         if self._end > self._first:
             self._total += remainder(yaw - self._yaw, _TURN)
