@@ -119,14 +119,16 @@ def test_the_lidar_ignores_walls_and_objects_out_of_range() -> None:
     )
 
 
+@pytest.mark.parametrize("turn", [0.0, math.pi - 0.03, math.pi + 0.03])
 @pytest.mark.parametrize("side", [-1.0, 1.0])
-def test_the_center_of_a_half_hidden_robot_is_found(side: float) -> None:
-    behind = (2.2, side * 0.14)
-    scan = scan_of(BURGER, [Disc(1.1, 0.0, 0.09), Disc(*behind, 0.09)])
-    found = robot_centers(scan, reach=3.5, width=0.5, offset=OFFSET)
-    assert len(found) == 2
-    far = found[np.argmax(found[:, 0])]
-    np.testing.assert_allclose(far, behind, atol=0.05)
+def test_the_center_of_a_half_hidden_robot_is_found(side: float, turn: float) -> None:
+    # The third is nearer than the one behind, but aside of it, and hides nothing.
+    places = np.array([1.1, 2.2 + side * 0.14j, side * 1.0j]) * np.exp(1j * turn)
+    discs = [Disc(place.real, place.imag, 0.09) for place in places.tolist()]
+    found = robot_centers(scan_of(BURGER, discs), reach=3.5, width=0.5, offset=OFFSET)
+    assert len(found) == 3
+    far = found[np.argmax(np.hypot(*found.T))]
+    np.testing.assert_allclose(far, (places[1].real, places[1].imag), atol=0.05)
 
 
 def test_a_robot_seen_in_pieces_is_merged() -> None:
