@@ -24,7 +24,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import HostEvent, Loaded, LoadRefused, PatternFailed, TrialDone
 from swarmd.core.messages import Sandbox
 from swarmd.core.processes import OUT_OF_MEMORY, how_it_ended
-from swarmd.pattern_host.forked import ONE_THREAD, host_sockets, take_forked_host
+from swarmd.pattern_host.forked import ONE_THREAD, ForkedHost, host_sockets, take_forked_host
 from swarmd.pattern_host.wire import decode_event, decode_sandbox
 from swarmd.robot.pattern_run import LOAD_TIMEOUT
 
@@ -80,6 +80,7 @@ class HostProcess:
         folders = [[str(path.absolute()) for path in settings.readable]]
         folders += [[str(path.absolute()) for path in settings.secret]]
         forked = take_forked_host(folders, settings.printed)
+        self.process: subprocess.Popen[bytes] | ForkedHost
         self.process, self.socket = forked or _execute(folders, settings.printed)
         self.socket.setblocking(False)
         self._pidfd = os.pidfd_open(self.process.pid)
