@@ -37,7 +37,11 @@ from swarmd.sim.world.radio import RadioSettings
 
 WORLD = "world"
 WHOLE_BODIES = "every lidar sees whole bodies here (lidar_visibility: body)"
-DAEMON_MODULES = ("swarmd.cli.daemon", "swarmd.daemon.daemon", "zenoh")
+FORKED_DAEMON = "swarmd.sim.live.forked_daemon"
+DAEMON_MODULES = (
+    *(FORKED_DAEMON, "swarmd.daemon.daemon", "swarmd.drivers.simulated"),
+    *("swarmd.pattern_host.worker", "zenoh"),
+)
 KILL_DELAY = 2.0  # s between TERM and KILL
 WORLD_TIMEOUT = 30.0  # s; MuJoCo's first import from a cold disk is slow
 
@@ -142,7 +146,7 @@ class Fleet:
         """Start the daemon of a robot that has none."""
         words = ("--config", str(self.spec.folder / f"{robot}.yaml"))
         log = self.spec.folder / f"{robot}.log"
-        daemon = fork_main(robot, "swarmd.cli.daemon", words, stdout=None, stderr=log)
+        daemon = fork_main(robot, FORKED_DAEMON, words, stdout=None, stderr=log)
         self._children.append(Child(robot, daemon, log))
 
     def end_daemon(self, robot: str, *, in_order: bool) -> None:

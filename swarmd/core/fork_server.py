@@ -6,6 +6,7 @@ daemons are ready after a third of the time that they take one by one with impor
 
 from __future__ import annotations
 
+import gc
 import multiprocessing
 import os
 import signal
@@ -21,6 +22,8 @@ from types import ModuleType
 # Of the server. Safe path: a random.py where this is called is not to shadow a module. A BLAS with
 # threads would not outlive a fork.
 _ENVIRON = {"PYTHONSAFEPATH": "1", "OPENBLAS_NUM_THREADS": "1"}
+SERVER_PATH = tuple(sys.path)
+"""In a fork: the import path of the server, without the folder of the program that started it."""
 
 
 class ForkedProcess:
@@ -117,6 +120,7 @@ def _run(
     os.environ.clear()
     os.environ.update(environ)
     sys.argv = [module, *arguments, "--die-with-parent", str(os.getppid())]
+    gc.freeze()  # a collection writes to pages that are shared
     import_module(module).main()
 
 

@@ -24,6 +24,7 @@ from swarmd.core.errors import CodecError
 from swarmd.core.host_messages import HostEvent, Loaded, LoadRefused, PatternFailed, TrialDone
 from swarmd.core.messages import Sandbox
 from swarmd.core.processes import OUT_OF_MEMORY, how_it_ended
+from swarmd.pattern_host.forked import ONE_THREAD, ForkedHost, host_sockets, take_forked_host
 from swarmd.pattern_host.wire import decode_event, decode_sandbox
 from swarmd.robot.pattern_run import LOAD_TIMEOUT
 
@@ -76,25 +77,12 @@ class HostProcess:
         self._loop = loop
         self.owner = owner
         self.sandbox: Sandbox | None = None
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        self.socket = ours
-        ours.setblocking(False)
-        ours.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
-        theirs.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
-        # -P: a random.py in the current folder must not shadow a module.
-        command = [sys.executable, "-P", "-m", "swarmd.pattern_host.worker"]
         folders = [[str(path.absolute()) for path in settings.readable]]
         folders += [[str(path.absolute()) for path in settings.secret]]
-        command += [str(theirs.fileno()), str(os.getpid()), msgspec.json.encode(folders).decode()]
-        with theirs:
-            self.process = subprocess.Popen(
-                command,
-                pass_fds=(theirs.fileno(),),
-                start_new_session=True,
-                stdin=subprocess.DEVNULL,
-                stderr=settings.printed,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-            )
+        forked = take_forked_host(folders, settings.printed)
+        self.process: subprocess.Popen[bytes] | ForkedHost
+        self.process, self.socket = forked or _execute(folders, settings.printed)
+        self.socket.setblocking(False)
         self._pidfd = os.pidfd_open(self.process.pid)
         loop.add_reader(self.socket, self._on_readable)
         loop.add_reader(self._pidfd, self._on_end)  # end of file never comes if a pattern forked
@@ -144,6 +132,25 @@ class HostProcess:
             self._loop.remove_reader(self.socket)
             self.socket.close()
             self.owner.on_end(self, code)
+
+
+def _execute(
+    folders: Sequence[Sequence[str]], printed: int
+) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    ours, theirs = host_sockets()
+    # -P: a random.py in the current folder must not shadow a module.
+    command = [sys.executable, "-P", "-m", "swarmd.pattern_host.worker"]
+    command += [str(theirs.fileno()), str(os.getpid()), msgspec.json.encode(folders).decode()]
+    with theirs:
+        process = subprocess.Popen(
+            command,
+            pass_fds=(theirs.fileno(),),
+            start_new_session=True,
+            stdin=subprocess.DEVNULL,
+            stderr=printed,
+            env={**os.environ, **ONE_THREAD},
+        )
+    return process, ours
 
 
 def trial_done(generation: int, event: HostEvent | None) -> TrialDone:

@@ -39,8 +39,12 @@ def main() -> None:
 
     The daemon's socket and id, and the folders that `confine` takes, readable and secret, as JSON.
     """
-    fd, parent = map(int, sys.argv[1:3])
-    readable, secret = msgspec.json.decode(sys.argv[3], type=tuple[list[str], list[str]])
+    run(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3].encode())
+
+
+def run(fd: int, parent: int, folders: bytes) -> None:
+    """Be the host of the daemon `parent` until its socket `fd` closes; `folders` as in `main`."""
+    readable, secret = msgspec.json.decode(folders, type=tuple[list[str], list[str]])
     die_with_parent(parent)
     _lower_priority()
     os.set_inheritable(fd, False)

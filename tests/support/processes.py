@@ -18,7 +18,7 @@ import yaml
 from swarmd.core.fork_server import ForkedProcess, fork_main, start_server
 from swarmd.core.values import Value
 from swarmd.driver_api.watchdog import watchdog_name
-from swarmd.sim.live.fleet import DAEMON_MODULES
+from swarmd.sim.live.fleet import DAEMON_MODULES, FORKED_DAEMON
 from swarmd.testing.driver_contract import is_running
 
 CAP = 60.0
@@ -108,7 +108,7 @@ class DaemonProcess:
         words = ("--config", str(config))
         if not (prefix or environ) and module == DAEMON and "SWARMD_COMPILED" not in os.environ:
             start_server(DAEMON_MODULES)
-            self.process = fork_main(robot, *DAEMON, words, stdout=self.out, stderr=self.log)
+            self.process = fork_main(robot, FORKED_DAEMON, words, stdout=self.out, stderr=self.log)
             return
         command = [*prefix, sys.executable, "-m", *module, *words]
         command += ["--die-with-parent", str(os.getpid())]

@@ -16,6 +16,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.core.messages import State
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
+from swarmd.pattern_host.worker import NICE
 from swarmd.sim.live.fleet import Fleet, FleetSpec, Ready, daemon_config, robot_ids, world_options
 from swarmd.sim.live.starting import await_robots, statuses_of
 from tests.support.processes import children, unique_swarm, wait_until
@@ -59,6 +60,21 @@ def up(spec: FleetSpec) -> Iterator[Fleet]:
         view = await_robots(operator, fleet)
         assert {s.state for s in statuses_of(view).values()} == {State.IDLE}
         yield fleet
+
+
+def test_a_forked_host_keeps_nothing_of_its_daemon(tmp_path: Path) -> None:
+    with up(make_spec(tmp_path, robots={"tb3-01": "burger"})) as fleet:
+        daemon = fleet.pids["tb3-01"]
+        (host,) = children(daemon)
+        own = Path(f"/proc/{host}")
+        assert (own / "comm").read_text() == "swarmd-host\n"
+        kinds = sorted(os.readlink(one).split(":")[0] for one in (own / "fd").iterdir())
+        assert kinds == ["/dev/null", "pipe", "pipe", "socket"]
+        assert os.getsid(host) == os.getpgid(host) == host
+        status = dict(line.split(":\t", 1) for line in (own / "status").read_text().splitlines())
+        assert (status["Seccomp"], status["Threads"]) == ("2", "1")
+        nice = os.getpriority(os.PRIO_PROCESS, daemon) + NICE
+        assert os.getpriority(os.PRIO_PROCESS, host) == min(nice, 19)
 
 
 @pytest.mark.parametrize(

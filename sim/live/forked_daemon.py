@@ -1,0 +1,12 @@
+"""The daemon of a simulated robot as a fork, with a pattern host that is a fork, too."""
+
+from __future__ import annotations
+
+from swarmd.cli import daemon
+from swarmd.pattern_host.forked import fork_host
+
+
+def main() -> None:
+    """Run `swarmd` with the arguments of this process."""
+    fork_host()
+    daemon.main()

@@ -1,0 +1,94 @@
+"""A pattern host forked ahead of its daemon, from a process that shares its imports.
+
+It is forked before the daemon reads settings and keys, opens a session or starts a thread, and
+keeps no descriptor of it. It waits for the daemon to use it as its first host.
+"""
+
+from __future__ import annotations
+
+import os
+import socket
+import sys
+import traceback
+from collections.abc import Sequence
+from pathlib import Path
+
+import msgspec
+
+from swarmd.core.fork_server import SERVER_PATH
+from swarmd.core.processes import die_with_parent
+
+ONE_THREAD = {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
+_VARIABLE = "SWARMD_FORKED_HOST"
+
+
+class ForkedHost:
+    """A child that is a pattern host, with what is used of `subprocess.Popen`."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid = pid
+
+    def wait(self) -> int:
+        """Wait for its end; the exit code, less than 0 for a signal."""
+        return os.waitstatus_to_exitcode(os.waitpid(self.pid, 0)[1])
+
+
+def host_sockets() -> tuple[socket.socket, socket.socket]:
+    """The daemon's and the host's end of a new socket pair."""
+    pair = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    for end in pair:
+        end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 1 << 18)
+    return pair
+
+
+def fork_host() -> None:
+    """Fork a host for this process, which becomes a daemon; before all threads and secrets."""
+    ours, theirs = host_sockets()
+    parent = os.getpid()
+    pid = os.fork()
+    if not pid:
+        try:
+            _become_host(theirs.detach(), parent)
+        except BaseException:
+            traceback.print_exc()
+        finally:
+            os._exit(1)
+    theirs.close()
+    os.environ[_VARIABLE] = f"{pid} {ours.detach()}"
+
+
+def take_forked_host(
+    folders: Sequence[Sequence[str]], printed: int
+) -> tuple[ForkedHost, socket.socket] | None:
+    """The host that was forked for this process and its socket, once; None if there is none.
+
+    `folders` and `printed` as those of a host that is started by exec.
+    """
+    pid, _, fd = os.environ.pop(_VARIABLE, "").partition(" ")
+    if not fd:
+        return None
+    ours = socket.socket(fileno=int(fd))
+    socket.send_fds(ours, [msgspec.json.encode(folders)], [printed])
+    return ForkedHost(int(pid)), ours
+
+
+def _become_host(fd: int, parent: int) -> None:
+    from swarmd.pattern_host import worker  # a daemon by itself need not import it
+
+    die_with_parent(parent)
+    os.setsid()
+    Path("/proc/self/comm").write_text("swarmd-host")
+    sys.stdin = open(0, closefd=False)  # noqa: SIM115
+    os.closerange(3, fd)
+    os.closerange(fd + 1, os.sysconf("SC_OPEN_MAX"))
+    sys.path[:] = SERVER_PATH  # without the folder of the program that wants a fleet
+    os.environ.update(ONE_THREAD)
+    with socket.socket(fileno=os.dup(fd)) as daemon:
+        folders, descriptors, _, _ = socket.recv_fds(daemon, 1 << 18, 1)
+    if not descriptors:  # the daemon ended before it had a use for a host
+        os._exit(0)
+    os.dup2(descriptors[0], 2)
+    os.close(descriptors[0])
+    worker.run(fd, parent, folders)
+    sys.stdout.flush()
+    os._exit(0)
