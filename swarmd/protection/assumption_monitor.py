@@ -391,8 +391,10 @@ class AssumptionMonitor:
 
     def _braked(self, is_linear: bool, is_angular: bool) -> str:
         """The event of the axes that have just violated their braking; empty without any."""
+        if not (is_linear or is_angular):
+            return ""
         found = [self._linear.evidence] * is_linear + [self._angular.evidence] * is_angular
-        return self._reduced("; ".join(found)) if found else ""
+        return self._reduced("; ".join(found))
 
     def _reduce(self) -> None:
         brakes = (brake.braking / brake.declared for brake in (self._linear, self._angular))

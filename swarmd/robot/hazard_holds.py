@@ -42,7 +42,7 @@ class HazardHolds:
 
     def holds(self, now: float) -> bool:
         """True while a hazard is reported, or was less than CLEAR_TIME ago."""
-        return any(now < until for until in self._until.values())
+        return bool(self._until) and any(now < until for until in self._until.values())
 
     @property
     def ends_run(self) -> bool:
