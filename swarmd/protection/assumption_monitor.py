@@ -145,6 +145,8 @@ class _Brake:
             level = max(stop.sign * command, 0.0)
             stop.least = min(level, stop.least)
             return level > stop.least + _RISES * stop.begin and self._end()
+        if (before - command if before > 0.0 else command - before) < self._min_drop:
+            return False
         begin = abs(before)
         level = max(math.copysign(1.0, before) * command, 0.0)
         if begin - level < self._min_drop or begin - level < _MIN_DROP_SHARE * begin:

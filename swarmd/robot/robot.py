@@ -464,12 +464,13 @@ class Robot:
             return
         due = self._lifecycle.due_at()
         if self._machine.state is State.RUNNING:
-            due = min(due, self._sensors.hold_due_at())
+            held_at = self._sensors.hold_due_at()
+            due = held_at if held_at < due else due
         self._due_at = due - ROUNDING
         if not self._is_status_due:
-            step_at = self._run.step_due_at()
-            status_at = self._published_at + STATUS_PERIOD
-            self._quiet_until = min(due, step_at, status_at) - ROUNDING
+            step_at, status_at = self._run.step_due_at(), self._published_at + STATUS_PERIOD
+            due = step_at if step_at < due else due
+            self._quiet_until = (status_at if status_at < due else due) - ROUNDING
 
     def _log_restart(self, now: float) -> None:
         text = "stamps of odometry or scan jumped: the scan delay is measured anew"
