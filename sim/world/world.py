@@ -227,10 +227,10 @@ class World:
 
     def odometry(self, robots: Indices | None = None) -> list[Odometry]:
         """The next reading of each of `robots` (all if None), in the frame of its own start."""
-        chosen = np.arange(len(self.ids)) if robots is None else robots
+        chosen, now = np.arange(len(self.ids)) if robots is None else robots, self.time
         poses, twists = self._odometers.read(chosen, self._places(), self.twists())
         return [
-            Odometry(self.time, Pose(*pose), Twist(*twist))
+            Odometry(now, Pose(*pose), Twist(*twist))
             for pose, twist in zip(poses.tolist(), twists.tolist(), strict=True)
         ]
 

@@ -86,7 +86,7 @@ class Protection:
     """Decides on the safe command of one robot; never off. Its state comes from its calls alone.
 
     `seed` decides the side on which recovery passes an obstacle. `events`: what the caller has yet
-    to log.
+    to log. `following`: whether the base of a running robot follows the safe commands.
     """
 
     def __init__(self, platform: Platform, seed: str = "") -> None:
@@ -96,7 +96,7 @@ class Protection:
         self._geometry = ScanGeometry(platform.scan)
         # Of the modes only barrier assumes anything.
         self._monitor = AssumptionMonitor(platform) if _is_barrier(self._arbiter) else None
-        self._following = FollowingMonitor(platform)
+        self.following = FollowingMonitor(platform)
         self._latency = platform.scan.latency
         self._is_running = False
         self.events: list[str] = []
@@ -133,19 +133,15 @@ class Protection:
         if self._monitor is not None and self._is_running:
             oldest = 0.0 if scan.ages is None else float(scan.ages.max(initial=0.0))
             delay = self._latency + context.scan_delay + oldest
-            self._log(self._monitor.on_scan(scan.stamp, self._min_gap, delay))
+            if text := self._monitor.on_scan(scan.stamp, self._min_gap, delay):
+                self.events.append(text)
 
     def on_odometry(self, odometry: Odometry) -> None:
         """Compare what mode barrier assumes of the base with its measured motion."""
-        if self._monitor is not None:
-            self._log(self._monitor.on_odometry(odometry))
+        if self._monitor is not None and (text := self._monitor.on_odometry(odometry)):
+            self.events.append(text)
         if self._is_running:
-            self._following.on_odometry(odometry)
-
-    @property
-    def not_following(self) -> str:
-        """How the base of a running robot does not follow the safe commands; empty if it does."""
-        return self._following.text
+            self.following.on_odometry(odometry)
 
     @property
     def findings(self) -> tuple[str, ...]:
@@ -156,10 +152,6 @@ class Protection:
         """End these findings: they do not slow the robot until the monitor raises them again."""
         if self._monitor is not None:
             self._monitor.forget(findings)
-
-    def _log(self, text: str) -> None:
-        if text:
-            self.events.append(text)
 
     def decide(
         self,
@@ -185,7 +177,7 @@ class Protection:
         if is_running and hold is None and context.scan_age is None:
             hold = Reason.NO_SCAN
         if not is_running or hold is Reason.DRIVER_LOST or permit.touch is not None:
-            self._following.reset()  # what a robot may touch may stop it
+            self.following.reset()  # what a robot may touch may stop it
         if not is_running or hold is not None:
             if recovery is not None:
                 recovery.reset()
@@ -234,8 +226,9 @@ class Protection:
             share = monitor.speed_share
             if share < 1.0:  # the constraints are convex and hold for zero, so also for a share
                 safe = Twist(share * safe.linear, share * safe.angular, share * safe.lateral)
-            self._log(monitor.on_command(safe))
-        self._following.on_command(safe)
+            if text := monitor.on_command(safe):
+                self.events.append(text)
+        self.following.on_command(safe)
         self._safe, self._context = safe, None
         gap = self._min_gap
         if len(self._near):

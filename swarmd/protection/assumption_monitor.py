@@ -145,6 +145,8 @@ class _Brake:
             level = max(stop.sign * command, 0.0)
             stop.least = min(level, stop.least)
             return level > stop.least + _RISES * stop.begin and self._end()
+        if (before - command if before > 0.0 else command - before) < self._min_drop:
+            return False
         begin = abs(before)
         level = max(math.copysign(1.0, before) * command, 0.0)
         if begin - level < self._min_drop or begin - level < _MIN_DROP_SHARE * begin:
@@ -391,8 +393,10 @@ class AssumptionMonitor:
 
     def _braked(self, is_linear: bool, is_angular: bool) -> str:
         """The event of the axes that have just violated their braking; empty without any."""
+        if not (is_linear or is_angular):
+            return ""
         found = [self._linear.evidence] * is_linear + [self._angular.evidence] * is_angular
-        return self._reduced("; ".join(found)) if found else ""
+        return self._reduced("; ".join(found))
 
     def _reduce(self) -> None:
         brakes = (brake.braking / brake.declared for brake in (self._linear, self._angular))

@@ -41,45 +41,48 @@ class _Axis:
 
     def __init__(self, least: float, acceleration: float, unit: str) -> None:
         self._least, self._acceleration, self._unit = least, acceleration, unit
-        self._commands = deque[tuple[float, float]]()  # stamps since which a command holds
+        # Stamps since which a command holds: until where the slow base is, and after.
+        self._early, self._later = deque[tuple[float, float]](), deque[tuple[float, float]]()
         self.reset(0.0, -math.inf)
 
     def reset(self, command: float, stamp: float) -> None:
         """Begin again; for WINDOW, the base may be at any speed."""
-        self._commands.clear()
-        self._commands.append((stamp, command))
-        self._slow, self._begun = command, stamp
+        self._early.clear()
+        self._later.clear()
+        self._early.append((stamp, command))
+        self._slow = self._command = command
+        self._begun = stamp
         self._off_since, self._readings = math.inf, 0
         self.text = ""
 
     def on_command(self, command: float, stamp: float) -> None:
         """The command changes after the reading at `stamp`."""
-        if command != self._commands[-1][1]:
-            self._commands.append((stamp, command))
+        if command != self._command:
+            self._command = command
+            self._later.append((stamp, command))
 
     def on_reading(self, period: float, stamp: float, speeds: tuple[float, float]) -> None:
         """The base moved at one of these speeds, by its twist and by its pose, for `period` s."""
-        commands = self._commands
-        while len(commands) > 1 and commands[1][0] <= stamp - WINDOW:
-            commands.popleft()
+        early, later = self._early, self._later
         # Commands have the stamp of the reading before, and hold from the end of a period on.
         begin = stamp - DELAY - 2.0 * period
-        late = commands[0][1]
-        for at, command in reversed(commands):
-            if at <= begin:
-                late = command
-                break
-        step = self._acceleration * period
-        self._slow += min(max(late - self._slow, -step), step)
+        while later and later[0][0] <= begin:
+            early.append(later.popleft())
+        while len(early) > 1 and early[-1][0] > begin:  # the period has grown
+            later.appendleft(early.pop())
+        while len(early) > 1 and early[1][0] <= stamp - WINDOW:
+            early.popleft()
+        step, off = self._acceleration * period, early[-1][1] - self._slow
+        self._slow += -step if off < -step else step if off > step else off
         # Mostly the speed is near the last command and the slow base: the bounds are no narrower.
-        low, high, least = self._slow, commands[-1][1], self._least
+        low, high, least = self._slow, self._command, self._least
         if low > high:
             low, high = high, low
         one, other = speeds
         if low - least <= one <= high + least or low - least <= other <= high + least:
             self._off_since, self._readings, self.text = math.inf, 0, ""
             return
-        values = [self._slow, *(command for _, command in commands)]
+        values = [self._slow, *(command for _, command in (*early, *later))]
         low, high = min(values), max(values)
         allowed = max(least, SLIP * max(abs(low), abs(high)))
         measured = min(speeds, key=lambda speed: max(low - speed, speed - high))
@@ -93,7 +96,7 @@ class _Axis:
         if duration >= MIN_DURATION - 1e-9 and self._readings >= _MIN_READINGS:
             moves = f"{measured:.2f} {self._unit}"
             self.text = (
-                f"the base does not follow: commanded {commands[-1][1]:.2f} {self._unit}, moves"
+                f"the base does not follow: commanded {self._command:.2f} {self._unit}, moves"
                 f" {moves} since {duration:.1f} s: {_WHY}"
             )
 
@@ -110,22 +113,16 @@ class FollowingMonitor:
             settings = msgspec.convert(given, BarrierSettings)
             braking = settings.braking_linear, settings.braking_angular
         slow = (_SLOW * one for one in braking)
-        self._axes = tuple(map(_Axis, _LEAST, slow, _UNITS))
+        self._axes = list(map(_Axis, _LEAST, slow, _UNITS))
         self._command = ZERO
         self._odometry: Odometry | None = None
-
-    @property
-    def text(self) -> str:
-        """How the base does not follow: the first axis that is off."""
-        return next((axis.text for axis in self._axes if axis.text), "")
+        self.text = ""
 
     def reset(self) -> None:
         """Drop the last command and reading, as for a robot that does not run."""
         if self._odometry is None:
             return
-        self._odometry, self._command = None, ZERO
-        for axis in self._axes:
-            axis.text = ""
+        self._odometry, self._command, self.text = None, ZERO, ""
 
     def on_command(self, command: Twist) -> None:
         """The safe command that the driver gets."""
@@ -133,21 +130,24 @@ class FollowingMonitor:
             return
         self._command = command
         if self._odometry is not None:
-            for axis, value in zip(self._axes, _of(command), strict=True):
-                axis.on_command(value, self._odometry.stamp)
+            linear, angular = self._axes
+            linear.on_command(command.linear, self._odometry.stamp)
+            angular.on_command(command.angular, self._odometry.stamp)
 
     def on_odometry(self, odometry: Odometry) -> None:
         """A reading arrived."""
         last, self._odometry = self._odometry, odometry
         if last is not None and odometry.stamp == last.stamp:
             return
+        linear, angular = self._axes
         if (
             last is None
             or not 0.0 < odometry.stamp - last.stamp <= _MAX_PERIOD
             or odometry.jumps_from(last)
         ):
-            for axis, value in zip(self._axes, _of(self._command), strict=True):
-                axis.reset(value, odometry.stamp)
+            linear.reset(self._command.linear, odometry.stamp)
+            angular.reset(self._command.angular, odometry.stamp)
+            self.text = ""
             return
         period = odometry.stamp - last.stamp
         here, there = odometry.pose, last.pose
@@ -155,10 +155,6 @@ class FollowingMonitor:
         yaw = there.yaw + 0.5 * turned
         way = math.cos(yaw) * (here.x - there.x) + math.sin(yaw) * (here.y - there.y)
         twist = odometry.twist
-        speeds = (twist.linear, way / period), (twist.angular, turned / period)
-        for axis, both in zip(self._axes, speeds, strict=True):
-            axis.on_reading(period, odometry.stamp, both)
-
-
-def _of(command: Twist) -> tuple[float, float]:
-    return command.linear, command.angular
+        linear.on_reading(period, odometry.stamp, (twist.linear, way / period))
+        angular.on_reading(period, odometry.stamp, (twist.angular, turned / period))
+        self.text = linear.text or angular.text  # the first axis that is off

@@ -266,20 +266,20 @@ class PatternRun:
         running, soonest = self.running, math.inf
         if running is not None:
             if self.awaiting_since is None and self.loading is None:
-                soonest = _sooner(self.last_step + running.period, soonest, now)
-            soonest = _sooner(running.requested.at + running.expiry, soonest, now)
-            if running.finish_at is not None:
-                soonest = _sooner(running.finish_at, soonest, now)
-        if self.loading is not None:
-            soonest = _sooner(self.loading.since + LOAD_TIMEOUT, soonest, now)
-            if self.loading.start_at is not None:
-                soonest = _sooner(self.loading.start_at, soonest, now)
+                at = self.last_step + running.period
+                soonest = at if now < at else soonest
+            at = running.requested.at + running.expiry
+            soonest = at if now < at < soonest else soonest
+            if running.finish_at is not None and now < running.finish_at < soonest:
+                soonest = running.finish_at
         if self.awaiting_since is not None:
-            soonest = _sooner(self.awaiting_since + STEP_TIMEOUT, soonest, now)
-        if self.restart_at is not None:
-            soonest = _sooner(self.restart_at, soonest, now)
+            at = self.awaiting_since + STEP_TIMEOUT
+            soonest = at if now < at < soonest else soonest
+        if self.restart_at is not None and now < self.restart_at < soonest:
+            soonest = self.restart_at
+        if self.loading is not None:
+            at = self.loading.since + LOAD_TIMEOUT
+            soonest = at if now < at < soonest else soonest
+            if self.loading.start_at is not None and now < self.loading.start_at < soonest:
+                soonest = self.loading.start_at
         return soonest
-
-
-def _sooner(at: float, soonest: float, now: float) -> float:
-    return at if now < at < soonest else soonest

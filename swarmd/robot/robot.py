@@ -187,7 +187,8 @@ class Robot:
         blind = self._sensors.blind_text
         restarts = self._sensors.scan_delay.restarts
         effects.is_new_scan = self._sensors.on_scan(one.scan, now)
-        self._log_restart(restarts, now)
+        if self._sensors.scan_delay.restarts != restarts:
+            self._log_restart(now)
         if self._sensors.blind_text != blind:
             text = self._sensors.blind_text or "all sectors return something again"
             self._lifecycle.log(f"scan: {text}", now)
@@ -203,13 +204,18 @@ class Robot:
         return self._settle(effects)
 
     def _on_odometry(self, one: events.OdometryInput, now: float) -> None:
-        odometry, restarts = one.odometry, self._sensors.scan_delay.restarts
-        self._sensors.on_odometry(odometry, now)
-        self._log_restart(restarts, now)
-        if self._sensors.odometry is odometry:
-            self._protection.on_odometry(odometry)
-            self._log_protection(now)
-            self._log_following(now)
+        odometry, sensors, protection = one.odometry, self._sensors, self._protection
+        restarts = sensors.scan_delay.restarts
+        sensors.on_odometry(odometry, now)
+        if sensors.scan_delay.restarts != restarts:
+            self._log_restart(now)
+        if sensors.odometry is odometry:
+            protection.on_odometry(odometry)
+            if protection.events:
+                self._log_protection(now)
+            text = protection.following.text
+            if bool(text) != self._is_off_command:
+                self._log_following(text, now)
 
     def _on_neighbors(self, one: events.NeighborsInput, now: float) -> None:
         self._sensors.on_neighbors(one.neighbors, now)
@@ -413,11 +419,12 @@ class Robot:
     def _settle(self, effects: Effects) -> Actions:
         now, lifecycle, run = effects.now, self._lifecycle, self._run
         permit = NO_PERMIT if run.running is None else run.running.permit
-        self._sensors.permitted_delay = permit.scan_delay
-        hold = self._sensors.hold(now)
-        hazards = self._sensors.hazards.text(now) if hold is Reason.HAZARD else ""
-        if self._sensors.hazards.ends_run:
-            lifecycle.on_hazard(self._sensors.hazards.text(now), effects)
+        sensors = self._sensors
+        sensors.permitted_delay = permit.scan_delay
+        hold = sensors.hold(now)
+        hazards = sensors.hazards.text(now) if hold is Reason.HAZARD else ""
+        if sensors.hazards.present and sensors.hazards.ends_run:
+            lifecycle.on_hazard(sensors.hazards.text(now), effects)
         if hold is not None or now >= self._due_at or not effects.is_routine:
             self._requests.advance(effects)
             hold = lifecycle.advance(hold, effects, hazards)
@@ -437,7 +444,7 @@ class Robot:
             decision.safe,
             decision,
             -1 if running is None else running.requested.scan_seq,
-            self._sensors.is_driver_up and state is State.IDLE,
+            sensors.is_driver_up and state is State.IDLE,
             state is not State.IDLE and state is not State.RUNNING,
             latches=lifecycle.latches.record() if effects.is_latched else None,
             goals=lifecycle.goals.take_record(),
@@ -457,30 +464,28 @@ class Robot:
             return
         due = self._lifecycle.due_at()
         if self._machine.state is State.RUNNING:
-            due = min(due, self._sensors.hold_due_at())
+            held_at = self._sensors.hold_due_at()
+            due = held_at if held_at < due else due
         self._due_at = due - ROUNDING
         if not self._is_status_due:
-            step_at = self._run.step_due_at()
-            status_at = self._published_at + STATUS_PERIOD
-            self._quiet_until = min(due, step_at, status_at) - ROUNDING
+            step_at, status_at = self._run.step_due_at(), self._published_at + STATUS_PERIOD
+            due = step_at if step_at < due else due
+            self._quiet_until = (status_at if status_at < due else due) - ROUNDING
 
-    def _log_restart(self, restarts: int, now: float) -> None:
-        if self._sensors.scan_delay.restarts != restarts:
-            text = "stamps of odometry or scan jumped: the scan delay is measured anew"
-            self._events.log("stamps that jump", text, now)
+    def _log_restart(self, now: float) -> None:
+        text = "stamps of odometry or scan jumped: the scan delay is measured anew"
+        self._events.log("stamps that jump", text, now)
 
     def _log_protection(self, now: float) -> None:
         events = self._protection.events
         while events:
             self._lifecycle.log(events.pop(0), now)
 
-    def _log_following(self, now: float) -> None:
-        text = self._protection.not_following
-        if bool(text) != self._is_off_command:
-            self._is_off_command = bool(text)
-            if text or self.is_running:
-                self._events.log("following", text or "the base follows its commands again", now)
-                self._events.advance(now)
+    def _log_following(self, text: str, now: float) -> None:
+        self._is_off_command = bool(text)
+        if text or self.is_running:
+            self._events.log("following", text or "the base follows its commands again", now)
+            self._events.advance(now)
 
     def _decide(self, hold: Reason | None, now: float) -> Decision:
         running, context = self._run.running, self._sensors.context(now)

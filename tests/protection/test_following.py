@@ -173,7 +173,7 @@ def test_what_a_robot_may_touch_may_stop_it(touch: TouchZone | None, is_named: b
             Twist(0.1), context, is_running=True, hold=None, permit=Permit(touch=touch)
         )
         protection.on_odometry(Odometry(now, Pose(), ZERO))
-    assert bool(protection.not_following) is is_named
+    assert bool(protection.following.text) is is_named
 
 
 def test_the_status_and_one_event_name_it_and_motion_goes_on() -> None:
