@@ -111,7 +111,6 @@ class Lockstep:
         self._record_due = Schedules(np.array([scenario.trace_rate]))
         self._alarms = Alarms(n, self.world.dt)
         self._commands = np.zeros((n, 3))
-        self._cells = memoryview(self._commands)  # three of them are set faster than a row
         self._silent_at: dict[int, float] = {}
         self._latches: dict[int, LatchRecord | None] = {}
         self._new_latches: list[tuple[int, dict[str, Latch]]] = []
@@ -217,8 +216,9 @@ class Lockstep:
 
     def command(self, row: int, twist: Twist) -> None:
         """Set the base's command."""
-        cells = self._cells
-        cells[row, 0], cells[row, 1], cells[row, 2] = twist.linear, twist.angular, twist.lateral
+        commands = self._commands  # three values are set faster than a row
+        commands[row, 0], commands[row, 1] = twist.linear, twist.angular
+        commands[row, 2] = twist.lateral
 
     def send_message(self, row: int, name: str, value: Value, now: float) -> None:
         """Send a pattern's message by radio, after a round trip through the codec."""
