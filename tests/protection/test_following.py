@@ -11,7 +11,7 @@ import pytest
 from swarmd.core.values import ZERO, Odometry, Platform, Pose, TouchZone, Twist
 from swarmd.protection.arbiter import Protection
 from swarmd.protection.decision import DecisionContext, Permit
-from swarmd.protection.following import MIN_DURATION, WINDOW, FollowingMonitor
+from swarmd.protection.following import DELAY, MIN_DURATION, WINDOW, FollowingMonitor, _Axis
 from swarmd.settings.platforms import load_platform, platform_names
 from swarmd.testing.scans import empty_scan
 from tests.support.robot_harness import RobotHarness
@@ -202,3 +202,22 @@ def test_every_platform_is_watched(name: str) -> None:
     found = rides(lambda time: Twist(top), reflex(8.0, ZERO), seconds=12.0, platform=platform)
     assert found
     assert found[0][0] >= 8.0
+
+
+def test_the_slow_base_heads_for_the_command_that_held_then_though_periods_change() -> None:
+    axis, draw = _Axis(0.05, 0.25, "m/s"), Random(1)
+    given, slow, stamp = [(0.0, 0.0)], 0.0, 0.0
+    axis.reset(0.0, stamp)
+    for _ in range(2000):
+        if draw.random() < 0.5:
+            command = draw.choice((0.0, 0.1, 0.2, -0.1))
+            axis.on_command(command, stamp)
+            if command != given[-1][1]:
+                given.append((stamp, command))
+        period = draw.choice((0.02, 0.05, 0.3))
+        stamp += period
+        axis.on_reading(period, stamp, (0.0, 0.0))
+        begin = stamp - DELAY - 2.0 * period
+        held = [command for at, command in given if at <= begin] or [given[0][1]]
+        slow += min(max(held[-1] - slow, -0.25 * period), 0.25 * period)
+        assert axis._slow == pytest.approx(slow, abs=1e-9)
