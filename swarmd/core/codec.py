@@ -21,7 +21,6 @@ MAX_SENSOR_PAYLOAD = 128 * 1024
 MAX_MESSAGE = 1024
 MAX_DEPTH = 16
 
-_PREFIX = bytes((VERSION,))
 _NESTED = (dict, list, tuple)
 _PLAIN = frozenset({type(None), bool, int, float, str, bytes})
 _encoder = msgspec.msgpack.Encoder()
@@ -31,7 +30,7 @@ T = TypeVar("T")
 
 def encode(message: msgspec.Struct) -> bytes:
     """The bytes of a struct."""
-    return _PREFIX + _encoder.encode(message)
+    return _prefix() + _encoder.encode(message)
 
 
 def version_of(payload: bytes) -> int | None:
@@ -69,7 +68,7 @@ class Decoder(Generic[T]):
 def encode_value(value: Any) -> bytes:
     """Encode a pattern's message. Raises CodecError if it cannot be sent."""
     try:
-        payload: bytes = _PREFIX + _packer().pack(value)
+        payload: bytes = _prefix() + _msgpack().packb(value, use_bin_type=True)
     except (TypeError, ValueError, OverflowError, RecursionError) as error:
         raise CodecError(f"a message must be made of MessagePack's types: {error}") from error
     if _is_deeper(value, MAX_DEPTH):
@@ -122,9 +121,8 @@ def _msgpack() -> Any:
     return msgpack
 
 
-@cache
-def _packer() -> Any:
-    return _msgpack().Packer(use_bin_type=True)
+def _prefix() -> bytes:
+    return bytes((VERSION,))
 
 
 def _body(payload: bytes, limit: int, *, any_version: bool = False) -> memoryview:
