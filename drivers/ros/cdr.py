@@ -30,7 +30,7 @@ M = TypeVar("M")
 def decode(kind: type[M], payload: bytes) -> M:
     """The message; arrays are views of `payload`. CodecError if the bytes are malformed.
 
-    A Range of Humble or Iron has no variance.
+    A Range is also read in the form of Humble and Iron, which has no variance.
     """
     if len(payload) > MAX_PAYLOAD:
         raise CodecError(f"{len(payload)} bytes; expected at most {MAX_PAYLOAD}")

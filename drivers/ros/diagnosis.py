@@ -71,10 +71,10 @@ class Middleware(Protocol):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Graph:
-    """The endpoints that other nodes announce, in the words of their middleware.
+    """The endpoints that other nodes announce; `middleware` has the phrases for messages.
 
-    `options` name this robot's topics, of which those in `heard` carried messages. `strays`: what
-    reads topics in DDS without a ROS node, or as another bridge. `now`: the time in s on the clock
+    `options` name this robot's topics, of which those in `heard` carried messages. `strays`: the
+    DDS readers that belong to no ROS node, or to another bridge. `now`: the time in s on the clock
     of `Endpoint.since`.
     """
 

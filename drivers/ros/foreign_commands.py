@@ -55,8 +55,9 @@ ROS1_ACTIONS = ActionProtocol(
 class ForeignCommands:
     """Commands and goals of other nodes that move the base.
 
-    `topics` are those of commands, the driver's own first. `actions` are the actions by the topic
-    of their status. `counts`: commands that arrived, by topic. Times are in s on one clock.
+    It tells which of them drives the base now. `topics`: those on which commands arrive, the
+    driver's own first. `actions`: the actions by the topic of their status. `counts`: commands that
+    arrived, by topic. Times are in s on one clock.
     """
 
     def __init__(

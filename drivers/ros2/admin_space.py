@@ -63,10 +63,10 @@ _BEST_EFFORT, _KEPT = "BEST_EFFORT", "TRANSIENT_LOCAL"
 
 
 class AdminSpaces:
-    """Queries the bridges again and again, and hands the answers to `nodes`.
+    """Queries what each Zenoh bridge lists of its nodes, again and again, for `nodes`.
 
-    Each is queried by itself, so that a silent bridge hides no nodes of the others. `asked_at`:
-    when the query of the last whole answer began, in s on the loop's clock.
+    Each bridge has a query of its own, so that a silent bridge does not hide the others.
+    `asked_at`: when the last query began that all known bridges answered, in s on the loop's clock.
     """
 
     def __init__(

@@ -66,7 +66,7 @@ def up(
     page: WebOptions | None,
     **world: Any,
 ) -> None:
-    """Start a world and a daemon for each robot; Ctrl-C ends them all.
+    """Start one world, and a daemon for each of its robots; Ctrl-C ends them all.
 
     SCENARIO is a name of `swarmctl exp list` or a YAML file: its arena, robots, fields and radio,
     with one seed. The robots start idle; `swarmctl demo SCENARIO` runs its patterns and events.

@@ -36,8 +36,10 @@ class Difference:
     """How one metric differs: `difference` is the mean of `b` less the mean of `a`.
 
     `interval` is the 95 % interval of the difference. `is_paired`: the difference is taken seed by
-    seed. `n_a` and `n_b` count the runs with a value. All others are None where a side has no
-    value, `interval` also below two. `better` is the better side; None if the sides do not differ,
+    seed. `n_a` and `n_b` count the runs that were compared: those with a value, and if `is_paired`
+    only the seeds with a value on both sides. A mean is None if its own side has no such run,
+    `difference` if either has none, `interval` also with fewer than two pairs or runs on a side.
+    `better` is the better side; None if the sides do not differ,
     or if neither direction is good as such. `never_a` and `never_b` count the runs in which the
     event of a time to an event never happened; with such runs there is no difference of means.
     """

@@ -37,7 +37,9 @@ class Cost:
 
 
 def measured_cost(folder: Path) -> Cost:
-    """The cost by the newest experiments in `folder` of the present software; else by calibration.
+    """The cost by the newest experiments in `folder` that this software made.
+
+    If there are none, a short simulation measures it now.
 
     Experiments that were made with other software, on another processor, with `--cores` or on a
     cluster are left out.

@@ -66,7 +66,10 @@ def chosen(found: Pairs, is_chosen: NDArray[np.bool_]) -> Pairs:
 
 
 def nearest(place: Array, is_in: NDArray[np.bool_]) -> Array:
-    """(T, n) distance to the nearest other point; NaN for a point not in, inf for a lone one."""
+    """(T, n) distance in m from each point of `place` (T, n, 2) to the nearest other point.
+
+    At the same instant. NaN where `is_in` (T, n) is false, inf if no other point is in.
+    """
     best = np.where(is_in, np.inf, np.nan)
     for span in spans(*place.shape[:2]):
         if place.shape[1] <= FEW:

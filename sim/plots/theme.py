@@ -69,9 +69,10 @@ _PAPER_SCALE = 0.8
 
 
 def fit(figure: Figure, width: float | None) -> Figure:
-    """The figure for a paper, `width` inches wide: small texts, thin lines, no notes.
+    """Change `figure` to the style of a paper: small texts, thin lines, no notes; return it.
 
-    Without a width the figure as it is. Its layout must have been made for that width.
+    A `width` of None changes nothing. The figure is not resized: its caller has made its layout
+    `width` inches wide.
     """
     if width is None:
         return figure

@@ -24,7 +24,10 @@ Exit codes:
 
 
 def code_of_answers(asked: Collection[str], answered: Collection[str]) -> int:
-    """The code of a look: APPLIED, PARTIAL if some did not answer, TIMEOUT if none did."""
+    """The code of a command that only asks: APPLIED if all answered, also if nobody was asked.
+
+    PARTIAL if some answered, TIMEOUT if none did.
+    """
     if set(asked) <= set(answered):
         return APPLIED
     return TIMEOUT if set(asked).isdisjoint(answered) else PARTIAL

@@ -53,7 +53,11 @@ def pack_bundle(bundle: Bundle) -> bytes:
 
 
 def unpack_bundle(data: bytes) -> OpenedBundle:
-    """The bundle in `data`. CodecError in one line if it is damaged, foreign or inconsistent."""
+    """The bundle in `data`, after checks of digest, roster, name, role and generation of keys.
+
+    The roster's signature must be that of the authority which the bundle names. CodecError, whose
+    text is one line, if a check fails or `data` is no bundle of this format.
+    """
     if len(data) > MAX_BUNDLE:
         raise CodecError(f"more than {MAX_BUNDLE} bytes: not a bundle")
     line, _, _ = data[:64].partition(b"\n")

@@ -14,10 +14,11 @@ MAX_KNOWN = 1024
 
 
 class Asks:
-    """Asks each peer once in `period` s, and `at_once` peers of one group in `window` s.
+    """Decides when a peer may be asked; it sends nothing.
 
-    A peer that has answered for a digest is known until its beacon shows another one. `window` None
-    is the period. Each table keeps the newest MAX_KNOWN keys.
+    `take` permits one question to a peer in `period` s, and questions to at most `at_once` peers of
+    one group in `window` s (None: the period). A peer that has answered for a digest is known until
+    its beacon shows another digest. Each table keeps the newest MAX_KNOWN keys.
     """
 
     def __init__(self, period: float, at_once: int = 1, window: float | None = None) -> None:
