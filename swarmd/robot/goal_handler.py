@@ -115,21 +115,26 @@ class GoalHandler:
     def _take_over(
         self, goal: Goal, age: float | None, effects: Effects, *, may_join: bool
     ) -> None:
-        """Adopt a greater goal for this robot; a run of another one ends."""
+        """Adopt a greater goal for this robot; a run of a lesser one ends.
+
+        A requested run that is being loaded for a goal of a later generation goes on loading.
+        """
         lifecycle, goals, now = self._lifecycle, self._goals, effects.now
         loading = lifecycle.pattern_run.loading
         if loading is not None and loading.goal == goal:  # asked for, and heard of from a peer
             goals.adopt(goal, age, now, may_join=False)
             goals.on_loading()
             return
-        is_active = lifecycle.is_running or loading is not None
+        wanted = None if loading is None else loading.goal
+        keeps_load = wanted is not None and wanted.generation > goal.generation
+        is_active = lifecycle.is_running or (loading is not None and not keeps_load)
         is_free = is_active or lifecycle.state_machine.state is State.IDLE
         lifecycle.log(f"found {goal.text}", now)
         if is_active:
             lifecycle.raise_revision(goal.text)
-            lifecycle.stop(Reason.SUPERSEDED, f"by {goal.text}", effects)
+            lifecycle.stop(Reason.SUPERSEDED, f"by {goal.text}", effects, keeps_load=keeps_load)
             goals.superseded = goal.text
-        goals.adopt(goal, age, now, may_join=may_join and is_free)
+        goals.adopt(goal, age, now, may_join=may_join and is_free and not keeps_load)
 
     def join_if_settled(self, effects: Effects) -> None:
         """Run the own goal, which was found, if it wants that and is young enough.

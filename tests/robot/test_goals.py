@@ -47,6 +47,11 @@ def run(harness: RobotHarness, wanted: Goal, **fields: Any) -> Reply:
     return reply
 
 
+def in_a_second(harness: RobotHarness) -> dict[str, float]:
+    """When a run is to start."""
+    return {"tb3-01": harness.now + 1.0}
+
+
 def told(harness: RobotHarness) -> GoalStatus:
     """The goals in its status."""
     status = harness.status.goal
@@ -193,6 +198,33 @@ def test_a_greater_goal_ends_the_run_of_a_lesser_one_and_says_which() -> None:
     assert harness.status.detail == "by goal 7 of bob: finisher"
     assert told(harness).superseded == "goal 7 of bob: finisher"
     assert told(harness).state is GoalState.OFFERED
+
+
+@pytest.mark.parametrize("is_running", [False, True])
+def test_a_goal_that_is_less_than_that_of_a_load_does_not_end_the_load(is_running: bool) -> None:
+    harness = ready()
+    if is_running:
+        run(harness, goal(4))
+    request = harness.request("run", pattern="forward", goal=goal(6), at=in_a_second(harness))
+    harness.send(request)
+    harness.find(goal(5, pattern=None))
+    assert harness.twist.is_zero, "the run of goal 4 has ended"
+    assert told(harness).state is GoalState.STANDING
+    harness.advance(1.5)
+    assert harness.reply_to(request).code is Code.APPLIED
+    assert told(harness).held is not None
+    assert told(harness).held.goal == goal(6)  # type: ignore[union-attr]
+    assert harness.twist.linear > 0.0
+
+
+def test_a_goal_that_is_greater_than_that_of_a_load_ends_the_load() -> None:
+    harness = ready()
+    request = harness.request("run", pattern="forward", goal=goal(6), at=in_a_second(harness))
+    harness.send(request)
+    harness.find(goal(7, pattern=None))
+    assert harness.reply_to(request).refusal is Refusal.OVERTAKEN
+    harness.advance(1.5)
+    assert harness.twist.is_zero
 
 
 @pytest.mark.parametrize("fields", [{}, JOINED], ids=["offered", "joined"])
