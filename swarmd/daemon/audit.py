@@ -147,6 +147,7 @@ MAX_BYTES = 1 << 20
 FILES = 4
 MAX_PENDING = 256
 CLOSE_TIMEOUT = 1.0  # s that the end of the daemon waits for the disk
+READ_TIMEOUT = 0.5  # s that a question waits for entries that are being written
 
 _encoder = msgspec.json.Encoder()
 _decoder = msgspec.json.Decoder(AuditEntry)
@@ -162,7 +163,7 @@ class AuditLog:
         self, folder: Path, on_event: Callable[[str], None], *, max_bytes: int = MAX_BYTES
     ) -> None:
         self._folder, self._on_event, self._max_bytes = folder, on_event, max_bytes
-        self._queue: queue.Queue[AuditEntry | None] = queue.Queue(MAX_PENDING)
+        self._queue: queue.Queue[AuditEntry | threading.Event | None] = queue.Queue(MAX_PENDING)
         self._lock = threading.Lock()  # of the files
         self._thread: threading.Thread | None = None
         self._seq: int | None = None
@@ -188,28 +189,54 @@ class AuditLog:
 
     def read(
         self, query: AuditQuery, age_of: Callable[[AuditEntry], float | None]
-    ) -> tuple[list[AuditEntry], bool]:
-        """The entries of a query, the oldest first, and whether older ones fit; from a thread.
+    ) -> tuple[list[AuditEntry], bool, str]:
+        """The entries of a query, the oldest first; whether older ones fit; a fault of the disk.
 
-        `since` leaves out entries that are older, or of unknown age. Damaged lines are left out.
+        Called from a thread, which waits until the entries that were added before are written; the
+        fault says so if that takes longer than READ_TIMEOUT. `since` leaves out entries that are
+        older, or of unknown age. Damaged lines are left out.
         """
+        slow = f"audit log {self._path(0)}: the disk is slow, and the newest entries are missing"
+        is_whole = self._await_queued()
+        if not self._lock.acquire(timeout=READ_TIMEOUT):
+            return [], False, slow
+        try:
+            found, has_more = self._matching(query, age_of)
+        finally:
+            self._lock.release()
+        return found, has_more, self.fault or ("" if is_whole else slow)
+
+    def _await_queued(self) -> bool:
+        """Whether all entries that were added before have been taken from the queue."""
+        if self._thread is None or not self._thread.is_alive():
+            return True
+        reached = threading.Event()
+        with suppress(queue.Full):
+            self._queue.put_nowait(reached)
+        return reached.wait(READ_TIMEOUT)
+
+    def _matching(
+        self, query: AuditQuery, age_of: Callable[[AuditEntry], float | None]
+    ) -> tuple[list[AuditEntry], bool]:
         found: list[AuditEntry] = []
-        with self._lock:
-            for entry in self._newest_first():
-                if query.before is not None and entry.seq >= query.before:
-                    continue
-                age = age_of(entry)
-                if query.since is not None and (age is None or age > query.since):
-                    continue
-                if len(found) == query.count:
-                    return found[::-1], True
-                found.append(entry)
+        for entry in self._newest_first():
+            if query.before is not None and entry.seq >= query.before:
+                continue
+            age = age_of(entry)
+            if query.since is not None and (age is None or age > query.since):
+                continue
+            if len(found) == query.count:
+                return found[::-1], True
+            found.append(entry)
         return found[::-1], False
 
     # On the thread
 
     def _run(self) -> None:
         while (entry := self._queue.get()) is not None:
+            if isinstance(entry, threading.Event):
+                entry.set()
+                continue
             with self._lock:
                 self._write(entry)
 

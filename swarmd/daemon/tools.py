@@ -143,13 +143,13 @@ class FieldTools:
             is_known = entry.wall is not None and wall >= FIRST_WALL
             return max(wall - (entry.wall or 0.0), 0.0) if is_known else None
 
-        entries, has_more = self.audit.read(query, age_of)
+        entries, has_more, fault = self.audit.read(query, age_of)
         return verbs.AuditReply(
             robot=self._settings.id,
             entries=tuple(entries),
             ages=tuple(map(age_of, entries)),
             has_more=has_more,
-            fault=self.audit.fault[:1000],
+            fault=fault[:1000],
         )
 
     # Logs

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -11,7 +12,9 @@ import pytest
 from msgspec.structs import replace
 
 from swarmd.core.verbs import AuditEntry, AuditQuery
+from swarmd.daemon import audit
 from swarmd.daemon.audit import FILES, MAX_PENDING, AuditLog
+from tests.support.processes import CAP, wait_until
 
 ENTRY = AuditEntry(
     boot=1.0,
@@ -59,9 +62,9 @@ def test_pages_go_back_in_time_and_end(tmp_path: Path, events: list[str]) -> Non
         for boot in range(10):
             log.add(replace(ENTRY, boot=float(boot)))
     log = AuditLog(tmp_path, print)
-    page, has_more = log.read(AuditQuery(count=4), age_of)
+    page, has_more, _ = log.read(AuditQuery(count=4), age_of)
     assert ([one.seq for one in page], has_more) == ([7, 8, 9, 10], True)
-    page, has_more = log.read(AuditQuery(count=6, before=7), age_of)
+    page, has_more, _ = log.read(AuditQuery(count=6, before=7), age_of)
     assert ([one.seq for one in page], has_more) == ([1, 2, 3, 4, 5, 6], False)
     assert [one.seq for one in entries(tmp_path, since=93.5)] == [8, 9, 10]
 
@@ -123,3 +126,37 @@ def test_a_slow_disk_never_blocks_and_its_losses_are_counted(
     lost = sum(one.get("left_out", 0) for one in written)
     assert 0 < lost <= 20
     assert len(written) + lost == MAX_PENDING + 20
+
+
+def test_entries_that_are_still_being_written_are_read(
+    tmp_path: Path, events: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pause, write = threading.Event(), AuditLog._write
+
+    def slowly(log: AuditLog, entry: AuditEntry) -> None:
+        pause.wait(0.02)
+        write(log, entry)
+
+    monkeypatch.setattr(AuditLog, "_write", slowly)
+    monkeypatch.setattr(audit, "READ_TIMEOUT", CAP)
+    with opened(tmp_path, events) as log:
+        assert log.read(AuditQuery(), age_of) == ([], False, "")
+        for count in range(1, 6):
+            log.add(ENTRY)
+            found, _, fault = log.read(AuditQuery(), age_of)
+            assert ([one.seq for one in found], fault) == (list(range(1, count + 1)), "")
+
+
+@pytest.mark.parametrize("entries", [1, MAX_PENDING + 20])
+def test_a_question_says_that_the_disk_hangs(
+    tmp_path: Path, events: list[str], entries: int
+) -> None:
+    with opened(tmp_path, events) as log:
+        log.add(ENTRY)
+        wait_until(lambda: len(log.read(AuditQuery(), age_of)[0]) == 1, "an entry is written")
+        with log._lock:  # the disk hangs
+            for _ in range(entries):
+                log.add(ENTRY)
+            found, _, fault = log.read(AuditQuery(), age_of)
+            assert (found, "the newest entries are missing" in fault) == ([], True)
+        wait_until(lambda: log.read(AuditQuery(), age_of)[2] == "", "the disk has taken them")
