@@ -22,10 +22,8 @@ from tests.support.fake_body import Body
 from tests.support.processes import (
     CAP,
     DaemonProcess,
-    children,
     run_command,
     unique_swarm,
-    wait_until,
 )
 
 DRIVER = """
@@ -256,28 +254,29 @@ def test_3_if_the_id_is_held(tmp_path: Path) -> None:
 
 @pytest.mark.integration
 @pytest.mark.skipif(
-    os.geteuid() != 0 or not all(map(shutil.which, ("setpriv", "unshare"))),
-    reason="needs root, setpriv and unshare",
+    os.geteuid() != 0 or not all(map(shutil.which, ("setpriv", "unshare", "ip"))),
+    reason="needs root, setpriv, unshare and ip",
 )
 @pytest.mark.parametrize(("profile", "is_open"), [("dev", True), ("field", False)])
 def test_processes_of_its_user_cannot_look_into_a_daemon_on_a_network(
     tmp_path: Path, profile: str, is_open: bool
 ) -> None:
     without_rights = ("setpriv", "--bounding-set=-all", "--inh-caps=-all", "--no-new-privs")
+    lo_up = ("sh", "-c", 'ip link set lo up && exec "$@"', "sh")
     with DaemonProcess(
         tmp_path,
         swarm=unique_swarm(),
         robot="r1",
         endpoint="tcp/127.0.0.1:9",
         options={"profile": profile, "interface": "lo", "insecure": True},
-        prefix=("unshare", "--net", *without_rights),
+        prefix=("unshare", "--net", *lo_up, *without_rights),
     ) as daemon:
 
         def is_readable() -> bool:
             command = [*without_rights, "cat", f"/proc/{daemon.process.pid}/environ"]
             return subprocess.run(command, capture_output=True, check=False).returncode == 0
 
-        wait_until(lambda: bool(children(daemon.process.pid)), "it has a pattern host")
+        daemon.wait_ready()
         assert is_readable() is is_open
 
 
