@@ -25,6 +25,7 @@ from tests.support.processes import free_endpoint
 
 CAP = 60.0
 ODOMETRY_RATE = 20.0
+IN_FLIGHT = 3
 ScanScript = Callable[[int, float], Scan | bytes | None]
 
 
@@ -135,17 +136,20 @@ class Body:
         with self._changed:
             return any(one.at > since and not one.twist.is_zero for one in self.commands)
 
-    def moved_anew(self, thawed: float) -> bool:
-        """True if a command after the thaw of a daemon moves, and was not on its way before.
+    def moved_anew(self, thawed: float) -> list[Commanded]:
+        """The commands after the thaw of a daemon that move, and were not on their way before.
 
-        The one that was on its way when it froze the network sends on at the thaw, before all
-        others. It rests on the scan of the last one that came by then, or on the one after.
+        What was on its way when it froze the network sends on at the thaw, before all others: at
+        most IN_FLIGHT commands, which rest on the scan of the last one that came by then, or on
+        the one after.
         """
         with self._changed:
-            before = max((one.scan_seq for one in self.commands if one.at <= thawed), default=-1)
+            newest = max((one.scan_seq for one in self.commands if one.at <= thawed), default=-1)
             since = [one for one in self.commands if one.at > thawed]
-            is_late = bool(since) and since[0].scan_seq <= before + 1
-            return any(not one.twist.is_zero for one in since[is_late:])
+            late = 0
+            while late < min(IN_FLIGHT, len(since)) and since[late].scan_seq <= newest + 1:
+                late += 1
+            return [one for one in since[late:] if not one.twist.is_zero]
 
     def ran_since(self, moving: Commanded) -> bool:
         """True if from then on every command was of a running pattern, held up or not.

@@ -144,7 +144,7 @@ def test_a_frozen_daemon_is_named_and_estopped_after_the_thaw(trio: Trio) -> Non
     frozen.thaw()
     status = swarm.await_state("r3", State.ESTOPPED)
     assert [latch.reason for latch in status.latches.values()] == ["smoke"]
-    assert not trio.bodies["r3"].moved_anew(thawed)
+    assert trio.bodies["r3"].moved_anew(thawed) == []
 
 
 def test_a_daemon_that_thaws_hands_no_earlier_stop_on_to_a_later_run(trio: Trio) -> None:

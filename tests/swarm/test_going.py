@@ -78,7 +78,7 @@ def test_a_frozen_daemon_fails_after_its_lease_and_is_alive_once_thawed(
     status = swarm.status("r1")
     assert (status.state, status.reason) == (State.STOPPED, Reason.LOOP_STALLED)
     body.wait_zero(thawed)
-    assert not body.moved_anew(thawed)
+    assert body.moved_anew(thawed) == []
     assert daemon.terminate() == 0
 
 
