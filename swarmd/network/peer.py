@@ -232,7 +232,7 @@ class Peer:
         """True once the latches of all peers that were heard are here, or SYNC_TIMEOUT is over."""
         admission = self._admission
         is_open = self._sync.is_open
-        is_open |= admission is not None and admission.liveness.awaits_latches(now)
+        is_open |= admission is not None and admission.freshness.awaits_latches(now)
         return now - self._began >= self._settle + SYNC_TIMEOUT or not is_open
 
     # Inputs
@@ -537,13 +537,13 @@ class Peer:
     ) -> None:
         """Ask the sender of a beacon whether it lives now, if that is not known."""
         if self._admission is not None and flaw is Flaw.UNPROVEN and isinstance(body, Beacon):
-            question = self._admission.liveness.question(body, now)
+            question = self._admission.freshness.question(body, now)
             if question is not None:
                 effects.sends.append((question, source))
 
     def _solicit(self, now: float, *, members: bool = False, latches: bool = False) -> Solicit:
         """A question; in a secured swarm its answer proves that a robot lives now."""
-        echo = 0 if self._admission is None else self._admission.liveness.new_echo(now)
+        echo = 0 if self._admission is None else self._admission.freshness.new_echo(now)
         return Solicit(echo=echo, wants_members=members, wants_latches=latches)
 
     def _on_stop(self, stop: Stop, source: Address, now: float, effects: PeerActions) -> None:

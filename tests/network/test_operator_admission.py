@@ -59,7 +59,7 @@ class Rig:
         self.answers = OperatorAdmission(
             keyring.identity("anna"), 3.0, lambda *hint: self.hints.append(hint)
         )
-        self.answers.liveness.note_echo(7, 0.0)
+        self.answers.freshness.note_echo(7, 0.0)
 
     def hear(
         self, body: Datagram, by: str = "r1", to: Author | None = None, now: float = 0.1
@@ -133,7 +133,7 @@ def test_nothing_of_a_robot_counts_without_its_key(keyring: Keyring) -> None:
         3.0,
         on_missing_key=lambda *hint: lacking.append(hint),
     )
-    rig.answers.liveness.note_echo(7, 0.0)
+    rig.answers.freshness.note_echo(7, 0.0)
     proven = replace(ACK, proof=keyring.trust("r1").signer.proof(ACK, "anna"))
     answer = replace(BEACON, echo=7)
     assert rig.hear(replace(proven, via="r2"), by="r2") is None

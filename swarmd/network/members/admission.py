@@ -3,7 +3,7 @@
 A signature shows the class of the signer. Beyond that, a datagram counts if its signer may send
 it, if the robot that it names is on the roster, and if it is fresh:
 
-- beacons as `liveness.py` describes; a question is due for those that are unproven,
+- beacons as `beacon_freshness.py` describes; a question is due for those that are unproven,
 - messages, places, latches and goals of the instance that is the member now,
 - latches with the digest of that member's newest beacon,
 - member lists as answers to an own question,
@@ -33,7 +33,7 @@ from swarmd.network.datagram import (
     Swarm,
     only_names,
 )
-from swarmd.network.members.liveness import Liveness
+from swarmd.network.members.beacon_freshness import BeaconFreshness
 from swarmd.network.members.membership import Membership
 from swarmd.network.signature import Author, Flaw
 from swarmd.network.stops.stop_freshness import StopFreshness
@@ -76,7 +76,7 @@ class Admission:
     ) -> None:
         self._own = own
         self.names = frozenset(names)
-        self.liveness = Liveness(lease, echoes)
+        self.freshness = BeaconFreshness(lease, echoes)
         self.stops = StopFreshness(counters)
 
     def admit(
@@ -105,15 +105,15 @@ class Admission:
             case Solicit() | ClockQuery() | Swarm():
                 return body
             case MemberList():
-                is_fresh = self.liveness.is_own_echo(body.echo, now)
+                is_fresh = self.freshness.is_own_echo(body.echo, now)
                 is_fresh &= membership.is_present(body.robot, body.instance)
                 body = only_names(body, self.names)
             case Message():
                 is_fresh = membership.is_present(body.robot, body.instance)
-                is_fresh &= self.liveness.is_new_message(body.robot, body.instance, body.sequence)
+                is_fresh &= self.freshness.is_new_message(body.robot, body.instance, body.sequence)
             case Place():
                 is_fresh = membership.is_present(body.robot, body.instance)
-                is_fresh = is_fresh and self.liveness.is_new_place(
+                is_fresh = is_fresh and self.freshness.is_new_place(
                     body.robot, body.instance, body.sent
                 )
             case Latches():
@@ -129,7 +129,7 @@ class Admission:
             return Flaw.FORGED
         if beacon.flags & Flag.JOINING and not (is_claiming and beacon.robot == self._own):
             return beacon  # the owner of the id answers the claim; others ignore it
-        return self.liveness.on_beacon(beacon, now) or beacon
+        return self.freshness.on_beacon(beacon, now) or beacon
 
 
 def _is_in_its_name(stop: Stop, author: Author) -> bool:

@@ -1,9 +1,9 @@
 """What an operator or viewer takes from the robots of a secured swarm. Pure.
 
-Each look asks often, so that a robot counts once it has answered, as in `liveness.py`. Answers
-count only if the robot itself signed them for this operator. An ack counts only in a datagram that
-a robot of this roster signed, and with the proof of the robot that made it for this operator, also
-if another robot hands it on. An identity that is older than a robot has no key of that pair:
+Each look asks often, so that a robot counts once it has answered, as in `beacon_freshness.py`.
+Answers count only if the robot itself signed them for this operator. An ack counts only in a
+datagram that a robot of this roster signed, and with the proof of the robot that made it for this
+operator, also if another robot hands it on. An identity that is older than a robot has no key of that pair:
 nothing of that robot counts until it has handed over its key by a link (`roster_follower.py`).
 """
 
@@ -22,7 +22,7 @@ from swarmd.network.datagram import (
     MemberList,
     only_names,
 )
-from swarmd.network.members.liveness import Liveness
+from swarmd.network.members.beacon_freshness import BeaconFreshness
 from swarmd.network.signature import Flaw, Trust, generation_of
 from swarmd.security.identity import Identity
 
@@ -53,7 +53,7 @@ class OperatorAdmission:
         self._known_hint_at = self._unknown_hint_at = -1e9  # by robots of the own roster, by others
         self._key_asked_at: dict[tuple[str, Address], float] = {}  # the last hints of missing keys
         # Its own questions are numbered by the operator, which notes them.
-        self.liveness = Liveness(lease, lambda: 0)
+        self.freshness = BeaconFreshness(lease, lambda: 0)
         self.unproven: dict[str, Address] = {}
         self.outdated: dict[str, Address] = {}
 
@@ -84,8 +84,8 @@ class OperatorAdmission:
                 if not self._has_key(body.robot, source, now):
                     return None
                 return body if self._is_fresh(body, payload, now) else None
-            case MemberList() if self.liveness.is_own_echo(body.echo, now):
-                is_known = self.liveness.knows(body.robot, body.instance)
+            case MemberList() if self.freshness.is_own_echo(body.echo, now):
+                is_known = self.freshness.knows(body.robot, body.instance)
                 return (
                     only_names(body, self._names)
                     if is_known and self._is_own(body, payload)
@@ -98,10 +98,10 @@ class OperatorAdmission:
     def _is_fresh(self, beacon: Beacon, payload: bytes, now: float) -> bool:
         if beacon.flags & Flag.JOINING:
             return False
-        is_answer = self.liveness.is_own_echo(beacon.echo, now)
+        is_answer = self.freshness.is_own_echo(beacon.echo, now)
         if is_answer and not self._is_own(beacon, payload):
             return False
-        return self.liveness.on_beacon(beacon, now) is None
+        return self.freshness.on_beacon(beacon, now) is None
 
     def _is_own(self, body: Beacon | MemberList | ClockReply | GoalReport, payload: bytes) -> bool:
         """True if that robot answers this operator."""

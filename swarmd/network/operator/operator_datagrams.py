@@ -106,7 +106,7 @@ class OperatorDatagrams:
         self._echo += 1
         with self._arrivals.lock:
             if self.answers is not None:
-                self.answers.liveness.note_echo(self._echo, now)
+                self.answers.freshness.note_echo(self._echo, now)
             discovery.on_solicit(self._echo, now)
             wants_members = discovery.wants_members(now)
             addresses = discovery.to_solicit()

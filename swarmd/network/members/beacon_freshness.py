@@ -1,5 +1,6 @@
-"""Which instances of robots live now, although no clock is shared. Pure: beacons and times in.
+"""Whether a beacon is fresh or replayed, although no clock is shared. Pure: beacons and times in.
 
+Only secured swarms use this. `membership.py` decides after which silence a member has failed.
 A signed beacon may be an old beacon that an attacker replays. An instance that is unknown, or was
 silent for a lease, counts only once it has repeated the echo of a question that was asked after it
 was last heard. From then on each beacon counts that has a greater sequence than the last one.
@@ -46,7 +47,7 @@ class _Asked(Struct, frozen=True):
     has_latches: bool
 
 
-class Liveness:
+class BeaconFreshness:
     """The instances that have answered; `echoes` gives numbers that were never used before."""
 
     def __init__(self, lease: float, echoes: Callable[[], int]) -> None:
