@@ -23,8 +23,8 @@ from swarmd.protection.decision import NO_PERMIT, Decision
 from swarmd.robot.actions import Actions, Effects
 from swarmd.robot.goal_handler import GoalHandler
 from swarmd.robot.latches import LatchRecord
+from swarmd.robot.message_limits import EventLimit
 from swarmd.robot.pattern_run import ROUNDING
-from swarmd.robot.rate_limits import EventLimit
 from swarmd.robot.requests import RequestHandler
 from swarmd.robot.sensors import Sensors
 from swarmd.robot.settings import RobotIdentity, RobotSettings

@@ -68,6 +68,7 @@ from swarmd.protection.decision import Permit
 from swarmd.robot.actions import Effects, FailedCode
 from swarmd.robot.goals import Goals
 from swarmd.robot.latches import Latches, LatchRecord
+from swarmd.robot.message_limits import Outbox
 from swarmd.robot.pattern_run import (
     FAULTS_BEFORE_QUARANTINE,
     LOAD_TIMEOUT,
@@ -78,7 +79,6 @@ from swarmd.robot.pattern_run import (
     Trial,
     Wish,
 )
-from swarmd.robot.rate_limits import Outbox
 from swarmd.robot.settings import RobotIdentity
 
 

@@ -20,6 +20,7 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, body_of
+from swarmd.robot.message_limits import EVENT_BURST, EVENT_PERIOD
 from swarmd.robot.peers import (
     ANGLE_ERROR,
     DISTANCE_ERROR,
@@ -27,7 +28,6 @@ from swarmd.robot.peers import (
     TOLD_TIMEOUT,
     Peers,
 )
-from swarmd.robot.rate_limits import EVENT_BURST, EVENT_PERIOD
 from swarmd.robot.state import MAX_HOLD_TIME
 from swarmd.settings.platforms import load_platform
 from tests.support.filter_sim import under_barrier

@@ -14,7 +14,7 @@ from swarmd.core.messages import Health, Reason, State
 from swarmd.core.values import Neighbor, Odometry, Pose, Scan, Twist
 from swarmd.protection.compatibility import body_of
 from swarmd.protection.settings import Mode
-from swarmd.robot.rate_limits import EVENT_BURST
+from swarmd.robot.message_limits import EVENT_BURST
 from swarmd.robot.sensors import (
     AGE_UPDATE_PERIOD,
     MAX_INBOX_BYTES,

@@ -3,8 +3,9 @@
 Each look asks often, so that a robot counts once it has answered, as in `beacon_freshness.py`.
 Answers count only if the robot itself signed them for this operator. An ack counts only in a
 datagram that a robot of this roster signed, and with the proof of the robot that made it for this
-operator, also if another robot hands it on. An identity that is older than a robot has no key of that pair:
-nothing of that robot counts until it has handed over its key by a link (`roster_follower.py`).
+operator, also if another robot hands it on. An identity that is older than a robot has no key of
+that pair: nothing of that robot counts until it has handed over its key by a link
+(`roster_follower.py`).
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ import pytest
 
 from swarmd.core.codec import MAX_MESSAGE, encode_value
 from swarmd.core.values import Value
-from swarmd.robot.rate_limits import (
+from swarmd.robot.message_limits import (
     BYTE_BURST,
     BYTE_RATE,
     CHANNEL_BURST,

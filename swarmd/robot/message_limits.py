@@ -1,4 +1,4 @@
-"""Rate limits of one robot: the messages of its pattern, and repeated events. Pure."""
+"""How many messages a pattern may send, and how many repeated events a robot reports. Pure."""
 
 from __future__ import annotations
 
