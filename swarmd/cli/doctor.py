@@ -19,7 +19,7 @@ from swarmd.core.errors import CodecError, ConfigError, NetworkError
 from swarmd.core.finding import Finding, Level, warning
 from swarmd.core.machine import measure_machine
 from swarmd.core.verbs import DOCTOR
-from swarmd.network.carriers.machine_network import measure_network
+from swarmd.network.carriers.network_facts import measure_network
 from swarmd.texts import doctor as findings_of
 from swarmd.texts.doctor import worst
 

@@ -10,7 +10,7 @@ import sys
 
 import pytest
 
-from swarmd.network.carriers.machine_network import dropping_rules, measure_network, port_users
+from swarmd.network.carriers.network_facts import dropping_rules, measure_network, port_users
 
 NFT = """
 table inet filter {
@@ -67,7 +67,7 @@ def test_a_rule_of_nft_that_drops_is_told() -> None:
         ' nft add rule inet t c udp dport 7446 drop; exec "$@"'
     )
     program = (
-        "from swarmd.network.carriers.machine_network import measure_network as m;"
+        "from swarmd.network.carriers.network_facts import measure_network as m;"
         "print(m('lo').firewall)"
     )
     done = subprocess.run(

@@ -1,4 +1,6 @@
-"""Facts of this machine's network: an interface, the ports of swarmd, and packet filters.
+"""Facts of this machine's network for `doctor`: an interface, the ports of swarmd, packet filters.
+
+The interface in use is chosen by `network/settings.py` and bound by `udp.py`.
 
 What the kernel shows under /proc and /sys is read. `nft` and `iptables-save` are started only by
 root, who alone may ask them, and only if the kernel has such rules.
