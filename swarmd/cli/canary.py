@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
+from swarmd.cli.ask_robots import next_status, statuses_of
 from swarmd.cli.options import Failure
-from swarmd.cli.questions import next_status, statuses_of
 from swarmd.core.clock import boottime
 from swarmd.core.keys import is_id
 from swarmd.core.messages import STATUS_SILENCE, Reason, State, Status

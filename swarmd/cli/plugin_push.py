@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, NoReturn
 import click
 from msgspec.structs import replace as with_fields
 
+from swarmd.cli.ask_robots import ask_robots, in_reach
 from swarmd.cli.canary import canaries_of, read_canary
 from swarmd.cli.options import (
     EXISTING_FILE,
@@ -24,7 +25,6 @@ from swarmd.cli.options import (
     takes_targets,
 )
 from swarmd.cli.output import fields, print_json, print_table, warn
-from swarmd.cli.questions import ask_robots, in_reach
 from swarmd.cli.run_start import goal_targets
 from swarmd.cli.send import Asked, asking, gap, known_members, targets_of
 from swarmd.core.behaviour import MAX_CODE, Manifest, Signed, encode_manifest, read_entry

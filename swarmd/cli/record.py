@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import click
 
+from swarmd.cli.ask_robots import ASK_TIME
 from swarmd.cli.options import (
     FOLDER,
     CommonOptions,
@@ -18,7 +19,6 @@ from swarmd.cli.options import (
     takes_targets,
 )
 from swarmd.cli.output import fields, print_json, print_table, rewrite, warn
-from swarmd.cli.questions import ASK_TIME
 from swarmd.cli.record_merge import merge
 from swarmd.cli.send import known_members, send_to, targets_of
 from swarmd.core.errors import NetworkError

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
+from swarmd.cli.ask_robots import next_status, statuses_of
 from swarmd.cli.output import signals_end, warn
-from swarmd.cli.questions import next_status, statuses_of
 from swarmd.cli.run_start import start
 from swarmd.cli.send import Asked, report, stop_names
 from swarmd.core.clock import boottime

@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from swarmd.cli.questions import ask_robots
+from swarmd.cli.ask_robots import ask_robots
 from swarmd.core.codec import encode
 from swarmd.core.verbs import LINKS, LinksReply
 
