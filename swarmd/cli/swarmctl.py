@@ -19,7 +19,12 @@ from swarmd.core import verbs
 from swarmd.core.errors import ConfigError, NetworkError, PluginError, SwarmError
 from swarmd.network.exit_codes import EXIT_CODES_HELP
 
-_ELSEWHERE = {"stop": "requests", "estop": "requests", "reset": "requests", "resume": "goal"}
+_ELSEWHERE = {
+    "stop": "stop_and_reset",
+    "estop": "stop_and_reset",
+    "reset": "stop_and_reset",
+    "resume": "goal",
+}
 """The files of `cli/` that contain several verbs of robots."""
 # Verb -> its function, and its line for --help, which must not import the verbs.
 VERBS = {
