@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from swarmd.cli.ask_robots import ask_robots, end, in_reach
-from swarmd.cli.labels import robots_of
-from swarmd.cli.options import CommonOptions, Duration, Targets, common_options, takes_targets
+from swarmd.cli.options import CommonOptions, Duration, common_options
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.send import known_members
+from swarmd.cli.targets import Targets, robots_of, takes_targets
 from swarmd.core.verbs import AUDIT, AUDIT_PAGE, AuditEntry, AuditQuery, AuditReply
 from swarmd.texts.values import NOTHING
 

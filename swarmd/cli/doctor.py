@@ -11,9 +11,9 @@ import click
 
 from swarmd.cli.ask_robots import ASK_TIME, MAX_ANSWER, in_reach
 from swarmd.cli.known_robots import remember
-from swarmd.cli.labels import robots_of
-from swarmd.cli.options import CommonOptions, Targets, common_options, takes_targets
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table
+from swarmd.cli.targets import Targets, robots_of, takes_targets
 from swarmd.core.codec import Decoder
 from swarmd.core.errors import CodecError, ConfigError, NetworkError
 from swarmd.core.finding import Finding, Level, warning

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from swarmd.cli.labels import robots_of
-from swarmd.cli.options import CommonOptions, Duration, Targets, common_options, takes_targets
+from swarmd.cli.options import CommonOptions, Duration, common_options
 from swarmd.cli.output import print_json, print_line, signals_end, warn
 from swarmd.cli.send import exit_code_of, known_members, named_now
+from swarmd.cli.targets import Targets, robots_of, takes_targets
 from swarmd.core.messages import MAX_EVENTS, Status
 from swarmd.texts.values import printable, seconds
 

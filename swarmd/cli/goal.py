@@ -8,11 +8,11 @@ from typing import TYPE_CHECKING, Any
 import click
 from msgspec import to_builtins
 
-from swarmd.cli.labels import robots_of
-from swarmd.cli.options import CommonOptions, Failure, Targets, common_options, takes_targets
+from swarmd.cli.options import CommonOptions, Failure, common_options
 from swarmd.cli.output import fields, print_json, print_table, warn
 from swarmd.cli.run_start import send_goal
 from swarmd.cli.send import asking, known_members, report, stop_names, time_left
+from swarmd.cli.targets import Targets, robots_of, takes_targets
 from swarmd.core.verbs import ResumeRequest
 from swarmd.network.exit_codes import APPLIED, NO_TARGET, PARTIAL, TIMEOUT
 from swarmd.network.operator.outcome import Outcome, joined

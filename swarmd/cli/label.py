@@ -8,9 +8,9 @@ from typing import Any
 import click
 
 from swarmd.cli import completion
-from swarmd.cli.labels import labels_of
-from swarmd.cli.options import CommonOptions, Failure, Targets, common_options, takes_targets
+from swarmd.cli.options import CommonOptions, Failure, common_options
 from swarmd.cli.send import asking
+from swarmd.cli.targets import Targets, labels_of, takes_targets
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import LabelRequest
 from swarmd.network.exit_codes import TIMEOUT

@@ -9,10 +9,10 @@ from typing import Any, NamedTuple
 import click
 
 from swarmd.cli.ask_robots import ask_robots, end, in_reach
-from swarmd.cli.labels import robots_of
-from swarmd.cli.options import CommonOptions, Targets, common_options, takes_targets
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import print_json, print_table
 from swarmd.cli.send import known_members
+from swarmd.cli.targets import Targets, robots_of, takes_targets
 from swarmd.core.verbs import LINKS, LinkReport, LinksQuery, LinksReply
 from swarmd.texts.values import NOTHING, printable, seconds
 

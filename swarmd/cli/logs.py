@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import click
 
 from swarmd.cli.ask_robots import MAX_ANSWER, ask_robots, end, in_reach
-from swarmd.cli.labels import robots_of
-from swarmd.cli.options import CommonOptions, Targets, common_options, takes_targets
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import has_colour, print_json, print_line, signals_end, warn
 from swarmd.cli.send import gap, known_members
+from swarmd.cli.targets import Targets, robots_of, takes_targets
 from swarmd.core.codec import Decoder
 from swarmd.core.log_ring import matching
 from swarmd.core.verbs import LOG_PAGE, LOGS, LogBatch, LogRecord, LogsQuery

@@ -10,9 +10,10 @@ import click
 from msgspec import to_builtins
 
 from swarmd.cli import completion
-from swarmd.cli.options import CommonOptions, Failure, VerbGroup, check_known, common_options
+from swarmd.cli.options import CommonOptions, Failure, VerbGroup, common_options
 from swarmd.cli.output import print_json, print_section, print_table
 from swarmd.cli.send import exit_code_of, known_members, report, time_left
+from swarmd.cli.targets import check_known
 from swarmd.core import codec
 from swarmd.core.clock import FIRST_WALL
 from swarmd.core.goal import GoalState

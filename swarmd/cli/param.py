@@ -6,18 +6,10 @@ from typing import TYPE_CHECKING, NoReturn
 
 import click
 
-from swarmd.cli.labels import robots_of
-from swarmd.cli.options import (
-    CommonOptions,
-    Targets,
-    VerbGroup,
-    common_options,
-    read_targets,
-    takes_targets,
-    target_options,
-)
+from swarmd.cli.options import CommonOptions, VerbGroup, common_options
 from swarmd.cli.output import print_json, print_table
 from swarmd.cli.send import exit_code_of, known_members, send_to
+from swarmd.cli.targets import Targets, read_targets, robots_of, takes_targets, target_options
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Member, Param
 from swarmd.core.verbs import ParamRequest

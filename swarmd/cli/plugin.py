@@ -17,15 +17,14 @@ from swarmd.cli.options import (
     EXISTING_FILE,
     FOLDER,
     CommonOptions,
-    Targets,
     VerbGroup,
     common_options,
     local_options,
-    takes_targets,
 )
 from swarmd.cli.output import print_json
 from swarmd.cli.plugin_push import list_pushed, push, remove
 from swarmd.cli.send import send_to
+from swarmd.cli.targets import Targets, takes_targets
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import ReloadRequest
 from swarmd.plugins import installed_patterns

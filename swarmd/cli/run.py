@@ -8,9 +8,10 @@ import click
 
 from swarmd.cli import completion
 from swarmd.cli.canary import CANARY_TIME, canaries_of, read_canary
-from swarmd.cli.options import CommonOptions, Duration, Targets, common_options, takes_targets
+from swarmd.cli.options import CommonOptions, Duration, common_options
 from swarmd.cli.run_start import goal_targets, run_with_canary, start, start_at
 from swarmd.cli.send import asking
+from swarmd.cli.targets import Targets, takes_targets
 from swarmd.core.keys import is_id
 from swarmd.core.verbs import MAX_AHEAD
 from swarmd.network.spread.operator_goals import next_goal

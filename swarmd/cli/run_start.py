@@ -9,9 +9,10 @@ import click
 from msgspec.structs import replace
 
 from swarmd.cli.canary import watch_canary
-from swarmd.cli.options import Failure, Targets
+from swarmd.cli.options import Failure
 from swarmd.cli.output import warn
 from swarmd.cli.send import Asked, stop_names, stop_on_interrupt, time_left
+from swarmd.cli.targets import Targets
 from swarmd.core.clock import TICK, boottime
 from swarmd.core.record import LABEL
 from swarmd.core.verbs import GoalRequest, RunRequest

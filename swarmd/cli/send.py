@@ -15,12 +15,21 @@ import click
 from msgspec.structs import replace
 
 from swarmd.cli.known_robots import remember
-from swarmd.cli.labels import STOP_LOOK, named, robots_of, stopped, unlabelled
-from swarmd.cli.options import Failure, Targets
+from swarmd.cli.options import Failure
 from swarmd.cli.output import fields, print_json, print_table, warn
+from swarmd.cli.targets import (
+    STOP_LOOK,
+    Targets,
+    named,
+    no_target,
+    robots_of,
+    stopped,
+    targets_of,
+    unlabelled,
+)
 from swarmd.core.errors import unknown
 from swarmd.core.messages import Refusal
-from swarmd.network.exit_codes import NO_TARGET, UNREACHABLE, USAGE, code_of_answers
+from swarmd.network.exit_codes import UNREACHABLE, USAGE, code_of_answers
 from swarmd.network.operator.outcome import Outcome
 from swarmd.texts.values import NOTHING, seconds
 
@@ -163,16 +172,6 @@ def exit_code_of(view: MembersView, names: Collection[str]) -> int:
     return code_of_answers(names, view.answered)
 
 
-def targets_of(view: MembersView, targets: Targets) -> tuple[str, ...]:
-    """The robots that must answer a request to `targets`; Failure if there are none."""
-    expected = view.expected
-    names = robots_of(view, targets)
-    chosen = tuple(name for name in names if name in expected)
-    if not chosen:
-        raise _no_target(*(f"{name} has left" for name in names))
-    return chosen
-
-
 def named_now(options: CommonOptions, operator: Operator, targets: Targets) -> Targets:
     """The targets by name alone, as a look shows labels now. For verbs that follow robots."""
     return named(known_members(options, operator), targets) if targets.labels else targets
@@ -239,7 +238,7 @@ def send_stop(
         lost = [name for name in outcome.missing if name not in known]
         if not outcome.targeted or len(lost) == outcome.targeted:
             names = robots_of(view, targets)
-            raise _no_target(*(f"{name} has left" for name in names))
+            raise no_target(*(f"{name} has left" for name in names))
         if not outcome.reached and not outcome.replies:
             warn(f"no robot was heard{_instead(operator)}")
         warn_of_gaps(view, [name for name in outcome.missing if name not in lost])
@@ -318,11 +317,6 @@ def _where(operator: Operator) -> str:
     if settings.profile == "routed":
         return f"through {', '.join(settings.routers)}"
     return "on this machine" if settings.profile == "dev" else f"by {settings.interface}"
-
-
-def _no_target(*reasons: str) -> Failure:
-    text = "; ".join(reasons) or "all robots are excluded"
-    return Failure(f"no robot is targeted: {text}", NO_TARGET)
 
 
 def _as_json(outcome: Outcome) -> dict[str, Any]:

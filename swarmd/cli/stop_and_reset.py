@@ -6,9 +6,10 @@ from collections.abc import Iterable
 
 import click
 
-from swarmd.cli.options import CommonOptions, Targets, common_options, takes_targets
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import need_consent, warn
 from swarmd.cli.send import asking, send_stop
+from swarmd.cli.targets import Targets, takes_targets
 from swarmd.core.verbs import ResetRequest
 from swarmd.network.operator.members_view import MembersView
 

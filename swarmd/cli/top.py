@@ -10,8 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from swarmd.cli.labels import robots_of
-from swarmd.cli.options import CommonOptions, Targets, common_options, takes_targets
+from swarmd.cli.options import CommonOptions, common_options
 from swarmd.cli.output import (
     need_terminal,
     print_json,
@@ -21,6 +20,7 @@ from swarmd.cli.output import (
     table_lines,
 )
 from swarmd.cli.send import exit_code_of, gap, known_members, named_now
+from swarmd.cli.targets import Targets, robots_of, takes_targets
 from swarmd.core.messages import STATUS_SILENCE, Presence, ProcessUsage, Status
 from swarmd.texts.values import NOTHING, megabytes, seconds
 

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 
 import click
 
-from swarmd.cli.labels import labels_of
-from swarmd.cli.options import CommonOptions, Failure, Targets, common_options, takes_targets
+from swarmd.cli.options import CommonOptions, Failure, common_options
 from swarmd.cli.output import print_json
 from swarmd.cli.send import unreachable
+from swarmd.cli.targets import Targets, labels_of, takes_targets
 from swarmd.core.clock import boottime
 from swarmd.network.exit_codes import APPLIED, TIMEOUT
 from swarmd.network.spread.operator_goals import signed_goals

@@ -5,7 +5,8 @@ from __future__ import annotations
 import click
 import pytest
 
-from swarmd.cli.options import Duration, Failure, Targets, read_targets
+from swarmd.cli.options import Duration, Failure
+from swarmd.cli.targets import Targets, read_targets
 
 KNOWN = ("r1", "tb3-01", "tb3-02", "tb3-10")
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import click
 import pytest
 
-from swarmd.cli.labels import named, robots_of, stopped, unlabelled
-from swarmd.cli.options import Failure, Targets, read_targets
+from swarmd.cli.options import Failure
+from swarmd.cli.targets import Targets, named, read_targets, robots_of, stopped, unlabelled
 from swarmd.core.messages import Presence
 from swarmd.network.exit_codes import NO_TARGET
 from swarmd.network.operator.members_view import MembersView
