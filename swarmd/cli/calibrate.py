@@ -15,8 +15,9 @@ import click
 
 from swarmd.calibration.figures import DONE, PATTERN, Figure
 from swarmd.cli import completion
+from swarmd.cli.consent import need_consent
 from swarmd.cli.options import FILE, CommonOptions, Failure, common_options
-from swarmd.cli.output import need_consent, print_json, print_table, rewrite, warn
+from swarmd.cli.output import print_json, print_table, rewrite, warn
 from swarmd.cli.send import known_members
 from swarmd.cli.targets import check_known
 from swarmd.core.messages import Presence, Reason, State, Status

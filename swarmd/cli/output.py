@@ -118,17 +118,6 @@ def need_terminal(verb: str, instead: str) -> None:
         raise click.UsageError(f"{verb} needs a terminal whose cursor moves (TERM); {instead}")
 
 
-def need_consent(what: str, to_check: str, question: str) -> None:
-    """Ask before robots are changed: UsageError without a terminal, ClickException after a no."""
-    if not sys.stdin.isatty():
-        raise click.UsageError(
-            f"{what} asks for confirmation, and there is no terminal; nothing was sent; check that"
-            f" {to_check}, and add --yes"
-        )
-    if not click.confirm(question, err=True):
-        raise click.ClickException("nothing was sent")
-
-
 @contextlib.contextmanager
 def signals_end(*numbers: signal.Signals) -> Iterator[None]:
     """Signals, by default SIGTERM and SIGHUP, raise SystemExit within, with 128 and their number.

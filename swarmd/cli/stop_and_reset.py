@@ -6,8 +6,9 @@ from collections.abc import Iterable
 
 import click
 
+from swarmd.cli.consent import need_consent
 from swarmd.cli.options import CommonOptions, common_options
-from swarmd.cli.output import need_consent, warn
+from swarmd.cli.output import warn
 from swarmd.cli.send import asking, send_stop
 from swarmd.cli.targets import Targets, takes_targets
 from swarmd.core.verbs import ResetRequest

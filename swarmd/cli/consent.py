@@ -1,0 +1,18 @@
+"""The question before a verb changes robots: are you sure?"""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+
+def need_consent(what: str, to_check: str, question: str) -> None:
+    """Ask before robots are changed: UsageError without a terminal, ClickException after a no."""
+    if not sys.stdin.isatty():
+        raise click.UsageError(
+            f"{what} asks for confirmation, and there is no terminal; nothing was sent; check that"
+            f" {to_check}, and add --yes"
+        )
+    if not click.confirm(question, err=True):
+        raise click.ClickException("nothing was sent")
