@@ -16,6 +16,7 @@ from msgspec.structs import replace
 from swarmd.core.finding import Finding
 from swarmd.core.messages import Reason
 from swarmd.core.values import Scan, ScanSpec
+from swarmd.drivers.ros.command_type import wanted_type
 from swarmd.drivers.ros.endpoints import Endpoint, is_listener, nodes_of
 from swarmd.drivers.ros.foreign_commands import ForeignCommands
 from swarmd.drivers.ros.namespaces import Candidates, Namespaces
@@ -239,11 +240,8 @@ class Graph:
 
         `allowed`: the classes of messages that the options allow; a single one needs no base.
         """
-        if len(allowed) == 1:
-            return allowed[0]
         types = {end.type for end in self.bases(topic)}
-        wanted = [kind for kind in allowed if self.middleware.type_name(kind) in types]
-        return wanted[0] if len(wanted) == 1 else None
+        return wanted_type(allowed, types, self.middleware.type_name)
 
     def no_subscriber(self, topic: str, allowed: Sequence[type], *, has_subscriber: bool) -> str:
         """Why no base receives the commands; empty if one does.

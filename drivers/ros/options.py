@@ -15,7 +15,7 @@ from rosbags.typesys import Stores
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Platform, Value
-from swarmd.drivers.ros import messages
+from swarmd.drivers.ros import command_type, messages
 from swarmd.drivers.ros.cdr import name_of
 from swarmd.drivers.ros.message_types import MessageTypes
 from swarmd.drivers.ros.topic_hazards import HazardOptions, TopicHazard, topic_hazard
@@ -80,7 +80,7 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     shared_pose_type: Literal["pose", "pose_with_covariance"] = "pose"
     shared_pose_error: Annotated[float, Meta(ge=0.0, le=5.0)] = 0.05
     shared_pose_error_deg: Annotated[float, Meta(ge=0.0, le=90.0)] = 3.0
-    cmd_vel_type: Literal["auto", "twist", "twist_stamped"] = "auto"
+    cmd_vel_type: command_type.Option = "auto"
     cmd_vel_frame: Annotated[str, Meta(max_length=200)] = "base_link"
     cmd_vel_listeners: tuple[Name, ...] = ()
     other_commands: tuple[str, ...] = ()
@@ -101,9 +101,7 @@ class TopicOptions(Struct, frozen=True, kw_only=True, forbid_unknown_fields=True
     @property
     def command_types(self) -> tuple[type, ...]:
         """The message classes that the commands may have: one, or all if the base decides."""
-        return {"twist": (messages.Twist,), "twist_stamped": (messages.TwistStamped,)}.get(
-            self.cmd_vel_type, (messages.Twist, messages.TwistStamped)
-        )
+        return command_type.allowed_types(self.cmd_vel_type)
 
     @property
     def pose_type(self) -> type:
