@@ -15,6 +15,8 @@ Clock = Callable[[], float]
 
 TICK = 0.05
 """Seconds between two decisions of a robot, at most."""
+STALL_TIMEOUT = 1.0
+"""A robot whose loop is later than this, in s, has stalled: its run ends (`loop_stalled`)."""
 FIRST_WALL = 1.7e9
 """A wall clock of before November 2023, in s since 1970, has not been set."""
 

@@ -6,7 +6,7 @@ import asyncio
 from collections import deque
 from collections.abc import Callable
 
-from swarmd.core.clock import TICK
+from swarmd.core.clock import STALL_TIMEOUT, TICK
 
 MAX_LATENESS_SAMPLES = 400
 
@@ -47,7 +47,7 @@ class TickTimer:
         now = self._loop.time()
         late = max(now - self._next, 0.0)
         self._lateness.append(late)
-        if late > 1.0:
+        if late > STALL_TIMEOUT:
             self.stalls += 1
         self._next += TICK
         if self._next <= now:  # more than a period late: do not catch up

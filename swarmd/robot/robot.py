@@ -13,6 +13,7 @@ from typing import Any
 from msgspec.structs import astuple
 
 from swarmd.core import events
+from swarmd.core.clock import STALL_TIMEOUT
 from swarmd.core.events import Input
 from swarmd.core.goal import GoalRecord, HeldGoal
 from swarmd.core.host_messages import Step, TrialDone
@@ -31,7 +32,6 @@ from swarmd.robot.settings import RobotIdentity, RobotSettings
 from swarmd.robot.state import MAX_HOLD_TIME, Lifecycle
 from swarmd.robot.status import DutyCycle, make_status, status_reason
 
-STALL_TIMEOUT = 1.0
 STATUS_PERIOD = 1.0
 MAX_WHY = 200  # characters of the driver's text in the answer to a stop
 
