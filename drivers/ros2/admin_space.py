@@ -214,7 +214,7 @@ class _Quality(Struct, frozen=True):
 
 
 class _InDds(Struct, frozen=True):
-    """A DDS participant, or a reader or writer: then with names of its topic and type."""
+    """A DDS entity in a bridge's list: a reader or writer, or a participant (no names then)."""
 
     qos: _Quality
     topic_name: str = ""

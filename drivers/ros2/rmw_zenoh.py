@@ -92,7 +92,11 @@ class RmwZenoh(Ros2Middleware):
     def __init__(
         self, domain: int, cmd_vel: str, namespace: str = "/", node: str = "swarmd", index: int = 0
     ) -> None:
-        """`cmd_vel`: the full name of the command topic. `index`: the node's in its session."""
+        """A scheme of one node.
+
+        `cmd_vel`: full name of the command topic. `namespace`, `node`: the names under which the
+        node is announced. `index`: number of this node within its Zenoh session.
+        """
         self.domain: int | None = domain
         self._cmd_vel = cmd_vel
         self._node, self._index = f"%/{_mangled(namespace)}/{node}", index

@@ -12,9 +12,10 @@ _SET_BACK = 1.0  # s; a stamp that is older than the last by more has a clock th
 
 
 class ArrivalDelay:
-    """Measures one stream of messages against the fastest of them.
+    """How much later each message of one stream arrives than its fastest message.
 
-    What the fastest itself takes is not seen: the caller adds a bound for it.
+    The delay of the fastest message itself is not seen: the caller adds a bound for it. A stamp
+    that is set back by more than 1 s starts the measurement anew.
     """
 
     def __init__(self) -> None:

@@ -224,9 +224,9 @@ class Stop(_Datagram, frozen=True, kw_only=True):
 
     `targets` None: every robot. `scope` swarm: the latch spreads to robots that join. `age`: ms
     since the operator issued it, summed hop by hop without clocks and without the time on the way.
-    `hops`: how often it was relayed. `origin` and `counter`: of the operator's installation and its
-    stop (`stop_freshness.py`); only in a secured swarm. `repeated`: the age at which its operator
-    sent the copy from which this one comes.
+    `hops`: how often it was relayed. `origin`: the operator's installation; `counter`: rises with
+    each of its stops (`stop_freshness.py`); both only in a secured swarm. `repeated`: ms; the
+    stop's age when the operator itself sent the copy that was relayed.
     """
 
     id: Name

@@ -361,7 +361,11 @@ class Robot:
         return self._settle(effects)
 
     def wake_at(self, now: float) -> float | None:
-        """The next deadline after `now`; None without one."""
+        """The next deadline for which the robot must be woken between ticks; None without one.
+
+        Deadlines of the pattern run, the run lease, the scans and the longest hold. Odometry,
+        peers and hazards are checked at ticks.
+        """
         lifecycle = self._lifecycle
         soonest = lifecycle.pattern_run.next_deadline(now)
         if lifecycle.is_running:

@@ -189,7 +189,10 @@ class Sensors:
         return True
 
     def on_readings(self, values: Mapping[str, float]) -> None:
-        """Take in all scalar sensors; NaN: the sensor is known, and has no fresh value."""
+        """Take in all scalar sensors, in place of all earlier readings.
+
+        NaN or infinite: the sensor is known, and has no fresh value.
+        """
         self.readings = {name: v for name, v in values.items() if math.isfinite(v)}
         self.stale_readings = tuple(sorted(values.keys() - self.readings.keys()))
 

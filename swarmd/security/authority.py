@@ -95,7 +95,10 @@ class Authority:
     ) -> Authority:
         """Make an authority with an empty roster; `change` adds names.
 
-        The passphrase encrypts the private keys of the authority and of the names in its folder.
+        The passphrase encrypts the private keys of the authority and of the names in its folder;
+        without a passphrase these keys are not encrypted. The secrets of datagrams in the file
+        STATE never are: mode 0600 alone protects them. `days`: the life of new certificates.
+        ConfigError if the folder exists.
         """
         check_id(swarm, "swarm")
         try:

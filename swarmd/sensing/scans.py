@@ -1367,7 +1367,11 @@ class RayMemory:
         edge: cython.double,
         other: cython.double,
     ) -> cython.bint:
-        """Fill the rays between two known ones; false if the sector is too wide."""
+        """Fill the rays between the known rays `last` and `end` with the smaller of their ranges.
+
+        `edge`, `other`: these ranges in m. `before`, `after`: the angles of the two rays in rad.
+        False, and nothing is filled, if the angles differ by more than `max_gap`.
+        """
         if not fabs(after - before) <= self._max_gap:
             return False
         k: cython.Py_ssize_t

@@ -44,8 +44,9 @@ def read(path: Path) -> Data:
 
 
 def read_extended(path: Path, find: Callable[[str, Path], Path]) -> Iterator[tuple[Path, Data]]:
-    """A file and those it `extends`, strongest first; `find(name, folder)` gives their paths.
+    """(path, content) of a file, then of the file that it `extends`, and so on.
 
+    A value of an earlier file wins. `find(name, folder)` gives the path of an extended file.
     ConfigError if a file extends itself or a missing one.
     """
     seen: list[Path] = []
