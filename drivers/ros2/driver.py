@@ -1,4 +1,8 @@
-"""A ROS 2 robot over a Zenoh session of its own; a key scheme gives keys, framing and tokens."""
+"""A ROS 2 robot over a Zenoh session of its own; a key scheme gives keys, framing and tokens.
+
+`RosDriver._watch` finds a lost base: silent topics, a hub that has gone or was started again, a
+base that takes commands of another type.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Contacts in the physics of a world, and contact episodes as people count them."""
+"""Reads the contacts in a world's physics and counts contact episodes.
+
+How bodies collide, and what a hit does to them, is modelled in `bodies.py`.
+"""
 
 from __future__ import annotations
 

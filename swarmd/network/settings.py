@@ -1,4 +1,7 @@
-"""The settings of a swarm's network, and their checks. No Zenoh: the schema of files needs them."""
+"""The settings of a swarm's network: interface, profile, lease, seeds; and their checks.
+
+No Zenoh: the schema of files needs them.
+"""
 
 from __future__ import annotations
 

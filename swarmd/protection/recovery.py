@@ -1,5 +1,6 @@
 """Recovery: steers a blocked robot around an obstacle, before protection judges the command.
 
+A robot that touches something already creeps: `CREEP_SPEED` in barrier.py.
 Recovery replaces the requested command, and its own requests pass the same arbiter; so it cannot
 weaken protection. Without it, two robots that meet head on would block each other for good.
 Recovery looks for a free corridor of the robot's width near the requested heading and prefers the

@@ -1,7 +1,8 @@
-"""What a robot takes from the others in a secured swarm. Pure: verified datagrams and times in.
+"""Which datagrams count in a secured swarm, and which are forged or replayed. Pure.
 
-A signature shows the class of the signer. Beyond that, a datagram counts if its signer may send
-it, if the robot that it names is on the roster, and if it is fresh:
+Verified datagrams and times go in. A signature shows the class of the signer. Beyond that, a
+datagram counts if its signer may send it, if the robot that it names is on the roster, and if it
+is fresh:
 
 - beacons as `beacon_freshness.py` describes; a question is due for those that are unproven,
 - messages, places, latches and goals of the instance that is the member now,

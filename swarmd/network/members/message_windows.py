@@ -1,4 +1,9 @@
-"""Which messages of patterns are new, and how many are lost. Pure."""
+"""Which messages of patterns are new and not duplicates, and how many are lost. Pure.
+
+Other old or repeated datagrams are dropped elsewhere: the second copy by another way in
+`carriers/udp.py`, a delayed beacon in `membership.py`, a replayed beacon in `beacon_freshness.py`,
+a replayed stop in `stops/stop_freshness.py`.
+"""
 
 from __future__ import annotations
 
