@@ -47,7 +47,7 @@ _metrics = click.option(
     "--metrics",
     metavar="A,B,..",
     help="Show only these metrics; see `swarmctl exp metrics`. Also report:KEY, what patterns"
-    " report, and FILE.py:NAME, one of your own.",
+    " report, reading:KEY, what sensors read, and FILE.py:NAME, one of your own.",
 )
 _processes = click.option(
     "-j",

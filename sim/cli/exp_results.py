@@ -174,7 +174,9 @@ _NARROWEST, _WIDEST = 2.0, 20.0
 @folder_argument
 @out_option("Folder of the pictures [DIR/plots; with --seeds DIR/plots/seeds-SEEDS].", "-o")
 @click.option(
-    "--metrics", metavar="A,B,..", help="Draw these metrics; also report:KEY and FILE.py:NAME."
+    "--metrics",
+    metavar="A,B,..",
+    help="Draw these metrics; also report:KEY, reading:KEY and FILE.py:NAME.",
 )
 @click.option(
     "--seeds", metavar="SEEDS", help="Draw only the runs of these seeds: 7, 500-519, or 3,5,9."

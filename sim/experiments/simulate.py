@@ -79,8 +79,9 @@ def simulate(
     for `timeout` s is ended and has failed. `out` is a folder as of `swarmctl exp`; the same call
     continues an interrupted one. Without `out`, the results are deleted with the returned object.
     With `cores` above 1 as many processes share the robots of each run, which is for large ones.
-    `metrics` are measured besides those of the catalog: `report:...`, `FILE.py:FUNCTION`.
-    With `shard="3/40"` only the third of forty parts is run; `merge` joins their folders.
+    `metrics` are measured besides those of the catalog: `report:...`, `reading:...`,
+    `FILE.py:FUNCTION`. With `shard="3/40"` only the third of forty parts is run; `merge` joins
+    their folders.
 
     ConfigError before anything runs if scenario, seeds or overrides are invalid. Failed runs are
     in `failures` of the results; SwarmError if all runs failed.

@@ -1,6 +1,6 @@
 """All metrics by name, with unit, meaning and source, and their values for a trace.
 
-Besides these there are metrics of what patterns report (`reported.py`), and custom ones (`own.py`);
+Besides these there are metrics of reports and readings (`reported.py`), and custom ones (`own.py`);
 `metric_of` takes all of them. Names are columns of tables and keys of files. `late` is the last
 60 s of a run, or its last half if that is shorter. A metric is None if the trace lacks the data, or
 if it has no value, such as the time to an event that never happened.
@@ -29,7 +29,7 @@ from swarmd.sim.metrics import (
 )
 from swarmd.sim.metrics.metric import Better, Metric
 from swarmd.sim.metrics.own import installed_metrics, metric_of_file
-from swarmd.sim.metrics.reported import PREFIX, check_reported, reported_metric
+from swarmd.sim.metrics.reported import PREFIXES, check_reported, reported_metric
 from swarmd.sim.trace import Trace
 
 __all__ = ["METRICS", "Better", "Metric", "measure", "metric_of", "series", "table"]
@@ -77,13 +77,14 @@ def series(trace: Trace, name: str | Metric) -> Array | None:
 def metric_of(name: str | Metric) -> Metric:
     """The metric of that name; ConfigError with the nearest name if it is unknown.
 
-    A name is one of METRICS, `report:KEY...`, `FILE.py:FUNCTION` or that of an installed metric.
+    A name is one of METRICS, `report:KEY...`, `reading:KEY...`, `FILE.py:FUNCTION` or that of an
+    installed metric.
     """
     if isinstance(name, Metric):
         return name
     if name in METRICS:
         return METRICS[name]
-    if name.startswith(PREFIX):
+    if name.startswith(PREFIXES):
         return reported_metric(name)
     if ".py:" in name:
         return metric_of_file(name)
@@ -94,8 +95,8 @@ def metric_of(name: str | Metric) -> Metric:
 
 
 def check_has_value(metric: Metric, trace: Trace) -> None:
-    """ConfigError with the nearest name if no robot of the trace reports what a metric takes."""
-    if metric.name.startswith(PREFIX):
+    """ConfigError with the nearest name if no robot of the trace has what a metric takes."""
+    if metric.name.startswith(PREFIXES):
         check_reported(metric.name, trace)
 
 

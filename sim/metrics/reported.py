@@ -1,20 +1,21 @@
-"""What patterns report, as metrics: `report:KEY[=TEXT][.ROBOTS][_TIME]`.
+"""What patterns report and sensors read, as metrics: `report:KEY[=TEXT]`, `reading:KEY`.
 
-A number of each robot is taken over the robots (ROBOTS: mean, median, min, max, std, sum), then
-over time (TIME: start, end, late, mean, min, max, std). Without ROBOTS it is the mean, without TIME
-`late`; a TIME that is no word of ROBOTS may stand alone. Examples: `report:value`,
-`report:value.max`, `report:value.std_end`, `report:value.end`. With TEXT a robot counts 1 while it
-reports this text and 0 while it reports another: `report:state=wait` is a share of the robots.
-Only present robots that report KEY count.
+Both take statistics, such as `report:KEY[.ROBOTS][_TIME]`. A number of each robot is taken over the
+robots (ROBOTS: mean, median, min, max, std, sum), then over time (TIME: start, end, late, mean,
+min, max, std). Without ROBOTS it is the mean, without TIME `late`; a TIME that is no word of ROBOTS
+may stand alone. Examples: `report:value`, `report:value.max`, `reading:battery.min_end`. With TEXT
+a robot counts 1 while it reports this text and 0 while it reports another: `report:state=wait` is a
+share of the robots; a reading is never a text. Only present robots with a value of KEY count.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from types import MappingProxyType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, unknown
 from swarmd.core.values import Array
@@ -22,7 +23,7 @@ from swarmd.sim.metrics.metric import TIMES, Metric, over_time
 from swarmd.sim.metrics.window import presence
 from swarmd.sim.trace import WORD, Trace
 
-PREFIX = "report:"
+PREFIXES = _REPORT, _READING = "report:", "reading:"
 ROBOTS: Mapping[str, Callable[..., Any]] = MappingProxyType(
     {
         "mean": np.nanmean,
@@ -45,51 +46,37 @@ _SUFFIXES: Mapping[str, tuple[str, str]] = MappingProxyType(
 
 
 def reported_metric(name: str) -> Metric:
-    """The metric of a name `report:...`; ConfigError if it names no key."""
-    key, text, robots, time = _parts(name)
+    """The metric of a name `report:...` or `reading:...`; ConfigError if it names no key."""
+    one = _parts(name)
+    is_report = one.prefix == _REPORT
 
     def series(trace: Trace) -> Array | None:
-        values = reported(trace, key, text)
-        return None if values is None else _over_robots(values, robots)
+        values = _values(trace, one)
+        return None if values is None else _over_robots(values, one.robots)
 
     def value(trace: Trace) -> float | None:
         values = series(trace)
-        return None if values is None else over_time(values, trace.t, time)
+        return None if values is None else over_time(values, trace.t, one.time)
 
-    what = f"share of the robots whose {key} is {text!r}" if text else f"reported {key}"
+    what = f"{'reported' if is_report else 'reading'} {one.key}"
+    if one.text:
+        what = f"share of the robots whose {one.key} is {one.text!r}"
     return Metric(
         name=name,
-        unit="share" if text and robots == "mean" else "",
-        meaning=f"{what}: {robots} over the robots, {time} over time",
-        source="reports of the robots",
+        unit="share" if one.text and one.robots == "mean" else "",
+        meaning=f"{what}: {one.robots} over the robots, {one.time} over time",
+        source=f"{'reports' if is_report else 'readings'} of the robots",
         value=value,
         series=series,
     )
 
 
-def reported(trace: Trace, key: str, text: str = "") -> Array | None:
-    """(T, n) what each robot reports as `key`, NaN where absent; None if no robot ever did.
-
-    With a text: 1 where the robot reports it, and 0 where it reports another.
-    """
-    if text:
-        words = trace.words.get(key)
-        if words is None:
-            return None
-        is_same = words == np.array(text, dtype=WORD)
-        values = np.where(words == "", np.nan, is_same.astype(np.float64))
-    elif key in trace.report:
-        values = trace.report[key]
-    else:
-        return None
-    return np.where(presence(trace), values, np.nan)
-
-
 def check_reported(name: str, trace: Trace) -> None:
-    """ConfigError with the nearest name if no robot of the trace reports what the metric takes."""
-    key, text, _, _ = _parts(name)
-    texts = [str(one) for one in np.unique(trace.words[key]) if one] if key in trace.words else []
-    if text[:_MAX_TEXT] in texts or (not text and key in trace.report):
+    """ConfigError with the nearest name if no robot of the trace has what the metric takes."""
+    prefix, key, text, _, _ = _parts(name)
+    numbers, words = _named(trace, prefix)
+    texts = [str(one) for one in np.unique(words[key]) if one] if key in words else []
+    if text[:_MAX_TEXT] in texts or (not text and key in numbers):
         return
     if texts and not text:
         listed = ", ".join(f"{key}={one}" for one in texts)
@@ -98,24 +85,56 @@ def check_reported(name: str, trace: Trace) -> None:
         known = texts + [f"{one}.{suffix}" for one in texts for suffix in _SUFFIXES]
         raise ConfigError(f"metric {name!r}: {unknown(f'reported {key}', text, known)}")
     stem, _, _ = key.rpartition(".")
-    known = [*trace.report, *trace.words]
-    known += [f"{stem}.{suffix}" for suffix in _SUFFIXES] if stem in trace.report else []
-    raise ConfigError(f"metric {name!r}: {unknown('reported value', key, known)}")
+    known = [*numbers, *words]
+    known += [f"{stem}.{suffix}" for suffix in _SUFFIXES] if stem in numbers else []
+    kind = "reported value" if prefix == _REPORT else "reading"
+    raise ConfigError(f"metric {name!r}: {unknown(kind, key, known)}")
 
 
-def _parts(name: str) -> tuple[str, str, str, str]:
-    """Key, text, statistic over the robots, statistic over time."""
-    body = name.removeprefix(PREFIX)
+class _Parts(NamedTuple):
+    """The parts of a name: `robots`, `time`: the statistics over robots and over time."""
+
+    prefix: str
+    key: str
+    text: str
+    robots: str
+    time: str
+
+
+def _parts(name: str) -> _Parts:
+    prefix = next(one for one in PREFIXES if name.startswith(one))
+    body = name.removeprefix(prefix)
     stem, _, suffix = body.rpartition(".")
     robots, time = _SUFFIXES.get(suffix, ("", ""))
     if not (stem and robots):
         stem, robots, time = body, "mean", "late"
     key, equals, text = stem.partition("=")
-    if not key or (equals and not text):
-        raise ConfigError(
-            f"metric {name!r}: expected {PREFIX}KEY, {PREFIX}KEY.max_end or {PREFIX}KEY=TEXT"
-        )
-    return key, text, robots, time
+    if not key or (equals and (not text or prefix == _READING)):
+        or_text = f" or {prefix}KEY=TEXT" if prefix == _REPORT else ""
+        raise ConfigError(f"metric {name!r}: expected {prefix}KEY, {prefix}KEY.max_end{or_text}")
+    return _Parts(prefix, key, text, robots, time)
+
+
+def _named(trace: Trace, prefix: str) -> tuple[Mapping[str, Array], Mapping[str, NDArray[np.str_]]]:
+    """The numbers and the texts (T, n) of the robots by key."""
+    return (trace.report, trace.words) if prefix == _REPORT else (trace.readings, {})
+
+
+def _values(trace: Trace, one: _Parts) -> Array | None:
+    """(T, n) the number of each robot, NaN where absent; None if no robot ever had one.
+
+    With a text: 1 where the robot reports it, and 0 where it reports another.
+    """
+    numbers, words = _named(trace, one.prefix)
+    if one.key not in (words if one.text else numbers):
+        return None
+    if one.text:
+        said = words[one.key]
+        is_same = said == np.array(one.text, dtype=WORD)
+        values = np.where(said == "", np.nan, is_same.astype(np.float64))
+    else:
+        values = numbers[one.key]
+    return np.where(presence(trace), values, np.nan)
 
 
 def _over_robots(values: Array, robots: str) -> Array:

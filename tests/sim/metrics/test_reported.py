@@ -1,4 +1,4 @@
-"""What patterns report, as metrics."""
+"""What patterns report and sensors read, as metrics."""
 
 from __future__ import annotations
 
@@ -21,7 +21,8 @@ def trace(run: Callable[..., Trace]) -> Trace:
     """Four instants; the third robot is never present."""
     present = np.array([[True, True, False]] * 4)
     parts = {"report": {"value": VALUES, "part.max": VALUES}, "words": {"state": STATES}}
-    return run(np.zeros((4, 3, 3)), present=present, **parts)
+    readings = {"battery": VALUES / 10.0}
+    return run(np.zeros((4, 3, 3)), present=present, readings=readings, **parts)
 
 
 @pytest.mark.parametrize(
@@ -44,6 +45,10 @@ def trace(run: Callable[..., Trace]) -> Trace:
         ("report:state=never.end", 0.0),
         ("report:speed", None),
         ("report:value=wait", None),
+        ("reading:battery.min_end", 0.5),
+        ("reading:battery", 0.5),
+        ("reading:value", None),
+        ("report:battery", None),
     ],
 )
 def test_a_reported_value_is_taken_over_robots_then_over_time(
@@ -72,6 +77,8 @@ def test_a_share_of_robots_has_that_unit() -> None:
         ("report:state=wiat", "'wait'"),
         ("report:state=wait.sum_mex", "'wait.sum_max'"),
         ("report:state", "state=drive, state=wait"),
+        ("reading:batery", "'battery'"),
+        ("reading:battery.meen_end", "'battery.mean_end'"),
     ],
 )
 def test_what_no_robot_reports_is_named_with_the_nearest(
@@ -83,13 +90,16 @@ def test_what_no_robot_reports_is_named_with_the_nearest(
 
 
 @pytest.mark.parametrize(
-    "name", ["report:value.mean_end", "report:state=wait", "report:part.max.sum"]
+    "name",
+    ["report:value.mean_end", "report:state=wait", "report:part.max.sum", "reading:battery.min"],
 )
 def test_what_robots_report_is_no_fault(trace: Trace, name: str) -> None:
     check_has_value(metric_of(name), trace)
 
 
-@pytest.mark.parametrize("name", ["report:", "report:=wait", "report:state="])
+@pytest.mark.parametrize(
+    "name", ["report:", "report:=wait", "report:state=", "reading:", "reading:battery=full"]
+)
 def test_a_name_without_key_or_text_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match="KEY"):
         metric_of(name)
