@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from importlib import import_module
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -15,8 +16,8 @@ from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError, SwarmError
 from swarmd.core.files import whole_file
-from swarmd.core.messages import DecisionSummary
-from swarmd.core.values import Array, Platform
+from swarmd.core.messages import DecisionSummary, Status
+from swarmd.core.values import Array, Platform, Scalar
 from swarmd.protection.decision import Decision
 
 ARENA = -1
@@ -36,6 +37,10 @@ _PARTS = {
     "box_pose": "f T m 3", "box_shapes": "f m k 2",
 }  # fmt: skip
 """Kind and shape of each array, by the first word of its name in a file."""
+NAMED: Mapping[str, float | str] = MappingProxyType(
+    {"report": np.nan, "words": "", "readings": np.nan}
+)
+"""What a trace has by name, each with its blank."""
 TWIST = ("linear", "angular", "lateral")
 BOUND = ("bound_bearing", "bound_gap", "bound_speed")
 _PER_ROBOT = ("state", "reason", "active", "recovering", "decided", "evaded", "gap", "scan_age")
@@ -129,9 +134,8 @@ class Trace:
             "meta": dict(self.meta),
         }
         kept = {k: v for k, v in arrays.items() if isinstance(v, np.ndarray)}
-        kept |= {f"report/{name}": values for name, values in self.report.items()}
-        kept |= {f"words/{name}": values for name, values in self.words.items()}
-        kept |= {f"readings/{name}": values for name, values in self.readings.items()}
+        for kind in NAMED:
+            kept |= {f"{kind}/{name}": values for name, values in arrays[kind].items()}
         path.parent.mkdir(parents=True, exist_ok=True)
         with whole_file(path) as partial, partial.open("wb") as file:
             np.savez_compressed(file, allow_pickle=False, head=np.array(json.dumps(head)), **kept)
@@ -175,7 +179,7 @@ def load_trace(path: Path) -> Trace:
         for key in ("ids", "platforms", "movable_boxes"):
             head[key] = tuple(head[key])
         _check_parts(arrays, {"n": len(head["ids"]), "m": len(head["movable_boxes"])})
-        for kind in ("report", "words", "readings"):
+        for kind in NAMED:
             named = [name for name in arrays if name.startswith(f"{kind}/")]
             head[kind] = {name.partition("/")[2]: arrays.pop(name) for name in named}
         shapes = [head["footprints"][name] for name in head["platforms"]]
@@ -307,6 +311,29 @@ def decision_values(
         np.nan if age is None else age,
         astuple(rows[0]) if rows else NO_DECISION[-1],
     )
+
+
+def enter_named(
+    named: Mapping[str, dict[str, NDArray[Any]]], place: Any, shape: tuple[int, int], status: Status
+) -> None:
+    """Enter what a status reports by name, at `place` of arrays of `shape` (T, n) in `named`.
+
+    A name that the status leaves out has no value any more.
+    """
+    for kind, blank in NAMED.items():
+        for values in named[kind].values():
+            values[place] = blank
+
+    def enter(kind: str, name: str, value: Scalar) -> None:
+        if isinstance(value, str):
+            named["words"].setdefault(name, np.full(shape, "", dtype=WORD))[place] = value
+        else:
+            named[kind].setdefault(name, np.full(shape, np.nan))[place] = float(value)
+
+    for name, value in status.report.items():
+        enter("report", name, value)
+    for name, value in status.readings.items():
+        enter("readings", name, value)
 
 
 def columns_of(trace: Trace) -> dict[str, Any]:

@@ -13,16 +13,17 @@ from msgspec.structs import astuple
 from numpy.typing import NDArray
 
 from swarmd.core.messages import Status
-from swarmd.core.values import Array, Scalar
+from swarmd.core.values import Array
 from swarmd.sim.live.pacing import Staggered
 from swarmd.sim.trace import (
     DECISION_ARRAYS,
+    NAMED,
     NO_DECISION,
-    WORD,
     Trace,
     TraceBuilder,
     blank_decisions,
     enter_decision,
+    enter_named,
 )
 from swarmd.sim.world.contacts import EPISODE_GAP, ContactEpisodes
 
@@ -150,7 +151,7 @@ class StatusLog:
             return trace
         shape = len(trace.t), len(trace.ids)
         known: dict[str, Any] = blank_decisions(shape)
-        named: dict[str, dict[str, NDArray[Any]]] = {"report": {}, "words": {}, "readings": {}}
+        named: dict[str, dict[str, NDArray[Any]]] = {kind: {} for kind in NAMED}
         for time, statuses in self._received:
             since = int(np.searchsorted(trace.t, time - 1e-9))
             for robot, status in statuses.items():
@@ -159,7 +160,7 @@ class StatusLog:
                 place = slice(since, None), trace.ids.index(robot)
                 state, reason = status.state.value, status.reason or ""
                 enter_decision(known, place, state, reason, status.decision)
-                _enter_named(named, place, shape, status)
+                enter_named(named, place, shape, status)
         known |= {kind: dict(sorted(arrays.items())) for kind, arrays in named.items()}
         return replace(trace, **known, **self._presence(trace, known))
 
@@ -174,27 +175,7 @@ class StatusLog:
             present[since:] = [robot in robots for robot in trace.ids]
         for name, blank in zip(DECISION_ARRAYS, NO_DECISION, strict=True):
             known[name][~present] = blank
-        for kind in ("report", "words", "readings"):
+        for kind, blank in NAMED.items():
             for values in known[kind].values():
-                values[~present] = "" if kind == "words" else np.nan
+                values[~present] = blank
         return {"present": present}
-
-
-def _enter_named(
-    named: Mapping[str, dict[str, NDArray[Any]]], place: Any, shape: tuple[int, int], status: Status
-) -> None:
-    """Enter what a status reports by name; a name that it leaves out has no value any more."""
-    for kind, blank in (("report", np.nan), ("words", ""), ("readings", np.nan)):
-        for values in named[kind].values():
-            values[place] = blank
-
-    def enter(kind: str, name: str, value: Scalar) -> None:
-        if isinstance(value, str):
-            named["words"].setdefault(name, np.full(shape, "", dtype=WORD))[place] = value
-        else:
-            named[kind].setdefault(name, np.full(shape, np.nan))[place] = float(value)
-
-    for name, value in status.report.items():
-        enter("report", name, value)
-    for name, value in status.readings.items():
-        enter("readings", name, value)

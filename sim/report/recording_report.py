@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from swarmd.core.errors import ConfigError
 from swarmd.core.values import Array
@@ -24,9 +25,9 @@ from swarmd.sim.report.figures import drawn, figures_html
 from swarmd.sim.report.html import page, player_section
 from swarmd.sim.report.player import player_of
 from swarmd.sim.report.tables import table
-from swarmd.sim.trace import Trace, blank_decisions
+from swarmd.sim.trace import NAMED, Trace, blank_decisions, enter_named
 from swarmd.view.recording_source import RecordingSource
-from swarmd.view.timeline import APART, Timeline
+from swarmd.view.timeline import APART, Timeline, Track
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -90,6 +91,7 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
     arrays: dict[str, Any] = blank_decisions(shape)
     arrays |= {name: np.full((*shape, 3), np.nan) for name in ("pose", "requested")}
     arrays["safe"] = np.zeros((*shape, 3))
+    named: dict[str, dict[str, NDArray[Any]]] = {kind: {} for kind in NAMED}
     for row, (name, track) in enumerate(tracks.items()):
         for k, now in enumerate(t.tolist()):
             pose, decision = timeline.pose(name, now), track.decision(now)
@@ -97,6 +99,7 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
                 arrays["pose"][k, row] = pose
             if decision is not None:
                 _enter(arrays, (k, row), decision)
+        _enter_statuses(named, track, t, row, shape)
         yaw = arrays["pose"][:, row, 2]
         is_known = np.isfinite(yaw)
         yaw[is_known] = np.unwrap(yaw[is_known])
@@ -111,6 +114,7 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
         footprints={platform.name: platform.footprint for platform in platforms},
         meta={"recording": True},
         **arrays,
+        **{kind: dict(sorted(values.items())) for kind, values in named.items()},
     )
 
 
@@ -123,6 +127,24 @@ def _enter(arrays: Mapping[str, Any], place: tuple[int, int], decision: Any) -> 
     for name in ("safe", "requested"):
         twist = twist_of(getattr(decision, name))
         arrays[name][place] = twist.linear, twist.angular, twist.lateral
+
+
+def _enter_statuses(
+    named: Mapping[str, dict[str, NDArray[Any]]],
+    track: Track,
+    t: Array,
+    row: int,
+    shape: tuple[int, int],
+) -> None:
+    """Enter reports and readings of a robot's statuses; blank while nothing of it is recorded."""
+    for at in track.topics["status"].times:
+        status = track.status(at)
+        if status is not None:
+            enter_named(named, (slice(int(np.searchsorted(t, at)), None), row), shape, status)
+    is_silent = np.array([not track.is_heard(now) for now in t.tolist()])
+    for kind, blank in NAMED.items():
+        for values in named[kind].values():
+            values[is_silent, row] = blank
 
 
 def _robots(trace: Trace, timeline: Timeline) -> str:
@@ -200,6 +222,10 @@ def _figures(trace: Trace) -> str:
         [
             drawn(_states_figure(trace), "States over time."),
             drawn(_gaps_figure(trace), "Gap from the footprint to the nearest return over time."),
+            *(
+                drawn(_lines_figure(trace, values, name), f"Reading {name} over time.")
+                for name, values in trace.readings.items()
+            ),
             drawn(
                 trajectories_figure(trace, "paths"),
                 "Paths: hollow at the start, filled at the end.",
@@ -242,16 +268,21 @@ def _spans(words: Any) -> list[tuple[int, int, str]]:
 
 def _gaps_figure(trace: Trace) -> Figure:
     assert trace.gap is not None
+    figure = _lines_figure(trace, trace.gap, "gap [m]")
+    figure.axes[0].set_ylim(bottom=0.0)
+    return figure
+
+
+def _lines_figure(trace: Trace, values: Array, label: str) -> Figure:
+    """A line for each robot: values (T, n) over time."""
     figure = new_figure(7.5, 4.2)
     axes = figure.add_subplot()
     tidy(axes)
-    gap: Array = trace.gap
     for row, name in enumerate(trace.ids[:MAX_NAMED]):
-        axes.plot(trace.t, gap[:, row], color=robot_colour(row), linestyle=robot_style(row),
+        axes.plot(trace.t, values[:, row], color=robot_colour(row), linestyle=robot_style(row),
                   linewidth=1.0, label=name)  # fmt: skip
-    axes.set_ylim(bottom=0.0)
     axes.set_xlabel("time [s]")
-    axes.set_ylabel("gap [m]")
+    axes.set_ylabel(label)
     figure.legend(loc="outside right upper", frameon=False, fontsize=9)
     return figure
 

@@ -24,7 +24,7 @@ from swarmd.sim.scenarios.environment import fields_of
 from swarmd.sim.trace import Trace, load_trace, patterns_of, poses_at
 from swarmd.sim.view.shown import links_within, shown_arena
 from swarmd.sim.world.lidar import RangeSensors
-from swarmd.sim.world.scalar_fields import Field, sample
+from swarmd.sim.world.scalar_fields import Field
 from swarmd.view.playback import Playback
 from swarmd.view.source import ShownArena, ShownRobot, points_of
 
@@ -126,7 +126,6 @@ class _ShownRun:
         self._t = trace.t - self._start
         self._contacts = contact_list(trace, CONTACT_TIME)
         self._present = presence(trace)
-        self._fields = run.fields
         self._names, self._patterns = patterns_of(trace)
         self._limits = _largest(trace)
         self._index = {name: i for i, name in enumerate(trace.ids)}
@@ -153,19 +152,20 @@ class _ShownRun:
             return {}
         at, trace = self._at(now), self._trace
         reports: list[dict[str, Any]] = [{} for _ in trace.ids]
-        for name, values in trace.report.items():
-            for i in np.flatnonzero(np.isfinite(values[at])).tolist():
-                reports[i][name] = round(float(values[at, i]), 4)
+        readings: list[dict[str, Any]] = [{} for _ in trace.ids]
+        for rows_of, arrays in ((reports, trace.report), (readings, trace.readings)):
+            for name, values in arrays.items():
+                for i in np.flatnonzero(np.isfinite(values[at])).tolist():
+                    rows_of[i][name] = round(float(values[at, i]), 4)
         for name, words in trace.words.items():
             for i in np.flatnonzero(words[at] != "").tolist():
                 reports[i][name] = str(words[at, i])
         touched = self._touched(now)
-        readings = sample(self._fields, np.nan_to_num(trace.pose[at, :, :2]))
         rows = {}
         for i, name in enumerate(trace.ids):
             row = rows[name] = self._row(at, i)
             row["report"] = reports[i]
-            row["readings"] = {key: round(float(v[i]), 4) for key, v in readings.items()}
+            row["readings"] = readings[i]
             row["touches"] = touched.get(name, "")
         return rows
 

@@ -14,13 +14,22 @@ from swarmd.core.events import OdometryInput
 from swarmd.core.messages import Reason
 from swarmd.core.values import Odometry, Pose, Twist
 from swarmd.protection.decision import Decision
-from swarmd.recording.frames import Begin, ClockEntry, DecisionEntry, input_entry
+from swarmd.recording.frames import (
+    Begin,
+    ClockEntry,
+    DecisionEntry,
+    TextEntry,
+    as_json,
+    input_entry,
+)
 from swarmd.recording.limits import FileLimits
 from swarmd.recording.merge import place, survey, write_merged
 from swarmd.recording.process import Converter
 from swarmd.sim.cli.exp import exp
+from swarmd.sim.metrics.catalog import measure
 from swarmd.sim.report.recording_report import trace_of
 from swarmd.view.timeline import read_timeline
+from tests.support.statuses import status
 
 SPEED = 0.1  # m/s
 HELD = (4.0, 7.0)
@@ -46,6 +55,9 @@ def record(folder: Path, robot: str) -> Path:
         converter.add(input_entry(OdometryInput(pose), 50.0 + time))
         words = "scan", "running", reason.value if reason else ""
         converter.add(DecisionEntry(50.0 + time, *words, decision))
+        if robot == "a" and k % 10 == 0:
+            charge = status("a", report={"opinion": k}, readings={"battery": 0.9 - 0.001 * k})
+            converter.add(TextEntry(50.0 + time, "/status", as_json(charge)))
         x += safe.linear / 10.0
     converter.writer.close()
     assert converter.writer.path is not None
@@ -76,6 +88,14 @@ def test_the_trace_of_a_recording(merged: Path) -> None:
     assert set(np.unique(trace.reason[:, 1])) == {"", "protection"}
 
 
+def test_the_trace_of_a_recording_has_the_reports_and_readings_of_statuses(merged: Path) -> None:
+    trace = trace_of(read_timeline([merged]), merged)
+    names = ["reading:battery.start", "reading:battery.min_end", "report:opinion.max_end"]
+    values = measure(trace, names)
+    assert values == pytest.approx(dict(zip(names, (0.9, 0.8, 100.0), strict=True)), abs=1e-9)
+    assert np.isnan(trace.readings["battery"][:, 1]).all()  # b has no battery
+
+
 def test_the_report_of_a_recording(merged: Path) -> None:
     done = CliRunner().invoke(exp, ["report", str(merged)], catch_exceptions=False)
     assert done.exit_code == 0
@@ -87,6 +107,7 @@ def test_the_report_of_a_recording(merged: Path) -> None:
     )
     assert 2.7 <= float(stop[1]) <= 3.1
     assert "start poses are not known" in text
+    assert "Reading battery over time." in text
     data = re.search(r'id="run-data">(.*?)</script>', text, re.DOTALL)
     assert data is not None
     assert [robot["name"] for robot in json.loads(data[1])["hello"]["robots"]] == ["a", "b"]

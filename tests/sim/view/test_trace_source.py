@@ -59,6 +59,7 @@ def source() -> TraceSource:
         state=state,
         present=present,
         report={"opinion": opinion},
+        readings={"light": np.linspace(1.0, 5.0, 41)[:, None] * [1.0, np.nan]},
         words={"mood": np.full((41, 2), "calm")},
     )
     light = LinearField(name="light", slope=2.0, base=1.0)
@@ -77,7 +78,7 @@ def test_rows_have_reports_readings_and_presence(source: TraceSource) -> None:
     source.playback.seek(1.0)
     a, b = source.rows()["a"], source.rows()["b"]
     assert a["report"] == {"opinion": 2.0, "mood": "calm"}
-    assert a["readings"] == {"light": pytest.approx(2.0)}
+    assert (a["readings"], b["readings"]) == ({"light": pytest.approx(2.0)}, {})
     assert (a["presence"], a["state"], a["pattern"]) == ("alive", "running", "flocking")
     assert (b["presence"], b["state"]) == ("absent", "")
     json.dumps(source.rows(), allow_nan=False)
