@@ -27,12 +27,13 @@ DELAY = 0.3
 SLIP = 0.5
 """Share of the commanded speed by which the speed may be outside the bounds."""
 
-_LEAST = 0.05, 0.25  # m/s and rad/s: slower commands may not overcome the friction of a base
+# m/s, rad/s and m/s to the left: slower commands may not overcome the friction of a base.
+_LEAST = 0.05, 0.25, 0.05
 _BRAKING = 1.0, 3.0  # m/s2 and rad/s2 where the platform declares none
 _SLOW = 0.25  # share of the declared braking
 _MAX_PERIOD = 0.3  # s between two readings
 _MIN_READINGS = 4
-_UNITS = "m/s", "rad/s"
+_UNITS = "m/s", "rad/s", "m/s to the left"
 _WHY = "a reflex of the base, a stuck wheel, or another node drives"
 
 
@@ -104,6 +105,7 @@ class _Axis:
 class FollowingMonitor:
     """Watches whether the base of one robot follows its safe commands while it runs.
 
+    Forward, in turns, and sideways where the platform's `limits.lateral` lets the base slide.
     `text`: how it does not; empty while it does.
     """
 
@@ -112,8 +114,10 @@ class FollowingMonitor:
         if given is not None:
             settings = msgspec.convert(given, BarrierSettings)
             braking = settings.braking_linear, settings.braking_angular
-        slow = (_SLOW * one for one in braking)
-        self._axes = list(map(_Axis, _LEAST, slow, _UNITS))
+        linear, angular = (_SLOW * one for one in braking)
+        axes = map(_Axis, _LEAST, (linear, angular, linear), _UNITS)
+        self._linear, self._angular, lateral = axes
+        self._lateral = lateral if platform.limits.lateral > 0.0 else None
         self._command = ZERO
         self._odometry: Odometry | None = None
         self.text = ""
@@ -130,31 +134,38 @@ class FollowingMonitor:
             return
         self._command = command
         if self._odometry is not None:
-            linear, angular = self._axes
-            linear.on_command(command.linear, self._odometry.stamp)
-            angular.on_command(command.angular, self._odometry.stamp)
+            stamp = self._odometry.stamp
+            self._linear.on_command(command.linear, stamp)
+            self._angular.on_command(command.angular, stamp)
+            if self._lateral is not None:
+                self._lateral.on_command(command.lateral, stamp)
 
     def on_odometry(self, odometry: Odometry) -> None:
         """A reading arrived."""
         last, self._odometry = self._odometry, odometry
         if last is not None and odometry.stamp == last.stamp:
             return
-        linear, angular = self._axes
         if (
             last is None
             or not 0.0 < odometry.stamp - last.stamp <= _MAX_PERIOD
             or odometry.jumps_from(last)
         ):
-            linear.reset(self._command.linear, odometry.stamp)
-            angular.reset(self._command.angular, odometry.stamp)
+            self._linear.reset(self._command.linear, odometry.stamp)
+            self._angular.reset(self._command.angular, odometry.stamp)
+            if self._lateral is not None:
+                self._lateral.reset(self._command.lateral, odometry.stamp)
             self.text = ""
             return
         period = odometry.stamp - last.stamp
         here, there = odometry.pose, last.pose
         turned = math.remainder(here.yaw - there.yaw, math.tau)
         yaw = there.yaw + 0.5 * turned
-        way = math.cos(yaw) * (here.x - there.x) + math.sin(yaw) * (here.y - there.y)
-        twist = odometry.twist
-        linear.on_reading(period, odometry.stamp, (twist.linear, way / period))
-        angular.on_reading(period, odometry.stamp, (twist.angular, turned / period))
-        self.text = linear.text or angular.text  # the first axis that is off
+        x, y, ahead, aside = here.x - there.x, here.y - there.y, math.cos(yaw), math.sin(yaw)
+        twist, stamp, way = odometry.twist, odometry.stamp, ahead * x + aside * y
+        self._linear.on_reading(period, stamp, (twist.linear, way / period))
+        self._angular.on_reading(period, stamp, (twist.angular, turned / period))
+        self.text = self._linear.text or self._angular.text  # the first axis that is off
+        if self._lateral is not None:
+            way = ahead * y - aside * x
+            self._lateral.on_reading(period, stamp, (twist.lateral, way / period))
+            self.text = self.text or self._lateral.text

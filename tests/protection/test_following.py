@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from random import Random
 
 import pytest
@@ -40,7 +41,7 @@ def rides(
     """
     monitor, chance, found = FollowingMonitor(platform), Random(1), list[tuple[float, str]]()
     line = [ZERO] * max(round(delay / 0.01), 1)
-    v = w = x = y = yaw = 0.0
+    v = w = u = x = y = yaw = 0.0
     for step in range(round(seconds / 0.01)):
         now = 0.01 * step
         if step % 5 == 0:
@@ -51,12 +52,16 @@ def rides(
         to = line.pop(0)
         v += min(max(to.linear - v, -0.01 * acceleration[0]), 0.01 * acceleration[0])
         w += min(max(to.angular - w, -0.01 * acceleration[1]), 0.01 * acceleration[1])
-        seen = moves(now, Twist(v, w))
-        x, y = x + 0.01 * seen.linear * math.cos(yaw), y + 0.01 * seen.linear * math.sin(yaw)
+        u += min(max(to.lateral - u, -0.01 * acceleration[0]), 0.01 * acceleration[0])
+        seen = moves(now, Twist(v, w, u))
+        ahead, aside = 0.01 * seen.linear, 0.01 * seen.lateral
+        x += ahead * math.cos(yaw) - aside * math.sin(yaw)
+        y += ahead * math.sin(yaw) + aside * math.cos(yaw)
         yaw = math.remainder(yaw + 0.01 * seen.angular, math.tau)
         if step % round(100 / rate) == 0:
             a, b = (1.0 + noise * chance.gauss(0.0, 1.0) for _ in range(2))
-            twist = Twist(seen.linear * a, seen.angular * b) if has_twist else ZERO
+            twist = Twist(seen.linear * a, seen.angular * b, seen.lateral * a)
+            twist = twist if has_twist else ZERO
             monitor.on_odometry(Odometry(now, Pose(x, y, yaw), twist))
             if monitor.text:
                 found.append((now, monitor.text))
@@ -103,6 +108,17 @@ def test_a_base_that_moves_although_zero_is_commanded_is_noticed() -> None:
 def test_another_node_that_turns_the_base_is_noticed() -> None:
     found = rides(ahead, reflex(3.0, Twist(0.15, 0.8)))
     assert "rad/s" in found[0][1]
+
+
+def test_an_omnidirectional_base_that_ignores_a_sideways_command_is_noticed() -> None:
+    def sideways(time: float) -> Twist:
+        return Twist(0.0, 0.3, 0.15)
+
+    slides = replace(BURGER, limits=replace(BURGER.limits, lateral=0.2))
+    assert rides(sideways, platform=slides) == []
+    found = rides(sideways, reflex(3.0, Twist(0.0, 0.3)), platform=slides, noise=0.0)
+    assert 3.0 + MIN_DURATION - 0.1 <= found[0][0] <= 3.0 + MIN_DURATION + 0.1
+    assert "commanded 0.15 m/s to the left, moves 0.00 m/s" in found[0][1]
 
 
 def to_and_fro(time: float) -> Twist:
