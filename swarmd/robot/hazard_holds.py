@@ -1,5 +1,7 @@
 """How the hazards of a base hold a robot, and how each hold ends. Pure.
 
+The holds of scans, odometry and peers are in `Sensors.hold` (sensors.py), which uses all its state.
+
 | kind                          | while it is reported | ends                              |
 |-------------------------------|----------------------|-----------------------------------|
 | bump, cliff, stall, not_heard | holds                | CLEAR_TIME after its last report  |
