@@ -103,6 +103,7 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
         yaw = arrays["pose"][:, row, 2]
         is_known = np.isfinite(yaw)
         yaw[is_known] = np.unwrap(yaw[is_known])
+    arrays |= {kind: dict(sorted(values.items())) for kind, values in named.items()}
     platforms = [track.platform for track in tracks.values()]
     return Trace(
         ids=tuple(tracks),
@@ -114,7 +115,6 @@ def trace_of(timeline: Timeline, path: Path) -> Trace:
         footprints={platform.name: platform.footprint for platform in platforms},
         meta={"recording": True},
         **arrays,
-        **{kind: dict(sorted(values.items())) for kind, values in named.items()},
     )
 
 
