@@ -1,4 +1,4 @@
-"""Targets by label: who has one, who may have one, and stops."""
+"""Targets by name, glob and label: which robots are targets, which may be, and stops."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from swarmd.network.operator.members_view import MembersView
 from swarmd.network.operator.outcome import Outcome
 from tests.support.statuses import make_member
 
+KNOWN = ("r1", "tb3-01", "tb3-02", "tb3-10")
 LABELS = {"r1": ("red",), "r2": ("red", "fast"), "r3": ("fast",), "r4": ()}
 
 
@@ -93,3 +94,65 @@ def test_targets_of_a_line() -> None:
         read_targets("run", (), False, (), ("Red",), is_required=True)
     with pytest.raises(click.UsageError):
         read_targets("run", (), True, (), ("red",), is_required=True)
+
+
+def words(*names: str, exclude: tuple[str, ...] = ()) -> Targets:
+    return read_targets("run", names, not names, exclude, is_required=True)
+
+
+@pytest.mark.parametrize(
+    ("names", "exclude", "chosen"),
+    [
+        ((), (), KNOWN),
+        (("tb3-01",), (), ("tb3-01",)),
+        (("tb3-*",), (), ("tb3-01", "tb3-02", "tb3-10")),
+        (("tb3-0?", "r1"), (), ("r1", "tb3-01", "tb3-02")),
+        (("tb3-0[!1]",), (), ("tb3-02",)),
+        ((), ("tb3-*",), ("r1",)),
+        (("tb3-*",), ("*-01", "tb3-10"), ("tb3-02",)),
+    ],
+)
+def test_selects_by_names_and_globs(
+    names: tuple[str, ...], exclude: tuple[str, ...], chosen: tuple[str, ...]
+) -> None:
+    assert words(*names, exclude=exclude).select(KNOWN) == chosen
+
+
+@pytest.mark.parametrize(
+    ("names", "exclude", "subject"),
+    [
+        (("tb3-1",), (), "'tb3-10'"),
+        (("x*",), (), "'x[*]'"),
+        (("tb3-01", "tb3-9"), (), "'tb3-9'"),
+        ((), ("tb3-3",), "'tb3-3'"),
+    ],
+)
+def test_a_name_that_matches_no_robot_is_an_error(
+    names: tuple[str, ...], exclude: tuple[str, ...], subject: str
+) -> None:
+    with pytest.raises(Failure, match=subject) as caught:
+        words(*names, exclude=exclude).select(KNOWN)
+    assert caught.value.exit_code == 4
+
+
+def test_a_stop_goes_to_the_robots_that_match_and_counts_the_others() -> None:
+    targets_to_stop = words("tb3-0*", "r7", exclude=("tb3-02",))
+    assert targets_to_stop.matching(KNOWN) == ("tb3-01",)
+    assert targets_to_stop.full_names == ("r7",)
+
+
+@pytest.mark.parametrize("name", ["**/x", "a/b", "r#1", "$x", "R1", "", "r" * 64, "é"])
+def test_a_word_that_could_widen_a_key_is_no_name(name: str) -> None:
+    with pytest.raises(click.UsageError, match="is no robot name"):
+        read_targets("stop", (name,), False, (), is_required=False)
+
+
+@pytest.mark.parametrize(
+    ("names", "exclude", "is_whole_swarm"),
+    [((), (), True), (("r1",), (), False), ((), ("r1",), False), (("*",), ("r1",), False)],
+)
+def test_only_targets_without_names_are_the_whole_swarm(
+    names: tuple[str, ...], exclude: tuple[str, ...], is_whole_swarm: bool
+) -> None:
+    found = read_targets("estop", names, False, exclude, is_required=False)
+    assert found.is_whole_swarm is is_whole_swarm
