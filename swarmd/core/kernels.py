@@ -3,7 +3,8 @@
 A kernel's file is the only source of its arithmetic. `setup.py` makes of `barrier.py` the library
 `_barrier.abi3.so` beside it. CPython runs the file itself where there is no library, where
 the environment has SWARMD_COMPILED=0, and where a library was compiled from another version of its
-source: the code around it may call what it lacks.
+source: the code around it may call what it lacks. All libraries import `_views.abi3.so`, which
+holds Cython's code for views of memory.
 """
 
 from __future__ import annotations
@@ -26,6 +27,8 @@ KERNELS = (
     "swarmd.sim.world.base",
     "swarmd.sim.world.ray_caster",
 )
+
+VIEWS = "swarmd.core.views"
 
 _NOT_COMPILED = "not compiled"
 _STALE = "older than its source (run make kernels)"
@@ -71,15 +74,15 @@ def _is_wanted() -> bool:
 @cache
 def _fault_of(name: str) -> str:
     """Why a kernel cannot be used, empty if it can; its library is opened, but not imported."""
-    path = _library(name)
-    if path is None:
-        return _NOT_COMPILED
-    try:
-        library = ctypes.CDLL(str(path))
-    except OSError:  # damaged, or built for another processor
+    path, library, views = _library(name), _opened(name), _opened(VIEWS)
+    if path is None or library is None or views is None:
         return _NOT_COMPILED
     source = path.with_name(f"{_short(name)}.py")
-    if source.exists() and _digest_in(library) != hashlib.sha256(source.read_bytes()).hexdigest():
+    is_stale = _digest_in(library, "views_digest") != _digest_in(views, "views_digest")
+    if source.exists():
+        digest = hashlib.sha256(source.read_bytes()).hexdigest()
+        is_stale |= _digest_in(library, "source_digest") != digest
+    if is_stale:
         import logging  # rarely needed, and swarmctl starts fast
 
         logging.getLogger(__name__).warning("kernel %s is %s", _short(name), _STALE)
@@ -87,10 +90,19 @@ def _fault_of(name: str) -> str:
     return ""
 
 
-def _digest_in(library: ctypes.CDLL) -> str:
-    """What setup.py put into a kernel; empty if it is of before that."""
+@cache
+def _opened(name: str) -> ctypes.CDLL | None:
+    path = _library(name)
     try:
-        return (ctypes.c_char * 64).in_dll(library, "source_digest").value.decode()
+        return None if path is None else ctypes.CDLL(str(path))
+    except OSError:  # damaged, or built for another processor
+        return None
+
+
+def _digest_in(library: ctypes.CDLL, name: str) -> str:
+    """What setup.py put into a library; empty if the library is of before that."""
+    try:
+        return (ctypes.c_char * 64).in_dll(library, name).value.decode()
     except ValueError:
         return ""
 

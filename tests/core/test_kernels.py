@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import hashlib
 import shutil
 import subprocess
 import sys
+from importlib.metadata import version
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -102,6 +104,33 @@ def test_a_kernel_that_is_older_than_its_source_is_not_loaded_and_named_once(
     (tmp_path / source.name).write_bytes(source.read_bytes() + b"\n")
     text = "older than its source (run make kernels)"
     assert answer() == (f"[False, False] interpreted ({text})", f"kernel base is {text}")
+
+
+@pytest.mark.parametrize(
+    ("views", "said"),
+    [
+        (b"", "interpreted (not compiled)"),
+        (b"another version", "interpreted (older than its source (run make kernels))"),
+    ],
+)
+def test_no_kernel_is_loaded_without_the_views_of_its_cython(
+    views: bytes, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SWARMD_COMPILED", raising=False)
+    _library("swarmd.protection.barrier")
+    whole = _library(kernels.VIEWS).read_bytes()
+    digest = hashlib.sha256(version("Cython").encode()).hexdigest().encode()
+    assert digest in whole
+    other = whole.replace(digest, hashlib.sha256(views).hexdigest().encode()) if views else b""
+    (tmp_path / "_foreign.abi3.so").write_bytes(other)
+    script = (
+        f"import sys; sys.path.insert(0, {str(tmp_path)!r}); from swarmd.core import kernels;"
+        "kernels.VIEWS = 'foreign';"
+        "print([kernels._compiled(name) for name in kernels.KERNELS], kernels.describe_kernels())"
+    )
+    command = [sys.executable, "-c", script]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == f"{[None] * len(KERNELS)} {said}"
 
 
 def _library(name: str) -> Path:
