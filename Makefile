@@ -3,7 +3,14 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 PIP := $(BIN)/python -m pip --disable-pip-version-check --quiet
-COMPILE = $(BIN)/python -m compileall -q swarmd patterns drivers sim config
+COMPILE = $(BIN)/python -m compileall -q -j 0 swarmd patterns drivers sim config
+# What lists of pyproject.toml name, one a line; pip reads groups only from 25.1 on, and a new
+# environment may hold an older one.
+LISTED = $(BIN)/python -c 'import functools, sys, tomllib; file = tomllib.load(open("pyproject.toml", "rb")); \
+  print(*(one for name in sys.argv[1:] for one in functools.reduce(dict.get, name.split("."), file)), sep="\n")'
+# pip alone compiles one file after the other, and the tests of packages too.
+INSTALL = $(PIP) install --no-compile --constraint constraints.txt --requirement /dev/stdin && \
+  { $(BIN)/python -m compileall -qq -j 0 -x '/tests?/' $(VENV)/lib || true; }
 ARGS ?=
 # Test files at a time; five for two cores, since half of the time a test waits and computes
 # nothing. 0: one after the other, in this process.
@@ -16,7 +23,7 @@ ROUTER := $(or $(XDG_CACHE_HOME),$(HOME)/.cache)/swarmd/ros2_router
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make demo      seven simulated robots gather; about a minute and a half"
+	@echo "make demo      seven simulated robots gather; the first time installs, for half a minute to a minute"
 	@echo "make test      all tests                 (ARGS='-k scan' picks some, JOBS=0 one by one)"
 	@echo "make kernels   compiles the kernels again, after an edit of one"
 	@echo "make wheels    wheels with kernels for x86-64 and aarch64, in dist"
@@ -164,9 +171,15 @@ $(VENV)/made:
 	@$(PYTHON) -m venv $(VENV)
 	@touch $@
 
+# The kernels are compiled while packages are downloaded; then the installation compiles nothing. The
+# shell lets a program in the background ignore Ctrl-C.
 $(VENV)/installed: $(VENV)/made pyproject.toml setup.py constraints.txt
-	@echo "Installing swarmd with what the demo needs."
-	@$(PIP) install --constraint constraints.txt --editable '.[sim,plot,web,record,film]'
+	@echo "Installing swarmd with what the demo needs, and compiling its kernels."
+	@$(LISTED) build-system.requires | { $(INSTALL); }
+	@$(BIN)/python setup.py --quiet build_ext --inplace >$(VENV)/kernels.log 2>&1 & trap "kill $$!" INT TERM; \
+	  $(LISTED) project.dependencies $(addprefix project.optional-dependencies.,sim plot web record film) | \
+	  { $(INSTALL); }; status=$$?; wait; exit $$status
+	@$(PIP) install --no-deps --no-build-isolation --editable .
 	@$(COMPILE)
 	@touch $@
 
@@ -182,17 +195,14 @@ ros2-router:
 	@cmp -s $(ROUTER)/target/release/ros2-router $(ROUTER)/ros2-router || \
 	  { cp $(ROUTER)/target/release/ros2-router $(ROUTER)/new && mv $(ROUTER)/new $(ROUTER)/ros2-router; }
 
-# pip understands --group only from 25.1 on, and a new environment may hold an older one.
 $(VENV)/tools: $(VENV)/installed
 	@echo "Installing the tools for tests and checks."
-	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]["dev"], sep="\n")' > $(VENV)/dev.txt
-	@$(PIP) install --constraint constraints.txt --requirement $(VENV)/dev.txt
+	@$(LISTED) dependency-groups.dev | { $(INSTALL); }
 	@touch $@
 
 $(VENV)/docs: $(VENV)/tools
 	@echo "Installing the tools for the site."
-	@$(BIN)/python -c 'import tomllib; print(*tomllib.load(open("pyproject.toml", "rb"))["dependency-groups"]["docs"], sep="\n")' > $(VENV)/docs.txt
-	@$(PIP) install --constraint constraints.txt --requirement $(VENV)/docs.txt
+	@$(LISTED) dependency-groups.docs | { $(INSTALL); }
 	@touch $@
 
 # The newest versions that fit, in a fresh environment; run the checks before committing them.
