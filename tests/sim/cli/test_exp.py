@@ -17,16 +17,14 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.errors import ConfigError
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.cli.exp import exp
 from swarmd.sim.cli.options import new_folder
 from swarmd.sim.trace import TraceBuilder
-from tests.sim.conftest import MAIN, swarmctl_in, write_duo
+from tests.sim.conftest import MAIN, Refusal, Swarmctl, swarmctl_in, write_duo
 from tests.support.processes import children, wait_until
 
-Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
 HEAVY = {"numpy", "mujoco", "matplotlib", "rich", "yaml", "swarmd.patterns"}
 END = "groups.all.parameters.end"
 RUNS = 12  # of about 0.1 s: enough for something to happen after the first and before the last
@@ -40,10 +38,6 @@ def rows(folder: Path) -> list[dict[str, str]]:
 
 def traces(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in sorted((folder / "traces").iterdir())}
-
-
-def contents(folder: Path) -> dict[str, bytes]:
-    return {str(p): p.read_bytes() for p in sorted(folder.rglob("*[!c]")) if p.is_file()}  # no .pyc
 
 
 def started(*words: object, cwd: Path) -> subprocess.Popen[str]:
@@ -258,22 +252,9 @@ def test_a_sweep_goes_on_where_it_was(x: Path, swept: tuple[Path, str], swarmctl
     ],
 )
 def test_a_mistake_is_one_line_and_nothing_is_made(
-    tmp_path: Path,
-    duo: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    args: list[str],
-    subject: str,
+    duo: Path, refusal: Refusal, args: list[str], subject: str
 ) -> None:
-    monkeypatch.chdir(tmp_path)
-    before = contents(tmp_path)
-    words = ["exp", *(str(duo) if word == "DUO" else word for word in args)]
-    assert run_cli(cli, words, "swarmctl", exit_code_of) == 2
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert subject in captured.err
-    assert captured.err.count("\n") == 1
-    assert contents(tmp_path) == before
+    assert subject in refusal("exp", *(str(duo) if word == "DUO" else word for word in args))
 
 
 @pytest.mark.integration
@@ -467,13 +448,10 @@ def test_an_unknown_metric_and_a_file_that_is_no_trace_are_named(
 
 
 def test_a_missing_library_of_clusters_is_one_line(
-    duo: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    duo: Path, monkeypatch: pytest.MonkeyPatch, refusal: Refusal
 ) -> None:
     monkeypatch.setattr(
         "swarmd.sim.cli.options.find_spec", lambda name: name != "distributed" or None
     )
-    words = ["exp", "run", str(duo), "--scheduler", "tcp://127.0.0.1:1", "--out", "x"]
-    assert run_cli(cli, words, "swarmctl", exit_code_of) == 2
-    error = capsys.readouterr().err
+    error = refusal("exp", "run", duo, "--scheduler", "tcp://127.0.0.1:1", "--out", "x")
     assert "pip install 'swarmd[sim,plot,cluster]'" in error
-    assert error.count("\n") == 1

@@ -89,22 +89,15 @@ def test_robots_are_named_by_their_platform(platform: str, ids: tuple[str, ...])
     assert robot_ids(platform, 2) == ids
 
 
-def test_the_world_gets_the_path_of_the_trace(tmp_path: Path) -> None:
-    options = world_options(make_spec(tmp_path, trace=tmp_path / "t.npz", seconds=3.0, seed=4))
-    assert (options.trace, options.seconds, options.seed) == (str(tmp_path / "t.npz"), 3.0, 4)
-    assert options.robots == ROBOTS
-    assert (options.realism, options.layout) == ("realistic", "grid:1.5")
-
-
-def test_latches_of_a_fleet_stay_in_its_folder(tmp_path: Path) -> None:
-    config = daemon_config(make_spec(tmp_path), "tb3-01", READY)
-    assert Path(str(config["state_dir"])).is_relative_to(tmp_path)
-
-
-def test_a_platform_file_is_found_from_the_folder_of_the_fleet(tmp_path: Path) -> None:
-    spec = make_spec(tmp_path, robots={"a": "own.yaml", "b": "burger"})
-    assert daemon_config(spec, "a", READY)["platform"] == str(Path.cwd() / "own.yaml")
-    assert daemon_config(spec, "b", READY)["platform"] == "burger"
+def test_options_of_the_world_and_of_daemons(tmp_path: Path) -> None:
+    spec = make_spec(tmp_path, robots={"a": "own.yaml", "b": "burger"}, seconds=3.0, seed=4)
+    world = world_options(spec)
+    assert (world.robots, world.seconds, world.seed) == (spec.robots, 3.0, 4)
+    assert (world.realism, world.layout) == ("realistic", "grid:1.5")
+    own, shipped = (daemon_config(spec, robot, READY) for robot in "ab")
+    assert Path(str(own["state_dir"])).is_relative_to(tmp_path)  # its latches stay there
+    assert own["platform"] == str(Path.cwd() / "own.yaml")
+    assert shipped["platform"] == "burger"
 
 
 @pytest.mark.integration

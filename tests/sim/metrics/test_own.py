@@ -19,6 +19,7 @@ from swarmd.sim.trace import Trace
 FILE = '''\
 import numpy as np
 from swarmd.sim.metrics.own import metric
+from tests.sim.metrics.runs import run
 
 @metric(unit="m", better="less", is_time_to_event=True)
 def robots(trace):
@@ -58,7 +59,7 @@ def file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def trace(run: Callable[..., Trace]) -> Trace:
+def trace() -> Trace:
     return run(np.zeros((5, 2, 3)))
 
 

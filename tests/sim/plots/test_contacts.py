@@ -11,19 +11,17 @@ import pytest
 from swarmd.sim.plots.theme import new_figure
 from swarmd.sim.plots.trajectories import BOTH, NONE, ONE, OTHER, marks_of, paint_contacts
 from swarmd.sim.trace import Trace
-
-if TYPE_CHECKING:
-    from tests.sim.plots.conftest import Walk
-
-Full = Callable[[int], Trace]
+from tests.sim.plots.runs import full, walk
 
 
-def test_a_long_contact_has_one_mark(full: Full) -> None:
+
+
+def test_a_long_contact_has_one_mark() -> None:
     marks = marks_of(full(2))
     assert [mark.kind for mark in marks] == [BOTH, ONE, OTHER]
 
 
-def test_robots_that_are_pushed_together_do_not_move(walk: Walk) -> None:
+def test_robots_that_are_pushed_together_do_not_move() -> None:
     trace = walk(2, contact_t=np.array([0.5]), contact_pair=np.array([[0, 1]]),
                  contact_speed=np.zeros((1, 2)))  # fmt: skip
     (mark,) = marks_of(trace)
@@ -32,7 +30,7 @@ def test_robots_that_are_pushed_together_do_not_move(walk: Walk) -> None:
     assert mark.place == pytest.approx(tuple(between))
 
 
-def test_each_kind_is_painted_with_all_its_marks(full: Full) -> None:
+def test_each_kind_is_painted_with_all_its_marks() -> None:
     pytest.importorskip("matplotlib")
     axes = new_figure(3.0, 3.0).add_subplot()
     marks = marks_of(full(2))

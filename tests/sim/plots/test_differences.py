@@ -11,9 +11,7 @@ from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.compare import Difference
 from swarmd.sim.experiments.statistics import Interval
 from swarmd.sim.plots.intervals import DifferencePanel, differences_figure
-
-if TYPE_CHECKING:
-    from tests.sim.plots.conftest import Overlaps
+from tests.sim.plots.runs import overlaps
 
 pytest.importorskip("matplotlib")
 
@@ -42,14 +40,3 @@ def test_a_row_a_variant_filled_where_0_is_excluded() -> None:
     faces = [np.array(found.get_facecolor()).ravel()[:3] for found in axes.collections]
     assert [bool((face == 1.0).all()) for face in faces] == [False, True]
     assert any("never: 1 of 6, 2 of 7" in text.get_text() for text in axes.texts)
-
-
-@pytest.mark.parametrize("width", [None, 3.5])
-def test_no_words_overlap(overlaps: Overlaps, width: float | None) -> None:
-    figure = differences_figure([PANEL] * 4, "gathering", width=width)
-    assert overlaps(figure) == []
-
-
-def test_without_differences_there_is_nothing_to_draw() -> None:
-    with pytest.raises(SwarmError):
-        differences_figure([])

@@ -10,11 +10,10 @@ import pytest
 from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.statistics import mean_interval, wilson
 from swarmd.sim.plots.intervals import Panel, intervals_figure
+from tests.sim.plots.runs import overlaps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from tests.sim.plots.conftest import Overlaps
 
 pytest.importorskip("matplotlib")
 
@@ -89,21 +88,6 @@ def test_a_target_is_a_labelled_line() -> None:
     axes = intervals_figure([Panel(label="x", unit="m", values={"a": (1.0,)}, target=0.65)]).axes[0]
     assert bars(axes) == [[0.65, 0.65]]
     assert axes.get_xlabel() == "m, target 0.65"
-
-
-def test_nothing_to_draw_is_an_error() -> None:
-    with pytest.raises(SwarmError, match="no metric has values"):
-        intervals_figure([])
-
-
-@pytest.mark.parametrize(("metrics", "variants"), [(1, 1), (1, 3), (16, 2), (5, 12)])
-def test_no_word_is_overlaps(overlaps: Overlaps, metrics: int, variants: int) -> None:
-    names = [f"law=paper,lidar_visibility=real,W={k}" for k in range(variants)]
-    panels = [
-        Panel(label="mean distance to centroid late", unit="m", values=dict.fromkeys(names, VALUES))
-        for _ in range(metrics)
-    ]
-    assert overlaps(intervals_figure(panels, "paper_exp1_hardware")) == []
 
 
 def test_counts_are_counted_in_whole_numbers() -> None:

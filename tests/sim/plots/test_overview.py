@@ -8,11 +8,10 @@ import pytest
 
 from swarmd.core.errors import SwarmError
 from swarmd.sim.plots.trajectories import MAX_RUNS, overview_figure
+from tests.sim.plots.runs import overlaps, walk
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-
-    from tests.sim.plots.conftest import Overlaps, Walk
 
 pytest.importorskip("matplotlib")
 
@@ -21,7 +20,7 @@ def note(figure: Figure) -> str:
     return figure.get_supxlabel()
 
 
-def test_each_run_has_its_place_and_name(walk: Walk) -> None:
+def test_each_run_has_its_place_and_name() -> None:
     trace = walk(3)
     figure = overview_figure([(f"seed {k}", lambda: trace) for k in range(7)])
     assert [axes.get_title() for axes in figure.axes] == [f"seed {k}" for k in range(7)]
@@ -30,35 +29,22 @@ def test_each_run_has_its_place_and_name(walk: Walk) -> None:
     assert figure.get_suptitle() == "7 runs"
 
 
-def test_all_are_drawn_to_one_scale_which_is_reported(walk: Walk) -> None:
+def test_all_are_drawn_to_one_scale_which_is_reported() -> None:
     small, large = walk(1, arena="3x3"), walk(9, arena="6x4")
     figure = overview_figure([("a", lambda: small), ("b", lambda: large)], note="by seed")
     assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
     assert note(figure).startswith("by seed; each frame 6.24 m x 4.24 m; outlines: starts;")
 
 
-def test_a_run_without_a_trace_is_named(walk: Walk) -> None:
+def test_a_run_without_a_trace_is_named() -> None:
     trace = walk(3)
     figure = overview_figure([("a", lambda: None), ("b", lambda: trace)])
     assert [len(axes.texts) for axes in figure.axes] == [1, 0]
     assert [text.get_text() for text in figure.axes[0].texts] == ["no trace"]
 
 
-def test_more_than_fit_are_counted(walk: Walk) -> None:
+def test_more_than_fit_are_counted() -> None:
     trace = walk(2, 3)
     figure = overview_figure([(str(k), lambda: trace) for k in range(MAX_RUNS + 3)])
     assert len(figure.axes) == MAX_RUNS
     assert note(figure).startswith("the first 25 of 28 runs")
-
-
-@pytest.mark.parametrize(("runs", "n"), [(1, 7), (2, 2), (20, 7), (4, 200)])
-def test_no_texts_overlap(walk: Walk, overlaps: Overlaps, runs: int, n: int) -> None:
-    trace = walk(n)
-    loads = [(f"seed {k}: 0.123 m", lambda: trace) for k in range(runs)]
-    figure = overview_figure(loads, "paper_exp1_hardware", note="mean distance to centroid late")
-    assert overlaps(figure) == []
-
-
-def test_no_run_is_an_error() -> None:
-    with pytest.raises(SwarmError, match="there is no run"):
-        overview_figure([])
