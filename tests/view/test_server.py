@@ -289,10 +289,12 @@ async def test_a_frame_that_fails_is_told_and_the_next_one_comes(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     source = Faulty()
-    async with serving(source, frame_period=0.01) as (_, address):
-        async with connect(socket_of(address)) as page:
-            for _ in range(4):
-                await frame(page)
+    async with (
+        serving(source, frame_period=0.01) as (_, address),
+        connect(socket_of(address)) as page,
+    ):
+        for _ in range(4):
+            await frame(page)
     assert source.frames > 4
     assert [one.getMessage() for one in caplog.records] == ["the page got no frame"]
 

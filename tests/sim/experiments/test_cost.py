@@ -42,9 +42,9 @@ def test_recorded_runs_tell_the_cost_unless_they_were_made_otherwise(
 
 
 def test_without_runs_there_is_a_calibration(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    duo: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(cost, "_SECONDS", 0.2)
+    monkeypatch.setattr(cost, "_CALIBRATION", duo)
     found = measured_cost(tmp_path)
     assert found.basis.startswith("a calibration")
     assert found.run_seconds("aggregation", 10, 120.0) > 0.0

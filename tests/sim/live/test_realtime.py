@@ -180,7 +180,9 @@ def test_scans_and_odometry_come_at_their_rates_and_not_all_at_once() -> None:
 def test_neighbors_are_the_robots_with_daemons_within_reach_told_at_once() -> None:
     radio = RadioSettings(neighborhood="range", range=2.5)
     near = ManualWorld(radio=radio, command_timeouts=FOR_EVER)
-    far = ManualWorld(radio=RadioSettings(neighborhood="range", range=1.5), command_timeouts=FOR_EVER)
+    far = ManualWorld(
+        radio=RadioSettings(neighborhood="range", range=1.5), command_timeouts=FOR_EVER
+    )
     for live in (near, far):
         live.pass_time(1.1)
         assert {one for robot in IDS for one in live.sent("neighbors", robot)} == {()}
@@ -298,7 +300,7 @@ def test_a_box_is_put_in_the_way_and_taken_out_of_it_over_zenoh(tmp_path: Path) 
         there = live.world.box_poses()[0].tolist()
         live.pass_time(0.5)  # some of which is recorded
         asked(lambda view: view.remove("crate"))
-        with pytest.raises(SwarmError, match="'create'.*'crate'"):
+        with pytest.raises(SwarmError, match=r"'create'.*'crate'"):
             asked(lambda view: view.place("create", (0.0, 0.0, 0.0)))
     finally:
         link.close()

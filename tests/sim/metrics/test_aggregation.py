@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from swarmd.core.values import Array
 from swarmd.sim.metrics import aggregation, pairs
 from swarmd.sim.trace import Trace
 from tests.sim.metrics.runs import line, run
-
 
 
 def gathering() -> Trace:
@@ -53,9 +50,7 @@ def test_distance_at_a_time() -> None:
         ((0.0,), 1, 1),
     ],
 )
-def test_clusters_by_single_linkage(
-    xs: tuple[float, ...], count: int, largest: int
-) -> None:
+def test_clusters_by_single_linkage(xs: tuple[float, ...], count: int, largest: int) -> None:
     trace = run(line(*xs))
     assert aggregation.cluster_counts(trace, link=1.0).tolist() == [count]
     assert aggregation.largest_cluster(trace, link=1.0).tolist() == [largest]

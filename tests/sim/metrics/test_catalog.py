@@ -7,7 +7,6 @@ import math
 import pkgutil
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,8 +19,8 @@ from swarmd.sim import metrics
 from swarmd.sim.metrics import catalog
 from swarmd.sim.metrics.catalog import METRICS, measure
 from swarmd.sim.trace import Trace
-from tests.support.examples import examples
 from tests.sim.metrics.runs import full_run, run
+from tests.support.examples import examples
 
 ON_A_GRID = ("covered_area",)  # counted in squares, which do not turn with the robots
 
@@ -75,9 +74,7 @@ def test_numbers_do_not_depend_on_where_the_world_is(
 
 @given(seed=st.integers(0, 10_000), order=st.permutations(list(range(6))))
 @settings(deadline=None, max_examples=examples(25))
-def test_numbers_do_not_depend_on_the_order_of_robots(
-    seed: int, order: list[int]
-) -> None:
+def test_numbers_do_not_depend_on_the_order_of_robots(seed: int, order: list[int]) -> None:
     trace = full_run(seed)
     assert_alike(measure(trace), measure(shuffled(trace, order)))
 

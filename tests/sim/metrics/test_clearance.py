@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,11 +12,10 @@ from hypothesis import strategies as st
 from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.metrics import clearance
-from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.geometry import gaps, transform
-from tests.support.examples import examples
 from tests.sim.metrics.runs import run
+from tests.support.examples import examples
 
 HALF, SIDE = 0.254, 0.215  # of a Jackal
 
@@ -42,9 +40,7 @@ def at(x: float, y: float, yaw: float = 0.0) -> Array:
         ("20x20,segment:-2:1:2:1", at(0.0, 0.0), 1.0 - 0.005 - SIDE),
     ],
 )
-def test_is_between_the_outline_and_what_is_nearest(
-    arena: str, pose: Array, gap: float
-) -> None:
+def test_is_between_the_outline_and_what_is_nearest(arena: str, pose: Array, gap: float) -> None:
     trace = run(pose, meta={"arena": arena})
     assert clearance.clearance(trace) == pytest.approx(gap, abs=1e-12)
 

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics import collective_motion
-from swarmd.sim.trace import Trace
 from tests.sim.metrics.runs import run
 
 SECONDS = 0.1 * np.arange(21)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,7 @@ import pytest
 
 from swarmd.sim.metrics import contacts
 from swarmd.sim.metrics.catalog import METRICS
-from swarmd.sim.trace import ARENA, Trace
+from swarmd.sim.trace import ARENA
 from tests.sim.metrics.runs import run
 
 STILL = np.zeros((1, 3, 3))

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from swarmd.core.values import Array
 from swarmd.sim.metrics import coverage
 from swarmd.sim.metrics.metric import at_end
-from swarmd.sim.trace import Trace
 from tests.sim.metrics.runs import line, run
 
 hull_area = at_end(coverage.hull_areas)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,9 +10,7 @@ import pytest
 from swarmd.core.values import Array
 from swarmd.sim.metrics import formation
 from swarmd.sim.metrics.catalog import measure
-from swarmd.sim.trace import Trace
 from tests.sim.metrics.runs import run
-
 
 
 def poses(*places: tuple[float, float]) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
@@ -17,9 +16,8 @@ from swarmd.core.values import Array
 from swarmd.sim.metrics import gap, pairs
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import gaps, transform
-from tests.support.examples import examples
 from tests.sim.metrics.runs import line, run
-
+from tests.support.examples import examples
 
 
 def by_hand(trace: Trace) -> Array:

@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from swarmd.sim.metrics import kinematics
 from swarmd.sim.trace import Trace
 from tests.sim.metrics.runs import run
-
 
 
 def half_way(**parts: object) -> Trace:

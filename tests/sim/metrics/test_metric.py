@@ -13,7 +13,6 @@ from swarmd.sim.trace import Trace
 from tests.sim.metrics.runs import run
 
 
-
 def clock(trace: Trace) -> Array:
     return trace.t
 
@@ -33,7 +32,7 @@ def test_a_number_of_a_series(value: Value, expected: float) -> None:
 
 @pytest.mark.parametrize("take", [at_start, at_end, late_mean, peak])
 def test_no_series_and_no_instant_are_no_number(
-    take: Callable[[Callable[[Trace], Array | None]], Value]
+    take: Callable[[Callable[[Trace], Array | None]], Value],
 ) -> None:
     assert take(lambda trace: None)(run(np.zeros((3, 1, 3)))) is None
     assert take(clock)(run(np.zeros((0, 1, 3)))) is None

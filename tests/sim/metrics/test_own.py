@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -15,11 +14,11 @@ from swarmd.sim.metrics import own
 from swarmd.sim.metrics.catalog import beyond_catalog, measure, metric_of
 from swarmd.sim.metrics.own import MetricError
 from swarmd.sim.trace import Trace
+from tests.sim.metrics.runs import run
 
 FILE = '''\
 import numpy as np
 from swarmd.sim.metrics.own import metric
-from tests.sim.metrics.runs import run
 
 @metric(unit="m", better="less", is_time_to_event=True)
 def robots(trace):

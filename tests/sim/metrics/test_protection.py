@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,7 +9,6 @@ import pytest
 
 from swarmd.sim.metrics import protection
 from swarmd.sim.metrics.window import late
-from swarmd.sim.trace import Trace
 from tests.sim.metrics.runs import run
 
 STILL = np.zeros((4, 2, 3))
@@ -67,7 +65,6 @@ def test_duty_counts_only_robots_that_are_present() -> None:
     ],
 )
 def test_alteration_is_in_units_of_full_speed(
-    ,
     requested: tuple[float, ...],
     safe: tuple[float, ...],
     altered: float,

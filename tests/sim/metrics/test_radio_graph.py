@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs, radio_graph
 from swarmd.sim.metrics.metric import at_end
-from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.radio import Radio, RadioSettings
 from tests.sim.metrics.runs import line, run
@@ -32,9 +29,7 @@ def test_components_by_range() -> None:
 
 
 @pytest.mark.parametrize("meta", [{}, {"radio": {}}, {"radio": {"neighborhood": "all"}}])
-def test_without_a_range_everyone_hears_everyone(
-    meta: dict[str, Any]
-) -> None:
+def test_without_a_range_everyone_hears_everyone(meta: dict[str, Any]) -> None:
     trace = run(line(0.0, 1e6, -1e6), meta=meta)
     assert radio_graph.radio_components(trace).tolist() == [1.0]
     assert algebraic_connectivity(trace) == 3.0
@@ -60,9 +55,7 @@ def test_connected_is_a_share_of_time() -> None:
         ((0.0,), 0.0),
     ],
 )
-def test_algebraic_connectivity_of_paths(
-    xs: tuple[float, ...], value: float
-) -> None:
+def test_algebraic_connectivity_of_paths(xs: tuple[float, ...], value: float) -> None:
     trace = run(line(*xs), **radio(1.0))
     assert algebraic_connectivity(trace) == pytest.approx(value, abs=1e-8)
     np.testing.assert_allclose(radio_graph.algebraic_connectivities(trace), [value], atol=1e-8)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from swarmd.sim.metrics import window
-from swarmd.sim.trace import Trace
 from tests.sim.metrics.runs import full_run, run
-
 
 
 @pytest.mark.parametrize(("instants", "since"), [(1801, 120.0), (1201, 60.0), (401, 20.0)])

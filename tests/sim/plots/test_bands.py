@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.statistics import wilson
 from swarmd.sim.plots.bands import (
     MAX_INSTANTS,
@@ -19,7 +18,6 @@ from swarmd.sim.plots.bands import (
     shares_of,
     smoothed,
 )
-from tests.sim.plots.runs import full, overlaps
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

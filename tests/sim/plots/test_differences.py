@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 
-from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.compare import Difference
 from swarmd.sim.experiments.statistics import Interval
 from swarmd.sim.plots.intervals import DifferencePanel, differences_figure
-from tests.sim.plots.runs import overlaps
 
 pytest.importorskip("matplotlib")
 

@@ -7,10 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from swarmd.core.errors import SwarmError
 from swarmd.sim.experiments.statistics import mean_interval, wilson
 from swarmd.sim.plots.intervals import Panel, intervals_figure
-from tests.sim.plots.runs import overlaps
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -6,9 +6,8 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from swarmd.core.errors import SwarmError
 from swarmd.sim.plots.trajectories import MAX_RUNS, overview_figure
-from tests.sim.plots.runs import overlaps, walk
+from tests.sim.plots.runs import walk
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from swarmd.core.errors import SwarmError
 from swarmd.sim.plots.scene import (
     Extent,
-    check_drawable,
     cut_note,
     extent_of,
     paint_arena,
@@ -24,7 +21,6 @@ from swarmd.sim.plots.scene import (
     robot_style,
 )
 from swarmd.sim.plots.theme import new_figure
-from swarmd.sim.trace import Trace
 from tests.sim.plots.runs import full, walk
 
 if TYPE_CHECKING:
@@ -73,7 +69,7 @@ def test_the_longer_side_has_the_length_asked_for() -> None:
 
 
 def test_every_part_of_the_arena_is_painted_and_movable_boxes_are_not(
-    axes: Axes, 
+    axes: Axes,
 ) -> None:
     paint_arena(axes, full(2))
     walls, boxes = axes.collections
@@ -120,12 +116,6 @@ def test_paths_of_many_robots_are_coloured_by_time(axes: Axes) -> None:
 def test_paths_of_a_thousand_robots_are_thinned(axes: Axes) -> None:
     ways = paint_paths_by_time(axes, walk(1000, 3000))
     assert sum(len(np.asarray(path.vertices)) for path in ways.get_paths()) < 250_000
-
-
-@pytest.mark.parametrize("instants", [1, 2])
-def test_few_instants_have_paths_too(axes: Axes, instants: int) -> None:
-    trace = walk(30, instants)
-    assert len(paint_paths_by_time(axes, trace).get_paths()) == 30 * (instants - 1)
 
 
 def test_absent_robots_are_dotted_and_pale(axes: Axes) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -25,7 +25,6 @@ from swarmd.sim.plots.select import (
     worst_first,
 )
 from tests.sim.plots.runs import walk
-
 
 NAN = float("nan")
 

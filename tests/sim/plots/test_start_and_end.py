@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,9 +16,9 @@ from swarmd.sim.plots.start_and_end import (
     opinions_of,
     start_and_end_figure,
 )
-from swarmd.sim.plots.theme import ROBOT_COLOURS, save
+from swarmd.sim.plots.theme import ROBOT_COLOURS
 from swarmd.sim.trace import Trace
-from tests.sim.plots.runs import full, overlaps, walk
+from tests.sim.plots.runs import full, walk
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

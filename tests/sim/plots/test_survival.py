@@ -2,14 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 
-from swarmd.core.errors import SwarmError
-from swarmd.sim.plots.survival import Times, survival_curve, survival_figure
-from tests.sim.plots.runs import full, overlaps
+from swarmd.sim.plots.survival import Times, survival_curve
 
 pytest.importorskip("matplotlib")
 NAN = np.nan

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
-from swarmd.core.errors import SwarmError
-from swarmd.sim.plots.theme import save
-from swarmd.sim.plots.trajectories import trajectories_figure
-from swarmd.sim.trace import Trace
-from tests.sim.plots.runs import full, overlaps, walk
+from swarmd.sim.plots.theme import new_figure
+from swarmd.sim.plots.trajectories import NONE, marks_of, paint_contacts, trajectories_figure
+from tests.sim.plots.runs import full, walk
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -47,3 +43,18 @@ def test_many_robots_are_coloured_by_time_and_not_named() -> None:
         *("contact, both moving: 1", "contact, one moving: 1", "contact with wall or box: 1"),
     ]
     assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "time [s]"]
+
+
+def test_robots_that_are_pushed_together_do_not_move() -> None:
+    trace = walk(2, contact_t=np.array([0.5]), contact_pair=np.array([[0, 1]]),
+                 contact_speed=np.zeros((1, 2)))  # fmt: skip
+    (mark,) = marks_of(trace)
+    assert mark.kind == NONE
+    assert mark.place == pytest.approx(tuple(trace.pose[5, :, :2].mean(axis=0)))
+
+
+def test_each_kind_of_contact_is_painted_with_all_its_marks() -> None:
+    axes = new_figure(3.0, 3.0).add_subplot()
+    marks = marks_of(full(2))  # a long contact has one
+    paint_contacts(axes, [*marks, marks[0]], size=8.0)
+    assert [len(np.asarray(dots.get_offsets())) for dots in axes.collections] == [2, 1, 1]

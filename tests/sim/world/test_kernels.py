@@ -62,9 +62,7 @@ def bits_of_world(
     st.sampled_from(VISIBILITIES),
     st.integers(0, 2**32 - 1),
 )
-def test_of_a_world(
-    kinds: list[str], realism: Realism, visibility: Visibility, seed: int
-) -> None:
+def test_of_a_world(kinds: list[str], realism: Realism, visibility: Visibility, seed: int) -> None:
     rng = np.random.default_rng(seed)
     commands = rng.normal(0.0, 1.0, (8, len(kinds), 3))
     is_strange = rng.random(commands.shape) < 0.1
@@ -99,7 +97,11 @@ KINDS = (
 
 
 def bits_of_sensors(
-    platforms: Sequence[Platform], arena: Arena, visibility: Visibility, noise: LidarNoise, at: Array
+    platforms: Sequence[Platform],
+    arena: Arena,
+    visibility: Visibility,
+    noise: LidarNoise,
+    at: Array,
 ) -> list[bytes]:
     rows = np.arange(len(platforms))
     exact = RangeSensors(platforms, arena, visibility).cast(at, rows)
