@@ -62,21 +62,6 @@ def up(spec: FleetSpec) -> Iterator[Fleet]:
         yield fleet
 
 
-def test_a_forked_host_keeps_nothing_of_its_daemon(tmp_path: Path) -> None:
-    with up(make_spec(tmp_path, robots={"tb3-01": "burger"})) as fleet:
-        daemon = fleet.pids["tb3-01"]
-        (host,) = children(daemon)
-        own = Path(f"/proc/{host}")
-        assert (own / "comm").read_text() == "swarmd-host\n"
-        kinds = sorted(os.readlink(one).split(":")[0] for one in (own / "fd").iterdir())
-        assert kinds == ["/dev/null", "pipe", "pipe", "socket"]
-        assert os.getsid(host) == os.getpgid(host) == host
-        status = dict(line.split(":\t", 1) for line in (own / "status").read_text().splitlines())
-        assert (status["Seccomp"], status["Threads"]) == ("2", "1")
-        nice = os.getpriority(os.PRIO_PROCESS, daemon) + NICE
-        assert os.getpriority(os.PRIO_PROCESS, host) == min(nice, 19)
-
-
 @pytest.mark.parametrize(
     ("platform", "ids"),
     [
@@ -100,6 +85,20 @@ def test_options_of_the_world_and_of_daemons(tmp_path: Path) -> None:
     assert shipped["platform"] == "burger"
 
 
+def assert_keeps_nothing_of_its_daemon(daemon: int) -> None:
+    """The daemon's forked pattern host."""
+    (host,) = children(daemon)
+    own = Path(f"/proc/{host}")
+    assert (own / "comm").read_text() == "swarmd-host\n"
+    kinds = sorted(os.readlink(one).split(":")[0] for one in (own / "fd").iterdir())
+    assert kinds == ["/dev/null", "pipe", "pipe", "socket"]
+    assert os.getsid(host) == os.getpgid(host) == host
+    status = dict(line.split(":\t", 1) for line in (own / "status").read_text().splitlines())
+    assert (status["Seccomp"], status["Threads"]) == ("2", "1")
+    nice = os.getpriority(os.PRIO_PROCESS, daemon) + NICE
+    assert os.getpriority(os.PRIO_PROCESS, host) == min(nice, 19)
+
+
 @pytest.mark.integration
 def test_world_and_daemons_come_up_and_go_even_if_one_is_frozen(tmp_path: Path) -> None:
     with up(make_spec(tmp_path)) as fleet:
@@ -107,6 +106,7 @@ def test_world_and_daemons_come_up_and_go_even_if_one_is_frozen(tmp_path: Path) 
         assert set(fleet.pids) == {"world", *ROBOTS}
         assert len(pids) == 5  # the world, two daemons, a host each
         fleet.check()
+        assert_keeps_nothing_of_its_daemon(fleet.pids["tb3-01"])
         os.kill(fleet.pids["tb3-01"], signal.SIGSTOP)  # so that it ends only by SIGKILL
         assert not any(is_gone(pid) for pid in pids)
     wait_until(lambda: all_gone(pids), "all processes of the fleet are gone")

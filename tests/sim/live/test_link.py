@@ -18,7 +18,7 @@ from swarmd.driver_api.hw_codec import (
     encode_command,
     encode_message,
 )
-from swarmd.sim.live.link import Command, WorldLink, WorldView, client_options
+from swarmd.sim.live.link import WorldLink, WorldView, client_options
 from swarmd.sim.live.state import WorldState
 from tests.support.processes import wait_until
 from tests.support.traces import world_state
@@ -61,23 +61,22 @@ def test_an_invalid_endpoint_is_refused(endpoint: str) -> None:
 def test_only_the_newest_valid_command_of_each_robot_is_kept(
     link: WorldLink, peer: zenoh.Session
 ) -> None:
-    # Once the link is up, everything below arrives in order.
-    last = encode_command(Twist(9.0), -1, -1)
-    taken: dict[str, Command] = {}
+    def put(robot: str, payload: bytes) -> None:
+        peer.put(f"swarm/s/{robot}/hw/cmd_vel", payload)
 
-    def all_there() -> bool:
-        for speed in (0.1, 0.2):
-            for robot in ("a", "b"):
-                peer.put(f"swarm/s/{robot}/hw/cmd_vel", encode_command(Twist(speed), 1, 1))
-        peer.put("swarm/s/a/hw/cmd_vel", last)
-        peer.put("swarm/s/a/hw/cmd_vel", b"garbage")
-        if link.dropped:
-            taken.update(link.take_commands())
-        return "b" in taken and "a" in taken and taken["a"].twist == Twist(9.0)
+    def is_linked() -> bool:
+        put("a", COMMAND)
+        return bool(link.take_commands())
 
-    wait_until(all_there, "all_there")
-    assert taken["b"].twist.linear == 0.2
-    assert set(taken) == {"a", "b"}
+    wait_until(is_linked, "linked")  # from now on everything arrives in order
+    for speed in (0.1, 0.2):
+        for robot in ("a", "b"):
+            put(robot, encode_command(Twist(speed), 1, 1))
+    put("a", encode_command(Twist(9.0), -1, -1))
+    put("a", b"garbage")
+    wait_until(lambda: link.dropped == 1, "counted")
+    taken = link.take_commands()
+    assert {robot: command.twist.linear for robot, command in taken.items()} == {"a": 9.0, "b": 0.2}
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,15 @@ import numpy as np
 import pytest
 
 from swarmd.sim.plots.theme import new_figure
-from swarmd.sim.plots.trajectories import NONE, marks_of, paint_contacts, trajectories_figure
+from swarmd.sim.plots.trajectories import (
+    BOTH,
+    NONE,
+    ONE,
+    OTHER,
+    marks_of,
+    paint_contacts,
+    trajectories_figure,
+)
 from tests.sim.plots.runs import full, walk
 
 if TYPE_CHECKING:
@@ -55,6 +63,7 @@ def test_robots_that_are_pushed_together_do_not_move() -> None:
 
 def test_each_kind_of_contact_is_painted_with_all_its_marks() -> None:
     axes = new_figure(3.0, 3.0).add_subplot()
-    marks = marks_of(full(2))  # a long contact has one
+    marks = marks_of(full(2))
+    assert [mark.kind for mark in marks] == [BOTH, ONE, OTHER]  # a long contact has one
     paint_contacts(axes, [*marks, marks[0]], size=8.0)
     assert [len(np.asarray(dots.get_offsets())) for dots in axes.collections] == [2, 1, 1]
