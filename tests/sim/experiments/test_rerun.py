@@ -22,7 +22,7 @@ def conducted(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The folder of four runs, whose scenario is gone."""
     folder = tmp_path_factory.mktemp("conducted")
     duo = write_duo(folder)
-    simulate(duo, seeds=4, set={"duration": 1}, out=folder / "x")
+    simulate(duo, seeds=4, set={"duration": 0.6}, out=folder / "x")
     duo.unlink()
     return folder / "x"
 

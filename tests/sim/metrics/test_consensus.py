@@ -15,8 +15,8 @@ NONE = float("nan")
 def votes(*rows: tuple[float, ...], present: object = None) -> Trace:
     """An instant a row, 0.1 s apart."""
     opinion = np.array(rows)
-    parts = {} if present is None else {"present": np.array(present)}
-    return run(np.zeros((*opinion.shape, 3)), report={"opinion": opinion}, **parts)
+    there = None if present is None else np.array(present)
+    return run(np.zeros((*opinion.shape, 3)), report={"opinion": opinion}, present=there)
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -10,7 +12,7 @@ from swarmd.sim.trace import Trace
 from tests.sim.metrics.runs import run
 
 
-def half_way(**parts: object) -> Trace:
+def half_way(**parts: Any) -> Trace:
     """1 s of two robots; the first goes 1 m in the first half, the second stands."""
     pose = np.zeros((11, 2, 3))
     pose[:6, 0, 0] = np.linspace(0.0, 1.0, 6)

@@ -19,8 +19,8 @@ STATES = np.array([["drive", "", "wait"]] * 3 + [["wait", "drive", "wait"]], dty
 def trace() -> Trace:
     """Four instants; the third robot is never present."""
     present = np.array([[True, True, False]] * 4)
-    parts = {"report": {"value": VALUES, "part.max": VALUES}, "words": {"state": STATES}}
-    return run(np.zeros((4, 3, 3)), present=present, **parts)
+    report, words = {"value": VALUES, "part.max": VALUES}, {"state": STATES}
+    return run(np.zeros((4, 3, 3)), present=present, report=report, words=words)
 
 
 @pytest.mark.parametrize(
