@@ -145,7 +145,7 @@ def test_a_rerun_with_another_hash_seed_finds_the_run_that_differs(
     manifest = json.loads((x / "manifest.json").read_text())
     manifest["made_with"]["kernels"] = "of another kind"
     (x / "manifest.json").write_text(json.dumps(manifest))
-    words = ("exp", "rerun", x, "--out", "b", "-o", "json")
+    words = ("exp", "rerun", x, "--out", "b", "-j", 1, "-o", "json")
     done = swarmctl(*words, PYTHONHASHSEED="2")
     assert done.returncode == 3, done.stderr
     assert "5 of 6 runs are identical" in done.stderr
