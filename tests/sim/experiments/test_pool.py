@@ -57,7 +57,7 @@ def test_every_job_is_done_once_whatever_the_others_do(duo: Path, tmp_path: Path
         job(duo, 5, tmp_path / "s5.npz", {END: "freeze"}),
         job(duo, 6),
     ]
-    found = done(jobs, 1, timeout=3.0)
+    found = done(jobs, 1, timeout=6.0)
     assert [i for i in range(7) if found[f"s{i}"].metrics is not None] == [3, 4, 6]
     assert found["s0"].reason == "its process ended with code 7: moody has had enough"
     assert found["s1"].reason.startswith("its process was killed by SIGKILL")
@@ -65,7 +65,7 @@ def test_every_job_is_done_once_whatever_the_others_do(duo: Path, tmp_path: Path
     assert not found["s2"].reason.startswith("its process")
     assert "\n" not in found["s2"].reason
     assert found["s4"].metrics == run_job(job(duo, 4)).metrics
-    assert found["s5"].reason.startswith("no progress in 3 s")
+    assert found["s5"].reason.startswith("no progress in 6 s")
     assert list(tmp_path.glob(".*")) == []
 
 

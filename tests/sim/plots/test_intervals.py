@@ -1,4 +1,4 @@
-"""Metrics run by run, with means and their intervals."""
+"""Metrics run by run, with means and their intervals, and differences between variants."""
 
 from __future__ import annotations
 
@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from swarmd.sim.experiments.statistics import mean_interval, wilson
-from swarmd.sim.plots.intervals import Panel, intervals_figure
+from swarmd.sim.experiments.compare import Difference
+from swarmd.sim.experiments.statistics import Interval, mean_interval, wilson
+from swarmd.sim.plots.intervals import DifferencePanel, Panel, differences_figure, intervals_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -100,3 +101,29 @@ def test_times_that_some_runs_never_reached_have_a_median() -> None:
     assert [text.get_text() for text in axes.texts] == ["1 of 4 never", "2 of 2 never"]
     assert np.asarray(axes.collections[1].get_offsets())[0, 0] == 5.5
     assert bars(axes) == []
+
+
+def difference(low: float, high: float) -> Difference:
+    middle = (low + high) / 2.0
+    return Difference("m", "m", 5, 5, difference=middle, interval=Interval(low, high))
+
+
+PANEL = DifferencePanel(
+    "minimum gap",
+    "m",
+    {
+        "b - a": difference(0.1, 0.3),
+        "c - a": difference(-0.1, 0.3),
+        "d - a": Difference("m", "m", 5, 5, never_a=1, never_b=2),
+    },
+)
+
+
+def test_a_row_a_variant_filled_where_0_is_excluded() -> None:
+    (axes,) = differences_figure([PANEL]).axes
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["b - a", "c - a", "d - a"]
+    bars = [line.get_xdata() for line in axes.lines[1:]]
+    assert [list(bar) for bar in bars] == [[0.1, 0.3], [-0.1, 0.3]]  # type: ignore[arg-type]
+    faces = [np.array(found.get_facecolor()).ravel()[:3] for found in axes.collections]
+    assert [bool((face == 1.0).all()) for face in faces] == [False, True]
+    assert any("never: 1 of 6, 2 of 7" in text.get_text() for text in axes.texts)
