@@ -113,6 +113,7 @@ def run_course(
     *,
     visibility: str = "body",
     seed: int = 1,
+    robots: int = ROBOTS,
     appeared: float = math.inf,
     touches: int = 0,
 ) -> CourseResult:
@@ -126,13 +127,13 @@ def run_course(
         body = load_platform(protected)
         speed = float(body.protection["barrier"]["others_speed"])
         rammer = Rammer(speed, radius(body.footprint))
-        obstacles = ObstaclePlacer(body, ROBOTS, seed)
+        obstacles = ObstaclePlacer(body, robots, seed)
         trace = folder / "trace.npz"
         options = {"seed": seed, "realism": "realistic", "trace": str(trace)}
-        options |= {"lidar_visibility": visibility, **_space(body, ROBOTS + 1)}
+        options |= {"lidar_visibility": visibility, **_space(body, robots + 1)}
         fast = _variant(folder / f"{RAMMER}.yaml", platform, limits={"linear": speed})
         with (
-            Swarm(ROBOTS, protected, others={RAMMER: fast}, world=options) as swarm,
+            Swarm(robots, protected, others={RAMMER: fast}, world=options) as swarm,
             WorldView(swarm.name, swarm.endpoint) as world,
             _steering(swarm.endpoint) as steering,
         ):
@@ -220,7 +221,8 @@ def _course(platform: str, options: argparse.Namespace) -> Iterator[Row]:
 
 def rows(platform: str, result: CourseResult) -> Iterator[Row]:
     """One platform's course: how fast robots drove into something, and latency meanwhile."""
-    note = f"in {result.trace.duration * ROBOTS / 60.0:.0f} robot-minutes"
+    count = len(result.robots)
+    note = f"in {result.trace.duration * count / 60.0:.0f} robot-minutes"
     yield _speeds(f"{platform}: own speed when rammed", result, True, note)
     note = f"of {result.appeared} things none nearer than {result.nearest():.2f} m"
     yield _speeds(f"{platform}: own speed at other contacts", result, False, note)
@@ -229,9 +231,9 @@ def rows(platform: str, result: CourseResult) -> Iterator[Row]:
     yield Row(what, result.ram_speeds(), note=note, unit="m/s")
     stamps, span = result.stamps, result.span
     reflex = between(stamps.put, stamps.safe_back, span)
-    yield row(f"{platform}: reflex, {ROBOTS} live daemons", REFLEX_BUDGET, reflex)
+    yield row(f"{platform}: reflex, {count} live daemons", REFLEX_BUDGET, reflex)
     full = between(stamps.put, stamps.requested_back, span)
-    yield row(f"{platform}: full, {ROBOTS} live daemons", FULL_BUDGET, full)
+    yield row(f"{platform}: full, {count} live daemons", FULL_BUDGET, full)
 
 
 def _speeds(what: str, result: CourseResult, is_by_rammer: bool, note: str) -> Row:

@@ -87,7 +87,7 @@ def found(sim: Lockstep) -> dict[str, Figure]:
 @pytest.mark.parametrize(
     ("platform", "linear", "angular", "delay", "latency"),
     [
-        ("burger", 0.5, 2.0, 0.10, 0.5),
+        pytest.param("burger", 0.5, 2.0, 0.10, 0.5, marks=pytest.mark.evidence),
         ("burger", 1.0, 3.2, 0.20, 1.2),
         ("waffle_pi", 0.7, 1.5, 0.15, 0.5),
     ],
@@ -134,7 +134,11 @@ def test_scales_of_speed_and_odometry_are_found_within_five_percent() -> None:
 @pytest.mark.parametrize(
     ("arena", "unknown"),
     [
-        ({"size": [20.0, 20.0]}, {"odometry_linear", "odometry_angular", "scan_delay"}),
+        pytest.param(
+            {"size": [20.0, 20.0]},
+            {"odometry_linear", "odometry_angular", "scan_delay"},
+            marks=pytest.mark.evidence,
+        ),
         ({"size": [20.0, 2.2]}, {"odometry_linear"}),
     ],
 )
@@ -168,7 +172,10 @@ def test_nothing_moves_unless_the_floor_is_free(
 LATE = {"preset": "realistic", "lidar": {"bias": 0.0, "delay": 0.23}}
 
 
-@pytest.mark.parametrize(("platform", "floor"), [("jackal", 5.0), ("burger", 2.3)])
+@pytest.mark.parametrize(
+    ("platform", "floor"),
+    [("jackal", 5.0), pytest.param("burger", 2.3, marks=pytest.mark.evidence)],
+)
 def test_scans_that_come_late_are_measured(platform: str, floor: float) -> None:
     """Also those of a Jackal, which are too late for every other pattern."""
     room = {

@@ -74,6 +74,7 @@ class Moody(MovementPattern[MoodyParams]):
 MAIN = "from swarmd.cli.entry import swarmctl; swarmctl()"
 
 Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
+Refusal = Callable[..., str]
 
 
 def write_duo(folder: Path) -> Path:
@@ -120,6 +121,29 @@ def swarmctl_in(folder: Path) -> Swarmctl:
 def duo(tmp_path: Path) -> Path:
     """The scenario of `write_duo`."""
     return write_duo(tmp_path)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """The files of a folder, but those that Python compiled."""
+    return {str(p): p.read_bytes() for p in sorted(folder.rglob("*[!c]")) if p.is_file()}
+
+
+@pytest.fixture
+def refusal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> Refusal:
+    """The line with which swarmctl refuses words; it says and makes nothing else."""
+
+    def refused(*words: object) -> str:
+        monkeypatch.chdir(tmp_path)
+        before = contents(tmp_path)
+        assert run_cli(cli, list(map(str, words)), "swarmctl", exit_code_of) == 2
+        captured = capsys.readouterr()
+        assert (captured.out, captured.err.count("\n")) == ("", 1)
+        assert contents(tmp_path) == before
+        return captured.err
+
+    return refused
 
 
 @pytest.fixture

@@ -9,9 +9,9 @@ import pytest
 
 from studies.paper_exp2 import TOLERANCE, joined, judged, ranges
 from swarmd.core.values import Array
-from swarmd.settings.settings import load_platform
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import Trace
+from tests.support.traces import trace_of
 
 pytestmark = pytest.mark.timeout(600)  # on a busy machine
 MISSION = "discuss_then_disperse"
@@ -47,25 +47,14 @@ def test_the_mission_and_the_pattern_behave_alike(seed: int) -> None:
     assert np.ptp(one.pose[..., :2], axis=0).max() > 0.1
 
 
-WAFFLE = load_platform("waffle_pi")
 TIMES = np.arange(0.0, 80.05, 0.1)
 
 
 def made(places: Array, opinion: Array) -> Trace:
     """Two robots that face along x, at places (T, 2, 2)."""
     pose = np.concatenate((places, np.zeros((len(TIMES), 2, 1))), axis=2)
-    return Trace(
-        ids=("a", "b"),
-        t=TIMES,
-        pose=pose,
-        safe=np.zeros_like(pose),
-        contact_t=np.zeros(0),
-        contact_pair=np.zeros((0, 2), dtype=np.int64),
-        contact_speed=np.zeros((0, 2)),
-        platforms=("waffle_pi", "waffle_pi"),
-        footprints={"waffle_pi": WAFFLE.footprint},
-        meta={"arena": "10x8"},
-        report={"opinion": opinion},
+    return trace_of(
+        pose, platform="waffle_pi", t=TIMES, meta={"arena": "10x8"}, report={"opinion": opinion}
     )
 
 

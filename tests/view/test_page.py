@@ -100,8 +100,10 @@ def test_each_command_goes_from_click_to_acknowledgement(swarm: Swarm, page: Pag
         assert page.errors == []
 
 
-def test_a_lost_server_is_told_and_found_again(swarm: Swarm, page: Page) -> None:
-    swarm.start("tb3-01", swarm.body("tb3-01"))
+def test_a_lost_server_is_found_again_and_a_killed_robot_is_not_shown_as_alive(
+    swarm: Swarm, page: Page
+) -> None:
+    daemon = swarm.start("tb3-01", swarm.body("tb3-01"))
     with served(swarm) as (address,):
         page.open(address)
         shown(page, "tb3-01", "idle")
@@ -115,19 +117,12 @@ def test_a_lost_server_is_told_and_found_again(swarm: Swarm, page: Page) -> None
     try:
         page.until("document.getElementById('banner').hidden", "no banner")
         shown(page, "tb3-01", "idle")
+        page.until(f"!({STALE})", "a fresh row")
+        daemon.kill()
+        page.until(STALE, "a stale row")
     finally:
         process.terminate()
         process.communicate(timeout=60)
-
-
-def test_a_robot_that_is_killed_is_not_shown_as_alive(swarm: Swarm, page: Page) -> None:
-    daemon = swarm.start("tb3-01", swarm.body("tb3-01"))
-    swarm.start("tb3-02")
-    with served(swarm) as (address,):
-        page.open(address)
-        shown(page, "tb3-01", "idle")
-        daemon.kill()
-        page.until(STALE, "a stale row")
 
 
 def test_tokens_decide_who_may_command(swarm: Swarm, page: Page) -> None:

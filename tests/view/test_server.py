@@ -8,8 +8,7 @@ import contextlib
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
-from http.client import HTTPConnection
+from collections.abc import AsyncIterator, Mapping, Sequence
 from importlib.resources import files
 from typing import Any
 
@@ -83,6 +82,40 @@ class SilentRobots:
         self.ended.set()
 
 
+@contextlib.asynccontextmanager
+async def serving(
+    source: Any = None, commander: Any = None, access: Access | None = None, **options: Any
+) -> AsyncIterator[tuple[ViewServer, str]]:
+    """A server on loopback and its address."""
+    server = ViewServer(source or OneRobot(), commander, access or Access(), **options)
+    address = await server.start("127.0.0.1", 0)
+    try:
+        yield server, address
+    finally:
+        await server.close()
+
+
+async def connected(address: str, limit: int = 65536) -> tuple[asyncio.StreamReader, Any]:
+    """A connection by hand, which answers nothing by itself."""
+    host, port = address.removeprefix("http://").rstrip("/").split(":")
+    return await asyncio.open_connection(host, int(port), limit=limit)
+
+
+async def opened(
+    address: str, token: str = "", limit: int = 65536
+) -> tuple[asyncio.StreamReader, Any]:
+    """The connection of a page by hand."""
+    reader, writer = await connected(address, limit)
+    key = base64.b64encode(os.urandom(16)).decode()
+    writer.write(
+        f"GET /socket?token={token} HTTP/1.1\r\nHost: {address[7:-1]}\r\nUpgrade: websocket\r\n"
+        f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\n"
+        "Sec-WebSocket-Version: 13\r\n\r\n".encode()
+    )
+    await reader.readuntil(b"\r\n\r\n")
+    return reader, writer
+
+
 async def message(page: ClientConnection, kind: str) -> dict[str, Any]:
     """The next message of a kind; frames are acknowledged meanwhile."""
     async with asyncio.timeout(CAP):
@@ -109,35 +142,25 @@ def socket_of(address: str, token: str = "") -> str:
 
 @pytest.mark.parametrize("acks", [False, True], ids=["silent", "acknowledges-all"])
 async def test_a_page_that_reads_nothing_gets_few_frames_and_holds_up_no_other(acks: bool) -> None:
-    server = ViewServer(OneRobot(), None, Access(), frame_period=0.01)
-    address = await server.start("127.0.0.1", 0)
-    host, port = address.removeprefix("http://").rstrip("/").split(":")
-    reader, writer = await asyncio.open_connection(host, int(port), limit=1024)
-    try:
-        key = base64.b64encode(os.urandom(16)).decode()
-        writer.write(
-            f"GET /socket HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\n"
-            f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\n"
-            "Sec-WebSocket-Version: 13\r\n\r\n".encode()
-        )
-        await reader.readuntil(b"\r\n\r\n")
-        (slow,) = await _clients(server, 1)
-        async with connect(socket_of(address), max_size=None) as page:
-            for _ in range(FRAMES):
-                await frame(page)
-                if acks:
-                    writer.write(b"\x81\x8e\0\0\0\0" + b'{"kind":"ack"}')
-            (fast,) = [one for one in server._clients if one is not slow]
-        assert fast.sent >= FRAMES
-        if not acks:
-            assert slow.sent <= MAX_UNACKED
-        assert slow.connection.transport.get_write_buffer_size() < 3 * ROW
-    finally:
-        writer.close()
-        await server.close()
+    async with serving(frame_period=0.01) as (server, address):
+        _, writer = await opened(address, limit=1024)
+        try:
+            (slow,) = await clients(server, 1)
+            async with connect(socket_of(address), max_size=None) as page:
+                for _ in range(FRAMES):
+                    await frame(page)
+                    if acks:
+                        writer.write(b"\x81\x8e\0\0\0\0" + b'{"kind":"ack"}')
+                (fast,) = [one for one in server._clients if one is not slow]
+            assert fast.sent >= FRAMES
+            if not acks:
+                assert slow.sent <= MAX_UNACKED
+            assert slow.connection.transport.get_write_buffer_size() < 3 * ROW
+        finally:
+            writer.close()
 
 
-async def _clients(server: ViewServer, count: int) -> set[Any]:
+async def clients(server: ViewServer, count: int) -> set[Any]:
     async with asyncio.timeout(CAP):
         while server.clients < count:
             await asyncio.sleep(0.01)
@@ -146,9 +169,7 @@ async def _clients(server: ViewServer, count: int) -> set[Any]:
 
 async def test_an_emergency_stop_is_kept_for_pages_that_open_later() -> None:
     commander = SilentRobots()
-    server = ViewServer(OneRobot(), commander, Access())
-    address = await server.start("127.0.0.1", 0)
-    try:
+    async with serving(commander=commander) as (_, address):
         async with connect(socket_of(address), max_size=None) as first:
             await first.send('{"kind":"act","id":"a","verb":"estop"}')
             await message(first, "answer")
@@ -163,62 +184,56 @@ async def test_an_emergency_stop_is_kept_for_pages_that_open_later() -> None:
             await third.send('{"kind":"act","id":"d","verb":"run","seen":1000}')
             assert "too late" in (await message(third, "answer"))["line"]
         assert commander.verbs == ["estop", "stop"]
-    finally:
-        await server.close()
 
 
 async def test_nonsense_of_a_page_is_ignored() -> None:
-    server = ViewServer(OneRobot(), None, Access())
-    address = await server.start("127.0.0.1", 0)
-    try:
-        async with connect(socket_of(address), max_size=None) as page:
-            for text in (
-                "[]",
-                "{}",
-                "1",
-                "x",
-                '{"kind":"select","names":[{}, 1, "r9"]}',
-                "[" * 9999,
-            ):
-                await page.send(text)
-            await page.send('{"kind":"act","id":[],"verb":{}}')
-            assert "takes no commands" in (await message(page, "answer"))["line"]
-            assert (await message(page, "rows"))["rows"]["r1"]["near"] is None
-    finally:
-        await server.close()
+    nonsense = ("[]", "{}", "1", "x", '{"kind":"select","names":[{}, 1, "r9"]}', "[" * 9999)
+    async with serving() as (_, address), connect(socket_of(address), max_size=None) as page:
+        for text in nonsense:
+            await page.send(text)
+        await page.send('{"kind":"act","id":[],"verb":{}}')
+        assert "takes no commands" in (await message(page, "answer"))["line"]
+        assert (await message(page, "rows"))["rows"]["r1"]["near"] is None
+
+
+HERE = "Host: 127.0.0.1"
 
 
 @pytest.mark.parametrize(
-    ("host", "origin", "token", "code"),
+    ("request_line", "headers", "token", "code"),
     [
-        ("127.0.0.1", None, "", 200),
-        ("localhost", "http://localhost", "", 200),
-        ("127.0.0.1", "http://evil.example", "", 403),
-        ("evil.example", "http://evil.example", "", 403),  # its name leads to loopback
-        ("robots.example", "http://robots.example", "operator-token", 200),
-        ("robots.example", "http://evil.example", "operator-token", 403),
+        ("GET /", HERE, "", 200),
+        ("GET /", "Host: localhost\r\nOrigin: http://localhost", "", 200),
+        # Other sites reach nothing,
+        ("GET /", f"{HERE}\r\nOrigin: http://evil.example", "", 403),
+        # also one whose name leads to loopback.
+        ("GET /", "Host: evil.example\r\nOrigin: http://evil.example", "", 403),
+        ("GET /", "Host: robots.example\r\nOrigin: http://robots.example", "operator-token", 200),
+        ("GET /", "Host: robots.example\r\nOrigin: http://evil.example", "operator-token", 403),
+        # Malformed requests get an answer.
+        ("GET /../../../etc/passwd", HERE, "", 404),
+        ("GET /%2e%2e/server.py", HERE, "", 404),
+        ("GET /..", HERE, "", 404),
+        (f"GET /{'x' * 3000}.js", HERE, "", 404),
+        ("GET //[", HERE, "", 404),
+        ("GET /", "Host: [", "", 403),
+        ("GET /", f"{HERE}\r\nOrigin: http://[", "", 403),
+        ("GET /", f"{HERE}\r\nHost: evil.example", "", 403),
+        ("GET /", f"{HERE}\r\nOrigin: null", "", 403),
     ],
 )
-async def test_other_sites_reach_nothing(
-    host: str, origin: str | None, token: str, code: int
+async def test_a_request_gets_the_page_under_its_policy_or_a_refusal_and_logs_nothing(
+    request_line: str, headers: str, token: str, code: int, caplog: pytest.LogCaptureFixture
 ) -> None:
-    server = ViewServer(OneRobot(), None, Access(token))
-    address = await server.start("127.0.0.1", 0)
-
-    def ask() -> tuple[int, str | None]:
-        link = HTTPConnection(address.removeprefix("http://").rstrip("/"), timeout=CAP)
-        headers = {"Host": host} | ({} if origin is None else {"Origin": origin})
-        link.request("GET", "/", headers=headers)
-        answer = link.getresponse()
-        link.close()
-        return answer.status, answer.getheader("Content-Security-Policy")
-
-    try:
-        status, policy = await asyncio.to_thread(ask)
-    finally:
-        await server.close()
-    assert status == code
-    assert code == 403 or (policy is not None and "script-src 'self'" in policy)
+    async with serving(access=Access(token)) as (_, address):
+        reader, writer = await connected(address)
+        writer.write(f"{request_line} HTTP/1.1\r\n{headers}\r\n\r\n".encode())
+        async with asyncio.timeout(CAP):
+            answer = (await reader.readuntil(b"\r\n\r\n")).decode()
+        writer.close()
+    assert answer.split()[1] == str(code)
+    assert code != 200 or re.search("content-security-policy: .*script-src 'self'", answer, re.I)
+    assert [one.getMessage() for one in caplog.records if one.levelname == "ERROR"] == []
 
 
 @pytest.mark.parametrize(
@@ -249,69 +264,6 @@ def test_the_page_is_small_and_loads_nothing_from_elsewhere() -> None:
     assert [text for text in texts if re.search(r"https?://|//cdn", text)] == []
 
 
-async def _opened(address: str, token: str = "") -> tuple[asyncio.StreamReader, Any]:
-    """A connection of a page by hand, which answers nothing by itself."""
-    host, port = address.removeprefix("http://").rstrip("/").split(":")
-    reader, writer = await asyncio.open_connection(host, int(port))
-    key = base64.b64encode(os.urandom(16)).decode()
-    writer.write(
-        f"GET /socket?token={token} HTTP/1.1\r\nHost: {host}:{port}\r\nUpgrade: websocket\r\n"
-        f"Connection: Upgrade\r\nSec-WebSocket-Key: {key}\r\n"
-        "Sec-WebSocket-Version: 13\r\n\r\n".encode()
-    )
-    await reader.readuntil(b"\r\n\r\n")
-    return reader, writer
-
-
-async def test_pages_that_answer_nothing_do_not_delay_each_others_end(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr("swarmd.view.server.CLOSE_TIME", 2.0 * CAP)
-    server = ViewServer(Faulty(), None, Access())
-    address = await server.start("127.0.0.1", 0)
-    pages = [await _opened(address) for _ in range(3)]
-    await _clients(server, 3)
-    ending = asyncio.create_task(server.close("it ends"))
-    try:
-        async with asyncio.timeout(CAP):
-            await asyncio.gather(*(reader.readuntil(b"it ends") for reader, _ in pages))
-    finally:
-        for _, writer in pages:
-            writer.write(b"\x88\x80\0\0\0\0")
-            writer.close()
-        await ending
-
-
-@pytest.mark.parametrize(
-    ("request_line", "headers", "code"),
-    [
-        ("GET /../../../etc/passwd", "Host: 127.0.0.1", 404),
-        ("GET /%2e%2e/server.py", "Host: 127.0.0.1", 404),
-        ("GET /..", "Host: 127.0.0.1", 404),
-        (f"GET /{'x' * 3000}.js", "Host: 127.0.0.1", 404),
-        ("GET //[", "Host: 127.0.0.1", 404),
-        ("GET /", "Host: [", 403),
-        ("GET /", "Host: 127.0.0.1\r\nOrigin: http://[", 403),
-        ("GET /", "Host: 127.0.0.1\r\nHost: evil.example", 403),
-        ("GET /", "Host: 127.0.0.1\r\nOrigin: null", 403),
-    ],
-)
-async def test_malformed_requests_get_an_answer_and_log_nothing(
-    request_line: str, headers: str, code: int, caplog: pytest.LogCaptureFixture
-) -> None:
-    server = ViewServer(OneRobot(), None, Access())
-    address = await server.start("127.0.0.1", 0)
-    host, port = address.removeprefix("http://").rstrip("/").split(":")
-    reader, writer = await asyncio.open_connection(host, int(port))
-    try:
-        writer.write(f"{request_line} HTTP/1.1\r\n{headers}\r\n\r\n".encode())
-        assert (await reader.readline()).split()[1] == str(code).encode()
-    finally:
-        writer.close()
-        await server.close()
-    assert [one.getMessage() for one in caplog.records if one.levelname == "ERROR"] == []
-
-
 class Faulty(OneRobot):
     """A source whose second frame fails; it notes what is selected."""
 
@@ -337,70 +289,78 @@ async def test_a_frame_that_fails_is_told_and_the_next_one_comes(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
     source = Faulty()
-    server = ViewServer(source, None, Access(), frame_period=0.01)
-    address = await server.start("127.0.0.1", 0)
-    try:
-        async with connect(socket_of(address)) as page:
-            for _ in range(4):
-                await frame(page)
-    finally:
-        await server.close()
+    async with (
+        serving(source, frame_period=0.01) as (_, address),
+        connect(socket_of(address)) as page,
+    ):
+        for _ in range(4):
+            await frame(page)
     assert source.frames > 4
     assert [one.getMessage() for one in caplog.records] == ["the page got no frame"]
 
 
 async def test_a_flood_of_selections_reaches_the_robots_now_and_then() -> None:
     source = Faulty()
-    server = ViewServer(source, None, Access(), frame_period=0.01)
-    address = await server.start("127.0.0.1", 0)
-    try:
-        async with connect(socket_of(address)) as page:
-            for k in range(301):
-                names = [] if k % 2 else ["r1"]
-                await page.send(json.dumps({"kind": "select", "names": names}))
-            async with asyncio.timeout(CAP):
-                while source.selections[-1:] != [["r1"]]:
-                    await frame(page)
+    async with (
+        serving(source, frame_period=0.01) as (_, address),
+        connect(socket_of(address)) as page,
+    ):
+        for k in range(301):
+            names = [] if k % 2 else ["r1"]
+            await page.send(json.dumps({"kind": "select", "names": names}))
+        async with asyncio.timeout(CAP):
+            while source.selections[-1:] != [["r1"]]:
+                await frame(page)
         assert len(source.selections) < 100
-    finally:
-        await server.close()
+
+
+async def test_pages_that_answer_nothing_do_not_delay_each_others_end(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr("swarmd.view.server.CLOSE_TIME", 2.0 * CAP)
+    async with serving(Faulty()) as (server, address):
+        pages = [await opened(address) for _ in range(3)]
+        await clients(server, 3)
+        ending = asyncio.create_task(server.close("it ends"))
+        try:
+            async with asyncio.timeout(CAP):
+                await asyncio.gather(*(reader.readuntil(b"it ends") for reader, _ in pages))
+        finally:
+            for _, writer in pages:
+                writer.write(b"\x88\x80\0\0\0\0")
+                writer.close()
+            await ending
 
 
 async def test_connections_that_ask_nothing_take_the_place_of_no_page(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("swarmd.view.server.MAX_WAITING", 3)
-    server = ViewServer(OneRobot(), None, Access("operator-token"))
-    address = await server.start("127.0.0.1", 0)
-    host, port = address.removeprefix("http://").rstrip("/").split(":")
     idle = []
-    try:
-        async with connect(socket_of(address, "operator-token"), max_size=None) as page:
-            await frame(page)
-            idle = [await _opened(address, "wrong-token") for _ in range(3)]
-            idle += [await asyncio.open_connection(host, int(port)) for _ in range(3)]
-            async with asyncio.timeout(CAP):
-                for reader, _ in idle[:3]:
-                    with contextlib.suppress(ConnectionError):
-                        await reader.read()  # to the end
-            assert len(server._waiting) == 3
-            await frame(page)
-    finally:
-        for _, writer in idle:
-            writer.close()
-        await server.close()
+    async with serving(access=Access("operator-token")) as (server, address):
+        try:
+            async with connect(socket_of(address, "operator-token"), max_size=None) as page:
+                await frame(page)
+                idle = [await opened(address, "wrong-token") for _ in range(3)]
+                idle += [await connected(address) for _ in range(3)]
+                async with asyncio.timeout(CAP):
+                    for reader, _ in idle[:3]:
+                        with contextlib.suppress(ConnectionError):
+                            await reader.read()  # to the end
+                assert len(server._waiting) == 3
+                await frame(page)
+        finally:
+            for _, writer in idle:
+                writer.close()
 
 
 async def test_a_page_that_sends_pings_and_reads_nothing_is_closed(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr("swarmd.view.server.MAX_UNREAD", 10_000)
-    source = Faulty()
-    server = ViewServer(source, None, Access())
-    address = await server.start("127.0.0.1", 0)
-    _, writer = await _opened(address)
-    try:
-        await _clients(server, 1)
+    async with serving(Faulty()) as (server, address):
+        _, writer = await opened(address)
+        await clients(server, 1)
         pings = (b"\x89\xfd\0\0\0\0" + b"x" * 125) * 500
         async with asyncio.timeout(CAP):
             while server.clients:
@@ -408,6 +368,4 @@ async def test_a_page_that_sends_pings_and_reads_nothing_is_closed(
                     writer.write(pings)
                     await writer.drain()
                 await asyncio.sleep(0)
-    finally:
         writer.close()
-        await server.close()

@@ -7,7 +7,7 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,10 +15,8 @@ from pathlib import Path
 import pytest
 
 from swarmd.sim.experiments.simulate import simulate
-from tests.sim.conftest import MAIN
+from tests.sim.conftest import MAIN, Swarmctl
 from tests.support.processes import children, wait_until
-
-Swarmctl = Callable[..., "subprocess.CompletedProcess[str]"]
 
 pytestmark = [
     pytest.mark.integration,
@@ -92,10 +90,37 @@ def traces(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in (folder / "traces").iterdir()}
 
 
+def begun(*words: object, cwd: Path) -> subprocess.Popen[str]:
+    """A `swarmctl` in the background."""
+    pipe = subprocess.PIPE
+    command = [sys.executable, "-c", MAIN, *map(str, words)]
+    return subprocess.Popen(command, stdout=pipe, stderr=pipe, text=True, cwd=cwd)
+
+
 def is_running_one(worker: subprocess.Popen[bytes]) -> bool:
     return bool(children(worker.pid))
 
 
+@pytest.mark.timeout(300)
+def test_all_runs_are_there_though_a_worker_is_killed(
+    tmp_path: Path, duo: Path, cluster: Cluster
+) -> None:
+    command = ("exp", "run", duo, "--seeds", 3, "--set", "duration=1", "--set", f"{ENDS}=slow")
+    where = ("--scheduler", cluster.address, "--timeout", 20, "--out", "far")
+    killed, _ = (cluster.add_worker() for _ in range(2))
+    running = begun(*command, *where, cwd=tmp_path)
+    wait_until(lambda: is_running_one(killed), "it works")
+    killed.kill()
+    _, told = running.communicate(timeout=200)
+    assert running.returncode == 0, told
+    assert told.count("is repeated") >= 1, told
+    simulate(duo, 3, set={"duration": 1, ENDS: "slow"}, out=tmp_path / "near")
+    assert len(table(tmp_path / "far")) == 4
+    assert table(tmp_path / "far") == table(tmp_path / "near")
+    assert traces(tmp_path / "far") == traces(tmp_path / "near")
+
+
+@pytest.mark.evidence
 @pytest.mark.timeout(300)
 def test_all_runs_are_there_though_one_worker_is_killed_and_one_hangs(
     tmp_path: Path, duo: Path, cluster: Cluster, swarmctl: Swarmctl
@@ -105,13 +130,7 @@ def test_all_runs_are_there_though_one_worker_is_killed_and_one_hangs(
     is_refused(swarmctl(*command, *where), 1, "no worker")
     assert not (tmp_path / "far").exists()
     killed, hung, _ = (cluster.add_worker() for _ in range(3))
-    running = subprocess.Popen(
-        [sys.executable, "-c", MAIN, *map(str, (*command, *where))],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-    )
+    running = begun(*command, *where, cwd=tmp_path)
     wait_until(lambda: is_running_one(killed) and is_running_one(hung), "both work")
     killed.kill()
     hung.send_signal(signal.SIGSTOP)
@@ -155,11 +174,8 @@ def test_ctrl_c_cancels_what_runs_and_keeps_what_is_finished(
     tmp_path: Path, duo: Path, cluster: Cluster
 ) -> None:
     worker = cluster.add_worker()
-    command = ["exp", "run", str(duo), "--seeds", "2", "--sweep", "duration=1,1e5", "--no-traces"]
-    command += ["--scheduler", cluster.address, "--out", "far"]
-    running = subprocess.Popen(
-        [sys.executable, "-c", MAIN, *command], stderr=subprocess.PIPE, text=True, cwd=tmp_path
-    )
+    command = ("exp", "run", duo, "--seeds", 2, "--sweep", "duration=1,1e5", "--no-traces")
+    running = begun(*command, "--scheduler", cluster.address, "--out", "far", cwd=tmp_path)
     far = tmp_path / "far"
     wait_until(lambda: (far / "runs.csv").exists() and len(table(far)) == 3, "two runs are done")
     wait_until(lambda: is_running_one(worker), "the next one runs")
@@ -181,14 +197,9 @@ def test_a_scheduler_that_ends_or_hangs_is_one_line_and_keeps_finished_runs(
     tmp_path: Path, duo: Path, cluster: Cluster, number: signal.Signals, words: str
 ) -> None:
     cluster.add_worker()
-    command = ["exp", "run", str(duo), "--seeds", "1", "--sweep", "duration=1,900", "--no-traces"]
-    command += ["--timeout", "2"]
-    running = subprocess.Popen(
-        [sys.executable, "-c", MAIN, *command, "--scheduler", cluster.address, "--out", "far"],
-        stderr=subprocess.PIPE,
-        text=True,
-        cwd=tmp_path,
-    )
+    command = ("exp", "run", duo, "--seeds", 1, "--sweep", "duration=1,900", "--no-traces")
+    where = ("--timeout", 2, "--scheduler", cluster.address, "--out", "far")
+    running = begun(*command, *where, cwd=tmp_path)
     far = tmp_path / "far"
     wait_until(lambda: (far / "runs.csv").exists() and len(table(far)) == 2, "one run is done")
     cluster.scheduler.send_signal(number)
@@ -216,7 +227,9 @@ def test_other_software_of_a_worker_is_refused_by_its_name(
     assert made_with["blas"] == "Nehalem"  # of the worker, and not of this machine
 
 
-@pytest.mark.parametrize("address", ["tcp://127.0.0.1:1", "nonsense://x"])
+@pytest.mark.parametrize(
+    "address", ["nonsense://x", pytest.param("tcp://127.0.0.1:1", marks=pytest.mark.evidence)]
+)
 def test_a_cluster_that_is_not_there_is_one_line(
     tmp_path: Path, duo: Path, swarmctl: Swarmctl, address: str
 ) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import sys
 from pathlib import Path
 from typing import Any
@@ -14,19 +15,21 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 
 from swarmd.core.errors import SwarmError
-from swarmd.core.values import Array
 from swarmd.sim.experiments.export import export, write_mcap
-from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
-from swarmd.sim.trace import COLUMNS, Trace
+from swarmd.sim.trace import COLUMNS
+from tests.sim.conftest import write_duo
+from tests.support.traces import trace_of
 
 SPEED = "groups.all.parameters.speed"
 
 
-@pytest.fixture
-def results(duo: Path, tmp_path: Path) -> Results:
-    sweep = {SPEED: [0.1, 0.2]}
-    return simulate(duo, 1, set={"duration": 0.5}, sweep=sweep, out=tmp_path / "x")
+@pytest.fixture(scope="module")
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """The results of two variants, for reading alone."""
+    folder, sweep = tmp_path_factory.mktemp("results"), {SPEED: [0.1, 0.2]}
+    return simulate(write_duo(folder), 1, set={"duration": 0.5}, sweep=sweep, out=folder / "x")
 
 
 def test_results_are_a_table_of_runs_and_traces_of_instants_and_robots(results: Results) -> None:
@@ -58,23 +61,6 @@ def test_tables_are_read_again(results: Results, form: str, tmp_path: Path) -> N
     table = read(files[2])
     assert set(table["variant"]) == {"speed=0.2"}
     np.testing.assert_array_equal(table["x"], results.traces[1].pose[..., 0].ravel())
-
-
-def trace_of(pose: Array, **parts: Any) -> Trace:
-    """A trace of poses (T, n, 3) at 10 Hz that holds nothing else but `parts`."""
-    n = pose.shape[1]
-    return Trace(
-        ids=tuple(f"r{i}" for i in range(n)),
-        t=np.arange(len(pose)) / 10.0,
-        pose=pose,
-        safe=np.zeros_like(pose),
-        contact_t=np.zeros(0),
-        contact_pair=np.zeros((0, 2), dtype=np.int64),
-        contact_speed=np.zeros((0, 2)),
-        platforms=("dot",) * n,
-        footprints={"dot": np.zeros((3, 2))},
-        **parts,
-    )
 
 
 def test_a_run_as_mcap_is_read_by_a_ros_decoder(tmp_path: Path) -> None:
@@ -113,12 +99,12 @@ def test_each_run_is_a_file_and_a_missing_trace_leaves_nothing(
         "speed=0.1_s0000.mcap",
         "speed=0.2_s0000.mcap",
     ]
-    for path in (results.folder / "traces").iterdir():
-        path.unlink()
+    shutil.copytree(results.folder, tmp_path / "x", ignore=shutil.ignore_patterns("*.npz"))
+    without = load_results(tmp_path / "x")
     with pytest.raises(SwarmError, match="no trace"):
-        list(export(results, "mcap", tmp_path / "other"))
+        list(export(without, "mcap", tmp_path / "other"))
     assert not (tmp_path / "other").exists()
-    (only,) = export(results, "csv", tmp_path / "other", traces=False)
+    (only,) = export(without, "csv", tmp_path / "other", traces=False)
     assert only.name == "results.csv"
 
 

@@ -87,12 +87,6 @@ def test_what_is_no_manifest_is_one_line(tmp_path: Path, data: bytes | None) -> 
     assert "\n" not in str(caught.value)
 
 
-def test_the_same_experiment_has_no_differences(manifest: Manifest, duo: Path) -> None:
-    plan = plan_of(duo, (3, 1), {"duration": 1.5}, {SPEED: [0.1, 0.2]})
-    again = manifest_of(plan, traces=True, command=[])
-    assert list(differences(manifest, again)) == []
-
-
 @pytest.mark.parametrize(
     ("changes", "subject"),
     [

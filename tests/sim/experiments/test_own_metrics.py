@@ -35,7 +35,7 @@ def file(tmp_path: Path) -> Path:
 
 
 def small(duo: Path, out: Path, *metrics: str, **more: Any) -> Results:
-    return simulate(duo, 2, set={"duration": 1}, out=out, metrics=metrics, **more)
+    return simulate(duo, 2, set={"duration": 0.2}, out=out, metrics=metrics, **more)
 
 
 def test_they_are_columns_in_worker_processes_with_the_digest_in_the_manifest(

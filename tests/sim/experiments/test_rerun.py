@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -10,14 +11,26 @@ import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.sim.experiments.rerun import rerun, trace_differences, warnings
-from swarmd.sim.experiments.results import Results
+from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.trace import load_trace
+from tests.sim.conftest import write_duo
+
+
+@pytest.fixture(scope="module")
+def conducted(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of four runs, whose scenario is gone."""
+    folder = tmp_path_factory.mktemp("conducted")
+    duo = write_duo(folder)
+    simulate(duo, seeds=4, set={"duration": 0.6}, out=folder / "x")
+    duo.unlink()
+    return folder / "x"
 
 
 @pytest.fixture
-def results(duo: Path, tmp_path: Path) -> Results:
-    return simulate(duo, seeds=2, set={"duration": 1}, out=tmp_path / "x")
+def results(conducted: Path, tmp_path: Path) -> Results:
+    """The same for a test's own use."""
+    return load_results(shutil.copytree(conducted, tmp_path / "x"))
 
 
 def again(results: Results, tmp_path: Path) -> dict[str, str]:
@@ -28,9 +41,9 @@ def stamps(folder: Path) -> dict[Path, int]:
     return {path: path.stat().st_mtime_ns for path in folder.rglob("*")}
 
 
-def test_each_other_bit_is_reported_even_without_the_scenario(duo: Path, tmp_path: Path) -> None:
-    results = simulate(duo, seeds=4, set={"duration": 1}, out=tmp_path / "x")
-    duo.unlink()
+def test_each_other_bit_is_reported_even_without_the_scenario(
+    results: Results, tmp_path: Path
+) -> None:
     assert warnings(results.folder) == []
     traces, table = results.folder / "traces", results.folder / "runs.csv"
     trace = load_trace(traces / "s0001.npz")
@@ -52,7 +65,8 @@ def test_each_other_bit_is_reported_even_without_the_scenario(duo: Path, tmp_pat
     assert stamps(results.folder) == before
 
 
-def test_a_run_that_fails_now_is_reported(results: Results, duo: Path, tmp_path: Path) -> None:
+def test_a_run_that_fails_now_is_reported(duo: Path, tmp_path: Path) -> None:
+    results = simulate(duo, seeds=1, set={"duration": 0.6}, out=tmp_path / "x")
     plugin = duo.parent / "plugins" / "moody.py"
     plugin.write_text(plugin.read_text().replace('self.params.end == "exit"', "True"))
     assert warnings(results.folder) == [f"plugin {duo.parent}/plugins/moody.py has changed"]

@@ -1,4 +1,4 @@
-"""Experiments from Python: three lines, in a script without a guard, with what it takes after."""
+"""Experiments from Python, also in a script without a guard."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from swarmd.sim.experiments.results import Results, load_results
 from swarmd.sim.experiments.simulate import simulate
 from swarmd.sim.scenarios.scenariofile import load_scenario
 from swarmd.sim.trace import Trace
+from tests.sim.conftest import write_duo
 
 SPEED = "groups.all.parameters.speed"
 END = "groups.all.parameters.end"
@@ -29,21 +30,33 @@ def metrics(results: Results) -> list[dict[str, Any]]:
     return [{k: v for k, v in row.items() if k != "wall"} for row in results.rows]
 
 
-def test_three_lines_give_rows_statistics_and_traces(duo: Path) -> None:
-    results = small(duo)
-    assert [(row["run"], row["seed"]) for row in results.rows] == [("s0000", 0), ("s0001", 1)]
-    paths = results.metric("path_length")
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """The results of two runs in a folder, for reading alone."""
+    folder = tmp_path_factory.mktemp("plain")
+    return small(write_duo(folder), out=folder / "x")
+
+
+def test_results_have_rows_statistics_and_traces(plain: Results) -> None:
+    assert [(row["run"], row["seed"]) for row in plain.rows] == [("s0000", 0), ("s0001", 1)]
+    paths = plain.metric("path_length")
     assert paths.shape == (2,)
-    summary = results.summary()["path_length"]
+    summary = plain.summary()["path_length"]
     assert summary.mean == pytest.approx(paths.mean())
     assert summary.mean_interval is not None
-    assert isinstance(results.traces[0], Trace)
-    assert [trace.meta["seed"] for trace in results.traces] == [0, 1]
-    assert results.traces["s0001"].meta["seed"] == 1
-    assert results.traces[-1].meta["seed"] == 1
-    text = str(results)
-    assert f"{duo}: 2 of 2 runs" in text
+    assert isinstance(plain.traces[0], Trace)
+    assert [trace.meta["seed"] for trace in plain.traces] == [0, 1]
+    assert plain.traces["s0001"].meta["seed"] == 1
+    assert plain.traces[-1].meta["seed"] == 1
+    text = str(plain)
+    assert f"{plain.plan.scenario}: 2 of 2 runs" in text
     assert "path_length" in text
+    with pytest.raises(ConfigError, match="'path_length'"):
+        plain.metric("path_lenght")
+    with pytest.raises(ConfigError, match="'s0009'"):
+        plain.traces["s0009"]
+    with pytest.raises(IndexError):
+        plain.traces[2]
 
 
 def test_without_a_folder_nothing_stays(
@@ -65,38 +78,32 @@ def test_without_a_folder_nothing_stays(
     assert list(temporary.iterdir()) == []
 
 
-def test_a_folder_is_as_swarmctl_makes_it_and_is_not_done_again(duo: Path, tmp_path: Path) -> None:
-    results = small(duo, out=tmp_path / "x")
-    stamps = {path: path.stat().st_mtime_ns for path in (tmp_path / "x" / "traces").iterdir()}
-    assert len(stamps) == 2
-    again = small(duo, out=tmp_path / "x")
-    assert metrics(again) == metrics(results) == metrics(load_results(tmp_path / "x"))
-    assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
-
-
 @pytest.mark.integration
-def test_processes_of_a_script_without_a_guard_give_the_same_bits(
-    duo: Path, tmp_path: Path
+def test_a_folder_is_not_done_again_and_a_script_without_a_guard_gives_the_same_bits(
+    plain: Results, tmp_path: Path
 ) -> None:
-    one = small(duo, out=tmp_path / "1")
+    duo, folder = plain.plan.scenario, plain.folder
+    stamps = {path: path.stat().st_mtime_ns for path in (folder / "traces").iterdir()}
+    again = small(Path(duo), out=folder)
+    assert metrics(again) == metrics(plain) == metrics(load_results(folder))
+    assert {path: path.stat().st_mtime_ns for path in stamps} == stamps
     script = tmp_path / "script.py"
     script.write_text(
         "from swarmd.sim.experiments.simulate import simulate\n"
-        f"results = simulate({str(duo)!r}, 2, set={{'duration': 1}}, jobs=2, out='2')\n"
+        f"results = simulate({duo!r}, 1, set={{'duration': 1}}, jobs=2, out='2')\n"
         "print(len(results.rows))\n"
     )
     done = subprocess.run(
         [sys.executable, script], capture_output=True, text=True, cwd=tmp_path, check=False
     )
-    assert (done.returncode, done.stdout, done.stderr) == (0, "2\n", "")
-    assert metrics(load_results(tmp_path / "2")) == metrics(one)
-    for name in ("s0000.npz", "s0001.npz"):
-        first, second = ((tmp_path / jobs / "traces" / name).read_bytes() for jobs in "12")
-        assert first == second
+    assert (done.returncode, done.stdout, done.stderr) == (0, "1\n", "")
+    assert metrics(load_results(tmp_path / "2")) == metrics(plain)[:1]
+    one, other = (place / "traces" / "s0000.npz" for place in (folder, tmp_path / "2"))
+    assert one.read_bytes() == other.read_bytes()
 
 
 def test_sweeps_have_a_variant_for_each_point(duo: Path) -> None:
-    results = small(duo, sweep={SPEED: [0.1, 0.2]})
+    results = small(duo, set={"duration": 0.3}, sweep={SPEED: [0.1, 0.2]})
     assert results.variants == ("speed=0.1", "speed=0.2")
     assert [row[SPEED] for row in results.rows] == [0.1, 0.1, 0.2, 0.2]
     slow, fast = (results.metric("path_length", name) for name in results.variants)
@@ -110,10 +117,10 @@ def test_sweeps_have_a_variant_for_each_point(duo: Path) -> None:
 
 
 def test_a_scenario_that_is_loaded_can_be_run_and_changed(duo: Path) -> None:
-    loaded = load_scenario(duo, {"duration": 1})
+    loaded = load_scenario(duo, {"duration": 0.3})
     results = simulate(loaded, seeds=[4], sweep={SPEED: [0.05, 0.2]})
     assert metrics(results)[1] == {
-        **metrics(simulate(duo, seeds=[4], set={"duration": 1, SPEED: 0.2}))[0],
+        **metrics(simulate(duo, seeds=[4], set={"duration": 0.3, SPEED: 0.2}))[0],
         "run": "speed=0.2_s0004", "variant": "speed=0.2", SPEED: 0.2,
     }  # fmt: skip
 
@@ -130,18 +137,6 @@ def test_failed_runs_are_reported_and_the_others_kept(duo: Path) -> None:
     assert list(results.failures) == ["end=exit_s0000"]
     assert [row["run"] for row in results.rows] == ["end=none_s0000"]
     assert "1 of 2 runs, 1 failed" in str(results)
-
-
-def test_names_that_are_none_are_one_line(duo: Path) -> None:
-    results = small(duo, traces=False)
-    with pytest.raises(ConfigError, match="'path_length'"):
-        results.metric("path_lenght")
-    with pytest.raises(ConfigError, match="'s0009'"):
-        results.traces["s0009"]
-    with pytest.raises(IndexError):
-        results.traces[2]
-    with pytest.raises(SwarmError, match=r"s0000\.npz"):
-        results.traces[0]
 
 
 @pytest.mark.parametrize(

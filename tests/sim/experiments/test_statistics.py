@@ -12,13 +12,16 @@ import pytest
 from swarmd.core.values import Array
 from swarmd.sim.experiments import statistics
 from swarmd.sim.experiments.statistics import (
+    HEADER,
     Interval,
     difference_interval,
     mean_interval,
     median_interval,
     summarize,
+    summary_rows,
     wilson,
 )
+from swarmd.sim.metrics.catalog import METRICS
 
 NORMAL = NormalDist()
 TRIALS = 400
@@ -139,6 +142,8 @@ def test_a_time_that_some_runs_never_reached_has_a_median_and_no_mean() -> None:
     found = summarize(np.array([10.0, 20.0, np.nan]), is_time_to_event=True)
     assert (found.n, found.never, found.median) == (2, 1, 20.0)
     assert (found.mean, found.mean_interval, found.median_interval) == (None, None, None)
+    (row,) = summary_rows([(METRICS["gather_time"], found)])
+    assert row[HEADER.index("MEAN")] == "1 of 3 never"
     mostly_never = summarize(np.array([10.0, np.nan, np.nan]), is_time_to_event=True)
     assert (mostly_never.median, mostly_never.never) == (None, 2)
     every = summarize(np.array([10.0, 20.0]), is_time_to_event=True)

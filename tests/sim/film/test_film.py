@@ -13,11 +13,11 @@ import pytest
 
 from swarmd.core.errors import ConfigError, PluginError, SwarmError
 from swarmd.core.values import Array
-from swarmd.settings.platforms import load_platform
 from swarmd.sim.film import encode
 from swarmd.sim.film.colours import STATES, colouring_of, rgb_of
 from swarmd.sim.trace import Trace
 from swarmd.sim.view.trace_source import RecordedRun
+from tests.support.traces import trace_of
 
 SIZE = (480, 360)
 PLACES = np.array([[-1.5, 0.0], [0.0, 1.0], [1.5, -0.5]])
@@ -27,22 +27,15 @@ WORDS = ("running", "stopped", "estopped")
 @pytest.fixture
 def trace() -> Trace:
     """Three Waffle Pis that stand in an arena of 6 x 4 m for a second, each in its own state."""
-    waffle, n, instants = load_platform("waffle_pi"), len(PLACES), 11
-    pose = np.zeros((instants, n, 3))
+    pose = np.zeros((11, 3, 3))
     pose[..., :2] = PLACES
-    return Trace(
+    return trace_of(
+        pose,
+        platform="waffle_pi",
         ids=("a", "b", "c"),
-        t=np.arange(instants) / 10.0,
-        pose=pose,
-        safe=np.zeros_like(pose),
-        contact_t=np.zeros(0),
-        contact_pair=np.zeros((0, 2), dtype=np.int64),
-        contact_speed=np.zeros((0, 2)),
-        platforms=(waffle.name,) * n,
-        footprints={waffle.name: waffle.footprint},
         meta={"arena": "6x4"},
-        state=np.broadcast_to(np.array(WORDS), (instants, n)),
-        report={"opinion": np.tile([0.0, 1.0, np.nan], (instants, 1))},
+        state=np.broadcast_to(np.array(WORDS), (11, 3)),
+        report={"opinion": np.tile([0.0, 1.0, np.nan], (11, 1))},
     )
 
 

@@ -21,6 +21,7 @@ from swarmd.sim.live.starting import Started, know_each_other, start_pattern
 from swarmd.sim.live.state import WorldState
 from swarmd.sim.scenarios.scenario import ScheduledEvent
 from tests.support.statuses import make_member
+from tests.support.traces import world_state
 
 ROBOTS = ("a", "b", "c")
 RUN = ScheduledEvent(at=0.0, action="run", robots=ROBOTS, pattern="drive")
@@ -90,22 +91,7 @@ def start(operator: FakeOperator) -> Started:
 
 
 def state(time: float, *xs: float) -> WorldState:
-    n = len(xs)
-    return WorldState(
-        time=time,
-        real_time_factor=1.0,
-        arena=(4.0, 4.0),
-        ids=tuple("abc"[:n]),
-        poses=tuple((x, 0.0, 0.0) for x in xs),
-        twists=((0.0, 0.0, 0.0),) * n,
-        commanded=(True,) * n,
-        contacts=0,
-        arena_contacts=0,
-        is_recording=True,
-        recorded=time,
-        overruns=0,
-        dropped=0,
-    )
+    return world_state([(x, 0.0, 0.0) for x in xs], time=time)
 
 
 @pytest.fixture
@@ -136,34 +122,43 @@ def test_all_have_moved_once_each_has(world: FakeWorld, watcher: WorldWatcher) -
     assert watcher.all_moved_at is not None
 
 
-def test_all_robots_are_started_with_one_request() -> None:
-    operator = FakeOperator(dict.fromkeys(ROBOTS, Code.APPLIED))
-    assert start(operator) == Started(ROBOTS, (), {})
-    assert operator.asked == [ROBOTS]
+LOST: Mapping[str, Code | None] = {"b": Code.FAILED, "c": None}
 
 
-def test_robots_that_fail_or_do_not_answer_are_asked_again() -> None:
-    operator = FakeOperator(
-        {"a": Code.APPLIED, "b": Code.FAILED, "c": None},
-        {"b": Code.APPLIED, "c": None},
-        {"c": Code.APPLIED},
-    )
-    assert start(operator) == Started(ROBOTS, ("b", "c"), {})
-    assert operator.asked == [ROBOTS, ("b", "c"), ("c",)]
-
-
-def test_a_robot_that_runs_without_an_answer_is_not_asked_again() -> None:
-    operator = FakeOperator({"a": Code.APPLIED, "b": Code.APPLIED, "c": None}, {})
-    operator.running = {"c"}
-    assert start(operator) == Started(ROBOTS, ("c",), {})
-    assert "c" not in operator.asked[-1]
-
-
-def test_the_demo_goes_on_without_robots_that_do_not_start() -> None:
-    lost = {"b": Code.FAILED, "c": None}
-    started = start(FakeOperator({"a": Code.APPLIED, **lost}, lost, lost))
-    assert (started.robots, started.late) == (("a",), ())
-    assert started.missing == {"b": "b says failed", "c": "no answer"}
+@pytest.mark.parametrize(
+    ("rounds", "running", "started", "asked"),
+    [
+        ([dict.fromkeys(ROBOTS, Code.APPLIED)], "", Started(ROBOTS, (), {}), [ROBOTS]),
+        # Those that fail or do not answer are asked again,
+        (
+            [{"a": Code.APPLIED, **LOST}, {"b": Code.APPLIED, "c": None}, {"c": Code.APPLIED}],
+            "",
+            Started(ROBOTS, ("b", "c"), {}),
+            [ROBOTS, ("b", "c"), ("c",)],
+        ),
+        # but not one that runs without an answer,
+        (
+            [{"a": Code.APPLIED, "b": Code.APPLIED, "c": None}, {}],
+            "c",
+            Started(ROBOTS, ("c",), {}),
+            [ROBOTS, ()],
+        ),
+        # and the demo goes on without those that do not start.
+        (
+            [{"a": Code.APPLIED, **LOST}, LOST, LOST],
+            "",
+            Started(("a",), (), {"b": "b says failed", "c": "no answer"}),
+            [ROBOTS, ("b", "c"), ("b", "c")],
+        ),
+    ],
+)
+def test_robots_that_did_not_start_are_asked_again(
+    rounds: list[Mapping[str, Code | None]], running: str, started: Started, asked: object
+) -> None:
+    operator = FakeOperator(*rounds)
+    operator.running = set(running)
+    assert start(operator) == started
+    assert operator.asked == asked
 
 
 def test_if_none_starts_the_error_has_each_failure_in_its_own_words() -> None:

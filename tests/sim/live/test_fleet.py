@@ -62,21 +62,6 @@ def up(spec: FleetSpec) -> Iterator[Fleet]:
         yield fleet
 
 
-def test_a_forked_host_keeps_nothing_of_its_daemon(tmp_path: Path) -> None:
-    with up(make_spec(tmp_path, robots={"tb3-01": "burger"})) as fleet:
-        daemon = fleet.pids["tb3-01"]
-        (host,) = children(daemon)
-        own = Path(f"/proc/{host}")
-        assert (own / "comm").read_text() == "swarmd-host\n"
-        kinds = sorted(os.readlink(one).split(":")[0] for one in (own / "fd").iterdir())
-        assert kinds == ["/dev/null", "pipe", "pipe", "socket"]
-        assert os.getsid(host) == os.getpgid(host) == host
-        status = dict(line.split(":\t", 1) for line in (own / "status").read_text().splitlines())
-        assert (status["Seccomp"], status["Threads"]) == ("2", "1")
-        nice = os.getpriority(os.PRIO_PROCESS, daemon) + NICE
-        assert os.getpriority(os.PRIO_PROCESS, host) == min(nice, 19)
-
-
 @pytest.mark.parametrize(
     ("platform", "ids"),
     [
@@ -89,22 +74,29 @@ def test_robots_are_named_by_their_platform(platform: str, ids: tuple[str, ...])
     assert robot_ids(platform, 2) == ids
 
 
-def test_the_world_gets_the_path_of_the_trace(tmp_path: Path) -> None:
-    options = world_options(make_spec(tmp_path, trace=tmp_path / "t.npz", seconds=3.0, seed=4))
-    assert (options.trace, options.seconds, options.seed) == (str(tmp_path / "t.npz"), 3.0, 4)
-    assert options.robots == ROBOTS
-    assert (options.realism, options.layout) == ("realistic", "grid:1.5")
+def test_options_of_the_world_and_of_daemons(tmp_path: Path) -> None:
+    spec = make_spec(tmp_path, robots={"a": "own.yaml", "b": "burger"}, seconds=3.0, seed=4)
+    world = world_options(spec)
+    assert (world.robots, world.seconds, world.seed) == (spec.robots, 3.0, 4)
+    assert (world.realism, world.layout) == ("realistic", "grid:1.5")
+    own, shipped = (daemon_config(spec, robot, READY) for robot in "ab")
+    assert Path(str(own["state_dir"])).is_relative_to(tmp_path)  # its latches stay there
+    assert own["platform"] == str(Path.cwd() / "own.yaml")
+    assert shipped["platform"] == "burger"
 
 
-def test_latches_of_a_fleet_stay_in_its_folder(tmp_path: Path) -> None:
-    config = daemon_config(make_spec(tmp_path), "tb3-01", READY)
-    assert Path(str(config["state_dir"])).is_relative_to(tmp_path)
-
-
-def test_a_platform_file_is_found_from_the_folder_of_the_fleet(tmp_path: Path) -> None:
-    spec = make_spec(tmp_path, robots={"a": "own.yaml", "b": "burger"})
-    assert daemon_config(spec, "a", READY)["platform"] == str(Path.cwd() / "own.yaml")
-    assert daemon_config(spec, "b", READY)["platform"] == "burger"
+def assert_keeps_nothing_of_its_daemon(daemon: int) -> None:
+    """The daemon's forked pattern host."""
+    (host,) = children(daemon)
+    own = Path(f"/proc/{host}")
+    assert (own / "comm").read_text() == "swarmd-host\n"
+    kinds = sorted(os.readlink(one).split(":")[0] for one in (own / "fd").iterdir())
+    assert kinds == ["/dev/null", "pipe", "pipe", "socket"]
+    assert os.getsid(host) == os.getpgid(host) == host
+    status = dict(line.split(":\t", 1) for line in (own / "status").read_text().splitlines())
+    assert (status["Seccomp"], status["Threads"]) == ("2", "1")
+    nice = os.getpriority(os.PRIO_PROCESS, daemon) + NICE
+    assert os.getpriority(os.PRIO_PROCESS, host) == min(nice, 19)
 
 
 @pytest.mark.integration
@@ -114,6 +106,7 @@ def test_world_and_daemons_come_up_and_go_even_if_one_is_frozen(tmp_path: Path) 
         assert set(fleet.pids) == {"world", *ROBOTS}
         assert len(pids) == 5  # the world, two daemons, a host each
         fleet.check()
+        assert_keeps_nothing_of_its_daemon(fleet.pids["tb3-01"])
         os.kill(fleet.pids["tb3-01"], signal.SIGSTOP)  # so that it ends only by SIGKILL
         assert not any(is_gone(pid) for pid in pids)
     wait_until(lambda: all_gone(pids), "all processes of the fleet are gone")

@@ -12,12 +12,18 @@ from msgspec.structs import replace
 from swarmd.core.codec import MAX_SENSOR_PAYLOAD, encode
 from swarmd.core.errors import ConfigError, NetworkError
 from swarmd.core.values import Twist
-from swarmd.driver_api.hw_codec import encode_command
-from swarmd.sim.live.link import Command, WorldLink, WorldView, client_options
+from swarmd.driver_api.hw_codec import (
+    MessageWire,
+    decode_messages,
+    encode_command,
+    encode_message,
+)
+from swarmd.sim.live.link import WorldLink, WorldView, client_options
 from swarmd.sim.live.state import WorldState
 from tests.support.processes import wait_until
+from tests.support.traces import world_state
 
-CAP = 20.0
+COMMAND = encode_command(Twist(0.2), -1, -1)
 ANY_PORT = "tcp/127.0.0.1:0"
 
 
@@ -41,21 +47,6 @@ def peer(link: WorldLink) -> Iterator[zenoh.Session]:
     session.close()
 
 
-def state(time: float = 0.0) -> WorldState:
-    return WorldState(
-        time=time, real_time_factor=1.0, arena=(6.0, 6.0), ids=("a",), poses=((0.0, 0.0, 0.0),),
-        twists=((0.0, 0.0, 0.0),), commanded=(False,), contacts=0, arena_contacts=0,
-        is_recording=False, recorded=0.0, overruns=0, dropped=0,
-    )  # fmt: skip
-
-
-def test_port_0_selects_a_free_port_and_shows_it(link: WorldLink) -> None:
-    other = WorldLink("s", ("a",), ANY_PORT)
-    other.close()
-    assert not link.endpoint.endswith(":0")
-    assert other.endpoint != link.endpoint
-
-
 def test_an_endpoint_in_use_is_one_clear_error(link: WorldLink) -> None:
     with pytest.raises(NetworkError, match="in use"):
         WorldLink("s", ("a",), link.endpoint)
@@ -67,66 +58,68 @@ def test_an_invalid_endpoint_is_refused(endpoint: str) -> None:
         WorldLink("s", ("a",), endpoint)
 
 
-def test_only_the_newest_command_of_each_robot_is_kept(
+def test_only_the_newest_valid_command_of_each_robot_is_kept(
     link: WorldLink, peer: zenoh.Session
 ) -> None:
-    # Once the link is up, everything below arrives in order.
-    last = encode_command(Twist(9.0), -1, -1)
-    taken: dict[str, Command] = {}
+    def put(robot: str, payload: bytes) -> None:
+        peer.put(f"swarm/s/{robot}/hw/cmd_vel", payload)
 
-    def all_there() -> bool:
-        for speed in (0.1, 0.2):
-            for robot in ("a", "b"):
-                peer.put(f"swarm/s/{robot}/hw/cmd_vel", encode_command(Twist(speed), 1, 1))
-        peer.put("swarm/s/a/hw/cmd_vel", last)
-        taken.update(link.take_commands())
-        return "b" in taken and "a" in taken and taken["a"].twist == Twist(9.0)
+    def is_linked() -> bool:
+        put("a", COMMAND)
+        return bool(link.take_commands())
 
-    wait_until(all_there, "all_there")
-    assert taken["b"].twist.linear == 0.2
-    assert set(taken) == {"a", "b"}
-
-
-def test_a_malformed_command_replaces_no_valid_one(link: WorldLink, peer: zenoh.Session) -> None:
-    taken: dict[str, Command] = {}
-
-    def counted() -> bool:
-        peer.put("swarm/s/a/hw/cmd_vel", encode_command(Twist(0.2), 1, 1))
-        peer.put("swarm/s/a/hw/cmd_vel", b"garbage")
-        if link.dropped:
-            taken.update(link.take_commands())
-        return bool(taken)
-
-    wait_until(counted, "counted")
-    assert taken["a"].twist.linear == 0.2
+    wait_until(is_linked, "linked")  # from now on everything arrives in order
+    for speed in (0.1, 0.2):
+        for robot in ("a", "b"):
+            put(robot, encode_command(Twist(speed), 1, 1))
+    put("a", encode_command(Twist(9.0), -1, -1))
+    put("a", b"garbage")
+    wait_until(lambda: link.dropped == 1, "counted")
+    taken = link.take_commands()
+    assert {robot: command.twist.linear for robot, command in taken.items()} == {"a": 9.0, "b": 0.2}
 
 
-@pytest.mark.parametrize("key", ["swarm/s/*/hw/cmd_vel", "swarm/**", "swarm/s/stranger/hw/cmd_vel"])
-def test_commands_on_other_keys_are_counted_and_dropped(
-    link: WorldLink, peer: zenoh.Session, key: str
+@pytest.mark.parametrize(
+    ("key", "payload"),
+    [
+        ("swarm/s/*/hw/cmd_vel", COMMAND),
+        ("swarm/**", COMMAND),
+        ("swarm/s/stranger/hw/cmd_vel", COMMAND),
+        ("swarm/s/b/hw/sent", encode_message("a", "vote/opinion", b"of another")),
+        ("swarm/s/b/hw/sent", b"garbage"),
+    ],
+)
+def test_what_comes_on_the_key_of_another_or_is_malformed_is_counted_and_dropped(
+    link: WorldLink, peer: zenoh.Session, key: str, payload: bytes
 ) -> None:
-    payload = encode_command(Twist(0.2), -1, -1)
-
     def counted() -> bool:
         peer.put(key, payload)
         return link.dropped > 0
 
     wait_until(counted, "counted")
     assert link.take_commands() == {}
+    assert link.take_messages() == []
 
 
-def test_a_viewer_sees_the_state(link: WorldLink) -> None:
+def test_messages_and_the_state_of_the_world_arrive(link: WorldLink, peer: zenoh.Session) -> None:
+    said = MessageWire("b", "vote/opinion", b"x")
+    came: list[MessageWire] = []
     seen: list[WorldState] = []
+    peer.declare_subscriber(
+        "swarm/s/a/hw/received", lambda s: came.extend(decode_messages(s.payload.to_bytes()))
+    )
+
+    def passed_on() -> bool:
+        peer.put("swarm/s/b/hw/sent", encode_message("b", "vote/opinion", b"x"))
+        link.messages("a", link.take_messages())
+        link.publish_state(world_state([(0.0, 0.0, 0.0)], time=12.5))
+        return bool(came and seen)
+
     with WorldView("s", link.endpoint) as view:
         view.watch(seen.append)
-
-        def shown() -> bool:
-            link.publish_state(state(12.5))
-            return bool(seen)
-
-        wait_until(shown, "shown")
-    assert seen[0].time == 12.5
-    assert seen[0].arena == (6.0, 6.0)
+        wait_until(passed_on, "passed on")
+    assert came[0] == said
+    assert (seen[0].time, seen[0].arena) == (12.5, (6.0, 6.0))
 
 
 def test_a_world_that_is_not_there_is_one_clear_error() -> None:
@@ -142,5 +135,5 @@ def test_a_world_that_is_not_there_is_one_clear_error() -> None:
 def test_a_state_of_many_robots_stays_within_the_size_limit() -> None:
     three = (1.0 / 3.0, -1.0 / 3.0, 3.0)
     many = {"poses": (three,) * 500, "twists": (three,) * 500, "commanded": (True,) * 500}
-    whole = replace(state(), ids=tuple(f"robot-{i:03d}" for i in range(500)), **many)
+    whole = replace(world_state([]), ids=tuple(f"robot-{i:03d}" for i in range(500)), **many)
     assert len(encode(whole)) < MAX_SENSOR_PAYLOAD

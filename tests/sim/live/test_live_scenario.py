@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 import yaml
 
-from swarmd.cli.swarmctl import cli, exit_code_of, run_cli
 from swarmd.core.errors import ConfigError
 from swarmd.settings.settings import load_daemon_settings
 from swarmd.sim.live.fleet import FleetSpec, Ready, daemon_config
@@ -20,7 +19,7 @@ from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_of
 from swarmd.sim.scenarios.simulation import world_of
 from swarmd.sim.trace import load_trace
-from tests.sim.conftest import Swarmctl
+from tests.sim.conftest import Refusal, Swarmctl
 from tests.support.processes import run_command
 
 READY = Ready("tcp/127.0.0.1:1", "simulated", {"endpoint": "tcp/127.0.0.1:1"})
@@ -171,18 +170,9 @@ def test_what_cannot_be_done_live_is_refused_with_its_key(
     ],
 )
 def test_a_wrong_scenario_or_option_is_one_line_and_starts_nothing(
-    file: Path,
-    monkeypatch: pytest.MonkeyPatch,
-    capsys: pytest.CaptureFixture[str],
-    words: list[str],
-    subject: str,
+    file: Path, refusal: Refusal, words: list[str], subject: str
 ) -> None:
-    monkeypatch.chdir(file.parent)
-    assert run_cli(cli, words, "swarmctl", exit_code_of) == 2
-    captured = capsys.readouterr()
-    assert subject in captured.err
-    assert (captured.out, captured.err.count("\n")) == ("", 1)
-    assert not (file.parent / "runs").exists()
+    assert subject in refusal(*words)
 
 
 @pytest.mark.integration

@@ -13,10 +13,12 @@ GRAZE = 0.05
 
 @pytest.mark.integration
 @pytest.mark.parametrize(
-    ("appeared", "rams"), [(3, 1), pytest.param(8, 2, marks=pytest.mark.evidence)]
+    ("robots", "appeared", "rams"), [(3, 2, 1), pytest.param(7, 8, 2, marks=pytest.mark.evidence)]
 )
-def test_seven_daemons_drive_into_nothing_that_appears(appeared: int, rams: int) -> None:
-    outcome = run_course("burger", "barrier", SECONDS, appeared=appeared, touches=rams)
+def test_daemons_drive_into_nothing_that_appears(robots: int, appeared: int, rams: int) -> None:
+    outcome = run_course(
+        "burger", "barrier", SECONDS, robots=robots, appeared=appeared, touches=rams
+    )
     assert outcome.appeared >= appeared
     assert sum(is_ram(touch) for touch in outcome.collisions()) >= rams
     assert [fault for fault in outcome.faults() if not is_ram(fault)] == []

@@ -1,38 +1,26 @@
-"""The real-time world with a manual clock, over real Zenoh on loopback."""
+"""The real-time world with a manual clock, and what it takes from and gives to its link."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
-import zenoh
 
+from swarmd.core.codec import encode
 from swarmd.core.errors import SwarmError
 from swarmd.core.values import Odometry, Platform, Scan, Twist, Value
 from swarmd.driver_api.emulator import EmulatorFactory, OnCommand
-from swarmd.driver_api.hw_codec import (
-    MessageWire,
-    decode_command,
-    decode_messages,
-    decode_neighbors,
-    decode_odometry,
-    decode_readings,
-    decode_scan,
-    encode_command,
-    encode_message,
-)
+from swarmd.driver_api.hw_codec import MessageWire
 from swarmd.settings.platforms import load_platform
-from swarmd.sim.live.link import EmulatorTransport, WorldLink, WorldView, client_options
+from swarmd.sim.live.link import Command, EmulatorTransport, PendingRequest, WorldLink, WorldView
 from swarmd.sim.live.realtime import COMMAND_TIMEOUT, RealTimeWorld
 from swarmd.sim.live.recording import LiveRecorder, RecorderSettings
-from swarmd.sim.live.state import WorldState
+from swarmd.sim.live.state import WorldReply, WorldRequest, WorldState
 from swarmd.sim.trace import load_trace
 from swarmd.sim.world.arena import Arena, Box
 from swarmd.sim.world.radio import Radio, RadioSettings
@@ -43,6 +31,40 @@ from tests.support.processes import wait_until
 
 IDS = ("a", "b")
 FOR_EVER = (math.inf, math.inf)
+CRATE = Box(0.0, 0.0, 0.2, 0.2, name="crate", mass=5.0, is_placed=False)
+
+
+class HandLink:
+    """A link whose commands, messages and requests a test gives, and which lists what is sent."""
+
+    dropped = 0
+
+    def __init__(self) -> None:
+        self.commands: dict[str, Command] = {}
+        self.said: list[MessageWire] = []
+        self.requests: list[PendingRequest] = []
+        self.sent: list[tuple[str, str, Any]] = []
+
+    def take_commands(self) -> Mapping[str, Command]:
+        commands, self.commands = self.commands, {}
+        return commands
+
+    def take_messages(self) -> list[MessageWire]:
+        messages, self.said = self.said, []
+        return messages
+
+    def take_requests(self) -> list[PendingRequest]:
+        requests, self.requests = self.requests, []
+        return requests
+
+    def send(self, robot: str, name: str, value: Any) -> None:
+        self.sent.append((robot, name, value))
+
+    def messages(self, robot: str, messages: Sequence[MessageWire]) -> None:
+        self.sent.append((robot, "received", list(messages)))
+
+    def publish_state(self, state: WorldState) -> None:
+        """States are looked at by `RealTimeWorld._state`."""
 
 
 class Side:
@@ -56,7 +78,6 @@ class Side:
         self.command = on_command
         self.scans: list[tuple[str, Scan]] = []
         self.poses: list[tuple[str, Odometry]] = []
-        self.values: list[tuple[str, Mapping[str, float]]] = []
 
     def scan(self, robot: str, scan: Scan) -> None:
         self.scans.append((robot, scan))
@@ -65,38 +86,38 @@ class Side:
         self.poses.append((robot, odometry))
 
     def readings(self, robot: str, values: Mapping[str, float]) -> None:
-        self.values.append((robot, values))
+        """There are no fields."""
 
     def close(self) -> None:
-        pass
+        """Nothing is open."""
 
 
 class ManualWorld:
-    """Two Burgers in real time with a manual clock."""
+    """Two Burgers, 2 m beside each other, in real time with a manual clock."""
 
     def __init__(
         self,
-        settings: RecorderSettings,
+        settings: RecorderSettings | None = None,
         realism: Realism = IDEAL,
         radio: RadioSettings | None = None,
         fields: tuple[Field, ...] = (),
         boxes: tuple[Box, ...] = (),
         emulator: EmulatorFactory | None = None,
         command_timeouts: Sequence[float] | None = None,
+        link: WorldLink | None = None,
     ) -> None:
         self.now = 100.0
-        platform = load_platform("burger")
         starts = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0]])
-        robots, arena = dict.fromkeys(IDS, platform), Arena(6.0, 6.0, boxes)
+        robots, arena = dict.fromkeys(IDS, load_platform("burger")), Arena(6.0, 6.0, boxes)
         self.world = World(robots, arena, starts, realism=realism, fields=fields)
-        self.link = WorldLink("s", IDS, "tcp/127.0.0.1:0", clock=lambda: self.now)
-        self.recorder = LiveRecorder(self.world, settings)
+        self.link = HandLink()
+        self.recorder = LiveRecorder(self.world, settings or RecorderSettings())
         emulated = None
         if emulator is not None:
             emulated = EmulatorTransport(emulator, robots, "here", clock=lambda: self.now)
         self.server = RealTimeWorld(
             self.world,
-            self.link,
+            link or cast(WorldLink, self.link),
             self.recorder,
             radio=None if radio is None else Radio(radio, IDS, arena, seed=0),
             emulated=emulated,
@@ -104,265 +125,112 @@ class ManualWorld:
             clock=lambda: self.now,
         )
 
-    def close(self) -> None:
-        self.link.close()
-
     def pass_time(self, seconds: float) -> None:
         for _ in range(round(seconds / self.world.dt)):
             self.now += self.world.dt
             self.server.run_due()
 
+    def command(self, robot: str, speed: float, seq: int | None = None) -> None:
+        self.link.commands[robot] = Command(Twist(speed), self.now, seq)
+
     def speed(self, robot: int = 0) -> float:
         return float(self.world.twists()[robot, 0])
-
-
-class EmulatedWorld(ManualWorld):
-    """The bases of its robots stop after 0.5 s without a command, or never."""
-
-    def __init__(self) -> None:
-        super().__init__(
-            RecorderSettings(), emulator=self._emulator, command_timeouts=(0.5, math.inf)
-        )
-
-    def _emulator(self, **values: Any) -> Side:
-        self.side = Side(**values)
-        return self.side
 
     def speeds(self) -> list[float]:
         return [self.speed(row) for row in (0, 1)]
 
-
-class LiveWorld(ManualWorld):
-    """A world with a peer that sends commands."""
-
-    def __init__(self, settings: RecorderSettings, **values: Any) -> None:
-        super().__init__(settings, **values)
-        config = zenoh.Config()
-        options = {**client_options(self.link.endpoint), "scouting/multicast/enabled": False}
-        for path, value in options.items():
-            config.insert_json5(path, json.dumps(value))
-        self.peer = zenoh.open(config)
-        self._connect()
-
-    def close(self) -> None:
-        self.peer.close()
-        super().close()
-
-    def command(self, robot: str, payload: bytes) -> None:
-        """Send a command and wait until the world has received it."""
-        wire = decode_command(payload)
-
-        def has_arrived() -> bool:
-            command = self.link._commands.get(robot)
-            return command is not None and command.scan_seq == wire.scan_seq
-
-        self.link._commands.pop(robot, None)
-        self.peer.put(f"swarm/s/{robot}/hw/cmd_vel", payload)
-        wait_until(has_arrived, "received")
-
-    def _connect(self) -> None:
-        """Send until a command arrives, then a last one, after which none is in flight."""
-        first, last = encode_command(Twist(), 0, 0), encode_command(Twist(), 1, 1)
-
-        def has_arrived() -> bool:
-            self.peer.put("swarm/s/a/hw/cmd_vel", first)
-            return "a" in self.link._commands
-
-        wait_until(has_arrived, "linked")
-        self.command("a", last)
-        self.link.take_commands()
+    def sent(self, name: str, robot: str = "a") -> list[Any]:
+        """What was sent of one kind to a robot, in order."""
+        return [value for one, kind, value in self.link.sent if (one, kind) == (robot, name)]
 
 
-Make = Callable[..., LiveWorld]
-
-
-@pytest.fixture
-def make() -> Iterator[Make]:
-    """Makes live worlds, which end with the test."""
-    with ExitStack() as worlds:
-
-        def made(settings: RecorderSettings | None = None, **values: Any) -> LiveWorld:
-            one = LiveWorld(settings or RecorderSettings(), **values)
-            worlds.callback(one.close)
-            return one
-
-        yield made
-
-
-@pytest.fixture
-def live(make: Make) -> LiveWorld:
-    return make()
-
-
-def test_a_command_moves_its_robot_until_half_a_second_after_the_last(live: LiveWorld) -> None:
-    live.command("a", encode_command(Twist(0.2), 1, 1))
+def test_a_command_moves_its_robot_until_half_a_second_after_the_last() -> None:
+    live = ManualWorld()
+    live.command("a", 0.2, 1)
     live.pass_time(COMMAND_TIMEOUT - 0.02)
-    assert live.speed(0) == pytest.approx(0.2)
-    assert live.speed(1) == 0.0
+    assert live.speeds() == pytest.approx([0.2, 0.0])
     live.pass_time(0.02 + 0.1)  # and the ramp down
     assert live.speed() == 0.0
-    live.pass_time(5.0)
+    live.pass_time(2.0)
     assert live.speed() == 0.0
-    newest = live.world._seq[0]
-    live.command("a", encode_command(Twist(-0.1), newest, newest))
+    live.command("a", -0.1, live.world._seq[0])
     live.pass_time(0.3)
     assert live.speed() == pytest.approx(-0.1)
 
 
-def test_late_commands_of_a_frozen_daemon_do_not_move_its_base(live: LiveWorld) -> None:
+@pytest.mark.parametrize(("scans_ago", "moves"), [(5, False), (3, True)])
+def test_late_commands_of_a_frozen_daemon_do_not_move_its_base(scans_ago: int, moves: bool) -> None:
+    live = ManualWorld()
     live.pass_time(3.0)
-    newest = live.world._seq[0] - 1
-    live.command("a", encode_command(Twist(0.2), newest - 4, newest - 4))
+    live.command("a", 0.2, live.world._seq[0] - scans_ago)
     live.pass_time(0.3)
-    assert live.speed() == 0.0
-    newest = live.world._seq[0] - 1
-    live.command("a", encode_command(Twist(0.2), newest - 2, newest - 2))
-    live.pass_time(0.1)
-    assert live.speed() > 0.0
+    assert (live.speed() > 0.0) is moves
 
 
-def test_a_malformed_command_is_counted_and_does_not_feed_the_timeout(live: LiveWorld) -> None:
-    live.command("a", encode_command(Twist(0.2), 1, 1))
-    live.pass_time(0.4)
-    live.peer.put("swarm/s/a/hw/cmd_vel", b"\x01rubbish")
-    wait_until(lambda: live.link.dropped == 1, "counted")
-    live.pass_time(0.3)
-    assert live.speed() == 0.0
-    assert live.server._state().dropped == 1
-
-
-def test_scans_and_odometry_come_at_their_rates_and_not_all_at_once(live: LiveWorld) -> None:
-    heard: list[tuple[str, str, float]] = []
-
-    def note(sample: zenoh.Sample) -> None:
-        _, _, robot, _, name = str(sample.key_expr).split("/")
-        payload = sample.payload.to_bytes()
-        spec = live.world.platforms[0].scan
-        if name == "scan":
-            heard.append((robot, name, decode_scan(payload, spec).stamp))
-        else:
-            heard.append((robot, name, decode_odometry(payload).stamp))
-
-    def connected() -> bool:
-        live.pass_time(0.04)
-        return len({h[:2] for h in heard}) == 4
-
-    live.peer.declare_subscriber("swarm/s/*/hw/*", note)
-    wait_until(connected, "linked")
-    start = live.world.time + 0.001
-
-    def all_published_since(moment: float) -> bool:
-        return {h[0] for h in list(heard) if h[1] == "odometry" and h[2] > moment} == set(IDS)
-
-    for _ in range(100 + 1):
-        # One odometry of each in 0.05 s: wait for both, so that nothing piles up and is dropped.
-        end = live.world.time + 0.001
-        live.pass_time(0.05)
-        wait_until(lambda end=end: all_published_since(end), "published")  # type: ignore[misc]
-    # What was sent before the last odometries has come before them.
-    stamps = {
-        (robot, name): {h[2] for h in heard if h[:2] == (robot, name) and start < h[2] <= end}
-        for robot in IDS
-        for name in ("scan", "odometry")
-    }
+def test_scans_and_odometry_come_at_their_rates_and_not_all_at_once() -> None:
+    live = ManualWorld()
+    live.pass_time(5.0)
     for robot in IDS:
-        assert len(stamps[robot, "scan"]) == 25
-        assert len(stamps[robot, "odometry"]) == 100
-    assert not stamps["a", "scan"] & stamps["b", "scan"]
+        assert len(live.sent("scan", robot)) == pytest.approx(25, abs=1)
+        assert len(live.sent("odometry", robot)) == pytest.approx(100, abs=1)
+    a, b = ({scan.stamp for scan in live.sent("scan", robot)} for robot in IDS)
+    assert not a & b
 
 
-def received(live: LiveWorld, key: str) -> bytes:
-    """The first payload on a key of robot a, while time passes."""
-    came: list[bytes] = []
-    live.peer.declare_subscriber(f"swarm/s/a/hw/{key}", lambda s: came.append(s.payload.to_bytes()))
-
-    def has_come() -> bool:
-        live.pass_time(0.1)
-        return bool(came)
-
-    wait_until(has_come, key)
-    return came[-1]
-
-
-@pytest.mark.parametrize(("reach", "heard"), [(1.5, []), (2.5, ["b"])])
-def test_a_robot_receives_its_neighbors(make: Make, reach: float, heard: list[str]) -> None:
-    live = make(radio=RadioSettings(neighborhood="range", range=reach), command_timeouts=FOR_EVER)
-    live.command("b", encode_command(Twist(), 1, 1))
-    neighbors = decode_neighbors(received(live, "neighbors"))
-    assert [neighbor.id for neighbor in neighbors] == heard
-    assert all(neighbor.distance is None for neighbor in neighbors)
-
-
-def test_robots_whose_daemons_come_are_neighbors_of_each_other_from_then_on(
-    make: Make, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_neighbors_are_the_robots_with_daemons_within_reach_told_at_once() -> None:
     radio = RadioSettings(neighborhood="range", range=2.5)
-    live = make(radio=radio, command_timeouts=FOR_EVER)
-    live.pass_time(0.5)
-    told: dict[str, list[str]] = {}
-    send = live.link.send
-
-    def note(robot: str, name: str, value: Any) -> None:
-        if name == "neighbors":
-            told[robot] = [one.id for one in value]
-        send(robot, name, value)
-
-    monkeypatch.setattr(live.link, "send", note)
-    live.command("a", encode_command(Twist(), 1, 1))
-    live.command("b", encode_command(Twist(), 1, 1))
-    live.pass_time(0.01)
-    assert told == {"a": ["b"], "b": ["a"]}
+    near = ManualWorld(radio=radio, command_timeouts=FOR_EVER)
+    far = ManualWorld(
+        radio=RadioSettings(neighborhood="range", range=1.5), command_timeouts=FOR_EVER
+    )
+    for live in (near, far):
+        live.pass_time(1.1)
+        assert {one for robot in IDS for one in live.sent("neighbors", robot)} == {()}
+        live.command("a", 0.0)
+        live.command("b", 0.0)
+        live.pass_time(0.01)
+    told = [[(one.id, one.distance) for one in near.sent("neighbors", robot)[-1]] for robot in IDS]
+    assert told == [[("b", None)], [("a", None)]]
+    assert far.sent("neighbors")[-1] == ()
 
 
-def test_a_robot_without_a_daemon_is_no_neighbor(make: Make) -> None:
-    live = make(radio=RadioSettings(range_and_bearing=True))
-    assert decode_neighbors(received(live, "neighbors")) == ()
-
-
-def test_range_and_bearing_is_measured_from_the_true_poses(make: Make) -> None:
-    live = make(radio=RadioSettings(range_and_bearing=True), command_timeouts=FOR_EVER)
-    live.command("b", encode_command(Twist(), 1, 1))
-    (neighbor,) = decode_neighbors(received(live, "neighbors"))
+def test_range_and_bearing_is_measured_from_the_true_poses() -> None:
+    live = ManualWorld(radio=RadioSettings(range_and_bearing=True), command_timeouts=FOR_EVER)
+    live.command("b", 0.0)
+    live.pass_time(0.2)
+    (neighbor,) = live.sent("neighbors")[-1]
     assert neighbor.distance == pytest.approx(2.0, abs=0.3)  # five standard deviations
     assert neighbor.bearing == pytest.approx(math.pi / 2.0, abs=0.2)
 
 
-def test_a_message_reaches_the_others_after_the_delay_of_the_radio(make: Make) -> None:
-    live = make(radio=RadioSettings(delay=0.3))
-    came: list[MessageWire | None] = []
-    live.peer.declare_subscriber(
-        "swarm/s/a/hw/received", lambda s: came.extend(decode_messages(s.payload.to_bytes()))
-    )
-    live.peer.declare_subscriber("swarm/s/a/hw/readings", lambda s: came.append(None))
-    live.peer.put("swarm/s/b/hw/sent", encode_message("b", "vote/opinion", b"x"))
-    live.peer.put("swarm/s/b/hw/sent", encode_message("a", "vote/opinion", b"of another"))
-    wait_until(lambda: live.link.dropped == 1, "both have arrived")
-    live.pass_time(0.25)
-    live.link.send("a", "readings", {})  # follows what was sent before
-    wait_until(lambda: bool(came), "the mark")
-    live.pass_time(0.1)
-    wait_until(lambda: len(came) > 1, "the message")
-    assert came == [None, MessageWire("b", "vote/opinion", b"x")]
+def test_a_message_reaches_the_others_after_the_delay_of_the_radio() -> None:
+    live = ManualWorld(radio=RadioSettings(delay=0.3))
+    said = MessageWire("b", "vote/opinion", b"x")
+    live.link.said = [said]
+    live.pass_time(0.28)
+    assert live.sent("received") == []
+    live.pass_time(0.05)
+    assert live.sent("received") == [[said]]
+    assert live.sent("received", "b") == []
 
 
-def test_a_robot_receives_its_scalar_readings(make: Make) -> None:
-    live = make(fields=(UniformField(name="light", value=0.5),))
-    assert decode_readings(received(live, "readings")) == {"light": 0.5}
+def test_a_robot_receives_its_scalar_readings() -> None:
+    live = ManualWorld(fields=(UniformField(name="light", value=0.5),))
+    live.pass_time(1.0)
+    assert live.sent("readings")[-1] == {"light": 0.5}
 
 
-def test_a_delayed_scan_has_not_arrived(make: Make) -> None:
-    live = make(realism=Realism(lidar=LidarNoise(latency=1.0), actuation=Actuation()))
-    while live.world._seq[0] == 0:
+def test_a_delayed_scan_has_not_arrived() -> None:
+    live = ManualWorld(realism=Realism(lidar=LidarNoise(latency=1.0), actuation=Actuation()))
+    while not live.sent("scan"):
+        assert live.server._sent_seq[0] == -1
         live.pass_time(0.01)
-    taken = live.world.time
-    assert live.server._sent_seq[0] == -1
-    while live.server._sent_seq[0] == -1:
-        live.pass_time(0.01)
-    assert live.world.time - taken == pytest.approx(0.2)
+    assert live.world.time - live.sent("scan")[0].stamp == pytest.approx(0.2)
 
 
-def test_lost_time_is_given_up_after_a_freeze(live: LiveWorld) -> None:
-    live.command("a", encode_command(Twist(0.2), 1, 1))
+def test_lost_time_is_given_up_after_a_freeze() -> None:
+    live = ManualWorld()
+    live.command("a", 0.2)
     live.pass_time(0.2)
     before = live.world.time
     live.now += 60.0
@@ -372,12 +240,12 @@ def test_lost_time_is_given_up_after_a_freeze(live: LiveWorld) -> None:
     assert live.speed() == 0.0
 
 
-def test_records_from_start_to_finish_only(make: Make, tmp_path: Path) -> None:
+def test_records_from_start_to_finish_only(tmp_path: Path) -> None:
     path = tmp_path / "run.npz"
-    live = make(RecorderSettings(path=path, meta={"seed": 7}))
+    live = ManualWorld(RecorderSettings(path=path, meta={"seed": 7}))
     live.pass_time(1.0)
     live.recorder.begin()
-    live.command("a", encode_command(Twist(0.2), 1, 1))
+    live.command("a", 0.2)
     live.pass_time(0.5)
     assert live.recorder.finish() == path
     live.pass_time(1.0)
@@ -390,8 +258,8 @@ def test_records_from_start_to_finish_only(make: Make, tmp_path: Path) -> None:
     assert trace.meta == {"seed": 7, "seconds": pytest.approx(0.5)}
 
 
-def test_recording_ends_by_itself_when_its_time_is_full(make: Make, tmp_path: Path) -> None:
-    live = make(RecorderSettings(path=tmp_path / "run.npz", seconds=0.3))
+def test_recording_ends_by_itself_when_its_time_is_full(tmp_path: Path) -> None:
+    live = ManualWorld(RecorderSettings(path=tmp_path / "run.npz", seconds=0.3))
     live.pass_time(1.0)
     state = live.server._state()
     assert not state.is_recording
@@ -399,12 +267,10 @@ def test_recording_ends_by_itself_when_its_time_is_full(make: Make, tmp_path: Pa
     assert load_trace(tmp_path / "run.npz").duration == pytest.approx(0.28, abs=0.03)
 
 
-def test_touches_are_counted_and_recorded(make: Make, tmp_path: Path) -> None:
-    live = make(RecorderSettings(path=tmp_path / "run.npz"))
-    for _ in range(100):
-        seq = live.world._seq[0]
-        live.command("a", encode_command(Twist(0.22), seq, seq))
-        live.pass_time(0.2)
+def test_touches_are_counted_and_recorded(tmp_path: Path) -> None:
+    live = ManualWorld(RecorderSettings(path=tmp_path / "run.npz"), command_timeouts=FOR_EVER)
+    live.command("a", 0.22)
+    live.pass_time(16.0)
     state = live.server._state()
     live.recorder.finish()
     assert (state.contacts, state.arena_contacts) == (0, 1)
@@ -413,26 +279,31 @@ def test_touches_are_counted_and_recorded(make: Make, tmp_path: Path) -> None:
     assert trace.contact_speed[0, 0] == pytest.approx(0.22)
 
 
-def asked(live: LiveWorld, deed: Callable[[WorldView], WorldState]) -> WorldState:
-    """The reply to a viewer's request, done or refused."""
-    with ThreadPoolExecutor(1) as pool, WorldView("s", live.link.endpoint) as view:
-        answer = pool.submit(deed, view)
+def test_a_box_is_put_in_the_way_and_taken_out_of_it_over_zenoh(tmp_path: Path) -> None:
+    link = WorldLink("s", IDS, "tcp/127.0.0.1:0")
+    live = ManualWorld(RecorderSettings(path=tmp_path / "run.npz"), boxes=(CRATE,), link=link)
 
-        def is_answered() -> bool:
-            live.pass_time(0.01)
-            return answer.done()
+    def asked(deed: Callable[[WorldView], WorldState]) -> WorldState:
+        """The reply to a viewer's request."""
+        with ThreadPoolExecutor(1) as pool, WorldView("s", link.endpoint) as view:
+            answer = pool.submit(deed, view)
 
-        wait_until(is_answered, "answered")
-        return answer.result()
+            def is_answered() -> bool:
+                live.pass_time(0.01)
+                return answer.done()
 
+            wait_until(is_answered, "answered")
+            return answer.result()
 
-def test_a_box_is_put_in_the_way_and_taken_out_of_it(make: Make, tmp_path: Path) -> None:
-    crate = Box(0.0, 0.0, 0.2, 0.2, name="crate", mass=5.0, is_placed=False)
-    live = make(RecorderSettings(path=tmp_path / "run.npz"), boxes=(crate,))
-    state = asked(live, lambda view: view.place("crate", (1.0, 0.0, 0.0)))
-    there = live.world.box_poses()[0].tolist()
-    live.pass_time(0.5)  # some of which is recorded
-    asked(live, lambda view: view.remove("crate"))
+    try:
+        state = asked(lambda view: view.place("crate", (1.0, 0.0, 0.0)))
+        there = live.world.box_poses()[0].tolist()
+        live.pass_time(0.5)  # some of which is recorded
+        asked(lambda view: view.remove("crate"))
+        with pytest.raises(SwarmError, match=r"'create'.*'crate'"):
+            asked(lambda view: view.place("create", (0.0, 0.0, 0.0)))
+    finally:
+        link.close()
     live.recorder.finish()
     assert state.ids == IDS
     assert there == [1.0, 0.0, 0.0]
@@ -443,57 +314,61 @@ def test_a_box_is_put_in_the_way_and_taken_out_of_it(make: Make, tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    ("box", "fault"),
-    [("crate", "overlap a$"), ("create", "'create'.*'crate'")],
+    ("payload", "fault", "dropped"),
+    [
+        (encode(WorldRequest(action="place", box="crate")), "overlap a", 0),
+        (encode(WorldRequest(action="take_out", robot="c")), "'c'", 0),
+        (b"rubbish", "", 1),
+    ],
 )
-def test_a_box_that_cannot_be_placed_is_refused_with_the_reason(
-    make: Make, box: str, fault: str
+def test_a_request_that_cannot_be_done_is_answered_with_the_reason(
+    payload: bytes, fault: str, dropped: int
 ) -> None:
-    crate = Box(0.0, 0.0, 0.2, 0.2, name="crate", mass=5.0, is_placed=False)
-    live = make(boxes=(crate,))
-    with pytest.raises(SwarmError, match=fault):
-        asked(live, lambda view: view.place(box, (0.0, 0.0, 0.0)))
-    assert live.server._state().dropped == 0
+    live, replies = ManualWorld(boxes=(CRATE,)), list[WorldReply]()
+    live.link.requests = [PendingRequest(payload, replies.append)]
+    live.pass_time(0.01)
+    (reply,) = replies
+    assert not reply.is_done
+    assert fault in reply.text
+    assert live.server._state().dropped == dropped
 
 
 @pytest.fixture
-def emulated() -> Iterator[EmulatedWorld]:
-    one = EmulatedWorld()
-    yield one
-    one.close()
+def emulated() -> tuple[ManualWorld, Side]:
+    """Emulated bases that stop after 0.5 s without a command, or never."""
+    sides: list[Side] = []
+
+    def make(**values: Any) -> Side:
+        sides.append(Side(**values))
+        return sides[0]
+
+    return ManualWorld(emulator=make, command_timeouts=(0.5, math.inf)), sides[0]
 
 
-def test_every_robot_publishes_its_sensors_at_their_rates(emulated: EmulatedWorld) -> None:
-    emulated.pass_time(2.0)
+def test_an_emulated_base_stops_by_its_own_timeout_or_never(
+    emulated: tuple[ManualWorld, Side],
+) -> None:
+    live, side = emulated
+    live.pass_time(0.2)
+    assert live.server._state().commanded == (False, False)
     for robot in IDS:
-        assert len([r for r, _ in emulated.side.scans if r == robot]) in (9, 10)
-        assert len([r for r, _ in emulated.side.poses if r == robot]) in (39, 40)
-    assert all(len(scan.ranges) == 360 for _, scan in emulated.side.scans)
+        for speed in (0.1, 0.05, 0.2):  # the newest counts
+            side.command(robot, Twist(speed))
+    live.pass_time(0.45)
+    assert live.speeds() == pytest.approx([0.2, 0.2])
+    live.pass_time(1.0)
+    assert live.speeds() == pytest.approx([0.0, 0.2], abs=1e-6)
+    state = live.server._state()
+    assert (state.commanded, state.dropped) == ((False, True), 3)
+    side.command("b", Twist())
+    live.pass_time(0.5)
+    assert live.speeds() == pytest.approx([0.0, 0.0], abs=1e-6)
 
 
-def test_an_emulated_base_stops_by_its_own_timeout_or_never(emulated: EmulatedWorld) -> None:
+def test_every_emulated_robot_publishes_its_sensors(emulated: tuple[ManualWorld, Side]) -> None:
+    live, side = emulated
+    live.pass_time(2.0)
     for robot in IDS:
-        emulated.side.command(robot, Twist(0.2))
-    emulated.pass_time(0.45)
-    assert emulated.speeds() == pytest.approx([0.2, 0.2])
-    emulated.pass_time(1.0)
-    assert emulated.speeds() == pytest.approx([0.0, 0.2], abs=1e-6)
-    emulated.side.command("b", Twist())
-    emulated.pass_time(0.5)
-    assert emulated.speeds() == pytest.approx([0.0, 0.0], abs=1e-6)
-
-
-def test_no_command_is_in_force_before_the_first(emulated: EmulatedWorld) -> None:
-    emulated.pass_time(0.2)
-    assert emulated.server._state().commanded == (False, False)
-    emulated.side.command("b", Twist(0.1))
-    emulated.pass_time(3.0)
-    assert emulated.server._state().commanded == (False, True)
-    assert emulated.server._state().dropped == 3
-
-
-def test_only_the_newest_command_counts(emulated: EmulatedWorld) -> None:
-    for speed in (0.1, 0.05, 0.2):
-        emulated.side.command("a", Twist(speed))
-    emulated.pass_time(0.3)
-    assert emulated.speeds() == pytest.approx([0.2, 0.0], abs=1e-6)
+        assert len([r for r, _ in side.scans if r == robot]) in (9, 10)
+        assert len([r for r, _ in side.poses if r == robot]) in (39, 40)
+    assert all(len(scan.ranges) == 360 for _, scan in side.scans)

@@ -158,7 +158,9 @@ def test_a_frozen_driver_stops_its_own_base_and_no_other() -> None:
 
 
 @pytest.mark.integration
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, pytest.param(signal.SIGINT, marks=pytest.mark.evidence)]
+)
 def test_a_signal_ends_it_and_writes_the_trace(tmp_path: Path, number: signal.Signals) -> None:
     trace = tmp_path / "run.npz"
     with world(trace=str(trace), radio_range=1.5, realism="realistic") as (process, endpoint):

@@ -10,32 +10,24 @@ from swarmd.core.messages import Reason, State, Status
 from swarmd.core.verbs import RunRequest
 from swarmd.network.operator.operator import Operator
 from swarmd.network.settings import NetworkSettings
-from swarmd.sim.live.fleet import Fleet, FleetSpec, world_options
+from swarmd.sim.live.fleet import Fleet, FleetSpec
 from swarmd.sim.live.starting import await_robots, statuses_of
 from tests.support.processes import unique_swarm, wait_until
 
 JACKAL, BURGER = "jackal-01", "tb3-01"
 
 
-def make_spec(folder: Path) -> FleetSpec:
-    return FleetSpec(
+@pytest.mark.integration
+def test_a_jackal_drives_beside_a_burger_that_tells_its_place(tmp_path: Path) -> None:
+    spec = FleetSpec(
         swarm=unique_swarm(),
         robots={JACKAL: "jackal", BURGER: "burger"},
-        folder=folder,
+        folder=tmp_path,
         arena="8x8",
         layout="grid:3",
         lidar_visibility="real",
         shared_frame=True,
     )
-
-
-def test_the_world_is_told_to_give_poses(tmp_path: Path) -> None:
-    assert world_options(make_spec(tmp_path)).shared_frame
-
-
-@pytest.mark.integration
-def test_a_jackal_drives_beside_a_burger_that_tells_its_place(tmp_path: Path) -> None:
-    spec = make_spec(tmp_path)
     with Fleet(spec) as fleet, Operator(NetworkSettings(swarm=spec.swarm)) as operator:
 
         def status() -> Status:

@@ -99,7 +99,7 @@ def way(trace: Trace) -> Array:
 @pytest.mark.parametrize(
     ("pattern", "poses"),
     [
-        ("drive", [(-2.0, 0.5, 0.4)]),
+        pytest.param("drive", [(-2.0, 0.5, 0.4)], marks=pytest.mark.evidence),
         ("attraction", [(-1.2, 0.1, 0.2), (1.1, -0.2, 2.6)]),
     ],
 )
@@ -126,6 +126,7 @@ AGREE_TIMEOUT = 40.0
 """s, many times what lockstep takes: a loaded machine is slow."""
 
 
+@pytest.mark.evidence
 @pytest.mark.integration
 def test_voters_with_daemons_agree_and_stay_so(tmp_path: Path) -> None:
     ids = tuple(f"r{i}" for i in range(4))

@@ -113,7 +113,10 @@ def winner(data: Mapping[str, Any], seed: int) -> int:
             return int(opinions.pop())
 
 
-@pytest.mark.parametrize("name", GRAPHS)
+@pytest.mark.parametrize(
+    "name",  # those of six robots have 720 orders
+    [pytest.param(name, marks=[pytest.mark.evidence] * ("star" in name)) for name in GRAPHS],
+)
 def test_the_exact_chain_has_the_weights_of_the_theory(name: str) -> None:
     assert exact_share(GRAPHS[name]) == pytest.approx(EXACT[name], abs=1e-5)
 
@@ -122,8 +125,7 @@ def test_the_exact_chain_has_the_weights_of_the_theory(name: str) -> None:
 @pytest.mark.parametrize(
     ("name", "runs"),
     [
-        ("star, a leaf", 20),
-        ("complete", 20),
+        ("complete", 8),  # of which all would be won by chance once in 60,000 times
         *(pytest.param(name, 400, marks=pytest.mark.evidence) for name in GRAPHS),
     ],
 )
@@ -221,7 +223,7 @@ VOTERS: dict[str, Any] = {
     },
 }  # fmt: skip
 GATHERING: dict[str, Any] = {
-    "duration": 12.0,
+    "duration": 6.0,
     "arena": {"size": [8.0, 8.0]},
     "radio": {"range_and_bearing": True},
     "accepts_faster": ["waffle_pi"],
@@ -246,7 +248,7 @@ PUSHING: dict[str, Any] = {
     },
 }  # fmt: skip
 DISPERSING: dict[str, Any] = {
-    "duration": 8.0,
+    "duration": 4.0,
     "arena": {"size": [6.0, 6.0]},
     "start": {"layout": "random", "clearance": 0.1, "size": [3.0, 3.0]},
     "groups": {
@@ -291,7 +293,7 @@ def farthest(data: Mapping[str, Any], seed: int) -> int:
     return int(np.hypot(*(trace.pose[-1, :, :2] - trace.pose[0, :, :2]).T).argmax())
 
 
-@pytest.mark.parametrize("runs", [12, pytest.param(400, marks=pytest.mark.evidence)])
+@pytest.mark.parametrize("runs", [8, pytest.param(400, marks=pytest.mark.evidence)])
 @pytest.mark.parametrize(("pattern", "side"), [("attraction", 2.0), ("dispersion", 0.7)])
 def test_equal_robots_move_the_farthest_equally_often(pattern: str, side: float, runs: int) -> None:
     """Four robots at the corners of a square, each with its heading towards the next corner."""

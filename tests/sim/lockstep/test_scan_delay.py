@@ -36,12 +36,12 @@ def test_delay_as_declared_adds_nothing() -> None:
     assert [summary.added for summary in measured(8.0)] == [0.0] * 3
 
 
-@pytest.mark.parametrize("delay", [0.05, 0.2])
-def test_stamps_tell_an_undeclared_delay_within_a_step(delay: float) -> None:
-    for summary in measured(8.0, delay=delay):
-        assert summary.added == pytest.approx(delay, abs=1.5 * STEP)
+def test_stamps_tell_an_undeclared_delay_within_a_step() -> None:
+    for summary in measured(8.0, delay=0.2):
+        assert summary.added == pytest.approx(0.2, abs=1.5 * STEP)
 
 
+@pytest.mark.evidence
 def test_turns_tell_an_undeclared_delay_within_a_tenth_of_a_second() -> None:
     found = [one for one in figures(measured(40.0, delay=0.2), "turns") if one.delay is not None]
     assert len(found) >= 1

@@ -7,7 +7,6 @@ import math
 import pkgutil
 import subprocess
 import sys
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -20,9 +19,9 @@ from swarmd.sim import metrics
 from swarmd.sim.metrics import catalog
 from swarmd.sim.metrics.catalog import METRICS, measure
 from swarmd.sim.trace import Trace
+from tests.sim.metrics.runs import full_run, run
 from tests.support.examples import examples
 
-Run = Callable[..., Trace]
 ON_A_GRID = ("covered_area",)  # counted in squares, which do not turn with the robots
 
 
@@ -67,7 +66,7 @@ def assert_alike(one: dict[str, float | None], other: dict[str, float | None]) -
 )
 @settings(deadline=None, max_examples=examples(25))
 def test_numbers_do_not_depend_on_where_the_world_is(
-    full_run: Run, seed: int, shift: tuple[float, float], turn: float
+    seed: int, shift: tuple[float, float], turn: float
 ) -> None:
     trace = full_run(seed)
     assert_alike(measure(trace), measure(moved(trace, shift, turn)))
@@ -75,14 +74,12 @@ def test_numbers_do_not_depend_on_where_the_world_is(
 
 @given(seed=st.integers(0, 10_000), order=st.permutations(list(range(6))))
 @settings(deadline=None, max_examples=examples(25))
-def test_numbers_do_not_depend_on_the_order_of_robots(
-    full_run: Run, seed: int, order: list[int]
-) -> None:
+def test_numbers_do_not_depend_on_the_order_of_robots(seed: int, order: list[int]) -> None:
     trace = full_run(seed)
     assert_alike(measure(trace), measure(shuffled(trace, order)))
 
 
-def test_a_trace_without_its_optional_parts_gives_what_it_can(run: Run) -> None:
+def test_a_trace_without_its_optional_parts_gives_what_it_can() -> None:
     bare = run(np.zeros((5, 2, 3)), meta={}, platforms=("jackal", "jackal"))
     numbers = measure(bare)
     assert numbers["mean_distance_to_centroid_end"] == 0.0
@@ -92,7 +89,7 @@ def test_a_trace_without_its_optional_parts_gives_what_it_can(run: Run) -> None:
         assert METRICS[name].series is None or catalog.series(bare, name) is None
 
 
-def test_without_present_robots_only_counts_and_contacts_have_values(full_run: Run) -> None:
+def test_without_present_robots_only_counts_and_contacts_have_values() -> None:
     trace = full_run(1)
     numbers = measure(replace(trace, present=np.zeros_like(trace.present)))
     known = {name for name, value in numbers.items() if value is not None}
@@ -103,7 +100,7 @@ def test_without_present_robots_only_counts_and_contacts_have_values(full_run: R
     assert all(numbers[name] == 0.0 for name in counts | ones | {"covered_area"})
 
 
-def test_runs_are_not_changed_by_being_measured(full_run: Run) -> None:
+def test_runs_are_not_changed_by_being_measured() -> None:
     trace, again = full_run(2), full_run(2)
     measure(trace)
     np.testing.assert_array_equal(trace.pose, again.pose)
@@ -131,7 +128,7 @@ def test_listing_metrics_does_not_import_scipy() -> None:
 
 @pytest.mark.parametrize("instants", [0, 1, 2, 12])
 @pytest.mark.parametrize("n", [1, 2, 6, 50])
-def test_short_runs_and_lone_robots_break_nothing(full_run: Run, n: int, instants: int) -> None:
+def test_short_runs_and_lone_robots_break_nothing(n: int, instants: int) -> None:
     for seed in range(3):
         trace = full_run(seed, n, instants)
         trace = replace(trace, meta={**trace.meta, "arena": "9x9,box:1:1:0.5:0.5,pole:-1:1:0.1"})
@@ -145,7 +142,7 @@ def test_short_runs_and_lone_robots_break_nothing(full_run: Run, n: int, instant
                 assert metric.series is None or instants == 0, name
 
 
-def test_named_metrics_are_measured_in_their_order(full_run: Run) -> None:
+def test_named_metrics_are_measured_in_their_order() -> None:
     trace = full_run(0)
     assert list(measure(trace, ["minimum_gap", "path_length"])) == ["minimum_gap", "path_length"]
     for ask in (lambda name: measure(trace, [name]), lambda name: catalog.series(trace, name)):

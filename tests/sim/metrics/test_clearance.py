@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -13,12 +12,11 @@ from hypothesis import strategies as st
 from swarmd.core.values import Array
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.metrics import clearance
-from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.geometry import gaps, transform
+from tests.sim.metrics.runs import run
 from tests.support.examples import examples
 
-Run = Callable[..., Trace]
 HALF, SIDE = 0.254, 0.215  # of a Jackal
 
 
@@ -42,14 +40,12 @@ def at(x: float, y: float, yaw: float = 0.0) -> Array:
         ("20x20,segment:-2:1:2:1", at(0.0, 0.0), 1.0 - 0.005 - SIDE),
     ],
 )
-def test_is_between_the_outline_and_what_is_nearest(
-    run: Run, arena: str, pose: Array, gap: float
-) -> None:
+def test_is_between_the_outline_and_what_is_nearest(arena: str, pose: Array, gap: float) -> None:
     trace = run(pose, meta={"arena": arena})
     assert clearance.clearance(trace) == pytest.approx(gap, abs=1e-12)
 
 
-def test_a_movable_box_counts_where_it_is_and_while_it_is_there(run: Run) -> None:
+def test_a_movable_box_counts_where_it_is_and_while_it_is_there() -> None:
     box = parse_arena("9x9,box/crate:0:0:0.2:0.2:0:5").movable_boxes[0][1]
     box_pose = np.array([[[2.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]], [[np.nan] * 3]])
     trace = run(
@@ -68,7 +64,7 @@ def test_a_movable_box_counts_where_it_is_and_while_it_is_there(run: Run) -> Non
 
 @given(seed=st.integers(0, 10_000))
 @settings(deadline=None, max_examples=examples(25))
-def test_is_that_of_looking_at_every_robot_and_obstacle(run: Run, seed: int) -> None:
+def test_is_that_of_looking_at_every_robot_and_obstacle(seed: int) -> None:
     rng = np.random.default_rng(seed)
     words = [
         f"box:{x:.2f}:{y:.2f}:{a:.2f}:{b:.2f}:30" for x, y, a, b in rng.uniform(0.1, 3, (4, 4))
@@ -87,14 +83,14 @@ def test_is_that_of_looking_at_every_robot_and_obstacle(run: Run, seed: int) -> 
     np.testing.assert_allclose(found, np.min(each, axis=0), atol=1e-12)
 
 
-def test_there_is_none_without_an_arena_or_a_robot(run: Run) -> None:
+def test_there_is_none_without_an_arena_or_a_robot() -> None:
     assert clearance.clearance(run(at(0.0, 0.0))) is None
     assert clearance.clearances(run(at(0.0, 0.0), meta={"arena": "?"})) is None
     empty = run(np.zeros((0, 1, 3)), meta={"arena": "6x6"})
     assert clearance.clearance(empty) == math.inf
 
 
-def test_a_body_that_is_not_in_the_arena_is_near_nothing(run: Run) -> None:
+def test_a_body_that_is_not_in_the_arena_is_near_nothing() -> None:
     pose = np.zeros((1, 2, 3))
     pose[0, 1] = np.nan
     there, alone = (

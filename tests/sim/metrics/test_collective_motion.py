@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from swarmd.core.values import Array
 from swarmd.sim.metrics import collective_motion
-from swarmd.sim.trace import Trace
+from tests.sim.metrics.runs import run
 
-Run = Callable[..., Trace]
 SECONDS = 0.1 * np.arange(21)
 
 
@@ -43,12 +40,12 @@ def circling(speed: float, *phases: float) -> Array:
         ([(0.011, 0.0)] * 3, 1.0),
     ],
 )
-def test_polarisation(run: Run, velocities: list[tuple[float, float]], order: float) -> None:
+def test_polarisation(velocities: list[tuple[float, float]], order: float) -> None:
     orders = collective_motion.polarisations(run(moving(*velocities)))
     np.testing.assert_allclose(orders, np.full(21, order), atol=1e-9)
 
 
-def test_robots_on_a_circle_mill_and_are_not_polarised(run: Run) -> None:
+def test_robots_on_a_circle_mill_and_are_not_polarised() -> None:
     phases = (0.0, np.pi / 2.0, np.pi, 1.5 * np.pi)
     for speed in (0.4, -0.4):
         trace = run(circling(speed, *phases))
@@ -57,13 +54,13 @@ def test_robots_on_a_circle_mill_and_are_not_polarised(run: Run) -> None:
         np.testing.assert_allclose(collective_motion.polarisations(trace), np.zeros(21), atol=1e-9)
 
 
-def test_opposite_ways_round_cancel(run: Run) -> None:
+def test_opposite_ways_round_cancel() -> None:
     there, back = circling(0.4, 0.0, np.pi), circling(-0.4, np.pi / 2.0, 1.5 * np.pi)
     both = run(np.concatenate((there, back), axis=1))
     np.testing.assert_allclose(collective_motion.millings(both), np.zeros(21), atol=1e-9)
 
 
-def test_only_present_robots_count(run: Run) -> None:
+def test_only_present_robots_count() -> None:
     present: NDArray[np.bool_] = np.ones((21, 2), dtype=bool)
     present[:, 1] = False
     trace = run(moving((0.2, 0.0), (-0.2, 0.0)), present=present)
@@ -73,12 +70,12 @@ def test_only_present_robots_count(run: Run) -> None:
     assert np.isnan(collective_motion.millings(nobody)).all()
 
 
-def test_an_instant_alone_shows_no_motion(run: Run) -> None:
+def test_an_instant_alone_shows_no_motion() -> None:
     assert np.isnan(collective_motion.polarisations(run(np.zeros((1, 3, 3))))).all()
     assert np.isnan(collective_motion.millings(run(np.zeros((1, 3, 3))))).all()
 
 
-def test_the_way_of_the_centroid(run: Run) -> None:
+def test_the_way_of_the_centroid() -> None:
     # Two seconds at 0.2 m/s; who goes the other way takes half of it back.
     np.testing.assert_allclose(
         collective_motion.centroid_path_lengths(run(moving((0.2, 0.0))))[-1], 0.4
@@ -91,7 +88,7 @@ def test_the_way_of_the_centroid(run: Run) -> None:
     assert collective_motion.centroid_path_length(run(np.zeros((0, 3, 3)))) is None
 
 
-def test_a_robot_that_joins_or_leaves_does_not_move_the_centroid(run: Run) -> None:
+def test_a_robot_that_joins_or_leaves_does_not_move_the_centroid() -> None:
     present: NDArray[np.bool_] = np.ones((21, 2), dtype=bool)
     present[5:, 1] = False
     trace = run(moving((0.0, 0.0), (0.0, 0.0)), present=present)

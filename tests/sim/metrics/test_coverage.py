@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
 
-from swarmd.core.values import Array
 from swarmd.sim.metrics import coverage
 from swarmd.sim.metrics.metric import at_end
-from swarmd.sim.trace import Trace
+from tests.sim.metrics.runs import line, run
 
-Run = Callable[..., Trace]
-Line = Callable[..., Array]
 hull_area = at_end(coverage.hull_areas)
 
 
-def test_a_robot_at_rest_covers_its_disc(run: Run, line: Line) -> None:
+def test_a_robot_at_rest_covers_its_disc() -> None:
     disc = pytest.approx(math.pi / 4.0, rel=0.01)
     assert coverage.covered_area(run(line(0.0)), radius=0.5, cell=0.01) == disc
     assert coverage.covered_area(run(line(0.0, 0.0, 0.0)), radius=0.5, cell=0.01) == disc
@@ -26,7 +22,7 @@ def test_a_robot_at_rest_covers_its_disc(run: Run, line: Line) -> None:
     assert coverage.covered_area(run(line(0.0, 9.0)), radius=0.5, cell=0.01) == two
 
 
-def test_squares_of_the_usual_size_count_what_was_near_and_no_more(run: Run) -> None:
+def test_squares_of_the_usual_size_count_what_was_near_and_no_more() -> None:
     """All that is covered, square by square and instant by instant."""
     t = np.linspace(0.0, 6.0, 150)
     pose = np.zeros((150, 2, 3))
@@ -39,7 +35,7 @@ def test_squares_of_the_usual_size_count_what_was_near_and_no_more(run: Run) -> 
     np.testing.assert_allclose(areas, expected, rtol=0.005, atol=0.011)
 
 
-def test_what_lies_outside_the_arena_is_not_covered(run: Run, line: Line) -> None:
+def test_what_lies_outside_the_arena_is_not_covered() -> None:
     half = pytest.approx(math.pi / 8.0, rel=0.05)
     pose = line(2.0)  # at a wall of an arena of 4 m
     assert coverage.covered_area(run(pose, meta={"arena": "4x9"}), cell=0.02) == half
@@ -47,7 +43,7 @@ def test_what_lies_outside_the_arena_is_not_covered(run: Run, line: Line) -> Non
     assert coverage.covered_area(run(turned, meta={"arena": "9x4"}), cell=0.02) == half
 
 
-def test_absent_robots_cover_nothing(run: Run, line: Line) -> None:
+def test_absent_robots_cover_nothing() -> None:
     trace = run(line(0.0, 5.0), present=np.array([[True, False]]))
     assert coverage.covered_area(trace, cell=0.02) == pytest.approx(math.pi / 4.0, rel=0.05)
     nobody = run(line(0.0), present=np.array([[False]]))
@@ -55,14 +51,14 @@ def test_absent_robots_cover_nothing(run: Run, line: Line) -> None:
     assert hull_area(nobody) is None
 
 
-def test_far_ways_are_counted_more_coarsely(run: Run, line: Line) -> None:
+def test_far_ways_are_counted_more_coarsely() -> None:
     covered = coverage.covered_area(
         run(np.array([[[0.0, 0.0, 0.0], [4e3, 4e3, 0.0]]])), radius=50.0
     )
     assert covered == pytest.approx(2.0 * math.pi * 50.0**2, rel=0.1)
 
 
-def test_hull_of_a_square_with_robots_in_it(run: Run) -> None:
+def test_hull_of_a_square_with_robots_in_it() -> None:
     corners = [(0.0, 0.0), (2.0, 0.0), (2.0, 3.0), (0.0, 3.0), (1.0, 1.0), (1.0, 0.0), (2.0, 3.0)]
     pose = np.zeros((1, 7, 3))
     pose[0, :, :2] = corners
@@ -70,11 +66,11 @@ def test_hull_of_a_square_with_robots_in_it(run: Run) -> None:
 
 
 @pytest.mark.parametrize("xs", [(1.0,), (1.0, 2.0), (1.0, 2.0, 3.0), (1.0, 1.0, 1.0)])
-def test_a_row_spans_no_area(run: Run, line: Line, xs: tuple[float, ...]) -> None:
+def test_a_row_spans_no_area(xs: tuple[float, ...]) -> None:
     assert hull_area(run(line(*xs))) == 0.0
 
 
-def test_areas_over_time(run: Run) -> None:
+def test_areas_over_time() -> None:
     pose = np.zeros((2, 3, 3))
     pose[1, 1, 0] = pose[1, 2, 1] = 1.0
     np.testing.assert_allclose(coverage.hull_areas(run(pose)), [0.0, 0.5])

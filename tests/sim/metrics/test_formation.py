@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -11,9 +10,7 @@ import pytest
 from swarmd.core.values import Array
 from swarmd.sim.metrics import formation
 from swarmd.sim.metrics.catalog import measure
-from swarmd.sim.trace import Trace
-
-Run = Callable[..., Trace]
+from tests.sim.metrics.runs import run
 
 
 def poses(*places: tuple[float, float]) -> Array:
@@ -28,20 +25,20 @@ def ring(count: int, radius: float, *, first: float = 0.3) -> list[tuple[float, 
     return [(radius * math.cos(angle), radius * math.sin(angle)) for angle in angles.tolist()]
 
 
-def test_a_perfect_line_has_no_error(run: Run) -> None:
+def test_a_perfect_line_has_no_error() -> None:
     trace = run(poses((3.0, 0.0), (0.0, 0.0), (1.0, 0.0), (2.0, 0.0)))
     assert formation.line_offsets(trace)[0] == pytest.approx(0.0, abs=1e-12)
     assert formation.line_errors(trace, 1.0)[0] == pytest.approx(0.0, abs=1e-12)
     assert formation.line_errors(trace, 2.0)[0] == pytest.approx(0.5)
 
 
-def test_distances_are_orthogonal_to_the_line(run: Run) -> None:
+def test_distances_are_orthogonal_to_the_line() -> None:
     trace = run(poses((0.0, 0.1), (1.0, -0.1), (2.0, -0.1), (3.0, 0.1)))
     assert formation.line_offsets(trace)[0] == pytest.approx(0.1)
     assert formation.line_errors(trace, 1.0)[0] == pytest.approx(0.1)
 
 
-def test_gaps_count_along_the_line(run: Run) -> None:
+def test_gaps_count_along_the_line() -> None:
     trace = run(poses((0.0, 0.0), (1.2, 0.0), (2.0, 0.0)))
     assert formation.line_unevenness(trace)[0] == pytest.approx(0.2)
     wanted = math.sqrt((0.8**2 + 0.4**2) / 2.0) / 0.4
@@ -49,7 +46,7 @@ def test_gaps_count_along_the_line(run: Run) -> None:
 
 
 @pytest.mark.parametrize("count", [3, 5, 8])
-def test_a_regular_polygon_has_no_error(run: Run, count: int) -> None:
+def test_a_regular_polygon_has_no_error(count: int) -> None:
     trace = run(poses(*ring(count, 1.5)))
     assert formation.circle_offsets(trace)[0] == pytest.approx(0.0, abs=1e-9)
     spacing = 2.0 * 1.5 * math.sin(math.pi / count)
@@ -58,7 +55,7 @@ def test_a_regular_polygon_has_no_error(run: Run, count: int) -> None:
     assert formation.circle_errors(trace, 0.5 * spacing)[0] == pytest.approx(half)
 
 
-def test_distances_are_from_the_circle(run: Run) -> None:
+def test_distances_are_from_the_circle() -> None:
     places = ring(8, 1.0)
     outer = [(1.1 * x, 1.1 * y) for x, y in places[::2]]
     trace = run(poses(*outer, *((0.9 * x, 0.9 * y) for x, y in places[1::2])))
@@ -66,7 +63,7 @@ def test_distances_are_from_the_circle(run: Run) -> None:
     assert formation.circle_unevenness(trace)[0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_angular_gaps_are_held_against_equal_ones(run: Run) -> None:
+def test_angular_gaps_are_held_against_equal_ones() -> None:
     trace = run(poses(*(ring(6, 1.0)[:5])))
     # Four gaps of 60 degrees and one of 120, where 72 are wanted.
     wanted = math.sqrt((4 * 12.0**2 + 48.0**2) / 5.0) / 72.0
@@ -74,7 +71,7 @@ def test_angular_gaps_are_held_against_equal_ones(run: Run) -> None:
     assert formation.circle_offsets(trace)[0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_an_absent_robot_does_not_count(run: Run) -> None:
+def test_an_absent_robot_does_not_count() -> None:
     pose = poses((0.0, 0.0), (1.0, 0.0), (1.5, 7.0), (2.0, 0.0))
     trace = run(pose, present=np.array([[True, True, False, True]]))
     assert formation.line_errors(trace, 1.0)[0] == pytest.approx(0.0, abs=1e-9)
@@ -83,7 +80,7 @@ def test_an_absent_robot_does_not_count(run: Run) -> None:
     assert formation.line_errors(trace, 1.0)[0] == pytest.approx(0.0, abs=1e-9)
 
 
-def test_too_few_form_nothing(run: Run) -> None:
+def test_too_few_form_nothing() -> None:
     one, two = run(poses((0.0, 0.0))), run(poses((0.0, 0.0), (1.0, 0.0)))
     assert np.isnan(formation.line_errors(one, 1.0)).all()
     assert formation.line_errors(two, 1.0)[0] == pytest.approx(0.0, abs=1e-12)
@@ -94,7 +91,7 @@ def test_too_few_form_nothing(run: Run) -> None:
     }
 
 
-def test_robots_in_one_place_or_in_a_row_do_no_harm(run: Run) -> None:
+def test_robots_in_one_place_or_in_a_row_do_no_harm() -> None:
     trace = run(poses((0.0, 0.0), (0.0, 0.0), (0.0, 0.0)))
     assert np.isnan(formation.line_unevenness(trace)).all()
     row = run(poses((0.0, 0.0), (1.0, 0.0), (2.0, 0.0)))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import combinations
 from typing import Any
@@ -17,10 +16,8 @@ from swarmd.core.values import Array
 from swarmd.sim.metrics import gap, pairs
 from swarmd.sim.trace import Trace
 from swarmd.sim.world.geometry import gaps, transform
+from tests.sim.metrics.runs import line, run
 from tests.support.examples import examples
-
-Run = Callable[..., Trace]
-Line = Callable[..., Array]
 
 
 def by_hand(trace: Trace) -> Array:
@@ -36,7 +33,7 @@ def by_hand(trace: Trace) -> Array:
     return smallest
 
 
-def strewn(run: Run, seed: int, n: int, instants: int, side: float) -> Trace:
+def strewn(seed: int, n: int, instants: int, side: float) -> Trace:
     rng = np.random.default_rng(seed)
     pose = rng.uniform(-side / 2.0, side / 2.0, (instants, n, 3))
     pose[..., 2] = rng.uniform(-3.0, 3.0, (instants, n))
@@ -44,7 +41,7 @@ def strewn(run: Run, seed: int, n: int, instants: int, side: float) -> Trace:
     return run(pose, platforms=tuple(names[i % 3] for i in range(n)))
 
 
-def test_minimum_gap_is_between_footprints_not_centres(run: Run) -> None:
+def test_minimum_gap_is_between_footprints_not_centres() -> None:
     pose = np.zeros((2, 2, 3))
     pose[:, 1, 0] = (3.0, 2.0)
     assert gap.minimum_gap(run(pose)) == pytest.approx(2.0 - 0.508)
@@ -67,16 +64,16 @@ LOPSIDED = {
 @given(seed=st.integers(0, 10_000))
 @settings(deadline=None, max_examples=examples(10))
 def test_gaps_are_those_of_all_pairs(
-    run: Run, n: int, side: float, shapes: dict[str, Any], seed: int
+    n: int, side: float, shapes: dict[str, Any], seed: int
 ) -> None:
-    trace = replace(strewn(run, seed, n, 8, side), **shapes)
+    trace = replace(strewn(seed, n, 8, side), **shapes)
     np.testing.assert_allclose(gap.minimum_gaps(trace), by_hand(trace), atol=1e-12)
     assert gap.minimum_gap(trace) == pytest.approx(float(by_hand(trace).min()), abs=1e-12)
 
 
-def test_gaps_of_more_instants_than_are_worked_on_at_once(run: Run) -> None:
+def test_gaps_of_more_instants_than_are_worked_on_at_once() -> None:
     n = 41
-    trace = strewn(run, 5, n, 2 * pairs.MAX_POINTS // n, 400.0)
+    trace = strewn(5, n, 2 * pairs.MAX_POINTS // n, 400.0)
     rows = slice(None, None, 37)
     few = replace(trace, t=trace.t[rows], pose=trace.pose[rows], safe=trace.safe[rows])
     every = gap.minimum_gaps(trace)
@@ -84,7 +81,7 @@ def test_gaps_of_more_instants_than_are_worked_on_at_once(run: Run) -> None:
     assert gap.minimum_gap(trace) == pytest.approx(float(every.min()), abs=1e-12)
 
 
-def test_minimum_gap_is_zero_in_touch_and_infinite_alone(run: Run, line: Line) -> None:
+def test_minimum_gap_is_zero_in_touch_and_infinite_alone() -> None:
     assert gap.minimum_gap(run(line(0.0, 0.5))) == 0.0
     assert gap.minimum_gap(run(line(0.0))) == math.inf
     assert gap.minimum_gaps(run(line(0.0))).tolist() == [math.inf]
@@ -92,12 +89,12 @@ def test_minimum_gap_is_zero_in_touch_and_infinite_alone(run: Run, line: Line) -
     assert gap.minimum_gaps(run(np.zeros((0, 50, 3)))).shape == (0,)
 
 
-def test_the_body_of_an_absent_robot_counts(run: Run, line: Line) -> None:
+def test_the_body_of_an_absent_robot_counts() -> None:
     trace = run(line(0.0, 1.0), present=np.array([[True, False]]))
     assert gap.minimum_gap(trace) == pytest.approx(1.0 - 0.508)
 
 
-def test_a_body_that_is_not_in_the_arena_does_not_count(run: Run, line: Line) -> None:
+def test_a_body_that_is_not_in_the_arena_does_not_count() -> None:
     pose = np.repeat(line(0.0, 1.0, 5.0), 2, axis=0)
     pose[1, 1] = np.nan
     gaps = gap.minimum_gaps(run(pose))

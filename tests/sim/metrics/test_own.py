@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from importlib.metadata import EntryPoint
 from pathlib import Path
 
@@ -15,6 +14,7 @@ from swarmd.sim.metrics import own
 from swarmd.sim.metrics.catalog import beyond_catalog, measure, metric_of
 from swarmd.sim.metrics.own import MetricError
 from swarmd.sim.trace import Trace
+from tests.sim.metrics.runs import run
 
 FILE = '''\
 import numpy as np
@@ -58,7 +58,7 @@ def file(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def trace(run: Callable[..., Trace]) -> Trace:
+def trace() -> Trace:
     return run(np.zeros((5, 2, 3)))
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -10,13 +9,12 @@ import pytest
 
 from swarmd.sim.metrics import protection
 from swarmd.sim.metrics.window import late
-from swarmd.sim.trace import Trace
+from tests.sim.metrics.runs import run
 
-Run = Callable[..., Trace]
 STILL = np.zeros((4, 2, 3))
 
 
-def test_duty_counts_scans_with_a_decision(run: Run) -> None:
+def test_duty_counts_scans_with_a_decision() -> None:
     decided = np.array([[0, 0], [2, 1], [2, 1], [0, 2]])
     evaded = np.array([[0, 0], [2, 0], [0, 0], [0, 2]])
     trace = run(STILL, decided=decided, evaded=evaded, active=np.ones((4, 2), dtype=bool))
@@ -27,7 +25,7 @@ def test_duty_counts_scans_with_a_decision(run: Run) -> None:
     np.testing.assert_allclose(duties, [np.nan, 2.0 / 3.0, 0.0, 1.0])
 
 
-def test_duty_falls_back_to_instants(run: Run) -> None:
+def test_duty_falls_back_to_instants() -> None:
     assert protection.protection_duty(run(STILL)) is None
     assert protection.protection_duties(run(STILL)) is None
     none = np.zeros((4, 2), dtype=np.int64)
@@ -44,7 +42,7 @@ def test_duty_falls_back_to_instants(run: Run) -> None:
     np.testing.assert_array_equal(duties, [1.0, 0.0, np.nan, np.nan])
 
 
-def test_duty_counts_only_robots_that_are_present(run: Run) -> None:
+def test_duty_counts_only_robots_that_are_present() -> None:
     present = np.ones((4, 2), dtype=bool)
     present[:, 1] = False
     trace = run(
@@ -67,7 +65,6 @@ def test_duty_counts_only_robots_that_are_present(run: Run) -> None:
     ],
 )
 def test_alteration_is_in_units_of_full_speed(
-    run: Run,
     requested: tuple[float, ...],
     safe: tuple[float, ...],
     altered: float,
@@ -79,7 +76,7 @@ def test_alteration_is_in_units_of_full_speed(
     np.testing.assert_allclose(means, np.full(4, altered))
 
 
-def test_alteration_is_of_running_robots(run: Run) -> None:
+def test_alteration_is_of_running_robots() -> None:
     requested = np.zeros((4, 2, 3))
     requested[:, 0, 0] = 0.5
     trace = run(STILL, requested=requested)
@@ -90,13 +87,13 @@ def test_alteration_is_of_running_robots(run: Run) -> None:
     assert protection.command_alteration(replace(trace, present=present)) == pytest.approx(1.0)
 
 
-def test_alteration_needs_requested_commands_and_limits(run: Run) -> None:
+def test_alteration_needs_requested_commands_and_limits() -> None:
     assert protection.command_alteration(run(STILL)) is None
     assert protection.command_alteration(run(STILL, requested=STILL, meta={})) is None
     assert protection.mean_alterations(run(STILL)) is None
 
 
-def test_robots_whose_pattern_failed_are_counted_once_each(run: Run) -> None:
+def test_robots_whose_pattern_failed_are_counted_once_each() -> None:
     state = np.array([["running"] * 2, ["running"] * 2, ["faulted", "running"], ["idle", "idle"]])
     reason = np.array([["", ""], ["pattern_restarting", ""], ["pattern_quarantined", ""], ["", ""]])
     assert protection.failed_patterns(run(STILL, state=state, reason=reason)) == 1
@@ -105,7 +102,7 @@ def test_robots_whose_pattern_failed_are_counted_once_each(run: Run) -> None:
     assert protection.failed_patterns(run(STILL)) is None
 
 
-def test_recovery_is_counted_while_running(run: Run) -> None:
+def test_recovery_is_counted_while_running() -> None:
     recovering = np.array([[True, True], [True, False], [True, False], [False, False]])
     state = np.array([["running"] * 2, ["running"] * 2, ["stopped", "running"], ["running"] * 2])
     trace = run(STILL, recovering=recovering, state=state)
@@ -114,7 +111,7 @@ def test_recovery_is_counted_while_running(run: Run) -> None:
     assert protection.recovery_share(replace(trace, state=np.full((4, 2), "idle"))) is None
 
 
-def test_holds_are_counted_while_running(run: Run) -> None:
+def test_holds_are_counted_while_running() -> None:
     state = np.array([["running"] * 2, ["running"] * 2, ["stopped", "running"], ["running"] * 2])
     reason = np.array(
         [["stale_scan", ""], ["no_requested_command", ""], ["stale_scan", "no_scan"], ["", ""]]
@@ -125,7 +122,7 @@ def test_holds_are_counted_while_running(run: Run) -> None:
     assert protection.hold_share(run(STILL, state=np.full((4, 2), "idle"), reason=reason)) is None
 
 
-def test_travel_extent_is_small_for_robots_that_wander_to_and_fro(run: Run) -> None:
+def test_travel_extent_is_small_for_robots_that_wander_to_and_fro() -> None:
     t = np.arange(0.0, 60.05, 0.1)
     poses = np.zeros((len(t), 3, 3))
     poses[:, 0, 0] = 0.5 * np.sin(t)  # to and fro: 1 m

@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
-from swarmd.core.values import Array
 from swarmd.sim.metrics import pairs, radio_graph
 from swarmd.sim.metrics.metric import at_end
-from swarmd.sim.trace import Trace
 from swarmd.sim.world.arena import parse_arena
 from swarmd.sim.world.radio import Radio, RadioSettings
+from tests.sim.metrics.runs import line, run
 
-Run = Callable[..., Trace]
-Line = Callable[..., Array]
 algebraic_connectivity = at_end(radio_graph.algebraic_connectivities)
 
 
@@ -25,7 +21,7 @@ def radio(reach: float | None = None, **more: Any) -> dict[str, Any]:
     return {"meta": {"radio": {**kind, **more}}}
 
 
-def test_components_by_range(run: Run, line: Line) -> None:
+def test_components_by_range() -> None:
     pose = line(0.0, 1.0, 2.0, 5.0)
     assert radio_graph.radio_components(run(pose, **radio(1.0))).tolist() == [2.0]
     assert radio_graph.radio_components(run(pose, **radio(0.9))).tolist() == [4.0]
@@ -33,16 +29,14 @@ def test_components_by_range(run: Run, line: Line) -> None:
 
 
 @pytest.mark.parametrize("meta", [{}, {"radio": {}}, {"radio": {"neighborhood": "all"}}])
-def test_without_a_range_everyone_hears_everyone(
-    run: Run, line: Line, meta: dict[str, Any]
-) -> None:
+def test_without_a_range_everyone_hears_everyone(meta: dict[str, Any]) -> None:
     trace = run(line(0.0, 1e6, -1e6), meta=meta)
     assert radio_graph.radio_components(trace).tolist() == [1.0]
     assert algebraic_connectivity(trace) == 3.0
     assert radio_graph.radio_connected(trace) == 1.0
 
 
-def test_connected_is_a_share_of_time(run: Run) -> None:
+def test_connected_is_a_share_of_time() -> None:
     pose = np.zeros((4, 2, 3))
     pose[:, 1, 0] = (0.5, 1.0, 1.5, 2.0)
     trace = run(pose, **radio(1.2))
@@ -61,15 +55,13 @@ def test_connected_is_a_share_of_time(run: Run) -> None:
         ((0.0,), 0.0),
     ],
 )
-def test_algebraic_connectivity_of_paths(
-    run: Run, line: Line, xs: tuple[float, ...], value: float
-) -> None:
+def test_algebraic_connectivity_of_paths(xs: tuple[float, ...], value: float) -> None:
     trace = run(line(*xs), **radio(1.0))
     assert algebraic_connectivity(trace) == pytest.approx(value, abs=1e-8)
     np.testing.assert_allclose(radio_graph.algebraic_connectivities(trace), [value], atol=1e-8)
 
 
-def test_absent_robots_pass_nothing_on(run: Run, line: Line) -> None:
+def test_absent_robots_pass_nothing_on() -> None:
     present = np.array([[True, False, True]])
     trace = run(line(0.0, 1.0, 2.0), present=present, **radio(1.0))
     assert radio_graph.radio_components(trace).tolist() == [2.0]
@@ -82,7 +74,7 @@ def test_absent_robots_pass_nothing_on(run: Run, line: Line) -> None:
     assert algebraic_connectivity(nobody) is None
 
 
-def test_walls_cut_links_where_the_radio_wants_sight(run: Run, line: Line) -> None:
+def test_walls_cut_links_where_the_radio_wants_sight() -> None:
     pose = line(-1.0, 1.0, 1.5)
     walled = {"arena": "6x6,segment:0:-1:0:1"}
     blind = run(pose, meta={**walled, **radio(9.0, line_of_sight=True)["meta"]})
@@ -93,7 +85,7 @@ def test_walls_cut_links_where_the_radio_wants_sight(run: Run, line: Line) -> No
     assert radio_graph.radio_components(anywhere).tolist() == [2.0]
 
 
-def test_boxes_cut_links_while_they_stand_between(run: Run) -> None:
+def test_boxes_cut_links_while_they_stand_between() -> None:
     pose = np.zeros((3, 2, 3))
     pose[:, 0, 0], pose[:, 1, 0] = -1.0, 1.0
     box_pose = np.array([[[0.0, 0.0, 0.0]], [[0.0, 2.0, 0.0]], [[np.nan] * 3]])
@@ -108,7 +100,7 @@ def test_boxes_cut_links_while_they_stand_between(run: Run) -> None:
 
 
 @pytest.mark.parametrize("n", [6, 50])
-def test_links_are_those_of_the_radio(run: Run, n: int) -> None:
+def test_links_are_those_of_the_radio(n: int) -> None:
     pose = np.random.default_rng(1).uniform(-3.0, 3.0, (5, n, 3))
     arena = "6x6,segment:0:-1:0:1,pole:1:1:0.3,box:-1:1:0.5:0.5"
     told = {"neighborhood": "range", "range": 1.5, "line_of_sight": True}
@@ -127,7 +119,7 @@ def test_links_are_those_of_the_radio(run: Run, n: int) -> None:
         assert mine == heard
 
 
-def test_components_of_more_than_is_worked_on_at_once(run: Run) -> None:
+def test_components_of_more_than_is_worked_on_at_once() -> None:
     n = pairs.MAX_POINTS // 10
     pose = np.zeros((25, n, 3))
     pose[:, :, 0] = np.arange(n)

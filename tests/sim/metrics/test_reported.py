@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 import pytest
 
 from swarmd.core.errors import ConfigError
 from swarmd.sim.metrics.catalog import check_has_value, measure, metric_of
 from swarmd.sim.trace import Trace
+from tests.sim.metrics.runs import run
 
 NAN = np.nan
 VALUES = np.array([[1.0, 3.0, 9.0], [2.0, NAN, 9.0], [3.0, 5.0, 9.0], [5.0, 7.0, 9.0]])
@@ -17,7 +16,7 @@ STATES = np.array([["drive", "", "wait"]] * 3 + [["wait", "drive", "wait"]], dty
 
 
 @pytest.fixture
-def trace(run: Callable[..., Trace]) -> Trace:
+def trace() -> Trace:
     """Four instants; the third robot is never present."""
     present = np.array([[True, True, False]] * 4)
     parts = {"report": {"value": VALUES, "part.max": VALUES}, "words": {"state": STATES}}

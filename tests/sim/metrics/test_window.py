@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from swarmd.sim.metrics import window
-from swarmd.sim.trace import Trace
-
-Run = Callable[..., Trace]
+from tests.sim.metrics.runs import full_run, run
 
 
 @pytest.mark.parametrize(("instants", "since"), [(1801, 120.0), (1201, 60.0), (401, 20.0)])
-def test_late_is_the_last_minute_or_half(run: Run, instants: int, since: float) -> None:
+def test_late_is_the_last_minute_or_half(instants: int, since: float) -> None:
     late = window.late(run(np.zeros((instants, 1, 3))))
     assert late.t[0] == pytest.approx(since)
     assert late.t[-1] == pytest.approx((instants - 1) / 10)
     assert window.late(late, 2.0).t[0] == pytest.approx(late.t[-1] - 2.0)
 
 
-def test_a_cut_takes_all_that_has_instants(full_run: Run) -> None:
+def test_a_cut_takes_all_that_has_instants() -> None:
     trace = replace(
         full_run(3),
         movable_boxes=("crate",),
@@ -38,14 +35,14 @@ def test_a_cut_takes_all_that_has_instants(full_run: Run) -> None:
     np.testing.assert_array_equal(part.pose, trace.pose[4:7])
 
 
-def test_a_cut_keeps_the_touches_of_its_time(run: Run) -> None:
+def test_a_cut_keeps_the_touches_of_its_time() -> None:
     contacts = [(time, 0, 1) for time in (0.35, 0.4, 0.5, 0.55, 0.6, 0.61)]
     part = window.cut(run(np.zeros((11, 2, 3)), contacts), 4, 7)
     assert part.contact_t.tolist() == [0.4, 0.5, 0.55, 0.6]
     assert len(part.contact_pair) == len(part.contact_speed) == 4
 
 
-def test_first_and_last_are_one_instant(run: Run) -> None:
+def test_first_and_last_are_one_instant() -> None:
     trace = run(np.zeros((5, 2, 3)))
     assert window.first(trace).t.tolist() == [0.0]
     assert window.last(trace).t.tolist() == [0.4]
@@ -61,7 +58,7 @@ def test_means_leave_out_what_is_not_known() -> None:
     np.testing.assert_array_equal(rows, [2.0, 4.0, np.nan])
 
 
-def test_numbers_by_platform(run: Run) -> None:
+def test_numbers_by_platform() -> None:
     trace = replace(run(np.zeros((1, 2, 3))), platforms=("burger", "jackal"))
     speeds = window.by_platform(trace, "v_max")
     assert speeds is not None

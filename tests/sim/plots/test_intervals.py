@@ -1,4 +1,4 @@
-"""Metrics run by run, with means and their intervals."""
+"""Metrics run by run, with means and their intervals, and differences between variants."""
 
 from __future__ import annotations
 
@@ -7,14 +7,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import pytest
 
-from swarmd.core.errors import SwarmError
-from swarmd.sim.experiments.statistics import mean_interval, wilson
-from swarmd.sim.plots.intervals import Panel, intervals_figure
+from swarmd.sim.experiments.compare import Difference
+from swarmd.sim.experiments.statistics import Interval, mean_interval, wilson
+from swarmd.sim.plots.intervals import DifferencePanel, Panel, differences_figure, intervals_figure
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-    from tests.sim.plots.conftest import Overlaps
 
 pytest.importorskip("matplotlib")
 
@@ -91,21 +89,6 @@ def test_a_target_is_a_labelled_line() -> None:
     assert axes.get_xlabel() == "m, target 0.65"
 
 
-def test_nothing_to_draw_is_an_error() -> None:
-    with pytest.raises(SwarmError, match="no metric has values"):
-        intervals_figure([])
-
-
-@pytest.mark.parametrize(("metrics", "variants"), [(1, 1), (1, 3), (16, 2), (5, 12)])
-def test_no_word_is_overlaps(overlaps: Overlaps, metrics: int, variants: int) -> None:
-    names = [f"law=paper,lidar_visibility=real,W={k}" for k in range(variants)]
-    panels = [
-        Panel(label="mean distance to centroid late", unit="m", values=dict.fromkeys(names, VALUES))
-        for _ in range(metrics)
-    ]
-    assert overlaps(intervals_figure(panels, "paper_exp1_hardware")) == []
-
-
 def test_counts_are_counted_in_whole_numbers() -> None:
     axes = intervals_figure([Panel(label="x", values={"a": (0.0, 1.0, 2.0)})]).axes[0]
     assert all(float(tick).is_integer() for tick in axes.get_xticks())
@@ -118,3 +101,29 @@ def test_times_that_some_runs_never_reached_have_a_median() -> None:
     assert [text.get_text() for text in axes.texts] == ["1 of 4 never", "2 of 2 never"]
     assert np.asarray(axes.collections[1].get_offsets())[0, 0] == 5.5
     assert bars(axes) == []
+
+
+def difference(low: float, high: float) -> Difference:
+    middle = (low + high) / 2.0
+    return Difference("m", "m", 5, 5, difference=middle, interval=Interval(low, high))
+
+
+PANEL = DifferencePanel(
+    "minimum gap",
+    "m",
+    {
+        "b - a": difference(0.1, 0.3),
+        "c - a": difference(-0.1, 0.3),
+        "d - a": Difference("m", "m", 5, 5, never_a=1, never_b=2),
+    },
+)
+
+
+def test_a_row_a_variant_filled_where_0_is_excluded() -> None:
+    (axes,) = differences_figure([PANEL]).axes
+    assert [text.get_text() for text in axes.get_yticklabels()] == ["b - a", "c - a", "d - a"]
+    bars = [line.get_xdata() for line in axes.lines[1:]]
+    assert [list(bar) for bar in bars] == [[0.1, 0.3], [-0.1, 0.3]]  # type: ignore[arg-type]
+    faces = [np.array(found.get_facecolor()).ravel()[:3] for found in axes.collections]
+    assert [bool((face == 1.0).all()) for face in faces] == [False, True]
+    assert any("never: 1 of 6, 2 of 7" in text.get_text() for text in axes.texts)

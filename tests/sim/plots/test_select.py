@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,9 +24,7 @@ from swarmd.sim.plots.select import (
     typical_first,
     worst_first,
 )
-
-if TYPE_CHECKING:
-    from tests.sim.plots.conftest import Walk
+from tests.sim.plots.runs import walk
 
 NAN = float("nan")
 
@@ -107,7 +105,7 @@ def event(at: float, action: str, *robots: str, pattern: str = "") -> dict[str, 
     return {"at": at, "action": action, "robots": list(robots), "pattern": pattern}
 
 
-def test_events_name_action_pattern_and_robots(walk: Walk) -> None:
+def test_events_name_action_pattern_and_robots() -> None:
     events = [
         event(0.0, "run", "tb3-00", "tb3-01", "tb3-02", pattern="attraction"),
         event(0.4, "kill", "tb3-01"),
@@ -123,13 +121,13 @@ def test_events_name_action_pattern_and_robots(walk: Walk) -> None:
     )
 
 
-def test_close_events_share_a_label(walk: Walk) -> None:
+def test_close_events_share_a_label() -> None:
     events = [event(1.0, "join", "tb3-00"), event(1.02, "run", "tb3-00"), event(1.03, "place")]
     events.append(event(1.04, "place"))
     assert events_of(walk(3, meta={"events": events})) == ((1.0, "join tb3-00, run tb3-00, place"),)
 
 
-def test_too_many_events_are_left_out(walk: Walk) -> None:
+def test_too_many_events_are_left_out() -> None:
     events = [event(0.1 * k, "place") for k in range(1, MAX_EVENTS + 2)]
     assert events_of(walk(3, meta={"events": events})) == ()
     assert len(events_of(walk(3, meta={"events": events[1:]}))) == MAX_EVENTS

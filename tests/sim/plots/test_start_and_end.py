@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,16 +16,14 @@ from swarmd.sim.plots.start_and_end import (
     opinions_of,
     start_and_end_figure,
 )
-from swarmd.sim.plots.theme import ROBOT_COLOURS, save
+from swarmd.sim.plots.theme import ROBOT_COLOURS
 from swarmd.sim.trace import Trace
+from tests.sim.plots.runs import full, walk
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from tests.sim.plots.conftest import Overlaps, Walk
-
 pytest.importorskip("matplotlib")
-Full = Callable[[int], Trace]
 
 
 def titles(figure: Figure) -> list[str]:
@@ -39,7 +35,7 @@ def words(figure: Figure) -> list[str]:
 
 
 @pytest.fixture
-def gathering(walk: Walk) -> Trace:
+def gathering() -> Trace:
     """Four robots 1 m apart of which three come together."""
     trace = walk(4, 2, arena="5x5")
     trace.pose[0, :, :2] = [[0.0, 0.0], [0.0, 1.0], [1.0, 0.0], [1.0, 1.0]]
@@ -62,7 +58,7 @@ def test_lines_join_those_of_a_cluster(gathering: Trace) -> None:
     assert [len(one.get_paths()) for one in lines] == [0, 3]
 
 
-def test_each_shows_the_movable_boxes_of_its_instant(full: Full) -> None:
+def test_each_shows_the_movable_boxes_of_its_instant() -> None:
     start, end = start_and_end_figure(full(5)).axes
     places = [
         np.asarray(axes.patches[1].get_path().vertices)[:4].mean(axis=0) for axes in (start, end)
@@ -72,7 +68,7 @@ def test_each_shows_the_movable_boxes_of_its_instant(full: Full) -> None:
     assert (start.get_xlim(), start.get_ylim()) == (end.get_xlim(), end.get_ylim())
 
 
-def test_a_wide_arena_is_shown_twice_below_each_other(walk: Walk) -> None:
+def test_a_wide_arena_is_shown_twice_below_each_other() -> None:
     trace = walk(4, arena="6x2")
     trace.pose[..., 0] *= 4.0
     figure = start_and_end_figure(trace)
@@ -81,13 +77,13 @@ def test_a_wide_arena_is_shown_twice_below_each_other(walk: Walk) -> None:
     assert start.get_position().y0 > end.get_position().y1
 
 
-def test_without_thresholds_there_are_no_clusters(walk: Walk) -> None:
+def test_without_thresholds_there_are_no_clusters() -> None:
     figure = start_and_end_figure(walk(3, meta={"arena": "3x3"}))
     assert titles(figure)[0] == "start: 3 robots"
     assert words(figure) == []
 
 
-def test_opinions_take_the_place_of_clusters(walk: Walk) -> None:
+def test_opinions_take_the_place_of_clusters() -> None:
     opinion = np.full((20, 3), 1.0)
     opinion[0] = np.nan, 0.0, 1.0
     figure = start_and_end_figure(walk(3, report={"opinion": opinion}))
@@ -95,21 +91,7 @@ def test_opinions_take_the_place_of_clusters(walk: Walk) -> None:
     assert [text.get_text() for text in figure.legends[0].get_texts()] == ["opinion 0", "opinion 1"]
 
 
-@pytest.mark.parametrize("arena", ["6x6", "90x90", "3x9"])
-def test_no_texts_overlap(full: Full, overlaps: Overlaps, arena: str) -> None:
-    title = "paper_exp1_hardware, law=paper,lidar_visibility=real, seed 519\nleast typical run"
-    trace = full(7)
-    trace = replace(trace, meta={**trace.meta, "arena": arena})
-    assert overlaps(start_and_end_figure(trace, title)) == []
-
-
-@pytest.mark.parametrize("n", [1, 7])
-def test_one_instant_is_a_picture(walk: Walk, n: int, tmp_path: Path) -> None:
-    save(start_and_end_figure(walk(n, 1)), tmp_path / "run.png")
-    assert (tmp_path / "run.png").stat().st_size > 5_000
-
-
-def test_the_largest_cluster_has_the_first_colour_and_lone_robots_none(walk: Walk) -> None:
+def test_the_largest_cluster_has_the_first_colour_and_lone_robots_none() -> None:
     trace = walk(6, 1)
     trace.pose[0, :, :2] = [[9.0, 9.0], [0.0, 0.0], [5.0, 0.0], [5.1, 0.0], [5.2, 0.0], [0.1, 0.0]]
     found = by_cluster(trace, 0.15)
@@ -118,7 +100,7 @@ def test_the_largest_cluster_has_the_first_colour_and_lone_robots_none(walk: Wal
     assert found.label == "3 clusters, the largest of 3"
 
 
-def test_small_clusters_are_grey_where_there_are_more_than_colours(walk: Walk) -> None:
+def test_small_clusters_are_grey_where_there_are_more_than_colours() -> None:
     trace = walk(24, 1)
     trace.pose[0, :, 0] = np.repeat(np.arange(12), 2) * 10.0
     trace.pose[0, :, 1] = np.tile([0.0, 0.1], 12)
@@ -127,7 +109,7 @@ def test_small_clusters_are_grey_where_there_are_more_than_colours(walk: Walk) -
     assert set(colours[18:]) == {SMALL_COLOUR}
 
 
-def test_absent_robots_are_not_counted(walk: Walk) -> None:
+def test_absent_robots_are_not_counted() -> None:
     trace = walk(3, 1, present=np.array([[True, False, False]]))
     assert by_cluster(trace, 9.0).label == "1 robot"
     assert by_cluster(trace, 9.0).colours[1:] == [NO_COLOUR, NO_COLOUR]
@@ -137,7 +119,7 @@ def test_absent_robots_are_not_counted(walk: Walk) -> None:
 
 
 @pytest.mark.parametrize(("count", "words"), [(2, "0: 1, opinion 1: 1"), (7, "3: 1, 3 more")])
-def test_each_opinion_has_one_colour_at_both_ends(walk: Walk, count: int, words: str) -> None:
+def test_each_opinion_has_one_colour_at_both_ends(count: int, words: str) -> None:
     held = np.arange(count, dtype=np.float64)
     trace = walk(count, 2, report={"opinion": np.stack((held, held[::-1]))})
     opinions = opinions_of(trace)
@@ -147,14 +129,14 @@ def test_each_opinion_has_one_colour_at_both_ends(walk: Walk, count: int, words:
     assert found.label.endswith(words)
 
 
-def test_more_opinions_than_colours_are_grey(walk: Walk) -> None:
+def test_more_opinions_than_colours_are_grey() -> None:
     trace = walk(12, 1, report={"opinion": np.arange(12.0)[None]})
     opinions = opinions_of(trace)
     assert by_opinion(trace, opinions).colours[9:] == [SMALL_COLOUR] * 3
     assert len(start_and_end_figure(trace).legends[0].get_texts()) == 9
 
 
-def test_a_run_without_opinions_has_none(walk: Walk) -> None:
+def test_a_run_without_opinions_has_none() -> None:
     trace = walk(2, 1, report={"opinion": np.full((1, 2), np.nan)})
     assert opinions_of(trace) == []
     assert by_opinion(trace, []).label == "no opinion yet"

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
 
-from swarmd.core.errors import SwarmError
-from swarmd.sim.plots.survival import Times, survival_curve, survival_figure
-
-if TYPE_CHECKING:
-    from tests.sim.plots.conftest import Overlaps
+from swarmd.sim.plots.survival import Times, survival_curve
 
 pytest.importorskip("matplotlib")
 NAN = np.nan
@@ -42,25 +36,3 @@ def test_a_share_of_runs_that_end_together_is_the_plain_share() -> None:
 def test_all_or_none_of_the_runs_give_a_curve(times: list[float]) -> None:
     curve = survival_curve(Times(np.array(times), np.full(len(times), 5.0)))
     assert curve.share[-1] == (1.0 if np.isnan(times[0]) else 0.0)
-
-
-@pytest.mark.parametrize("width", [None, 3.5, 7.2])
-def test_words_do_not_overlap_and_the_width_is_kept(
-    overlaps: Overlaps, width: float | None
-) -> None:
-    rng = np.random.default_rng(1)
-    facets = {
-        f"count={count}": {
-            f"law={law}": Times(rng.exponential(30.0, 9), np.full(9, 500.0)) for law in "ab"
-        }
-        for count in (5, 10)
-    }
-    figure = survival_figure(facets, label="gather time", title="aggregation", width=width)
-    assert overlaps(figure) == []
-    assert width is None or figure.get_figwidth() == width
-    assert len(figure.axes) == 2
-
-
-def test_without_runs_there_is_nothing_to_draw() -> None:
-    with pytest.raises(SwarmError, match="gather"):
-        survival_figure({"": {"x": Times(np.zeros(0), np.zeros(0))}}, label="gather time")

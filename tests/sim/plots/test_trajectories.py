@@ -1,26 +1,30 @@
-"""The picture of one run."""
+"""The picture of one run, and of many at a glance."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
 import pytest
 
-from swarmd.core.errors import SwarmError
-from swarmd.sim.plots.theme import save
-from swarmd.sim.plots.trajectories import trajectories_figure
-from swarmd.sim.trace import Trace
+from swarmd.sim.plots.theme import new_figure
+from swarmd.sim.plots.trajectories import (
+    BOTH,
+    MAX_RUNS,
+    NONE,
+    ONE,
+    OTHER,
+    marks_of,
+    overview_figure,
+    paint_contacts,
+    trajectories_figure,
+)
+from tests.sim.plots.runs import full, walk
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from tests.sim.plots.conftest import Overlaps, Walk
-
 pytest.importorskip("matplotlib")
-Full = Callable[[int], Trace]
 
 
 def labels(figure: Figure) -> list[str]:
@@ -29,20 +33,20 @@ def labels(figure: Figure) -> list[str]:
     ]
 
 
-def test_each_robot_has_its_line_in_the_legend(walk: Walk) -> None:
+def test_each_robot_has_its_line_in_the_legend() -> None:
     figure = trajectories_figure(walk(3))
     assert labels(figure) == ["tb3-00", "tb3-01", "tb3-02", "start", "end"]
     assert figure.axes[0].get_aspect() == 1.0
 
 
-def test_the_legend_names_each_kind_of_mark(full: Full) -> None:
+def test_the_legend_names_each_kind_of_mark() -> None:
     assert labels(trajectories_figure(full(3))) == [
         *("tb3-00", "tb3-01", "tb3-02", "start", "end", "joins", "leaves", "movable box"),
         *("contact, both moving: 1", "contact, one moving: 1", "contact with wall or box: 1"),
     ]
 
 
-def test_many_robots_are_coloured_by_time_and_not_named(full: Full) -> None:
+def test_many_robots_are_coloured_by_time_and_not_named() -> None:
     figure = trajectories_figure(full(30))
     assert labels(figure) == [
         *("start", "end", "joins", "leaves", "movable box"),
@@ -51,20 +55,51 @@ def test_many_robots_are_coloured_by_time_and_not_named(full: Full) -> None:
     assert [axes.get_ylabel() for axes in figure.axes] == ["y [m]", "time [s]"]
 
 
-@pytest.mark.parametrize("n", [2, 7, 20, 21, 200])
-def test_no_texts_overlap(full: Full, overlaps: Overlaps, n: int) -> None:
-    trace = full(n)
-    trace = replace(trace, ids=tuple(f"{robot}-waffle_pi-WWW" for robot in trace.ids))
-    title = "paper_exp1_hardware, law=paper,lidar_visibility=real, seed 519\nleast typical run"
-    assert overlaps(trajectories_figure(trace, title)) == []
+def test_robots_that_are_pushed_together_do_not_move() -> None:
+    trace = walk(2, contact_t=np.array([0.5]), contact_pair=np.array([[0, 1]]),
+                 contact_speed=np.zeros((1, 2)))  # fmt: skip
+    (mark,) = marks_of(trace)
+    assert mark.kind == NONE
+    assert mark.place == pytest.approx(tuple(trace.pose[5, :, :2].mean(axis=0)))
 
 
-@pytest.mark.parametrize("n", [1, 7, 30])
-def test_one_instant_is_a_picture(walk: Walk, n: int, tmp_path: Path) -> None:
-    save(trajectories_figure(walk(n, 1)), tmp_path / "run.png")
-    assert (tmp_path / "run.png").stat().st_size > 5_000
+def test_each_kind_of_contact_is_painted_with_all_its_marks() -> None:
+    axes = new_figure(3.0, 3.0).add_subplot()
+    marks = marks_of(full(2))
+    assert [mark.kind for mark in marks] == [BOTH, ONE, OTHER]  # a long contact has one
+    paint_contacts(axes, [*marks, marks[0]], size=8.0)
+    assert [len(np.asarray(dots.get_offsets())) for dots in axes.collections] == [2, 1, 1]
 
 
-def test_an_empty_run_is_an_error(walk: Walk) -> None:
-    with pytest.raises(SwarmError, match="nothing to draw"):
-        trajectories_figure(walk(2, 0))
+def note(figure: Figure) -> str:
+    return figure.get_supxlabel()
+
+
+def test_each_run_has_its_place_and_name() -> None:
+    trace = walk(3)
+    figure = overview_figure([(f"seed {k}", lambda: trace) for k in range(7)])
+    assert [axes.get_title() for axes in figure.axes] == [f"seed {k}" for k in range(7)]
+    figure.draw_without_rendering()
+    assert len({round(axes.get_position().x0, 6) for axes in figure.axes}) == 3
+    assert figure.get_suptitle() == "7 runs"
+
+
+def test_all_are_drawn_to_one_scale_which_is_reported() -> None:
+    small, large = walk(1, arena="3x3"), walk(9, arena="6x4")
+    figure = overview_figure([("a", lambda: small), ("b", lambda: large)], note="by seed")
+    assert figure.axes[0].get_xlim() == figure.axes[1].get_xlim()
+    assert note(figure).startswith("by seed; each frame 6.24 m x 4.24 m; outlines: starts;")
+
+
+def test_a_run_without_a_trace_is_named() -> None:
+    trace = walk(3)
+    figure = overview_figure([("a", lambda: None), ("b", lambda: trace)])
+    assert [len(axes.texts) for axes in figure.axes] == [1, 0]
+    assert [text.get_text() for text in figure.axes[0].texts] == ["no trace"]
+
+
+def test_more_than_fit_are_counted() -> None:
+    trace = walk(2, 3)
+    figure = overview_figure([(str(k), lambda: trace) for k in range(MAX_RUNS + 3)])
+    assert len(figure.axes) == MAX_RUNS
+    assert note(figure).startswith("the first 25 of 28 runs")

@@ -16,6 +16,8 @@ from swarmd.core.errors import ConfigError
 from swarmd.core.values import Platform
 from swarmd.sim.scenarios.scenario import Scenario
 from swarmd.sim.scenarios.scenariofile import load_scenario, scenario_names, scenario_of
+from swarmd.sim.world.arena import Arena, Box, Pole, Segment
+from swarmd.sim.world.scalar_fields import GaussianField
 
 if TYPE_CHECKING:
     from tests.sim.scenarios.conftest import Load
@@ -163,3 +165,24 @@ def test_the_scenario_on_the_page_about_scenarios_is_one(tmp_path: Path) -> None
     scenario = load_scenario(tmp_path / "page.yaml")
     assert scenario.starts(0).shape == (5, 3)
     assert len(scenario.events) == 5
+
+
+def test_an_arena_has_all_that_the_file_names(load: Load) -> None:
+    assert load().arena == Arena(
+        8.0,
+        6.0,
+        boxes=(
+            Box(3.0, 2.0, 0.5, 0.4, math.pi / 4.0, "crate", 2.0),
+            Box(0.0, 0.0, 0.5, 0.5, 0.0, "spare", 2.0, is_placed=False),
+            Box(-3.0, 2.0, 0.5, 0.4, 0.0, "block"),
+        ),
+        poles=(Pole(3.0, -2.0, 0.1),),
+        segments=(Segment(-3.0, -2.0, -2.0, -2.0),),
+    )
+
+
+def test_fields_and_radio_are_the_worlds_own(load: Load) -> None:
+    scenario = load({"radio": {"neighborhood": "range", "range": 2, "loss": 0.1}})
+    assert scenario.fields == (GaussianField(name="light", sigma=2.0),)
+    assert (scenario.radio.neighborhood, scenario.radio.range) == ("range", 2.0)
+    assert (scenario.radio.loss, scenario.radio.delay) == (0.1, 0.0)

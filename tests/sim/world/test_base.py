@@ -1,4 +1,4 @@
-"""Commands arrive late by whole steps, and bases take time to follow; compiled as interpreted."""
+"""Commands arrive late by whole steps, and bases take time to follow."""
 
 from __future__ import annotations
 
@@ -7,22 +7,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from swarmd.core.kernels import load_kernel
 from swarmd.core.values import Array
-from swarmd.settings.platforms import load_platform, platform_names
-from swarmd.sim.world import base as interpreted
-from swarmd.sim.world.arena import parse_arena
-from swarmd.sim.world.layouts import parse_layout
-from swarmd.sim.world.odometer import Odometers
-from swarmd.sim.world.realism import IDEAL, REALISTIC, Actuation, Realism
-from swarmd.sim.world.world import World
-from tests.support.examples import examples
+from swarmd.settings.platforms import load_platform
+from swarmd.sim.world.realism import IDEAL, Actuation
 
-compiled = load_kernel("swarmd.sim.world.base")
-needs_compiled = pytest.mark.skipif(compiled is interpreted, reason="the kernels are not compiled")
+base = load_kernel("swarmd.sim.world.base")
 BURGER = load_platform("burger")
 # Without ramps of its own.
 QUICK = replace(
@@ -34,7 +25,7 @@ ONE = np.array([[0.1, -1.0, 0.0], [0.2, 0.5, 0.0]])
 
 def bases(**values: Any) -> Any:
     memory = tuple(np.zeros(6) for _ in range(3))
-    return compiled.Bases(Actuation(**values), [QUICK, QUICK], memory, DT)
+    return base.Bases(Actuation(**values), [QUICK, QUICK], memory, DT)
 
 
 def driven(some: Any, steps: int) -> Array:
@@ -62,7 +53,7 @@ def test_commands_are_clipped_and_those_that_are_no_numbers_are_zero() -> None:
 
 def test_forces_reach_the_command_within_a_step_up_to_the_grip_of_the_tyres() -> None:
     memory = qpos, qvel, force = tuple(np.zeros(6) for _ in range(3))
-    some = compiled.Bases(IDEAL.actuation, [QUICK, QUICK], memory, DT)
+    some = base.Bases(IDEAL.actuation, [QUICK, QUICK], memory, DT)
     qpos[:] = 1.0, 2.0, 0.5 * np.pi, -1.0, -2.0, 0.0
     qvel[:] = 0.0, 0.05, 0.0, 0.0, 0.0, 0.0
     some.put(np.array([[0.08, 0.0, 0.0], [0.2, 0.0, 0.0]]))
@@ -76,7 +67,7 @@ def test_forces_reach_the_command_within_a_step_up_to_the_grip_of_the_tyres() ->
 
 
 def test_a_base_ramps_with_its_own_accelerations() -> None:
-    some = compiled.Bases(IDEAL.actuation, [BURGER], tuple(np.zeros(3) for _ in range(3)), DT)
+    some = base.Bases(IDEAL.actuation, [BURGER], tuple(np.zeros(3) for _ in range(3)), DT)
     some.put(np.array([[0.2, 1.0, 0.0]]))
     rates = BURGER.body["linear_acceleration"], BURGER.body["angular_acceleration"]
     np.testing.assert_allclose(driven(some, 2)[:, 0, :2], np.outer([DT, 2.0 * DT], rates))
@@ -135,74 +126,3 @@ def test_a_base_turns_around_at_once_after_a_command_beyond_its_limits() -> None
     assert driven(some, 100)[-1, 0, 0] == BURGER.limits.linear
     some.put(np.zeros((2, 3)))
     assert driven(some, 1)[0, 0, 0] == pytest.approx(BURGER.limits.linear - 0.01)
-
-
-REALISMS = (
-    IDEAL,
-    REALISTIC,
-    Realism(actuation=Actuation(delay=0.05, angular_acceleration=0.5)),
-)
-ARENA = parse_arena("8x7,box/a:0:0:0.3:0.3:0:1,box:2:2:1:0.1:20")
-STRANGE = (np.nan, np.inf, -np.inf, 1e300, 0.0, -0.0)
-
-
-def states(kinds: list[str], realism: Realism, commands: Array, *, is_compiled: bool) -> bytes:
-    """The bytes of poses, twists and contacts of a run with commands (k, n, 3), 10 steps each."""
-    platforms = [load_platform(kind) for kind in kinds]
-    starts = parse_layout("random:0.02", [p.footprint for p in platforms], ARENA, seed=1)
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("SWARMD_COMPILED", str(int(is_compiled)))
-        robots = {f"r{row}": platform for row, platform in enumerate(platforms)}
-        world = World(robots, ARENA, starts, realism=realism)
-    kept: list[bytes] = []
-    for command in commands:
-        world.set_commands(command)
-        for _ in range(10):
-            world.step()
-            # Without the sign of a zero, which numpy's minimum leaves open.
-            kept += [(world.poses() + 0.0).tobytes(), (world.twists() + 0.0).tobytes()]
-            kept.append(repr(world.contacts()).encode())
-    return b"".join(kept)
-
-
-@needs_compiled
-@settings(deadline=None, max_examples=examples(40))
-@given(
-    st.lists(st.sampled_from(platform_names()), min_size=1, max_size=6),
-    st.sampled_from(REALISMS),
-    st.integers(0, 2**32 - 1),
-)
-def test_worlds_have_the_bits_of_the_interpreted_file(
-    kinds: list[str], realism: Realism, seed: int
-) -> None:
-    rng = np.random.default_rng(seed)
-    commands = rng.normal(0.0, 1.0, (8, len(kinds), 3))
-    is_strange = rng.random(commands.shape) < 0.1
-    commands[is_strange] = rng.choice(STRANGE, int(is_strange.sum()))
-    compiled, reference = (
-        states(kinds, realism, commands, is_compiled=is_one) for is_one in (True, False)
-    )
-    assert compiled == reference
-
-
-@needs_compiled
-@settings(deadline=None, max_examples=examples(40))
-@given(
-    st.lists(st.sampled_from(platform_names()), min_size=1, max_size=6), st.integers(0, 2**32 - 1)
-)
-def test_odometry_has_the_bits_of_the_interpreted_file(kinds: list[str], seed: int) -> None:
-    rng, n = np.random.default_rng(seed), len(kinds)
-    platforms, ids = [load_platform(kind) for kind in kinds], [f"r{row}" for row in range(n)]
-    poses = rng.normal(0.0, 3.0, (n, 3))
-    both = []
-    for is_compiled in (True, False):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setenv("SWARMD_COMPILED", str(int(is_compiled)))
-            both.append(Odometers(REALISTIC.odometry, platforms, poses, ids, 3))
-    for _ in range(40):  # more than the block of random numbers
-        rows = np.flatnonzero(rng.random(n) < 0.8)[::2]  # as those of one of two processes
-        poses = poses + rng.normal(0.0, 0.5, (n, 3))
-        twists = rng.normal(0.0, 1.0, (n, 3))
-        read = [one.read(rows, poses, twists) for one in both]
-        for compiled, reference in zip(*read, strict=True):
-            assert (compiled + 0.0).tobytes() == (reference + 0.0).tobytes()

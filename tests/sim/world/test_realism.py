@@ -12,11 +12,6 @@ from swarmd.core.errors import ConfigError
 from swarmd.sim.world.realism import IDEAL, REALISMS, REALISTIC, realism_of
 
 
-@pytest.mark.parametrize("name", REALISMS)
-def test_a_preset_by_its_name(name: str) -> None:
-    assert realism_of(name) is REALISMS[name]
-
-
 @pytest.mark.parametrize("preset", REALISMS.values())
 def test_plain_values_are_the_same_realism_again(preset: Any) -> None:
     assert realism_of(to_builtins(preset)) == preset

@@ -7,10 +7,9 @@ import pytest
 
 from studies.safety.driven import drives, faults
 from swarmd.core.values import Array
-from swarmd.settings.platforms import load_platform
 from swarmd.sim.trace import Trace
+from tests.support.traces import trace_of
 
-BURGER = load_platform("burger").footprint
 TOUCH = 5.0
 T = np.linspace(0.0, 10.0, 501)
 FRONT, BACK, SIDE = 0.038, 0.102, 0.089
@@ -28,18 +27,8 @@ def run(command: Array, speed: float, turned: Array | None = None, after: float 
     safe[:, 0] = command
     pose[:, 1, 0] = FRONT + BACK
     pose[:, 0, 2] = 0.0 if turned is None else turned
-    times = TOUCH + np.array([0.0, after])
-    return Trace(
-        ids=("a", "ram"),
-        t=T,
-        pose=pose,
-        safe=safe,
-        contact_t=times,
-        contact_pair=np.array([[0, 1], [0, 1]]),
-        contact_speed=np.array([[0.0, 0.3], [speed, 0.1]]),
-        platforms=("burger",) * 2,
-        footprints={"burger": BURGER},
-    )
+    touches = [(TOUCH, 0, 1, 0.0, 0.3), (TOUCH + after, 0, 1, speed, 0.1)]
+    return trace_of(pose, touches, ids=("a", "ram"), t=T, safe=safe)
 
 
 def own_speeds(trace: Trace) -> list[float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,34 +18,17 @@ from swarmd.sim.world.contacts import ContactEpisodes
 from swarmd.sim.world.geometry import gaps, radius, transform
 from swarmd.sim.world.realism import REALISTIC
 from swarmd.sim.world.world import World
+from tests.support.traces import world_state
 
 BURGER = load_platform("burger")
 FAST = replace(BURGER, limits=replace(BURGER.limits, linear=0.3))
 PLATFORMS = ("burger", "waffle_pi", "jackal")
 
 
-def state_of(poses: Sequence[Triple], twists: Sequence[Triple], time: float = 0.0) -> WorldState:
-    return WorldState(
-        time=time,
-        real_time_factor=1.0,
-        arena=(6.0, 6.0),
-        ids=tuple(f"r{i}" for i in range(len(poses))),
-        poses=tuple(poses),
-        twists=tuple(twists),
-        commanded=(True,) * len(poses),
-        contacts=0,
-        arena_contacts=0,
-        is_recording=True,
-        recorded=time,
-        overruns=0,
-        dropped=0,
-    )
-
-
 def at(place: float, *speeds: float) -> WorldState:
     """Robots in a row, `place` m apart, that drive at `speeds` in m/s."""
     poses = [(0.0, place * i, 0.0) for i in range(len(speeds))]
-    return state_of(poses, [(speed, 0.0, 0.0) for speed in speeds])
+    return world_state(poses, [(speed, 0.0, 0.0) for speed in speeds])
 
 
 def triples(rows: np.ndarray) -> list[Triple]:
@@ -67,7 +49,7 @@ def test_a_rammer_touches_all_robots_and_no_corner_of_it_is_too_fast() -> None:
     fastest = 0.0
     for step in range(4000):
         if step % 10 == 0:  # states come at 10 Hz
-            state = state_of(triples(world.poses()), triples(world.twists()), world.time)
+            state = world_state(triples(world.poses()), triples(world.twists()), world.time)
             state = structs.replace(state, contacts=len(episodes.counts))
             twist = rammer.command(state, 0)
             world.set_commands(np.array([(twist.linear, twist.angular, 0.0), *[(0.0,) * 3] * 2]))
@@ -85,8 +67,8 @@ def test_a_rammer_touches_all_robots_and_no_corner_of_it_is_too_fast() -> None:
 def test_a_turn_that_continues_reduces_the_speed_of_a_rammer(time: float) -> None:
     rammer, spins = Rammer(0.3, 0.135), [(0.0, -1.0, 0.0), (0.0, 0.0, 0.0)]
     poses = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)
-    rammer.command(state_of(poses, spins), 0)
-    twist = rammer.command(state_of(poses, spins, time), 0)
+    rammer.command(world_state(poses, spins), 0)
+    twist = rammer.command(world_state(poses, spins, time), 0)
     assert abs(twist.linear) == pytest.approx(0.3 - 0.135)
     assert twist.angular == 0.0
 
@@ -94,8 +76,8 @@ def test_a_turn_that_continues_reduces_the_speed_of_a_rammer(time: float) -> Non
 def test_a_rammer_that_has_touched_backs_away() -> None:
     rammer = Rammer(0.3, 0.135)
     poses = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0)
-    away = rammer.command(state_of(poses, [(0.0, 0.0, 0.0)] * 2), 0)
-    later = rammer.command(state_of(poses, [(0.0, 0.0, 0.0)] * 2, time=2.0), 0)
+    away = rammer.command(world_state(poses, [(0.0, 0.0, 0.0)] * 2), 0)
+    later = rammer.command(world_state(poses, [(0.0, 0.0, 0.0)] * 2, time=2.0), 0)
     assert away == Twist(linear=-0.3)
     assert later.linear == pytest.approx(0.3)
 
@@ -124,7 +106,7 @@ def test_no_obstacle_appears_too_near_to_another_robot() -> None:
     obstacles = ObstaclePlacer(BURGER, 1, seed=3)
     ahead = room(BURGER) + BURGER.footprint[:, 0].max() + 0.2
     poses = (0.0, 0.0, 0.0), (ahead, 0.0, 0.0)
-    state = state_of(poses, [(0.22, 0.0, 0.0), (0.0, 0.0, 0.0)])
+    state = world_state(poses, [(0.22, 0.0, 0.0), (0.0, 0.0, 0.0)])
     assert all(obstacles.next(state) is None for _ in range(50))
 
 

@@ -10,11 +10,10 @@ import pytest
 from studies.safety.judge import collisions, stuck_windows
 from studies.safety.judgement import Judgement, judge
 from swarmd.core.values import Array
-from swarmd.settings.platforms import load_platform
 from swarmd.sim.metrics.contacts import WALLS
 from swarmd.sim.trace import ARENA, Trace
+from tests.support.traces import trace_of
 
-BURGER = load_platform("burger").footprint
 Row = tuple[float, int, int, float, float]
 """A step of a contact: time, the two robots, and the closing speed of each one's surface."""
 
@@ -30,25 +29,12 @@ def run(
 
     Each robot has the command `command` in m/s.
     """
-    t = np.linspace(0.0, seconds, round(10.0 * seconds) + 1)
     if pose is None:
-        pose = np.zeros((len(t), 3, 3))
+        pose = np.zeros((round(10.0 * seconds) + 1, 3, 3))
         pose[:, :, 0], pose[:, 1, 2] = (0.0, 2.0, 4.0), np.pi
     safe = np.zeros_like(pose)
     safe[..., 0] = command
-    rows = np.array(touches, dtype=np.float64).reshape(-1, 5)
-    return Trace(
-        ids=("a", "b", "ram"),
-        t=t,
-        pose=pose,
-        safe=safe,
-        contact_t=rows[:, 0],
-        contact_pair=rows[:, 1:3].astype(np.int64),
-        contact_speed=rows[:, 3:],
-        platforms=("burger",) * 3,
-        footprints={"burger": BURGER},
-        movable_boxes=("crate",),
-    )
+    return trace_of(pose, touches, ids=("a", "b", "ram"), safe=safe, movable_boxes=("crate",))
 
 
 def judged(*touches: Row) -> Judgement:
