@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable
 
 import pytest
 
@@ -40,54 +39,33 @@ class Base:
                 await asyncio.sleep(10.0 * zero_answers.PERIOD)
 
 
-def run(story: Callable[[Base], Awaitable[None]]) -> None:
-    async def play() -> None:
-        await story(Base())
-
-    asyncio.run(play())
-
-
-def test_a_command_of_another_node_is_answered_at_once_and_again() -> None:
-    async def story(base: Base) -> None:
+async def test_each_command_of_another_node_is_answered_at_once_and_again() -> None:
+    base = Base()
+    for count in (1, 2, 3):
         base.answers.answer()
-        assert base.zeros == 1
-        await base.gets(10)
-
-    run(story)
+        assert base.zeros == count
+    await base.gets(10)
 
 
-def test_each_command_has_its_own_zero_at_once() -> None:
-    async def story(base: Base) -> None:
-        for _ in range(3):
-            base.answers.answer()
-        assert base.zeros == 3
-
-    run(story)
-
-
-def test_zeros_end_after_the_last_command_and_begin_again(monkeypatch: pytest.MonkeyPatch) -> None:
+async def test_zeros_end_after_the_last_command_and_begin_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     monkeypatch.setattr(zero_answers, "LASTING", 0.02)
-
-    async def story(base: Base) -> None:
-        base.answers.answer()
-        await base.gets_no_more()
+    base = Base()
+    for _ in range(2):
         before = base.zeros
         base.answers.answer()
         await base.gets(before + 3)
         await base.gets_no_more()
 
-    run(story)
 
-
-def test_a_robot_that_may_move_gets_no_zeros() -> None:
-    async def story(base: Base) -> None:
-        base.answers.answer()
-        base.gate.open()
-        base.gate.filter(Twist(0.1))
-        await base.gets_no_more()
-        before = base.zeros
-        base.answers.answer()
-        await base.gets_no_more()
-        assert base.zeros == before
-
-    run(story)
+async def test_a_robot_that_may_move_gets_no_zeros() -> None:
+    base = Base()
+    base.answers.answer()
+    base.gate.open()
+    base.gate.filter(Twist(0.1))
+    await base.gets_no_more()
+    before = base.zeros
+    base.answers.answer()
+    await base.gets_no_more()
+    assert base.zeros == before
