@@ -727,9 +727,7 @@ def test_a_pattern_that_loads_until_after_its_time_does_not_start() -> None:
     harness.advance(0.8)
     harness.is_hung = False
     load = harness.sent[-1]
-    event = harness._runner.send(load)
-    assert event is not None
-    harness.host_says(event)
+    harness.host_answers(load)
     assert harness.reply_to(request).refusal is Refusal.TOO_LATE
     harness.advance(0.5)
     assert harness.twist.is_zero
@@ -743,10 +741,8 @@ def test_a_goal_that_peers_run_and_this_robot_cannot_load_is_the_reason() -> Non
     harness.send(request)
     harness.find(wanted)
     assert told(harness).state is GoalState.LOADING
-    event = harness._runner.send(harness.sent[-1])
     harness.is_hung = False
-    assert event is not None
-    harness.host_says(event)
+    harness.host_answers(harness.sent[-1])
     assert harness.reply_to(request).refusal is Refusal.UNKNOWN_PATTERN
     assert told(harness).state is GoalState.ENDED
     assert "unheard_of" in told(harness).reason

@@ -17,7 +17,7 @@ from swarmd.robot.state import MAX_HOLD_TIME
 from tests.support.examples import examples
 from tests.support.goals import make_goal
 from tests.support.robot_harness import RobotHarness
-from tests.support.stub_patterns import PATTERNS, standing_state, started
+from tests.support.stub_patterns import PATTERNS, idle, standing_state, started
 
 BUMP = Hazard(HazardKind.BUMP, "front left")
 LIFTED = Hazard(HazardKind.LIFTED)
@@ -124,8 +124,7 @@ def test_a_lifted_robot_refuses_a_run() -> None:
 
 
 def test_a_lift_ends_a_run_that_waits_for_its_start() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     harness.ask("run", pattern="forward", at={harness.robot.id: harness.now + 1.0})
     tell(harness, LIFTED)
     tell(harness)
@@ -136,8 +135,7 @@ def test_a_lift_ends_a_run_that_waits_for_its_start() -> None:
 
 
 def test_an_idle_robot_may_be_carried() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     tell(harness, LIFTED)
     assert standing_state(harness) == (State.IDLE, Reason.NEVER_ASKED)
     tell(harness)
@@ -149,8 +147,7 @@ def test_an_idle_robot_may_be_carried() -> None:
 
 
 def test_a_robot_that_was_lifted_joins_no_earlier_goal() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     goal = make_goal(pattern="forward", on_join="run", valid=60.0)
     harness.find(goal)
     harness.advance(0.5)
@@ -164,8 +161,7 @@ def test_a_robot_that_was_lifted_joins_no_earlier_goal() -> None:
 
 
 def test_a_goal_of_before_a_lift_is_not_joined_after_a_restart() -> None:
-    harness = RobotHarness(patterns=PATTERNS)
-    harness.advance(1.0)
+    harness = idle()
     harness.find(make_goal(pattern="forward", on_join="run", valid=60.0))
     harness.advance(0.5)
     tell(harness, LIFTED)
