@@ -131,9 +131,6 @@ KINDS: dict[str, Callable[[pytest.FixtureRequest], Setup]] = {
     "ros2dds": lambda request: ros2("ros2dds", BridgedRobot()),
     "ros2dds, real bridge": lambda request: ros2("ros2dds", DdsRobot()),
     "rmw_zenoh": lambda request: ros2("rmw_zenoh", ZenohRobot()),
-    "rmw_zenoh, Humble, stamped": lambda request: ros2(
-        "rmw_zenoh", ZenohRobot(is_humble=True, is_stamped=True)
-    ),
     "ros1": ros1,
 }
 

@@ -25,7 +25,7 @@ from swarmd.driver_api.hw_codec import (
     encode_scan,
 )
 from swarmd.driver_api.watchdog_client import WatchedDriver
-from swarmd.drivers.simulated import SENSOR_TIMEOUT, SimulatedDriver
+from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing import driver_contract
@@ -151,17 +151,6 @@ def test_all_senses_arrive_as_they_were_sent() -> None:
         assert sink.values[0] == {"light": 0.25}
 
     play(story)
-
-
-def test_the_driver_reports_its_endpoint_and_the_reason_of_a_loss() -> None:
-    async def story(harness: DriverHarness, body: Body) -> None:
-        await harness.until(lambda: bool(harness.sink.states))
-        assert body.endpoint in harness.sink.states[0][1]
-        await harness.connect()
-        await harness.until(lambda: not harness.sink.is_up)
-        assert f"for {SENSOR_TIMEOUT:g} s" in harness.sink.states[-1][1]
-
-    play(story, connected=False)
 
 
 def test_a_command_carries_the_scans_it_is_based_on() -> None:

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.events import ForgetInput, LatchesInput, LeaseInput, LeaveInput, RequestInput
+from swarmd.core.events import ForgetInput, LeaseInput, LeaveInput, RequestInput
 from swarmd.core.goal import MAX_UNSIGNED, Goal, GoalRecord, GoalState, GoalStatus, digest_of
 from swarmd.core.host_messages import Load, Loaded
 from swarmd.core.messages import Code, Latch, Reason, Refusal, Reply, State
@@ -173,17 +173,6 @@ def test_a_robot_that_starts_with_a_latch_loads_nothing() -> None:
     harness.find(goal(2, **JOINED), 1.0)
     harness.advance(0.5)
     assert harness.sent == []
-
-
-def test_the_latch_of_a_peer_ends_a_run_that_was_joined() -> None:
-    harness = ready()
-    harness.is_hung = True  # it is still loading
-    harness.find(goal(**JOINED))
-    harness.is_hung = False
-    latches = {"e1": Latch(issuer="anna", scope="swarm")}
-    harness.step(LatchesInput(latches))
-    harness.advance(1.0)
-    assert standing_state(harness) == (State.ESTOPPED, Reason.ESTOP)
 
 
 def test_a_greater_goal_ends_the_run_of_a_lesser_one_and_says_which() -> None:

@@ -79,14 +79,6 @@ def test_a_bump_that_lasts_ends_the_run_and_is_named() -> None:
     assert all(twist.is_zero for _, twist in harness.commands)
 
 
-def test_the_detail_lists_each_hazard_with_its_age() -> None:
-    harness = started()
-    tell(harness, BUMP)
-    harness.advance(0.4)
-    tell(harness, BUMP, Hazard(HazardKind.CLIFF, "right"))
-    assert harness.status.detail == "bump front left, 0.4 s; cliff right, 0.0 s"
-
-
 @pytest.mark.parametrize("kind", sorted(ENDS_RUN))
 def test_a_robot_that_is_lifted_stops_at_once_and_needs_a_new_run(kind: HazardKind) -> None:
     harness = started()
@@ -103,13 +95,6 @@ def test_a_robot_that_is_lifted_stops_at_once_and_needs_a_new_run(kind: HazardKi
     assert harness.ask("run", pattern="forward") is not None
     harness.advance(0.3)
     assert not harness.twist.is_zero
-
-
-def test_a_lift_behind_many_other_hazards_ends_the_run() -> None:
-    harness = started()
-    bumps = [Hazard(HazardKind.BUMP, f"sensor {n}") for n in range(MAX_HAZARDS)]
-    tell(harness, *bumps, LIFTED)
-    assert standing_state(harness) == (State.STOPPED, Reason.HAZARD)
 
 
 def test_a_lifted_robot_refuses_a_run() -> None:

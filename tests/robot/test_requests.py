@@ -404,14 +404,12 @@ def test_outputs_of_an_older_generation_are_dropped() -> None:
 
 
 @pytest.mark.parametrize(("speed", "is_noted"), [(0.9, True), (-0.9, True), (0.26, False)])
-def test_speed_above_the_limit_is_noted_in_the_reply(speed: float, is_noted: bool) -> None:
-    reply = started(speed=0.1).applied("param", params={"speed": speed})
+@pytest.mark.parametrize(("verb", "fields"), [("param", {}), ("run", {"pattern": "forward"})])
+def test_speed_above_the_limit_is_noted_in_the_reply(
+    verb: str, fields: dict[str, Any], speed: float, is_noted: bool
+) -> None:
+    reply = started(speed=0.1).applied(verb, params={"speed": speed}, **fields)
     assert ("waffle_pi is limited to 0.26 m/s" in reply.text) is is_noted
-
-
-def test_run_above_the_limit_is_noted_in_the_reply() -> None:
-    reply = started(speed=0.1).applied("run", pattern="forward", params={"speed": 0.9})
-    assert "waffle_pi is limited to 0.26 m/s" in reply.text
 
 
 def test_param_set_holds_until_the_next_run() -> None:

@@ -173,10 +173,6 @@ def test_a_robots_file_can_change_and_revoke_grants(folder: Path) -> None:
     assert settings.provenance["touch"] == "r.yaml"
 
 
-def test_nothing_may_be_touched_by_default(folder: Path) -> None:
-    assert load("id: r1").touch_zones == {}
-
-
 def test_a_source_is_never_longer_than_a_status_can_name(folder: Path) -> None:
     label = "l" * 63
     settings = load(

@@ -121,10 +121,10 @@ class Robot:
     def token(self, what: str, topic: str, kind: str, domain: int, zid: str) -> str:
         raise NotImplementedError
 
-    def dock(self, *, is_latched: bool) -> Dock:
+    def dock(self, *, is_latched: bool) -> Any:
         return Dock(self, is_latched=is_latched)
 
-    def other_node(self, *, has_lidar: bool = False) -> OtherNode:
+    def other_node(self, *, has_lidar: bool = False) -> Any:
         return OtherNode(self, has_lidar=has_lidar)
 
     def samples(self) -> list[zenoh.Sample]:

@@ -5,18 +5,18 @@ from __future__ import annotations
 import asyncio
 import itertools
 import math
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 
 import pytest
 import zenoh
 
-from swarmd.core.values import ZERO, Twist, Value
+from swarmd.core.values import ZERO, Twist
 from swarmd.drivers.ros import cdr, messages
 from swarmd.drivers.ros2.dds_bridge import Ros2Dds
 from swarmd.drivers.ros2.driver import RosDriver
 from swarmd.drivers.ros2.key_scheme import TopicEnd
-from swarmd.testing.driver_contract import TIMEOUT, DriverContract, DriverHarness, play
+from swarmd.testing.driver_contract import TIMEOUT, DriverHarness, play
+from tests.drivers.ros.contract import DOCKED, RosContract, docked
 from tests.drivers.ros2.dds_rig import SENSES, DdsRobot
 from tests.drivers.ros2.harness import check, drive_on, freeze, reported
 from tests.drivers.ros2.robots import open_session
@@ -32,7 +32,7 @@ pytestmark = [
 ]
 
 
-class TestContract(DriverContract):
+class TestContract(RosContract):
     def rig(self) -> DdsRobot:
         return DdsRobot(published={**SENSES, "bumper": dds.Bool})
 
@@ -156,22 +156,6 @@ def test_a_base_that_wants_another_type_gets_no_command(is_stamped: bool) -> Non
     play(robot, story, connected=False, cmd_vel_type=wrong)
 
 
-@story(DdsRobot, connected=False)
-async def test_another_nodes_command_is_reported(harness: DriverHarness, robot: DdsRobot) -> None:
-    joystick = DdsNode(robot.domain, "joystick", {"/cmd_vel": dds.Twist})
-    await harness.connect()
-    await moves(harness)
-
-    def is_lost() -> bool:
-        joystick.publish("/cmd_vel", dds.Twist(dds.Vector3(0.3)))
-        return not harness.sink.is_up
-
-    await harness.until(is_lost, publishing=True)
-    assert reported(harness, "someone else drives", is_up=False)
-    await harness.until(lambda: harness.sink.is_up, publishing=True)
-    joystick.close()
-
-
 def test_the_bridge_and_its_stand_in_announce_and_send_the_same() -> None:
     robot = DdsRobot()
     session = open_session("client", "connect/endpoints", robot.endpoint)
@@ -243,97 +227,32 @@ def test_check_of_a_robot_that_is_off_asks_to_start_it() -> None:
     assert "no node subscribes to /cmd_vel" in found["cmd_vel"].text
 
 
-def test_a_field_of_any_topic_is_a_reading() -> None:
-    robot = DdsRobot(published={**SENSES, "temp": dds.Temperature})
-    heat: Value = {"topic": "temp", "type": "sensor_msgs/Temperature", "field": "temperature"}
-
-    async def story(harness: DriverHarness) -> None:
-        def is_read() -> bool:
-            robot.put("temp", dds.Temperature(temperature=21.5))
-            return harness.sink.values[-1:] == [{"heat": 21.5}]
-
-        await harness.until(is_read, publishing=True)
-
-    play(robot, story, readings={"heat": heat})
-
-
-DOCKED: dict[str, Value] = {
-    "docked": {"topic": "dock", "type": "std_msgs/Bool", "stale_after": "never"}
-}
-
-
-@contextmanager
-def dock_node(robot: DdsRobot, *, is_latched: bool) -> Iterator[DdsNode]:
-    """A node of the robot that publishes its dock on change."""
-    latched = ["/dock"] if is_latched else []
-    node = DdsNode(robot.domain, "dock", {"/dock": dds.Bool}, latched=latched)
-    try:
-        yield node
-    finally:
-        node.close()
-
-
-def docked(harness: DriverHarness) -> float:
-    """What patterns get: 0 or 1, NaN while nothing is known, -1 before anything was told."""
-    values = harness.sink.values
-    return values[-1].get("docked", -1.0) if values and harness.sink.is_up else -1.0
-
-
 @story(DdsRobot, connected=False, readings=DOCKED)
 async def test_a_change_before_the_base_was_connected_counts(
     harness: DriverHarness, robot: DdsRobot
 ) -> None:
-    with dock_node(robot, is_latched=False) as dock:
-        await harness.until(lambda: dock.is_heard("/dock"))
-        dock.publish("/dock", dds.Bool(data=True))
-        await asyncio.sleep(1.0)  # it arrives while the base says nothing
-        await harness.connect()
-        await harness.until(lambda: docked(harness) == 1.0, publishing=True)
+    dock = robot.dock(is_latched=False)
+    await harness.until(dock.is_heard)
+    dock.put(True)
+    await asyncio.sleep(1.0)  # it arrives while the base says nothing
+    await harness.connect()
+    await harness.until(lambda: docked(harness) == 1.0, publishing=True)
+    dock.close()
 
 
-def test_a_latched_message_reaches_the_second_subscriber_of_a_bridge() -> None:
-    """The first makes the bridge read the writer's history; for others it has a cache."""
-    robot, heard = DdsRobot(), list[zenoh.Sample]()
-    with dock_node(robot, is_latched=True) as dock:
-        session = open_session("client", "connect/endpoints", robot.endpoint)
-        session.declare_subscriber("dock", heard.append)
-        dock.publish("/dock", dds.Bool(data=True))
-        wait_until(lambda: len(heard) > 0, "another subscriber has the message")
-
-        async def story(harness: DriverHarness) -> None:
-            await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-            dock.publish("/dock", dds.Bool(data=False))
-            await harness.until(lambda: docked(harness) == 0.0, publishing=True)
-
-        play(robot, story, readings=DOCKED)
-        session.close()
-
-
-@pytest.mark.parametrize("is_latched", [False, True])
-@story(DdsRobot, readings=DOCKED)
-async def test_after_a_restart_of_the_bridge_what_was_missed_is_known_or_unknown(
-    harness: DriverHarness, robot: DdsRobot, is_latched: bool
+@story(DdsRobot, connected=False, readings=DOCKED)
+async def test_a_latched_message_reaches_the_second_subscriber_of_a_bridge(
+    harness: DriverHarness, robot: DdsRobot
 ) -> None:
-    with dock_node(robot, is_latched=is_latched) as dock:
-        await harness.until(lambda: dock.is_heard("/dock"), publishing=True)
-        dock.publish("/dock", dds.Bool(data=True))
-        await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-        robot.disconnect()
-        await harness.until(lambda: not harness.sink.is_up, publishing=True)
-        before = len(harness.sink.values)
-        dock.publish("/dock", dds.Bool(data=False))
-        robot.reconnect()
-        await harness.connect()
-        await harness.until(
-            lambda: docked(harness) == 0.0 if is_latched else math.isnan(docked(harness)),
-            publishing=True,
-        )
-        assert all(values["docked"] != 1.0 for values in harness.sink.values[before:])
-
-
-@story(DdsRobot, readings=DOCKED)
-async def test_what_holds_ends_with_its_node(harness: DriverHarness, robot: DdsRobot) -> None:
-    with dock_node(robot, is_latched=True) as dock:
-        dock.publish("/dock", dds.Bool(data=True))
-        await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-    await harness.until(lambda: math.isnan(docked(harness)), publishing=True)
+    """The first makes the bridge read the writer's history; for others it has a cache."""
+    dock, heard = robot.dock(is_latched=True), list[zenoh.Sample]()
+    session = open_session("client", "connect/endpoints", robot.endpoint)
+    session.declare_subscriber("dock", heard.append)
+    dock.put(True)
+    wait_until(lambda: len(heard) > 0, "another subscriber has the message")
+    await harness.connect()
+    await harness.until(lambda: docked(harness) == 1.0, publishing=True)
+    dock.put(False)
+    await harness.until(lambda: docked(harness) == 0.0, publishing=True)
+    session.close()
+    dock.close()

@@ -16,7 +16,7 @@ from swarmd.core.messages import Reason
 from swarmd.core.values import Twist
 from swarmd.testing.driver_contract import DriverHarness, play
 from tests.drivers.ros2.dds_rig import DdsRobot
-from tests.drivers.ros2.harness import check, drive, reported
+from tests.drivers.ros2.harness import drive, reported
 from tests.drivers.ros2.robots import open_session
 from tests.support import ros2_types as dds
 from tests.support.dds_node import DdsNode
@@ -98,28 +98,7 @@ async def test_a_second_bridge_that_takes_the_commands_holds_the_robot(
         assert harness.sink.hold is Reason.BASE_CONFLICT
 
 
-@story(DdsRobot, connected=False)
-async def test_two_lidars_hold_the_robot_and_fail_the_check(
-    harness: DriverHarness, robot: DdsRobot
-) -> None:
-    other = DdsNode(robot.domain, "lidar2", {"/scan": dds.LaserScan})
-    await harness.until(lambda: harness.sink.hold is Reason.SCAN_CONFLICT, publishing=True)
-    assert reported(harness, "2 nodes publish /scan: /base, /lidar2; ", is_up=True)
-    other.close()
-
-
-def test_check_fails_for_two_bases_with_their_names_and_the_remedy() -> None:
-    robot = DdsRobot()
-    other = DdsNode(robot.domain, "other", {"/odom": dds.Odometry}, TAKES)
-    found = check(robot, robot.publish)
-    other.close()
-    for subject in ("cmd_vel", "odometry"):
-        assert not found[subject].is_well
-        for word in ("/base, /other", "namespace", "domain"):
-            assert word in found[subject].text
-
-
-@pytest.mark.parametrize("name", ["rosbag2_recorder", "_ros2cli_4711", "ekf_filter_node", ""])
+@pytest.mark.parametrize("name", ["rosbag2_recorder", ""])
 @pytest.mark.parametrize("is_first", [True, False])
 def test_what_records_commands_holds_nothing(name: str, is_first: bool) -> None:
     robot = DdsRobot()
@@ -136,7 +115,7 @@ def test_what_records_commands_holds_nothing(name: str, is_first: bool) -> None:
         )
         assert harness.sink.hold is None
 
-    play(robot, story, cmd_vel_listeners=["ekf_*", "dds_reader_*"])
+    play(robot, story, cmd_vel_listeners=["dds_reader_*"])
     for node in nodes:
         node.close()
 

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import asyncio
 from collections.abc import Callable, Iterator
 from importlib import import_module
 
 import pytest
 from cyclonedds.core import Policy, Qos
 
-from swarmd.core.values import ZERO, Twist
+from swarmd.core.values import Twist
 from swarmd.testing.driver_contract import TIMEOUT, DriverHarness, play
 from tests.drivers.ros2.dds_rig import DdsRobot
 from tests.drivers.ros2.harness import check, drive, reported
@@ -60,58 +59,6 @@ def joystick() -> Iterator[Callable[[DdsRobot], DdsNode]]:
     yield make
     for node in made:
         node.close()
-
-
-def stamped(linear: float) -> object:
-    return dds.TwistStamped(dds.stamped(1.0), dds.Twist(dds.Vector3(linear)))
-
-
-@story(DdsRobot, connected=False, other_commands=["cmd_vel_stamped"])
-async def test_a_command_on_another_topic_of_the_base_is_another_nodes(
-    harness: DriverHarness, robot: DdsRobot, joystick: Callable[[DdsRobot], DdsNode]
-) -> None:
-    node = joystick(robot)
-    await harness.connect()
-    await drive(harness)
-    for _ in range(5):
-        node.publish("/cmd_vel_stamped", stamped(0.0))
-        await asyncio.sleep(0.05)
-    assert harness.sink.is_up, "zeros do not drive"
-
-    def is_lost() -> bool:
-        node.publish("/cmd_vel_stamped", stamped(0.3))
-        return not harness.sink.is_up
-
-    await harness.until(is_lost, publishing=True)
-    assert reported(harness, "someone else drives: commands on /cmd_vel_stamped", is_up=False)
-    harness.driver.send(ZERO, 3, 3, is_stopped=True)
-    robot.commands()
-    node.publish("/cmd_vel_stamped", stamped(0.3))
-    assert (await harness.command()).is_zero
-    await harness.until(lambda: harness.sink.is_up, publishing=True)
-
-
-@story(lambda: DdsRobot(actions=["dock"]), other_actions=["dock"])
-async def test_a_goal_of_an_action_drives_until_it_ends(
-    harness: DriverHarness, robot: DdsRobot
-) -> None:
-    await drive(harness)
-    assert robot.node is not None
-    robot.node.goals("/dock", EXECUTING)
-    await harness.until(lambda: not harness.sink.is_up, publishing=True)
-    assert reported(harness, "action /dock", is_up=False)
-    assert reported(harness, "/dock/_action/cancel_goal", is_up=False)
-    robot.commands()
-    harness.driver.send(ZERO, 3, 3, is_stopped=True)
-    assert (await harness.command()).is_zero
-    harness.driver.send(Twist(0.1), 4, 4)
-    for _ in range(30):  # longer than a command of another node counts
-        robot.publish()
-        await asyncio.sleep(0.1)
-    assert not harness.sink.is_up
-    assert all(twist.is_zero for twist in robot.commands())
-    robot.node.goals("/dock", SUCCEEDED)
-    await harness.until(lambda: harness.sink.is_up, publishing=True)
 
 
 def test_a_goal_that_began_before_the_driver_is_known() -> None:

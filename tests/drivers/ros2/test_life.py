@@ -291,18 +291,6 @@ async def test_a_base_is_lost_until_its_hub_has_listed_its_nodes(scene: Scene, h
     assert scene.is_up
 
 
-@playing(battery="power", battery_percentage="share")
-async def test_a_battery_alone_is_no_base(scene: Scene) -> None:
-    scene.session.publish("power", dds.BatteryState(percentage=0.5))
-    await handclock.settle()
-    assert not scene.is_up
-    assert not scene.sink.values
-    await scene.move()
-    scene.session.publish("power", dds.BatteryState(percentage=0.5))
-    await handclock.settle()
-    assert scene.sink.values[-1]["battery"] == 0.5
-
-
 @playing()
 async def test_unreadable_samples_and_other_keys_are_counted_and_no_sign_of_life(
     scene: Scene,
