@@ -29,12 +29,7 @@ from swarmd.drivers.simulated import SimulatedDriver
 from swarmd.settings.platforms import load_platform
 from swarmd.sim.live.link import WorldLink
 from swarmd.testing import driver_contract
-from swarmd.testing.driver_contract import (
-    POLL_PERIOD,
-    TIMEOUT,
-    DriverContract,
-    DriverHarness,
-)
+from swarmd.testing.driver_contract import POLL_PERIOD, TIMEOUT, DriverContract, DriverHarness
 from tests.support.range_ring import with_ring
 
 PLATFORM = load_platform("burger")

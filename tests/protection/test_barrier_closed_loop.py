@@ -386,7 +386,7 @@ def test_only_a_slow_request_creeps_up_to_the_contact_gap(speed: float, gap: flo
     assert run.min_gap == pytest.approx(gap, abs=0.004)
 
 
-@pytest.mark.parametrize("begin", [2.0, 6.0, 9.97, 10.03])
+@pytest.mark.parametrize("begin", part([6.0, 9.97, 10.03], [2.0]))
 @pytest.mark.parametrize("aside", [0.0, 0.2])
 def test_a_creeping_robot_is_not_at_fault(aside: float, begin: float) -> None:
     """A box starts to approach at the assumed speed, straight or past a front corner."""

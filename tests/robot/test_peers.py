@@ -20,13 +20,7 @@ from swarmd.core.values import (
     Twist,
 )
 from swarmd.protection.compatibility import ACCEPTS_NONE, Accepts, body_of
-from swarmd.robot.peers import (
-    ANGLE_ERROR,
-    DISTANCE_ERROR,
-    DISTANCE_SHARE,
-    TOLD_TIMEOUT,
-    Peers,
-)
+from swarmd.robot.peers import ANGLE_ERROR, DISTANCE_ERROR, DISTANCE_SHARE, TOLD_TIMEOUT, Peers
 from swarmd.robot.rate_limits import EVENT_BURST, EVENT_PERIOD
 from swarmd.robot.state import MAX_HOLD_TIME
 from swarmd.settings.platforms import load_platform

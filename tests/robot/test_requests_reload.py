@@ -81,8 +81,7 @@ def test_rerun_keeps_parameters_and_remaining_seconds() -> None:
 
 
 @pytest.mark.parametrize(
-    ("pattern", "refusal"),
-    [("broken", Refusal.PATTERN_FAILED), ("owm", Refusal.UNKNOWN_PATTERN)],
+    ("pattern", "refusal"), [("broken", Refusal.PATTERN_FAILED), ("owm", Refusal.UNKNOWN_PATTERN)]
 )
 def test_code_that_cannot_be_loaded_leaves_the_run_alone(pattern: str, refusal: Refusal) -> None:
     harness = driving()

@@ -171,9 +171,7 @@ def test_a_full_disk_keeps_the_keys_of_a_name_that_stays(
 _P256, _P239 = bytes.fromhex("06082a8648ce3d030107"), bytes.fromhex("06082a8648ce3d030106")
 _KEY = ec.generate_private_key(ec.SECP256R1())
 _DER = _KEY.private_bytes(
-    serialization.Encoding.DER,
-    serialization.PrivateFormat.PKCS8,
-    serialization.NoEncryption(),
+    serialization.Encoding.DER, serialization.PrivateFormat.PKCS8, serialization.NoEncryption()
 )
 
 

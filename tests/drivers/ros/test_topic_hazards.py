@@ -120,10 +120,7 @@ def test_numbers_limits_and_signs_of_one_message(folder: Path) -> None:
 
     assert told(0, 50.0, 0.0) == ()
     assert told(1, 50.0, 0.1) == (BUMP,)
-    assert told(2, 10.0, 0.2) == (
-        Hazard(HazardKind.BUMP, "rear"),
-        Hazard(HazardKind.CLIFF),
-    )
+    assert told(2, 10.0, 0.2) == (Hazard(HazardKind.BUMP, "rear"), Hazard(HazardKind.CLIFF))
 
 
 def test_a_silent_topic_is_a_hazard_before_its_first_message_and_after_its_last() -> None:

@@ -331,10 +331,7 @@ def scan(stamp: float, ranges: Sequence[float] | None = None, **angles: float) -
 
 
 def odometry(stamp: float, x: float = 0.5, yaw: float = 0.0, speed: float = 0.1) -> dds.Odometry:
-    pose = dds.Pose(
-        dds.Vector3(x=x),
-        dds.Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw)),
-    )
+    pose = dds.Pose(dds.Vector3(x=x), dds.Quaternion(z=math.sin(0.5 * yaw), w=math.cos(0.5 * yaw)))
     moving = dds.Twist(dds.Vector3(x=speed, y=0.02), dds.Vector3(z=0.3))
     return dds.Odometry(
         dds.stamped(stamp, "odom"),

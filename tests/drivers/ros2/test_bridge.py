@@ -132,8 +132,7 @@ async def _spin(lidar: DdsNode) -> None:
         step = 2.0 * math.pi / 360
         header = dds.Header(stamp, "base_scan")
         lidar.publish(
-            "/scan",
-            dds.LaserScan(header=header, angle_increment=step, ranges=[2.0] * 360),
+            "/scan", dds.LaserScan(header=header, angle_increment=step, ranges=[2.0] * 360)
         )
         await asyncio.sleep(0.02)
 

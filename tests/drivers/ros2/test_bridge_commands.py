@@ -34,9 +34,7 @@ KEPT_BEST_EFFORT = Qos(
     Policy.Reliability.BestEffort, Policy.Durability.TransientLocal, Policy.History.KeepLast(10)
 )
 STRICT = Qos(
-    Policy.Reliability.Reliable(10**8),
-    Policy.History.KeepLast(10),
-    Policy.Deadline(5 * 10**8),
+    Policy.Reliability.Reliable(10**8), Policy.History.KeepLast(10), Policy.Deadline(5 * 10**8)
 )
 QUALITIES = {
     "best effort": SENSOR,
@@ -68,7 +66,7 @@ def test_a_goal_that_began_before_the_driver_is_known() -> None:
 
     async def story(harness: DriverHarness) -> None:
         await harness.until(lambda: reported(harness, "action /dock", is_up=False), publishing=True)
-        line = {one.subject: one for one in await second.check(TIMEOUT)}["last_word"]
+        line = {one.subject: one for one in await second.check(5.0)}["last_word"]
         assert not line.is_well, "a second subscriber gets it too"
         assert "action /dock" in line.text
         robot.stop()  # with its server

@@ -98,11 +98,7 @@ def listed_once(given: Answers, now: float = 0.0) -> NodeList:
         ([("01/base", BASE), ("02/other", BASE)], Reason.BASE_CONFLICT, "/base, /other"),
         ([("01/r1/base", BASE), ("02/r2/base", BASE)], Reason.BASE_CONFLICT, "/r1/base, /r2/base"),
         ([("01/base", BASE), ("02/base", BASE)], Reason.BASE_CONFLICT, "named /base"),
-        (
-            [("01/base", BASE), ("02/a", LIDAR), ("03/b", LIDAR)],
-            Reason.SCAN_CONFLICT,
-            "/a, /b",
-        ),
+        ([("01/base", BASE), ("02/a", LIDAR), ("03/b", LIDAR)], Reason.SCAN_CONFLICT, "/a, /b"),
         *(
             ([("01/base", BASE), (f"02/{name}", BASE)], None, "")
             for name in (
