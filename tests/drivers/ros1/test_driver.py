@@ -55,24 +55,6 @@ async def test_all_senses_arrive_as_they_were_sent(harness: DriverHarness, robot
     assert sink.lost.count("ros1/scan") == 0
 
 
-@story(lambda roscore: RosRobot(roscore, "--command-type", "TwistStamped"))
-async def test_commands_are_stamped_if_the_base_expects_it(
-    harness: DriverHarness, robot: RosRobot
-) -> None:
-    harness.driver.send(Twist(0.1), 1, 1)
-    assert (await harness.command()).is_zero
-    harness.driver.send(Twist(0.1, 0.2, 0.3), 1, 1)
-    taken: list[Twist] = []
-
-    def is_stopped() -> bool:
-        taken.extend(robot.commands())
-        return len(taken) >= 2
-
-    await harness.until(is_stopped)
-    assert taken[0] == Twist(0.1, 0.2, 0.3)
-    assert taken[1].is_zero, "the adapter's own zero after a silence"
-
-
 @story(ros_robot)
 async def test_a_base_that_returns_with_another_type_is_commanded_in_it(
     harness: DriverHarness, robot: RosRobot
@@ -87,8 +69,8 @@ async def test_a_base_that_returns_with_another_type_is_commanded_in_it(
     taken: list[Twist] = []
 
     def is_moving() -> bool:
-        harness.driver.send(Twist(0.1), 1, 1)
+        harness.driver.send(Twist(0.1, 0.2, 0.3), 1, 1)
         taken.extend(robot.commands())
-        return Twist(0.1) in taken
+        return Twist(0.1, 0.2, 0.3) in taken
 
     await harness.until(is_moving, publishing=True)

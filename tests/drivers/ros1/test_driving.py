@@ -16,7 +16,6 @@ from typing import Any
 import pytest
 from msgspec.structs import replace
 
-from swarmd.core.messages import Reason
 from swarmd.core.values import ZERO, Twist, Value
 from swarmd.drivers.ros.options import Ros1Options, read_options
 from swarmd.drivers.ros1 import adapter as ros1_child
@@ -300,35 +299,6 @@ async def test_zeros_are_not_promised_without_a_base(scene: Scene) -> None:
     scene.connect()
     scene.report(replace(WELL, listeners=[], connected=0))
     assert (scene.sink.is_up, scene.sink.gets_zero) == (False, False)
-
-
-@playing()
-async def test_two_publishers_of_the_scan_hold_the_robot(scene: Scene) -> None:
-    scene.connect()
-    assert scene.sink.hold is None
-    both = {**WELL.publishers, "/scan": ["/lidar", "/rival"]}
-    scene.report(replace(WELL, publishers=both))
-    assert scene.sink.hold is Reason.SCAN_CONFLICT
-    assert scene.sink.is_up
-    assert scene.sink.states[-1][1].startswith("2 nodes publish /scan: /lidar, /rival; ")
-    scene.report()
-    assert scene.sink.hold is None
-    assert scene.sink.states[-1][1].startswith("drives on ")
-
-
-@playing()
-async def test_no_motion_reaches_two_bases(scene: Scene) -> None:
-    two = replace(WELL, listeners=["/base", "/other"], connected=2)
-    scene.connect(two)
-    assert scene.sink.is_up
-    assert scene.sink.hold is Reason.BASE_CONFLICT
-    assert not scene.is_moved()
-    assert "2 nodes take /cmd_vel: /base, /other; " in scene.sink.states[-1][1]
-    scene.report()
-    assert scene.sink.hold is None
-    assert scene.is_moved()
-    scene.report(two)
-    assert not scene.is_moved()
 
 
 @pytest.mark.parametrize("listener", ["/record_1609459200123456789", "/ekf"])

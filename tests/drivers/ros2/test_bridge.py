@@ -62,23 +62,6 @@ def test_a_namespace_is_the_robots_or_the_bridges(namespace: str, at: str) -> No
     play(DdsRobot(namespace=namespace, at=at), moves)
 
 
-def test_a_base_may_want_stamped_commands() -> None:
-    play(DdsRobot(is_stamped=True), moves)
-
-
-@story(DdsRobot)
-async def test_a_robot_that_leaves_and_returns_gets_zero_first(
-    harness: DriverHarness, robot: DdsRobot
-) -> None:
-    await moves(harness)
-    robot.stop()
-    await harness.until(lambda: not harness.sink.is_up)
-    await reports_lost(harness, "no /scan")
-    harness.driver.send(Twist(0.1), 1, 1)
-    robot.start()
-    await moves(harness)
-
-
 @story(DdsRobot)
 async def test_a_frozen_bridge_is_reported_and_no_late_command_moves_the_robot(
     harness: DriverHarness, robot: DdsRobot
@@ -135,24 +118,6 @@ async def _spin(lidar: DdsNode) -> None:
             "/scan", dds.LaserScan(header=header, angle_increment=step, ranges=[2.0] * 360)
         )
         await asyncio.sleep(0.02)
-
-
-@pytest.mark.parametrize("is_stamped", [False, True])
-def test_a_base_that_wants_another_type_gets_no_command(is_stamped: bool) -> None:
-    """The bridge hands on bytes as they are: a base would take a stamped twist for 1e180 m/s."""
-    robot = DdsRobot(is_stamped=is_stamped)
-
-    async def story(harness: DriverHarness) -> None:
-        await reports_lost(harness, "/cmd_vel wants geometry_msgs/msg/Twist")
-        for _ in range(20):
-            harness.driver.send(Twist(0.1), 1, 1)
-            robot.publish()
-            await asyncio.sleep(0.02)
-        assert not robot.commands()
-        assert not harness.sink.is_up
-
-    wrong = "twist" if is_stamped else "twist_stamped"
-    play(robot, story, connected=False, cmd_vel_type=wrong)
 
 
 def test_the_bridge_and_its_stand_in_announce_and_send_the_same() -> None:
@@ -224,19 +189,6 @@ def test_check_of_a_robot_that_is_off_asks_to_start_it() -> None:
     found = check(robot, seconds=2.0)
     assert "start the robot" in found["scan"].text
     assert "no node subscribes to /cmd_vel" in found["cmd_vel"].text
-
-
-@story(DdsRobot, connected=False, readings=DOCKED)
-async def test_a_change_before_the_base_was_connected_counts(
-    harness: DriverHarness, robot: DdsRobot
-) -> None:
-    dock = robot.dock(is_latched=False)
-    await harness.until(dock.is_heard)
-    dock.put(True)
-    await asyncio.sleep(1.0)  # it arrives while the base says nothing
-    await harness.connect()
-    await harness.until(lambda: docked(harness) == 1.0, publishing=True)
-    dock.close()
 
 
 @story(DdsRobot, connected=False, readings=DOCKED)

@@ -61,26 +61,6 @@ async def test_no_command_but_zero_ever_reaches_two_bases(
     await harness.until(lambda: harness.sink.hold is None, publishing=True)
 
 
-@pytest.mark.parametrize("name", ["base2", ""], ids=["a base", "a reader that is no node"])
-@story(DdsRobot)
-async def test_a_base_that_comes_later_gets_zero_and_both_stand(
-    harness: DriverHarness, robot: DdsRobot, name: str
-) -> None:
-    await drive(harness)
-    other = DdsNode(robot.domain, name, {}, TAKES)
-
-    def is_held() -> bool:
-        harness.driver.send(Twist(0.1), 3, 3)
-        return harness.sink.hold is Reason.BASE_CONFLICT
-
-    await harness.until(is_held, publishing=True)
-    robot.commands()
-    assert is_held()
-    assert (await harness.command()).is_zero
-    other.close()
-    await harness.until(lambda: harness.sink.hold is None, publishing=True)
-
-
 @story(DdsRobot)
 async def test_a_second_bridge_that_takes_the_commands_holds_the_robot(
     harness: DriverHarness, robot: DdsRobot, tmp_path: Path

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 from collections.abc import Callable, Iterator
 from importlib import import_module
 
@@ -130,19 +131,25 @@ async def test_the_watchdogs_zero_is_zero_in_either_type(
 
 
 @pytest.mark.parametrize("quality", QUALITIES)
-def test_scans_and_odometry_arrive_whatever_their_quality(quality: str) -> None:
-    robot = DdsRobot(qos={"scan": QUALITIES[quality], "odom": QUALITIES[quality]})
-    found = check(robot, robot.publish, seconds=TIMEOUT)
-    for subject in ("scan", "odometry"):
-        assert found[subject].is_well
-        assert f", {quality})" in found[subject].text
+def test_data_and_commands_arrive_whatever_their_quality(quality: str) -> None:
+    robot = DdsRobot(qos=dict.fromkeys(("scan", "odom", "cmd_vel"), QUALITIES[quality]))
+    second = robot.make({})
+
+    async def story(harness: DriverHarness) -> None:
+        await drive(harness)
+        checking = asyncio.create_task(second.check(TIMEOUT))
+        await harness.until(checking.done, publishing=True)
+        found = {one.subject: one for one in checking.result()}
+        for subject in ("scan", "odometry"):
+            assert found[subject].is_well
+            assert f", {quality})" in found[subject].text
+
+    play(robot, story)
 
 
-@pytest.mark.parametrize(
-    "qos", [*QUALITIES.values(), STRICT], ids=[*QUALITIES, "reliable with a deadline"]
-)
-def test_commands_arrive_whatever_the_quality_that_the_base_wants(qos: Qos) -> None:
-    play(DdsRobot(qos={"cmd_vel": qos}), drive)
+@story(lambda: DdsRobot(qos={"cmd_vel": STRICT}))
+async def test_commands_arrive_at_a_base_that_wants_a_deadline(harness: DriverHarness) -> None:
+    await drive(harness)
 
 
 @pytest.mark.parametrize(

@@ -17,7 +17,7 @@ from tests.support.stories import story
 
 
 @story(BridgedRobot)
-async def test_zeros_are_not_promised_without_a_link(
+async def test_zeros_go_out_and_are_promised_only_with_a_link(
     harness: DriverHarness, robot: BridgedRobot
 ) -> None:
     await drive(harness)
@@ -27,6 +27,7 @@ async def test_zeros_are_not_promised_without_a_link(
     robot.reconnect()
     await harness.until(lambda: harness.sink.gets_zero)  # its sensors are still silent
     assert not harness.sink.is_up
+    assert (await harness.command()).is_zero
 
 
 @story(BridgedRobot, connected=False)

@@ -67,13 +67,6 @@ def test_a_check_tells_value_unit_and_age() -> None:
     assert found.text.endswith("s ago")
 
 
-def test_a_check_tells_that_a_topic_is_not_heard() -> None:
-    robot = BridgedRobot()
-    found = check(robot, robot.publish, seconds=1.2, readings=OPTION)["readings.temperature"]
-    assert not found.is_well
-    assert "/temp" in found.text
-
-
 @pytest.mark.parametrize("is_heard", [True, False])
 def test_a_check_has_a_line_for_each_entry_of_a_topic(is_heard: bool) -> None:
     imu: dict[str, Value] = {"topic": "imu", "type": "sensor_msgs/Imu"}

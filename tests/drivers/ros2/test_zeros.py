@@ -13,7 +13,7 @@ from swarmd.core.values import Twist
 from swarmd.drivers.ros2.session import open_session
 from swarmd.testing.driver_contract import DriverHarness
 from tests.drivers.ros2 import robots
-from tests.drivers.ros2.harness import drive, reported
+from tests.drivers.ros2.harness import reported
 from tests.drivers.ros2.robots import BridgedRobot, Robot, ZenohRobot
 from tests.support.stories import story
 
@@ -36,17 +36,6 @@ def test_the_zero_sender_of_a_driver_sends_zero_to_its_base(make: Callable[[], R
     assert all(twist.is_zero for twist in taken)
     sender.close()
     robot.close()
-
-
-@story(BridgedRobot)
-async def test_a_robot_whose_link_is_back_gets_zero_though_its_sensors_are_silent(
-    harness: DriverHarness, robot: BridgedRobot
-) -> None:
-    await drive(harness)
-    robot.disconnect()
-    await harness.until(lambda: not harness.sink.is_up)
-    robot.reconnect()
-    assert (await harness.command()).is_zero
 
 
 @story(BridgedRobot)
