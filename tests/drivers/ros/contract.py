@@ -20,12 +20,11 @@ FOREIGN = 0.3
 
 
 class OtherNode(Protocol):
-    """A node beside the robot's own ones.
+    """A node beside the robot's own ones."""
 
-    `cancels`: what a report of an active goal names, so that a user can cancel it.
-    """
-
-    cancels: str
+    @property
+    def cancels(self) -> str:
+        """What a report of an active goal names, so that a user can cancel it."""
 
     def command(self, topic: str, linear: float) -> None:
         """Command a velocity on a topic of the robot, such as `cmd_vel`."""

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import asyncio
 
-import pytest
-
 from swarmd.core.values import ZERO, Twist
 from swarmd.driver_api.command_gate import CommandGate
-from swarmd.drivers.ros import zero_answers
-from swarmd.drivers.ros.zero_answers import ZeroAnswers
-
-CAP = 5.0
+from swarmd.drivers.ros.zero_answers import LASTING, PERIOD, ZeroAnswers
+from tests.support import hand_clock
+from tests.support.stories import Tell, Test, as_test
 
 
 class Base:
@@ -26,46 +23,41 @@ class Base:
     def _take(self) -> None:
         self.zeros += 1
 
-    async def gets(self, count: int) -> None:
-        async with asyncio.timeout(CAP):
-            while self.zeros < count:
-                await asyncio.sleep(0.001)
-
-    async def gets_no_more(self) -> None:
-        async with asyncio.timeout(CAP):
-            before = -1
-            while before < self.zeros:
-                before = self.zeros
-                await asyncio.sleep(10.0 * zero_answers.PERIOD)
+    async def zeros_within(self, seconds: float) -> int:
+        before = self.zeros
+        await asyncio.sleep(seconds)
+        return self.zeros - before
 
 
-async def test_each_command_of_another_node_is_answered_at_once_and_again() -> None:
-    base = Base()
+def timed(tell: Tell) -> Test:
+    """A test of what happens to a base, in virtual time."""
+    return as_test(tell, lambda told, _: hand_clock.run(told(base=Base())), ("base",))
+
+
+@timed
+async def test_each_command_of_another_node_is_answered_at_once_and_again(base: Base) -> None:
     for count in (1, 2, 3):
         base.answers.answer()
         assert base.zeros == count
-    await base.gets(10)
+    assert await base.zeros_within(10.5 * PERIOD) == 10, "one repetition, not three"
 
 
-async def test_zeros_end_after_the_last_command_and_begin_again(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    monkeypatch.setattr(zero_answers, "LASTING", 0.02)
-    base = Base()
+@timed
+async def test_zeros_end_after_the_last_command_and_begin_again(base: Base) -> None:
     for _ in range(2):
-        before = base.zeros
         base.answers.answer()
-        await base.gets(before + 3)
-        await base.gets_no_more()
+        await asyncio.sleep(0.5 * LASTING)
+        base.answers.answer()
+        assert await base.zeros_within(0.9 * LASTING) > 30
+        await asyncio.sleep(0.2 * LASTING)
+        assert await base.zeros_within(1.0) == 0
 
 
-async def test_a_robot_that_may_move_gets_no_zeros() -> None:
-    base = Base()
+@timed
+async def test_a_robot_that_may_move_gets_no_zeros(base: Base) -> None:
     base.answers.answer()
     base.gate.open()
     base.gate.filter(Twist(0.1))
-    await base.gets_no_more()
-    before = base.zeros
+    assert await base.zeros_within(1.0) == 0
     base.answers.answer()
-    await base.gets_no_more()
-    assert base.zeros == before
+    assert await base.zeros_within(1.0) == 0

@@ -6,7 +6,7 @@ The test controls the session and the clock; `test_dds_bridge.py` has real sessi
 from __future__ import annotations
 
 import asyncio
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
@@ -125,42 +125,33 @@ class Scene:
         self.task = asyncio.create_task(self.driver.run(self.sink))
 
 
-def play(
-    monkeypatch: pytest.MonkeyPatch,
-    story: Callable[[Scene], Awaitable[None]],
-    *,
-    platform: Platform = robots.PLATFORM,
-    **options: Value,
-) -> None:
-    session = Session()
-    monkeypatch.setattr(ros_driver, "open_session", lambda endpoint, within: session)
+def playing(tell: Tell) -> Test:
+    """A test of a story with a driver; the story takes `scene` and fixtures.
 
-    async def run() -> None:
-        scene = Scene(make(options, platform), session)
-        await scene.pass_time(0.0)
-        try:
-            await story(scene)
-        finally:
-            await scene.end()
-        assert session.is_closed
+    The scans come at the `rate` of a parameter, or as often as the platform's do.
+    """
 
-    handclock.run(run())
+    def run(told: Tell, given: Mapping[str, Any]) -> None:
+        session = Session()
+        given["monkeypatch"].setattr(ros_driver, "open_session", lambda endpoint, within: session)
+        platform = slow(given["rate"]) if "rate" in given else robots.PLATFORM
+        handclock.run(_played(told, make(platform), session))
+
+    return as_test(tell, run, ("scene",), ("monkeypatch",))
 
 
-def playing(**options: Value) -> Callable[[Tell], Test]:
-    """A test of a story with a driver; the story takes `scene` and fixtures."""
-
-    def of(tell: Tell) -> Test:
-        def run(told: Tell, given: Mapping[str, Any]) -> None:
-            play(given["monkeypatch"], lambda scene: told(scene=scene), **options)
-
-        return as_test(tell, run, ("scene",), ("monkeypatch",))
-
-    return of
+async def _played(told: Tell, driver: RosDriver, session: Session) -> None:
+    scene = Scene(driver, session)
+    await scene.pass_time(0.0)
+    try:
+        await told(scene=scene)
+    finally:
+        await scene.end()
+    assert session.is_closed
 
 
-def make(options: Mapping[str, Value], platform: Platform) -> RosDriver:
-    given: Mapping[str, Value] = {"cmd_vel_type": "twist", **options}
+def make(platform: Platform) -> RosDriver:
+    given: Mapping[str, Value] = {"cmd_vel_type": "twist"}
     return ros2dds.make_driver(swarm="s", robot="r", platform=platform, options=given)
 
 
@@ -169,21 +160,19 @@ def slow(rate: float) -> Platform:
 
 
 @pytest.mark.parametrize(("rate", "seconds"), [(5.0, 1.0), (1.0, 3.5)])
-def test_a_base_is_lost_after_1_s_of_silence_or_3_and_a_half_scans(
-    monkeypatch: pytest.MonkeyPatch, rate: float, seconds: float
+@playing
+async def test_a_base_is_lost_after_1_s_of_silence_or_3_and_a_half_scans(
+    scene: Scene, rate: float, seconds: float
 ) -> None:
-    async def story(scene: Scene) -> None:
-        await scene.move()
-        await scene.pass_time(seconds - 0.02)
-        assert scene.is_up
-        await scene.pass_time(0.12)  # it looks every 0.1 s
-        assert not scene.is_up
-        assert "no scan and no odometry" in scene.sink.states[-1][1]
-
-    play(monkeypatch, story, platform=slow(rate))
+    await scene.move()
+    await scene.pass_time(seconds - 0.02)
+    assert scene.is_up
+    await scene.pass_time(0.12)  # it looks every 0.1 s
+    assert not scene.is_up
+    assert "no scan and no odometry" in scene.sink.states[-1][1]
 
 
-@playing()
+@playing
 async def test_a_link_that_is_cut_is_a_lost_base_at_once(scene: Scene) -> None:
     await scene.move()
     scene.command()
@@ -194,7 +183,7 @@ async def test_a_link_that_is_cut_is_a_lost_base_at_once(scene: Scene) -> None:
     assert scene.session.taken()[0] == Twist()
 
 
-@playing()
+@playing
 async def test_a_hub_that_restarts_instantly_gets_zeros_for_2_s(scene: Scene) -> None:
     await scene.pass_time(3.0, moving=True)
     scene.command()
@@ -206,7 +195,7 @@ async def test_a_hub_that_restarts_instantly_gets_zeros_for_2_s(scene: Scene) ->
     assert all(twist.is_zero for twist in taken)
 
 
-@playing()
+@playing
 async def test_another_nodes_command_stops_the_driver_for_2_s(scene: Scene) -> None:
     await scene.move()
     scene.command()
@@ -222,7 +211,7 @@ async def test_another_nodes_command_stops_the_driver_for_2_s(scene: Scene) -> N
     assert scene.command() == [Twist(), MOVING]
 
 
-@playing()
+@playing
 async def test_a_command_that_waits_does_not_leave_once_a_second_base_is_found(
     scene: Scene,
 ) -> None:
@@ -256,7 +245,7 @@ async def test_a_command_that_waits_does_not_leave_once_a_second_base_is_found(
     ],
     ids=["zero", "backwards", "a turn", "unreadable", "on every key"],
 )
-@playing()
+@playing
 async def test_any_command_but_zero_counts_as_driving(
     scene: Scene, message: Any, key: str | None, is_lost: bool
 ) -> None:
@@ -267,7 +256,7 @@ async def test_any_command_but_zero_counts_as_driving(
 
 
 @pytest.mark.parametrize("hub", ["hub", "another"])
-@playing()
+@playing
 async def test_a_base_is_lost_until_its_hub_has_listed_its_nodes(scene: Scene, hub: str) -> None:
     answers: list[Any] = []
     scene.session.on_graph_query = answers.append
@@ -291,7 +280,7 @@ async def test_a_base_is_lost_until_its_hub_has_listed_its_nodes(scene: Scene, h
     assert scene.is_up
 
 
-@playing()
+@playing
 async def test_unreadable_samples_and_other_keys_are_counted_and_no_sign_of_life(
     scene: Scene,
 ) -> None:
